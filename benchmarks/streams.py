@@ -64,7 +64,9 @@ with create("log.csv", [("time", "s"), ("voltage", "V"), ("displacement", "um")]
 SIMULATE = [
     "-m", "dbo_cli", "simulate", "model.json", "log.csv", "-o", "out.csv", "--quiet",
 ]  # fmt: skip
-ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "POLARS_MAX_THREADS": "1"}
+ENVIRONMENT = {
+    "OPENBLAS_NUM_THREADS": "1", "POLARS_MAX_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "",
+}  # fmt: skip
 
 
 def run(words: list[str], folder: Path) -> tuple[float, float, float]:
@@ -72,6 +74,8 @@ def run(words: list[str], folder: Path) -> tuple[float, float, float]:
     with open(folder / "printed", "w+") as printed:
         line = [sys.executable, *words]
         environment = {**os.environ, **ENVIRONMENT}
+        # compiled modules are kept, as those of an installed program are
+        environment["PYTHONPYCACHEPREFIX"] = str(folder / "compiled")
         running = subprocess.Popen(line, cwd=folder, env=environment, stdout=printed)
         _, status, usage = os.wait4(running.pid, 0)
         running.returncode = os.waitstatus_to_exitcode(status)

@@ -20,7 +20,7 @@ from dbo_cli.errors import DboError, InputError, ModelError, UsageError
 from dbo_cli.units import split_header
 
 if TYPE_CHECKING:
-    from dbo_cli.logs import Reading, Table
+    from dbo_cli.logs import Block, Reading
     from dbo_cli.model import Model
 
 Floats = NDArray[np.float64]
@@ -184,7 +184,7 @@ def _read(
     columns: dict[str, str | None],
     role: str,
     unit: str | None,
-) -> Table:
+) -> Block:
     """Read one channel of a log, its signal in the unit of the model."""
     from dbo_cli.logs import open_log
 

@@ -30,6 +30,8 @@ Floats = NDArray[np.float64]
 Clock = float | Floats | None
 """Seconds a sample, or the time of each sample (s)."""
 STARTS = ("auto", "empty", "full", "settled")
+SHOWN = "direction input output stages fit sign provenance digest"
+"""What a model shows of its actuator."""
 
 
 class Model:
@@ -52,9 +54,9 @@ class Model:
 
     def __getattr__(self, name: str) -> Any:
         """Return what the actuator has under a public name."""
-        if name.startswith("_") or name == "actuator":
-            raise AttributeError(f"a dbo Model has no attribute {name!r}")
-        return getattr(self.actuator, name)
+        if name in SHOWN.split():
+            return getattr(self.actuator, name)
+        raise AttributeError(f"a dbo Model has no attribute {name!r}")
 
     def __eq__(self, other: object) -> bool:
         """Return whether two models have the same direction and stages."""
@@ -463,7 +465,7 @@ def floats(values: Any, name: str) -> Floats:
     Raises
     ------
     InputError
-        It is of another shape, or holds what is no number.
+        It has another shape, or holds a value that is not a number.
     """
     try:
         array = np.ascontiguousarray(np.asarray(values, dtype=np.float64))

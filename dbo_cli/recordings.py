@@ -101,10 +101,10 @@ def require_sign(recordings: Sequence[Recording], wanted: str | None) -> None:
     """
     for recording in recordings:
         shared = float(np.corrcoef(recording.voltage, recording.displacement)[0, 1])
-        found = "rising" if shared > 0.0 else "falling"
-        if wanted not in (None, found) and abs(shared) > CLEAR:
+        sign = "rising" if shared > 0.0 else "falling"
+        if wanted not in (None, sign) and abs(shared) > CLEAR:
             raise LimitError(
-                f"{recording.name}: displacement is {found} with voltage, `sign` is {wanted}: check "
+                f"{recording.name}: displacement is {sign} with voltage, `sign` is {wanted}: check "
                 "columns, or `scale` displacement=-1"
             )
 

@@ -22,7 +22,7 @@ _BASES = {
 }  # fmt: skip
 _PREFIXES = {"": 0, "p": -12, "n": -9, "u": -6, "m": -3, "k": 3, "M": 6, "G": 9}
 # units without prefixes: what they measure, and their size in the base unit
-_OTHERS: dict[str, tuple[str, Fraction]] = {
+_UNPREFIXED: dict[str, tuple[str, Fraction]] = {
     "cm": ("length", Fraction(1, 100)),
     "angstrom": ("length", Fraction(1, 10**10)),
     "min": ("time", Fraction(60)),
@@ -76,7 +76,7 @@ MOVED_KINDS = frozenset(("strain", "force", "torque", "induction"))
 
 
 def _sizes() -> dict[str, tuple[str, Fraction]]:
-    sizes = dict(_OTHERS)
+    sizes = dict(_UNPREFIXED)
     for base, kind in _BASES.items():
         for prefix, power in _PREFIXES.items():
             sizes[prefix + base] = (kind, Fraction(10) ** power)
@@ -279,31 +279,31 @@ def parse_quantity(figure: str | float, unit: str | None, name: str = "value") -
         It is no finite number, or its unit cannot be converted.
     """
     if not isinstance(figure, str):
-        value, own = float(figure), None
+        value, stated = float(figure), None
     else:
         match = _QUANTITY.fullmatch(figure)
         value = float(match["number"]) if match else math.nan
-        own = match["unit"] if match else None
+        stated = match["unit"] if match else None
     if not math.isfinite(value):
         raise UsageError(
             f"`{name}` {figure}: give a number, such as 5 or 5{unit or 'V'}"
         )
-    if own is None or (unit is None and parse_unit(own) is None):
+    if stated is None or (unit is None and parse_unit(stated) is None):
         return value
     try:
-        return float(multiplied(value, _ratio_of_speeds(own, unit or own)))
+        return float(multiplied(value, _ratio_of_speeds(stated, unit or stated)))
     except InputError:
         raise UsageError(
             f"`{name}` {figure}: not convertible; give a number in {unit}"
         ) from None
 
 
-def _ratio_of_speeds(own: str, wanted: str) -> Fraction:
+def _ratio_of_speeds(stated: str, wanted: str) -> Fraction:
     """Return the ratio of two units, each with or without a unit of time behind a stroke."""
-    above, time = _without_time(own)
+    above, time = _without_time(stated)
     wanted_above, wanted_time = _without_time(wanted)
     if (time is None) != (wanted_time is None):
-        raise InputError(f"{own} cannot be converted to {wanted}")
+        raise InputError(f"{stated} cannot be converted to {wanted}")
     return ratio(above, wanted_above) / ratio(time, wanted_time)
 
 

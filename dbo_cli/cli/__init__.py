@@ -1,1 +1,1 @@
-"""The command line: options, a few calls into the rooms, and what is said."""
+"""The command line: options, a few calls into the rooms, and messages."""

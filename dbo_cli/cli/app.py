@@ -202,11 +202,11 @@ def _explained(problem: BaseException, words: Sequence[str]) -> tuple[str, int]:
 
 def _refused(problem: Any) -> str:
     """Return why typer refused the command line, with the option that is most like an unknown one."""
-    unknown = getattr(problem, "option_name", None)
-    near = getattr(problem, "possibilities", None)
-    if unknown is not None and near:
-        best = difflib.get_close_matches(unknown, near, 1, 0.0)
-        return f"no such option: {unknown}; did you mean {best[0]}?"
+    if hasattr(problem, "possibilities"):
+        unknown = problem.option_name
+        near = difflib.get_close_matches(unknown, problem.possibilities or [], 1, 0.7)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        return f"no such option: {unknown}{hint}"
     text: str = problem.format_message()
     for words in ("Invalid value for ", "Value error, ", "Input "):
         text = text.replace(words, "")

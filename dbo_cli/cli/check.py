@@ -120,8 +120,8 @@ def read_drive(
         except InputError as problem:
             raise LimitError(str(problem)) from problem
         step = table.dt if isinstance(table.dt, float) else None
-        found = log.columns["voltage"].unit
-        return Signal(table["voltage"], found, table.time, step, log.doubtful)
+        read_unit = log.columns["voltage"].unit
+        return Signal(table["voltage"], read_unit, table.time, step, log.doubtful)
 
 
 def limits_in(

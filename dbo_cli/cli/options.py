@@ -2,7 +2,7 @@
 
 A command is a typer function. ``@reads_logs`` appends the options that say how a log is
 read, and hands them on as one argument ``reading``; ``@speaks`` appends those that say
-how much is said.
+how much is printed.
 """
 
 from __future__ import annotations

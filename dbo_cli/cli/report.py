@@ -12,7 +12,7 @@ from dbo_cli.cli.say import detail, say
 from dbo_cli.errors import UsageError, warn
 
 if TYPE_CHECKING:
-    from dbo_cli.logs import Reading, Table
+    from dbo_cli.logs import Block, Reading
     from dbo_cli.model import Model
     from dbo_cli.reports import Pair
 
@@ -131,7 +131,7 @@ def report(
 
 def read(
     path: str, reading: Reading, roles: Columns, units: Units, *optional: str
-) -> tuple[Table, Units]:
+) -> tuple[Block, Units]:
     """Return a whole log, and the units of its columns."""
     from dbo_cli.logs import open_log
 

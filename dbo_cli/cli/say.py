@@ -10,7 +10,7 @@ import re
 import sys
 import time
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, ClassVar, TypeVar
 
 from dbo_cli.errors import DboWarning, warn
@@ -22,11 +22,11 @@ _CONTROL = re.compile(
 )
 WIDTH = 115  # characters of a default line, behind ``dbo: ``
 _PAUSE = 0.2  # seconds between two updates of a progress line
-_VALUE_HELD = TypeVar("_VALUE_HELD")
+_Block = TypeVar("_Block")
 
 
 class Level:
-    """How much is said: set once, by the options of the command; and the warnings that are due."""
+    """How much a command prints, set once by its options; and the pending warnings."""
 
     quiet = False
     verbose = False
@@ -45,6 +45,18 @@ def say(text: str) -> None:
 def say_output(output: str, text: str) -> None:
     """Print what is in an output."""
     say(f"{'stdout' if output == '-' else output}: {text}")
+
+
+def say_logs(logs: Sequence[Any], rows: int, behind: str = "") -> None:
+    """Print what was read: a line a log, of more than two one line for all."""
+    lines = [log.line() + behind for log in logs]
+    if len(lines) > 2:
+        detail(*lines)
+        lines = [f"{len(logs)} logs, {rows:,} rows{behind}"]
+    for line in lines:
+        say(line)
+    for log in logs:
+        detail(*log.remarks)
 
 
 def say_log(log: Any) -> None:
@@ -106,7 +118,7 @@ def say_warnings() -> None:
     Level.warnings.clear()
 
 
-def progress(blocks: Iterable[_VALUE_HELD], what: str) -> Iterator[_VALUE_HELD]:
+def progress(blocks: Iterable[_Block], what: str) -> Iterator[_Block]:
     """Hand blocks on, and say on a terminal how many rows have passed.
 
     A block is anything with a length.

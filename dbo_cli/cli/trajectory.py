@@ -97,7 +97,7 @@ def trajectory(
     columns = [("time", "s"), *((name, unit) for name in names)]
     with create(output, columns) as table:
         table.write(made.time, *made.axes)
-    rounded = "sharp corners (`bandwidth` HZ rounds them)"
+    rounded = "sharp corners (`bandwidth` HZ)"
     if limit is not None:
         rounded = f"rounded to {limit:.4g} Hz"
     say_output(output, f"{made.time.size:,} rows, {made.note}; {rounded}")

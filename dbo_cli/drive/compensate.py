@@ -121,8 +121,8 @@ def plan(
     if periodic:
         from dbo_cli.drive.loops import Loop
 
-        asked = limits, around, on_limit, name
-        drive = Loop(model, values, request, seconds, step, *asked).plan(passes)
+        terms = limits, around, on_limit, name
+        drive = Loop(model, values, request, seconds, step, *terms).plan(passes)
     else:
         blocks = _blocks(time, dt, values, request)
         drive = _whole(Stream(model, blocks, limits, around, on_limit, name))
@@ -228,7 +228,7 @@ def _clock(clock: Clock, count: int, name: str) -> tuple[Floats | None, Steps]:
 
 
 def _even(time: Floats | None, dt: Steps, name: str) -> tuple[Floats, float]:
-    """Return the time of each row and the step of an even clock (InputError: it is none)."""
+    """Return the time of each row and the step of an even clock (InputError: it is uneven)."""
     if time is None or not isinstance(dt, float):
         raise InputError(
             f"{name}: `tracked`, `periodic` and `bandwidth` need an even clock (`sample_rate` HZ, or "

@@ -96,7 +96,7 @@ class Drive:
     history : tuple of PassRecord
         Of a move that is learned: the passes so far, the last one included.
     notes, warnings : tuple of str
-        What was said.
+        What a user should know.
     """
 
     limits: Limits
@@ -126,32 +126,31 @@ class Drive:
 
     def line(self) -> str:
         """Return what came out: ``4,910 rows, 3.1 to 96.2 V, within limits``."""
-        text = f"{self.rows:,} rows, {self.least:.4g} to {self.greatest:.4g}{self.limits.suffix}"
+        unit, lead = self.limits.suffix, self.lead
+        state = "within limits"
         if self.clipped:
-            rows = "row" if self.clipped == 1 else "rows"
-            return f"{text}, {self.clipped:,} {rows} clipped"
-        return f"{text}, within limits"
-
-    def lead_line(self) -> str:
-        """Return what stands before the move; empty where nothing does."""
-        if not self.lead.rows:
-            return ""
-        return (
-            f"before the move {self.lead_seconds:.3g} s, {self.lead.least:.4g} to "
-            f"{self.lead.greatest:.4g}{self.limits.suffix}"
-        )
+            state = f"{self.clipped:,} {'row' if self.clipped == 1 else 'rows'} clipped"
+        text = f"{self.rows:,} rows, {self.least:.4g} to {self.greatest:.4g}{unit}, {state}"
+        if lead.rows:
+            ends = f"{lead.least:.4g} to {lead.greatest:.4g}{unit}"
+            text += f"; {self.lead_seconds:.3g} s before the move, {ends}"
+        return text
 
     def expected_line(self) -> str:
         """Return the error to expect; empty where it is not known."""
         if self.expected_error is None:
             return ""
         unit = f" {self.unit}" if self.unit else ""
-        text = f"expected error {self.expected_error:.2g}{unit} RMS"
+        error = f"{self.expected_error:.2g}"
+        text = f"expected error {error}{unit} RMS"
         if self.past_known:
             return text
         if self.expected_known is None:
             return f"{text} (past unknown)"
-        return f"{text} (past unknown; {self.expected_known:.2g} with `condition`)"
+        known = f"{self.expected_known:.2g}"
+        if known == error:
+            return f"{text}, whatever the past"
+        return f"{text} (past unknown; {known} with `condition`)"
 
     def summary(self) -> dict[str, Any]:
         """Return the drive as plain values, for a summary in JSON."""

@@ -30,7 +30,7 @@ Leg = tuple[
     float, int
 ]  # a turning point as a part of the range, and the rows on the way there
 
-SAMPLE_RATE = 1000.0  # Hz, where nothing is said
+SAMPLE_RATE = 1000.0  # Hz, the default
 FREQUENCY = (
     1.0  # Hz: swings over the whole range and back; less where the slew is limited
 )

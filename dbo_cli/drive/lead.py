@@ -335,14 +335,17 @@ def return_ramp(begin: float, end: float, dt: float, limits: Limits) -> Floats:
     return ramp("return", begin, end, dt, "auto", limits)
 
 
-def require_short(lead: Lead, move_seconds: float) -> None:
-    """Refuse rows before a move that nobody asked for and that are long beside the move (LimitError)."""
-    allowed = max(LONGEST_CHOSEN, CHOSEN_MOVES * move_seconds)
-    if lead.chosen > allowed:
-        raise LimitError(
-            f"{lead.chosen:.4g} s before a move of {move_seconds:.4g} s: more than ten moves and a "
-            "minute; give `approach` SECONDS or more `max_slew`"
-        )
+def longest_lead(move_seconds: float) -> float:
+    """Return how long the program may drive before a move (s)."""
+    return max(LONGEST_CHOSEN, CHOSEN_MOVES * move_seconds)
+
+
+def too_long(lead: Lead, move_seconds: float) -> LimitError:
+    """Return the refusal of rows before a move that nobody asked for and that are long beside it."""
+    return LimitError(
+        f"{lead.chosen:.4g} s before a move of {move_seconds:.4g} s: more than ten moves and a "
+        "minute; give `approach` SECONDS or more `max_slew`"
+    )
 
 
 def _rows(distance: float, dt: float, seconds: float, limits: Limits) -> int:

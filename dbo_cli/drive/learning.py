@@ -78,7 +78,7 @@ class PassRecord(NamedTuple):
 
 
 class Lesson(NamedTuple):
-    """What to ask for next, the history with this pass, and what was said."""
+    """What to ask for next, the history with this pass, and the notes."""
 
     request: Floats
     history: tuple[PassRecord, ...]
@@ -203,8 +203,8 @@ class RepeatedMove:
             return voltage, believed, measured
         begun = self._begun(float(voltage[0]), self.state if begin == 0 else "auto")
         believed = self.model.run(voltage, begun, self.step).y
-        own = slice(begin, begin + count)
-        return voltage[own], believed[own], measured[own]
+        rows_of_move = slice(begin, begin + count)
+        return voltage[rows_of_move], believed[rows_of_move], measured[rows_of_move]
 
     def _begun(self, voltage: float, state: str | State) -> State:
         return state if isinstance(state, State) else self.model.start(voltage, state)

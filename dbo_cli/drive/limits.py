@@ -58,7 +58,7 @@ class Limits:
     extrapolate: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse a move's range beyond the rating, and a slew that is none (UsageError)."""
+        """Refuse a move's range beyond the rating, and an invalid slew (UsageError)."""
         (low, high), (least, greatest) = self.rating, self.move
         if not low <= least < greatest <= high:
             raise UsageError(
@@ -201,7 +201,7 @@ class Limits:
         }
 
     def describe(self) -> str:
-        """Say what a move may do: ``0 to 96 V, 200 V/s``."""
+        """Return what a move may do: ``0 to 96 V, 200 V/s``."""
         low, high = self.move
         text = f"{low:.6g} to {high:.6g}{self.suffix}"
         if self.slew is not None:

@@ -309,7 +309,7 @@ class Controller:
 
 
 def _number(value: float, name: str, low: float, high: float, spans: float) -> float:
-    """Return a value as a float; InputError where it is no number, or so many ranges away."""
+    """Return a value as a float; InputError where it is not a number, or too many ranges away."""
     if type(value) is not float:
         if isinstance(value, (bool, np.bool_, str, bytes)):
             raise InputError(f"`{name}` {value!r}: not a number")

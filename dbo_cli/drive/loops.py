@@ -36,7 +36,7 @@ NOTHING = np.zeros(0)
 SAME_DRIVE = 1e-9
 # tries for a start or a run-in that leads to the loop it ends on; two are usual
 MOST_STARTS = 20
-# of the move: a loop that the model repeats further off than this is none
+# of the move: a loop that the model repeats further off than this is not settled
 LOOP_ERROR = 1e-6
 FEWEST_ROWS = 4  # of a period: fewer have no shape
 # times the largest step inside a period, from which on its last row does not meet its first
@@ -152,8 +152,8 @@ class Loop:
         approach, dt, limits = self.around.approach, self.dt, self.limits
         voltage = NOTHING
         if approach is not None:
-            way = ramp("approach", begin, float(period[0]), dt, approach, limits)
-            voltage = np.concatenate([[begin], way, np.tile(period, passes)])
+            ascent = ramp("approach", begin, float(period[0]), dt, approach, limits)
+            voltage = np.concatenate([[begin], ascent, np.tile(period, passes)])
         elif passes:
             rise = soft_rise(np.linspace(0.0, 1.0, period.size))
             growing = begin + rise * (period - begin)

@@ -138,14 +138,14 @@ class Loss:
         )
 
     def clipping(self) -> str:
-        """Say how much of the move its limits do not allow."""
+        """Return how much of the move the limits forbid, in words."""
         return (
             f"{self.name}: {self.clipped:,} of {self.move.rows:,} rows (first: row "
             f"{self.first_clipped:,}) exceed {self.limits.describe()}"
         )
 
     def would_fit(self, period: float | None = None) -> str:
-        """Say what would fit, where that is one number; empty where it is not."""
+        """Return what would fit, where that is one number; else an empty text."""
         texts = self._reach_texts()
         slower = self._times_slower()
         if not texts and slower > 1.0:
@@ -156,7 +156,7 @@ class Loss:
         return f"; {', '.join(texts)}" if texts else ""
 
     def _reach_texts(self) -> list[str]:
-        """Say what the ends of the move's range reach, where the move goes beyond that."""
+        """Return what the ends of the range reach, where the move goes beyond that."""
         static = self.model.static
         ends = []
         for voltage, state in zip(self.limits.move, ("full", "empty"), strict=True):

@@ -115,7 +115,7 @@ class Outlook:
         return None if error is None else math.hypot(error, self.loss.rms)
 
     def _start_warnings(self) -> list[str]:
-        """Say what was clipped, and how the drive begins."""
+        """Return what was clipped, and how the drive begins."""
         loss, unit = self.loss, self.model.output.suffix
         texts = []
         if loss.clipped:
@@ -135,7 +135,7 @@ class Outlook:
         return texts
 
     def _beyond(self) -> list[str]:
-        """Say that the drive leaves the identified range, where that was asked for."""
+        """Return a warning where the drive leaves the identified range."""
         low, high = self.limits.identified
         inside = low <= self._whole.least and self._whole.greatest <= high
         if not self.limits.extrapolate or inside:
@@ -149,7 +149,7 @@ class Outlook:
     def _move_warnings(
         self, voltage: Floats, dt: Steps, expected: float | None
     ) -> list[str]:
-        """Say what of the move the logs did not show."""
+        """Return what of the move the logs do not show."""
         from dbo_cli.model.expect import move_warnings
 
         texts = [
@@ -166,7 +166,7 @@ class Outlook:
         return texts
 
     def _creeping_hold(self, state: State | None) -> list[str]:
-        """Say where holding the last position drives the voltage out of the limits, in the long run."""
+        """Return a warning where holding the last position drives the voltage out of the limits."""
         relaxation = self.model.gears.relaxation
         if relaxation is None or state is None or state.drive is None:
             return []

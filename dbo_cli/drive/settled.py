@@ -63,9 +63,9 @@ def settled_drive(
     return Settled(done, before, False)
 
 
-def apart(values: Floats, others: Floats) -> float:
+def apart(values: Floats, beside: Floats) -> float:
     """Return the largest difference between two signals."""
-    return float(np.abs(values - others).max())
+    return float(np.abs(values - beside).max())
 
 
 def looped_state(model: Model, voltage: Floats, dt: float, state: State) -> State:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.model import Model, Outside, State, read_ahead
+from dbo_cli.model import Model, Outside, State, Undoing, read_ahead
 
 Floats = NDArray[np.float64]
 
@@ -76,7 +75,9 @@ def simulate_blocks(
     if first is None:
         return
     rows = 0 if model.is_forward else model.inverter(first[2]).ahead
-    undoing = None if run.state is None else run.state.undoing
+    undoing: Undoing | None = None
+    if run.state is not None and not model.is_forward:
+        undoing = model.inverter(first[2]).behind(run.state)
     signal = (((payload, dt), x) for payload, x, dt in chain([first], stream))
     for (payload, dt), ahead in read_ahead(signal, rows):
         x = ahead
@@ -91,5 +92,5 @@ def simulate_blocks(
             run.first_outside = run.rows + done.first_outside + 1
         run.outside += done.outside
         run.rows += x.size
-        run.state = dataclasses.replace(done.state, undoing=undoing)
+        run.state = done.state
         yield payload, done.y

@@ -19,10 +19,11 @@ from dbo_cli.drive.gate import Gate
 from dbo_cli.drive.lead import (
     Around,
     Lead,
+    longest_lead,
     plan_lead,
-    require_short,
     return_ramp,
     standing_at,
+    too_long,
 )
 from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.loss import Loss, OnLimit, Steps
@@ -128,19 +129,18 @@ class Stream:
             later = first.dt[1:]
             first = first._replace(dt=np.concatenate([[step or 0.0], later]))
         lead = self._planned_lead(first, step or 0.0)
+        moves = self._read_enough(chain([first], blocks), lead, step or 0.0)
         begin = 0.0 if first.time is None else float(first.time[0])
         times = begin - (step or 0.0) * np.arange(lead.rows, 0.0, -1.0)
         played = lead.voltage.size
         if played:
             self._admit(lead.voltage, step, "lead")
             yield Rows(times[:played], lead.expected, lead.voltage)
-        moves = chain([first], blocks)
         if lead.desired.size:
             rest = Block(times[played:], step, lead.desired, lead.desired, "lead")
             moves = chain([rest], moves)
         yield from self._follow(moves, first.dt)
         seconds = self.loss.move.rows * (step or 0.0)
-        require_short(lead, seconds)
         self._require_reached(seconds)
         yield from self._return(step or 0.0)
         if self._state is not None:
@@ -149,7 +149,7 @@ class Stream:
         self.drive = self.outlook.drive(self._state, lead.rows * (step or 0.0), known)
 
     def _checked(self, blocks: Iterable[Block]) -> Iterator[Block]:
-        """Yield the blocks that hold rows; refuse what is no number (InputError)."""
+        """Yield the blocks that hold rows; refuse values that are not numbers (InputError)."""
         rows = 0
         for block in blocks:
             bad = ~np.isfinite(block.wanted)
@@ -197,6 +197,19 @@ class Stream:
             self._gate.require_reachable(*self.limits.move, first.dt)
         return lead
 
+    def _read_enough(
+        self, blocks: Iterator[Block], lead: Lead, step: float
+    ) -> Iterator[Block]:
+        """Read so much of the move that what stands before it is known not to be long beside it."""
+        read: list[Block] = []
+        seconds = 0.0
+        for block in blocks:
+            read.append(block)
+            seconds += block.wanted.size * step
+            if lead.chosen <= longest_lead(seconds):
+                return chain(read, blocks)
+        raise too_long(lead, seconds)
+
     def _aged(self, state: State, first: Block, step: float) -> State:
         """Return a state after the pause between its last row and the first one: the voltage was held."""
         if state.time is None or state.drive is None or first.time is None:
@@ -229,9 +242,9 @@ class Stream:
                 self.outlook.off = float(undone[0] - wanted[late])
             if block.time is not None:
                 self._time = float(block.time[-1])
-            yield self._driven(block, undone, undoing)
+            yield self._driven(block, undone)
 
-    def _driven(self, block: Block, wanted: Floats, undoing: Undoing | None) -> Rows:
+    def _driven(self, block: Block, wanted: Floats) -> Rows:
         """Return the drive of one block, ``wanted`` of the static part."""
         if self._state is None:
             self._state = self._started(float(wanted[0]))
@@ -241,7 +254,7 @@ class Stream:
             self.loss.see(block.desired, wanted, done, before, block.dt)
         self.outlook.missed = self.outlook.missed or done.missed
         self._admit(done.y, block.dt, block.part)
-        self._state = dataclasses.replace(done.state, undoing=undoing)
+        self._state = done.state
         return Rows(block.time, block.desired, done.y)
 
     def _started(self, first: float) -> State:

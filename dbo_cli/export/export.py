@@ -60,7 +60,7 @@ def export_model(
         Steps a second (Hz); needed where relaxation, slew, dynamics or a delay depend
         on it.
     gears : int, optional
-        Fewer gears than the model has; what is lost is said.
+        Fewer gears than the model has; the loss is in the figures.
     lookup : bool
         The gears as a table of all states, for 12 gears at most and no relaxation.
 

@@ -45,14 +45,12 @@ def clean(
         good &= ~faulty_rows(log, notes)
         if int(good.sum()) < FEWEST_ROWS:
             raise FitError(
-                f"{log.name}: {int(good.sum())} usable rows are too few to identify from; record longer, or"
-                " skip less"
+                f"{log.name}: {int(good.sum())} usable rows are too few; record longer, or skip less"
             )
         logs.append(replace(log, good=good))
     if not any(turns_back(log.voltage) for log in logs):
         raise FitError(
-            f"{logs[0].name}: the voltage never turns back, so that no hysteresis can be seen; record a drive"
-            " that goes up and down"
+            f"{logs[0].name}: the voltage never turns back; record a drive that goes up and down"
         )
     return logs, notes
 
@@ -68,7 +66,7 @@ def without_sensor_delay(log: Recording, delay: float) -> Recording:
         return log
     if log.time is None:
         raise UsageError(
-            "`sensor_delay` needs a clock: name the time column (`time`) or give `sample_rate`"
+            "`sensor_delay` needs a clock: add `time` COLUMN or `sample_rate` HZ"
         )
     displacement = np.interp(log.time + delay, log.time, log.displacement)
     known = log.time <= log.time[-1] - delay
@@ -81,7 +79,7 @@ def not_skipped(log: Recording, seconds: float) -> Booleans:
         return np.ones(len(log.voltage), bool)
     if log.time is None:
         raise FitError(
-            f"{log.name}: `skip` needs a clock: name the time column (`time`) or give `sample_rate`"
+            f"{log.name}: `skip` needs a clock: add `time` COLUMN or `sample_rate` HZ"
         )
     late: Booleans = log.time - log.time[0] >= seconds
     return late
@@ -98,8 +96,8 @@ def faulty_rows(log: Recording, notes: list[str]) -> Booleans:
         new = rows & log.usable & ~faulty
         if new.any():
             notes.append(
-                f"{log.name}: {int(new.sum())} rows left out, the first is row {int(np.argmax(new)) + 1}:"
-                f" {words}"
+                f"{log.name}: {int(new.sum())} rows left out (first: row {int(np.argmax(new)) + 1}): "
+                f"{words}"
             )
         faulty |= rows
     return faulty

@@ -67,8 +67,7 @@ def find(
         if wanted == "auto":
             return (), 0.0, {}
         raise FitError(
-            f"`dynamics` {wanted}: no log has a small sweep, nor is one ten times as fast as another "
-            "(record a drive of excite with `sweep_to`)"
+            f"`dynamics` {wanted}: no log has a sweep: record a drive of dbo excite with `sweep_to` HZ"
         )
     band = _band(fast)
     signals = _signals(static, fast)
@@ -246,7 +245,7 @@ def _is_inside(resonance: Resonance, band: Band) -> bool:
     return lowest < beside.frequency < highest
 
 
-# --- what is said ---
+# --- warnings ---
 
 
 def _figures(
@@ -274,8 +273,7 @@ def _unexplained(
         if share > UNEXPLAINED:
             low, high = part.band
             warnings.append(
-                f"{part.recording.name}: rows {part.rows.start + 1} to {part.rows.stop} move at {low:.3g} to "
-                f"{high:.3g} Hz, and {100.0 * share:.0f} % of that is not explained: the model is for slow "
-                "moves only (a sweep of more volts, or to a higher frequency, may show what moves)"
+                f"{part.recording.name}: rows {part.rows.start + 1} to {part.rows.stop}, {low:.3g} to "
+                f"{high:.3g} Hz: {100.0 * share:.0f} % unexplained: slow moves only; try a larger sweep"
             )
     return warnings

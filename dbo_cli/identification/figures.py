@@ -104,8 +104,8 @@ def _refuse_no_better(
         return
     names = ", ".join(os.path.basename(log.name) for log in logs)
     raise FitError(
-        f"{names}: the model (RMSE {rmse:.4g}) is no better than a straight line (RMSE {line:.4g}); record"
-        " several amplitudes and cycles, or check columns and sensor (`force` keeps the model)"
+        f"{names}: RMSE {rmse:.4g}, a straight line's is {line:.4g}: check columns and sensor, or "
+        "record more amplitudes (`force` keeps it)"
     )
 
 
@@ -117,29 +117,28 @@ def _warnings(model: Model, figures: dict[str, Any]) -> list[str]:
         found += figures["dynamics"].get("warnings", [])
     if figures.get("one_amplitude"):
         found.append(
-            "the logs hold one amplitude: smaller loops are extrapolated; record several ('dbo excite'"
-            " writes such a drive)"
+            "the logs hold one amplitude, so smaller loops are a guess: record several amplitudes "
+            "(dbo excite)"
         )
     elif figures.get("swings", FEW_SWINGS) < FEW_SWINGS:
         found.append(
-            "the logs go up and down less than twice, so that little can be left out: new moves may err by"
-            " more than stated; record more cycles"
+            "the logs go up and down less than twice: the error may be larger than stated; record "
+            "more cycles"
         )
     if figures["fastest"] is None:
         found.append(
-            "no clock, so neither lag nor delay could be looked for: name the time column (`time`) or give"
-            " `sample_rate`"
+            "no clock, so no creep and no delay in the model: add `time` COLUMN or `sample_rate` HZ"
         )
     if expected is not None and expected >= line:
         found.append(
-            f"the error expected on new moves ({expected:.3g}{model.output.suffix}) is no better than a"
-            f" straight line's on the logs ({line:.3g}): record several amplitudes and cycles"
+            f"expected error {expected:.3g}{model.output.suffix}, a straight line's is {line:.3g}: "
+            "record several amplitudes and cycles"
         )
     for log in figures["logs"]:
         if abs(log["drift"]) > LARGE_DRIFT * model.output.span:
             found.append(
-                f"{log['name']}: a drift of {log['drift']:.3g}{model.output.suffix} was taken for the"
-                " sensor's and is not in the model; warm up, or record again"
+                f"{log['name']}: a drift of {log['drift']:.3g}{model.output.suffix} is left out of the "
+                "model: warm up, and record again"
             )
     return found
 
@@ -211,7 +210,7 @@ def describe(model: Model) -> str:
     fit, unit = model.fit, model.output.suffix
     expected = fit.get("expected_rmse")
     if expected is None:
-        return f"fit RMSE {fit['rmse']:.3g}{unit}; what to expect on new moves is not known"
+        return f"fit RMSE {fit['rmse']:.3g}{unit}; error on new moves unknown"
     percent = 100.0 * expected / model.output.span
     return (
         f"expected error {expected:.3g}{unit} ({percent:.2g} % of range);"

@@ -48,8 +48,8 @@ def identify_paper(recording: Recording, options: Options) -> Model:
     voltage, displacement = recording.voltage, recording.displacement
     if float(np.cov(voltage, displacement)[0, 1]) < 0.0:
         raise FitError(
-            f"{recording.name}: the displacement falls as the voltage rises, and the paper's method knows "
-            "positive gains only: use `method` least-squares"
+            f"{recording.name}: the displacement falls as the voltage rises: use `method` "
+            "least-squares"
         )
     count = GEARS if options.gears == "auto" else int(options.gears)
     segments = SEGMENTS if options.points == "auto" else max(int(options.points), 1)

@@ -45,8 +45,8 @@ def without_unknown_past(problem: Problem, notes: list[str]) -> Problem:
             log = problem.logs[place]
             last = int(log.rows[rows][-1]) + 1
             notes.append(
-                f"{log.name}: rows 1 to {last} left out: the drive had not yet been at both ends of its"
-                " range, and the past is unknown"
+                f"{log.name}: rows 1 to {last} left out: unknown past, before the drive was at both ends "
+                "of its range"
             )
     if not any(rows.any() for rows in strange):
         return problem

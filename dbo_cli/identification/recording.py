@@ -45,8 +45,7 @@ class Recording:
         self._check_columns()
         if len(self.voltage) < FEWEST_ROWS:
             raise FitError(
-                f"{self.name}: {len(self.voltage)} rows are too few to identify from; record at least"
-                f" {FEWEST_ROWS}"
+                f"{self.name}: {len(self.voltage)} rows are too few; record at least {FEWEST_ROWS}"
             )
         if float(np.ptp(self.voltage)) == 0.0:
             raise FitError(
@@ -64,8 +63,7 @@ class Recording:
         for name, values in columns.items():
             if len(values) != rows:
                 raise InputError(
-                    f"{self.name}: {name} has {len(values)} rows and voltage {rows}; give arrays of one"
-                    " length"
+                    f"{self.name}: {name} has {len(values)} rows, voltage {rows}"
                 )
             wrong = np.flatnonzero(~np.isfinite(values))
             if wrong.size:

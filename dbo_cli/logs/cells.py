@@ -15,17 +15,6 @@ from dbo_cli.logs.source import NOT_A_TIME
 
 _POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?", re.ASCII)
 _COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eEdD][-+]?\d+)?", re.ASCII)
-# thousands apart, where the mark can be nothing else: 1.000,5 and 1.234.567 and 1'000
-_GROUPED = {
-    ".": re.compile(
-        r"[-+]?\d{1,3}(,\d{3})+\.\d*|[-+]?\d{1,3}(,\d{3}){2,}|[-+]?\d{1,3}(['’ ]\d{3})+(\.\d*)?",
-        re.ASCII,
-    ),
-    ",": re.compile(
-        r"[-+]?\d{1,3}(\.\d{3})+,\d*|[-+]?\d{1,3}(\.\d{3}){2,}|[-+]?\d{1,3}(['’ ]\d{3})+(,\d*)?",
-        re.ASCII,
-    ),
-}
 _NOT_FINITE = ("nan", "inf", "infinity", "∞", "1.#qnan", "1.#ind", "1.#inf")
 MISSING = ("", "na", "n/a", "null", "none", "-", "--", *_NOT_FINITE)
 """Cells that stand where a number is missing, in lower case."""
@@ -71,8 +60,8 @@ def split_cells(line: str, delimiter: str) -> list[str]:
 def _split_quoted(line: str, delimiter: str) -> list[str]:
     """Split a line in which cells may stand in quotes; a quote anywhere else is a letter of its cell."""
     if delimiter == " ":
-        found = re.findall(r'"([^"]*)"(?=\s|$)|(\S+)', line)
-        return [inner or plain for inner, plain in found]
+        cells = re.findall(r'"([^"]*)"(?=\s|$)|(\S+)', line)
+        return [inner or plain for inner, plain in cells]
     mark = re.escape(delimiter)
     pattern = re.compile(rf'\s*"([^"]*)"\s*(?={mark}|$)|([^{mark}]*)')
     cells, place = [], 0
@@ -88,19 +77,14 @@ def _split_quoted(line: str, delimiter: str) -> list[str]:
 def is_number(cell: str, decimal: str) -> bool:
     """Return whether a cell is written as a number, or as one that is not finite."""
     pattern = _POINT if decimal == "." else _COMMA
-    if pattern.fullmatch(cell) or _GROUPED[decimal].fullmatch(cell):
-        return True
-    return cell.lstrip("+-").lower() in _NOT_FINITE
+    return bool(pattern.fullmatch(cell)) or cell.lstrip("+-").lower() in _NOT_FINITE
 
 
 def to_number(cell: str, decimal: str) -> float:
-    """Read a cell as a number; NaN for whatever is none."""
+    """Read a cell as a number; NaN for other text."""
     pattern = _POINT if decimal == "." else _COMMA
     if not pattern.fullmatch(cell):
-        if not _GROUPED[decimal].fullmatch(cell):
-            return np.inf if "inf" in cell.lower() or "∞" in cell else np.nan
-        whole, sign, rest = cell.partition(decimal)
-        cell = re.sub(r"[^-+\d]", "", whole) + sign + rest
+        return np.nan
     if decimal == ",":
         cell = cell.replace(",", ".")
     try:

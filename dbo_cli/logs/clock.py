@@ -1,6 +1,6 @@
 """The clock of a log: the time of every row in seconds, from a column, a stated rate, or none.
 
-Gaps and repeated stamps are said. Time that goes back is refused, and so are figures
+Gaps and repeated stamps are warned of. Time that goes back is refused, and so are figures
 without a unit that can hardly be seconds.
 """
 
@@ -199,7 +199,7 @@ class Clock:
         )
 
     def close(self) -> None:
-        """Say what is doubtful once all rows went by."""
+        """Warn of what is doubtful once all rows are read."""
         if self.repeats:
             warn(
                 f"{self.name}: {self.repeats:,} of {self.rows:,} time stamps repeat: `sample_rate` HZ "

@@ -127,19 +127,9 @@ class Pair:
         grid = np.arange(self.time[0], self.time[-1], step)
         y = np.interp(grid, self.time, self.displacement)
         v, y = v - v.mean(), y - y.mean()
-        v_there, y_there = np.ones(len(v)), np.ones(len(y))
-        count = np.rint(correlate(y_there, v_there))
+        count = np.rint(correlate(np.ones(len(y)), np.ones(len(v))))
         enough = count >= COVERED * min(len(v), len(y))
-        count = np.maximum(count, 1.0)
-        mean_v = correlate(y_there, v) / count
-        mean_y = correlate(y, v_there) / count
-        scatter_v = correlate(y_there, v * v) / count - mean_v**2
-        scatter_y = correlate(y * y, v_there) / count - mean_y**2
-        both = correlate(y, v) / count - mean_v * mean_y
-        floor = 1e-6 * float(np.mean(v * v)) * float(np.mean(y * y))
-        alike = np.where(
-            enough, both**2 / np.maximum(scatter_v * scatter_y, floor), 0.0
-        )
+        alike = np.where(enough, correlate(y, v) ** 2 / np.maximum(count, 1.0), 0.0)
         inner = alike[1:-1]
         is_peak = (inner >= alike[:-2]) & (inner >= alike[2:]) & (inner > 0.0)
         peaks = 1 + np.flatnonzero(is_peak)
@@ -191,7 +181,8 @@ class Pair:
         made = self.columns[row] * (1.0 - part) + self.columns[row + 1] * part
         made = np.column_stack([made, np.ones(len(row)), place / FINE])
         y = self.displacement[inside]
-        left: FloatArray = y - made @ np.linalg.lstsq(made, y, rcond=1e-9)[0]
+        basis = np.linalg.qr(made)[0]
+        left: FloatArray = y - basis @ (basis.T @ y)
         return left
 
 

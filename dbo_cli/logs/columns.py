@@ -36,8 +36,6 @@ class Role:
     ----------
     names
         Names that are enough.
-    lesser
-        Names that need a unit of the proving kinds beside them.
     against
         Words that give a column another role.
     proving
@@ -51,11 +49,10 @@ class Role:
     """
 
     names: frozenset[str]
-    lesser: frozenset[str]
     against: frozenset[str]
-    proving: frozenset[str]
-    more: frozenset[str]
     allowed: frozenset[str]
+    proving: frozenset[str] = frozenset()
+    more: frozenset[str] = frozenset()
     preferred: frozenset[str] = frozenset()
 
 
@@ -65,14 +62,13 @@ _VOLTAGE = Role(
         "tensione tensão tensao spanning spänning napięcie napiecie napětí напряжение 电压 電圧 vpiezo "
         "upiezo vdrive vpzt"
     ),
-    lesser=_set("tension piezo pzt control vin uin hv"),
     against=_set(
         "sensor position displacement feedback photodiode interferometer supply "
         + _HEAT
     ),
+    allowed=frozenset(("voltage", "share", "count")),
     proving=frozenset(("voltage",)),
     more=DRIVING_KINDS,
-    allowed=frozenset(("voltage", "share", "count")),
 )
 _DISPLACEMENT = Role(
     names=_set(
@@ -80,23 +76,17 @@ _DISPLACEMENT = Role(
         "deplacement déplacement desplazamiento spostamento posición posizione verplaatsing przemieszczenie "
         "перемещение 位移 変位 deflection stroke elongation interferometer encoder capacitive lvdt"
     ),
-    lesser=_set(
-        "x z actual current ist istwert feedback readback laser ldv vibrometer meas travel height"
-    ),
     against=_set(_ORDERS + " " + _HEAT),
+    allowed=_PLACES,
     proving=frozenset(("length", "angle")),
     more=MOVED_KINDS,
-    allowed=_PLACES,
 )
 _DESIRED = Role(
     names=_set(
         "desired reference setpoint target trajectory wanted ref soll sollwert sollposition sollweg consigne "
         "demand commanded"
     ),
-    lesser=_set("command"),
     against=_set(_HEAT),
-    proving=frozenset(),
-    more=frozenset(),
     allowed=_PLACES,
 )
 ROLES = {
@@ -149,7 +139,10 @@ def listed(columns: Sequence[Column]) -> str:
     if not any(column.name for column in columns):
         s = "" if len(columns) == 1 else "s"
         return f"it has {len(columns)} column{s} without names"
-    shown = [f"{column.number} {column.name}".strip() for column in columns[:_LISTED]]
+    shown = []
+    for column in columns[:_LISTED]:
+        text = " (no numbers)" if column.kind == "text" else ""
+        shown.append(f"{column.number} {column.name}".strip() + text)
     more = f", ... ({len(columns)} in all)" if len(columns) > _LISTED else ""
     return f"it has {', '.join(shown)}{more}"
 
@@ -165,46 +158,34 @@ def named(source: Source, selector: str, option: str) -> Column:
         The number is not above 0.
     """
     name, columns = source.name, source.columns
-    selector = str(selector)
-    how, separator, rest = selector.partition("=")
-    if separator and how in ("number", "name"):
-        selector = rest
-    else:
-        how = ""
-    by_name = _by_name(columns, selector) if how != "number" else []
+    how, _, rest = selector.partition("=")
+    is_prefixed = how in ("number", "name")
+    typed = rest if is_prefixed else selector
+    by_name = [] if how == "number" else _by_name(columns, typed)
     by_number: list[Column] = []
-    if how != "name" and re.fullmatch(r"[-+]?\d{1,9}", selector):
-        if int(selector) < 1:
-            raise UsageError(f"`{option}` {selector}: columns are counted from 1")
-        by_number = [column for column in columns if column.number == int(selector)]
-        if not by_number and not by_name:
-            raise InputError(
-                f"{name}: no column {selector}: {listed(columns)}{source.hint} (`{option}` NAME or NUMBER)"
-            )
+    if how != "name" and re.fullmatch(r"[-+]?\d{1,9}", typed):
+        if int(typed) < 1:
+            raise UsageError(f"`{option}` {typed}: columns are counted from 1")
+        by_number = [column for column in columns if column.number == int(typed)]
     if by_name and by_number and by_name != by_number:
         raise InputError(
-            f"{name}: `{option}` {selector}: {by_number[0].label}, or {by_name[0].number}, which is named "
-            f"'{selector}'? (`{option}` number={selector} or `{option}` name={selector})"
+            f"{name}: `{option}` {typed}: {by_number[0].label}, or {by_name[0].number}, which is named "
+            f"'{typed}'? (`{option}` number={typed} or `{option}` name={typed})"
         )
-    found = by_number or by_name
-    if len(found) > 1:
-        numbers = " or ".join(f"`{option}` {column.number}" for column in found)
+    matches = by_number or by_name
+    if len(matches) > 1:
+        numbers = " or ".join(f"`{option}` {column.number}" for column in matches)
+        raise InputError(f"{name}: column '{typed}' occurs more than once ({numbers})")
+    column = matches[0] if matches else source.find(typed)
+    if column is None:
         raise InputError(
-            f"{name}: column '{selector}' occurs more than once ({numbers})"
+            f"{name}: no column '{typed}': {listed(columns)}{source.hint} (`{option}` NAME or NUMBER)"
         )
-    if not found:
-        elsewhere = source.find(selector)
-        if elsewhere is None:
-            raise InputError(
-                f"{name}: no column '{selector}': {listed(columns)}{source.hint} (`{option}` NAME or "
-                "NUMBER)"
-            )
-        return elsewhere
-    if found[0].kind in ("text", "empty"):
+    if column.kind in ("text", "empty"):
         raise InputError(
-            f"{name}: {found[0].label} holds neither numbers nor known time stamps: {listed(columns)}"
+            f"{name}: {column.label} holds neither numbers nor known time stamps: {listed(columns)}"
         )
-    return found[0]
+    return column
 
 
 def _by_name(columns: Sequence[Column], selector: str) -> list[Column]:
@@ -220,9 +201,9 @@ def _by_name(columns: Sequence[Column], selector: str) -> list[Column]:
         lambda column: column.quantity.lower() == lower,
     )
     for is_meant in ways:
-        found = [column for column in columns if column.name and is_meant(column)]
-        if found:
-            return found
+        matches = [column for column in columns if column.name and is_meant(column)]
+        if matches:
+            return matches
     return []
 
 
@@ -268,11 +249,11 @@ def choose(
     for role in selectors:
         if role in chosen:
             continue
-        found = candidates(free, role_of(role, units.get(role)))
-        if len(found) == 1:
-            chosen[role] = found[0]
+        matches = candidates(free, role_of(role, units.get(role)))
+        if len(matches) == 1:
+            chosen[role] = matches[0]
         elif role not in optional:
-            unclear[role] = found
+            unclear[role] = matches
     _refuse_shared(name, columns, chosen)
     if unclear:
         used |= {column.number for column in chosen.values()}
@@ -285,11 +266,11 @@ def _refuse_shared(
 ) -> None:
     roles: dict[int, str] = {}
     for role, column in chosen.items():
-        other = roles.setdefault(column.number, role)
-        if other != role:
+        first = roles.setdefault(column.number, role)
+        if first != role:
             raise InputError(
-                f"{name}: {column.label} cannot be both {other} and {role}: {listed(columns)} "
-                f"(`{other}` and `{role}` NAME or NUMBER)"
+                f"{name}: {column.label} cannot be both {first} and {role}: {listed(columns)} "
+                f"(`{first}` and `{role}` NAME or NUMBER)"
             )
 
 
@@ -299,31 +280,31 @@ def _question(
     used: Collection[int],
 ) -> str:
     """Ask for all roles that are not clear, with the options to type."""
-    asked = []
-    for role, found in unclear.items():
+    questions = []
+    for role, matches in unclear.items():
         which = " or ".join(
-            column.label.removeprefix("column ") for column in found[:_LISTED]
+            column.label.removeprefix("column ") for column in matches[:_LISTED]
         )
         noun = f"{role} displacement" if role in ("desired", "measured") else role
-        asked.append(f"which column is the {noun}{', ' + which if which else ''}?")
+        questions.append(f"which column is the {noun}{', ' + which if which else ''}?")
     free = [c for c in columns if c.kind == "number" and c.number not in used]
     options: list[str] = []
     for role in unclear:
         against = role_of(role, None).against
         likely = [column for column in unclear[role] if column in free]
-        others = [column for column in free if not words(column.name) & against]
-        example = next(iter(likely or others), None)
+        rest = [column for column in free if not words(column.name) & against]
+        example = next(iter(likely or rest), None)
         if example is not None:
             free.remove(example)
         options.append(f"`{role}` {_typed(example, columns)}")
-    return f"{' '.join(asked)} {listed(columns)} (for example {' '.join(options)})"
+    return f"{' '.join(questions)} {listed(columns)} (for example {' '.join(options)})"
 
 
 def _typed(column: Column | None, columns: Sequence[Column]) -> str:
     """Return how a column is typed in the shell: its name, or its number where that is not enough."""
     if column is None:
         return "NAME"
-    same = [other for other in columns if other.name == column.name]
+    same = [twin for twin in columns if twin.name == column.name]
     if not column.name or len(same) > 1 or column.name.isdigit():
         return str(column.number)
     return shlex.quote(column.name)
@@ -332,37 +313,24 @@ def _typed(column: Column | None, columns: Sequence[Column]) -> str:
 def candidates(columns: Sequence[Column], role: Role) -> list[Column]:
     """Return the columns that may have a role, by the surest reason that there is.
 
-    A preferred name; a whole name; a word of the name; a lesser name with a unit that
-    fits; the unit alone. Beside a word or a letter, every column counts whose unit fits
-    and whose name may be meant as well.
+    A preferred name; a whole name; a word or a letter of the name, beside which every
+    column counts whose unit fits; the unit alone.
     """
     fitting = [column for column in columns if _may_be(column, role)]
     preferred = [c for c in fitting if words(c.quantity) & role.preferred]
     if preferred:
         return preferred
-    proved = [c for c in fitting if kind_of(c.unit) in role.proving]
     whole = [c for c in fitting if c.quantity.lower() in role.names]
-    if whole and not all(len(c.quantity) == 1 for c in whole):
+    if any(len(c.quantity) > 1 for c in whole):
         return whole
     part = [c for c in fitting if words(c.quantity) & role.names]
-    if whole or part:
-        found = whole or part
-        rivals = [
-            c for c in proved if c not in found and _is_rival(c, role, bool(whole))
-        ]
-        return [*found, *rivals]
-    if any(words(c.quantity) & role.names and not _clashes(c, role) for c in columns):
+    proved = [c for c in fitting if kind_of(c.unit) in role.proving]
+    if part:
+        return part + [c for c in proved if c not in part]
+    free = [c for c in columns if c.kind == "number" and not _clashes(c, role)]
+    if any(words(c.quantity) & role.names for c in free):
         return []  # the column of that name is in a unit that cannot be meant
-    lesser = [c for c in proved if words(c.quantity) & role.lesser]
-    if lesser:
-        return proved if len(lesser) == 1 and len(proved) > 1 else lesser
-    if proved:
-        return proved
-    return [
-        c
-        for c in columns
-        if c.kind == "number" and kind_of(c.unit) in role.more and not _clashes(c, role)
-    ]
+    return proved or [c for c in free if kind_of(c.unit) in role.more]
 
 
 def _clashes(column: Column, role: Role) -> bool:
@@ -375,11 +343,3 @@ def _may_be(column: Column, role: Role) -> bool:
     if column.kind != "number" or _clashes(column, role):
         return False
     return kind is None or kind in role.allowed or kind in role.proving
-
-
-def _is_rival(column: Column, role: Role, beside_letter: bool) -> bool:
-    """Return whether a column with a fitting unit may be meant beside one with a better name."""
-    called = words(column.quantity)
-    if beside_letter and len(column.quantity) != 1:
-        return bool(called & role.names)
-    return bool(called & (role.names | role.lesser)) or len(called) <= 1

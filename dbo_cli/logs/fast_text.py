@@ -90,7 +90,7 @@ def _frame(text: bytes, layout: Layout) -> pl.DataFrame | None:
 
 
 def _stamps(series: pl.Series, form: str) -> pl.Series:
-    """Read time stamps as nanoseconds since 1970, or since midnight; null for what is none."""
+    """Read time stamps as nanoseconds since 1970, or since midnight; null for other cells."""
     like = series.str.contains(f"^(?:{STAMPS[form].pattern})$")
     text = series.str.replace(",", ".", literal=True)
     if not form.startswith("%Y") and not form.startswith("%d"):

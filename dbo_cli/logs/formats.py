@@ -94,7 +94,7 @@ def fenced(path: str, kind: str) -> Iterator[None]:
 
 
 @dataclass(frozen=True)
-class Found:
+class StoredColumn:
     """A column that was found: its rows come from ``fetch(start, stop)``, counted from 0.
 
     ``warnings`` are due where it is read.
@@ -126,27 +126,22 @@ class ArraySource(Source):
     def __init__(
         self,
         path: str,
-        found: Sequence[Found],
+        members: Sequence[StoredColumn],
         statements: Sequence[Statement] = (),
         close: Callable[[], object] = lambda: None,
     ) -> None:
-        self.name = path
-        self.columns = []
-        self.stated = clock_of(statements)
-        self.remarks = []
-        self._found: list[Found] = []
+        super().__init__(path, (), clock_of(statements))
+        self._members: list[StoredColumn] = []
         self._close = close
-        self._arrays: dict[int, NDArray[Any]] = {}
-        self._first = 1
-        for column in found:
+        for column in members:
             self.add(column)
 
-    def add(self, found: Found) -> Column:
+    def add(self, members: StoredColumn) -> Column:
         """Add a column."""
-        unit = spell(found.unit) or split_header(found.name.rsplit("/", 1)[-1])[1]
-        column = Column(len(self.columns) + 1, found.name, unit, found.kind)
+        unit = spell(members.unit) or split_header(members.name.rsplit("/", 1)[-1])[1]
+        column = Column(len(self.columns) + 1, members.name, unit, members.kind)
         self.columns.append(column)
-        self._found.append(found)
+        self._members.append(members)
         return column
 
     def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
@@ -157,7 +152,7 @@ class ArraySource(Source):
         InputError
             The columns are of unequal length, or the library fails.
         """
-        lengths = [self._found[column.number - 1].length for column in chosen]
+        lengths = [self._members[column.number - 1].length for column in chosen]
         if len(set(lengths)) > 1:
             pairs = zip(chosen, lengths, strict=True)
             listed = ", ".join(f"{column.label} {rows}" for column, rows in pairs)
@@ -166,16 +161,15 @@ class ArraySource(Source):
             )
         for start in range(0, lengths[0], BLOCK_ROWS):
             stop = min(lengths[0], start + BLOCK_ROWS)
-            self._first = start + 1
-            self._arrays = {}
+            self.first_row = start + 1
             for column in chosen:
-                self._arrays[column.number] = self._read(column, start, stop)
-            yield [self._arrays[column.number] for column in chosen]
+                self.last_block[column.number] = self._read(column, start, stop)
+            yield [self.last_block[column.number] for column in chosen]
 
     def _read(self, column: Column, start: int, stop: int) -> NDArray[Any]:
         """Read rows of one column as float64, or dates as int64 nanoseconds."""
         with fenced(self.name, column.label):
-            stored = np.asarray(self._found[column.number - 1].fetch(start, stop))
+            stored = np.asarray(self._members[column.number - 1].fetch(start, stop))
             if stored.dtype.kind == "M":
                 stored = stored.astype("datetime64[ns]").astype(np.int64)
             elif column.kind == "number":
@@ -184,19 +178,14 @@ class ArraySource(Source):
             raise InputError(f"{self.name}: {column.label} ends early: damaged?")
         return stored
 
-    def where(self, row: int, column: Column) -> str:
-        """Say where a row of the last block is, and what stands in a column of it."""
-        value = self._arrays[column.number][row - self._first]
-        return f"{self.name}: row {row}: {column.label} is {value}"
-
     def close(self) -> None:
         """Close the file."""
         self._close()
 
 
-def array_columns(name: str, array: Any, unit: str | None = None) -> list[Found]:
+def array_columns(name: str, array: Any, unit: str | None = None) -> list[StoredColumn]:
     """Take a vector, a matrix (its longer axis is time) or records apart; nothing for text."""
-    columns: list[Found] = []
+    columns: list[StoredColumn] = []
     if array.dtype.names is not None:
         for label in array.dtype.names:
             columns += array_columns(label, array[label], unit)
@@ -212,32 +201,34 @@ def array_columns(name: str, array: Any, unit: str | None = None) -> list[Found]
     return columns
 
 
-def _vector(name: str, array: Any, unit: str | None) -> Found:
+def _vector(name: str, array: Any, unit: str | None) -> StoredColumn:
     kind = "stamp" if array.dtype.kind == "M" else "number"
-    return Found(name, len(array), lambda start, stop: array[start:stop], unit, kind)
+    return StoredColumn(
+        name, len(array), lambda start, stop: array[start:stop], unit, kind
+    )
 
 
-def source_of(path: str, members: Mapping[str, Any], advice: str = "") -> Source:
+def source_of(path: str, arrays: Mapping[str, Any], advice: str = "") -> Source:
     """Return a source of arrays by name; a single value beside longer ones is a statement."""
-    found: list[Found] = []
+    members: list[StoredColumn] = []
     statements: list[Statement] = []
-    for name, array in members.items():
+    for name, array in arrays.items():
         columns = array_columns(name, np.asarray(array))
         if is_clock_setting(name) and np.size(array) == 1:
             statements.append((name, np.ravel(array)[0].item(), ""))
         elif columns and columns[0].length > 1:
-            found += columns
-    if not found:
-        held = [
-            f"{name} ({np.asarray(array).dtype})" for name, array in members.items()
+            members += columns
+    if not members:
+        contents = [
+            f"{name} ({np.asarray(array).dtype})" for name, array in arrays.items()
         ]
-        raise no_columns(path, held, advice)
-    return ArraySource(path, found, statements)
+        raise no_columns(path, contents, advice)
+    return ArraySource(path, members, statements)
 
 
-def no_columns(path: str, held: Iterable[str], advice: str = "") -> InputError:
+def no_columns(path: str, contents: Iterable[str], advice: str = "") -> InputError:
     """Return the refusal of a file without columns of numbers."""
-    listed = ", ".join(held) or "nothing"
+    listed = ", ".join(contents) or "nothing"
     return InputError(f"{path}: no columns of numbers: it has {listed[:300]}{advice}")
 
 
@@ -253,22 +244,11 @@ def open_npy(path: str, part: str, reading: Reading) -> Source:
     """Open an array: the fields of records, or the columns of a matrix by number (InputError)."""
     _refuse_part(path, part)
     with fenced(path, "NumPy"):
-        columns = _mapped(path)
-    found = []
-    for number, column in enumerate(columns):
-        found.append(replace(column, fetch=_mapped_rows(path, number)))
-    if not found:
-        raise no_columns(path, ["an array of another kind"])
-    return ArraySource(path, found)
-
-
-def _mapped(path: str) -> list[Found]:
-    return array_columns("", np.load(path, mmap_mode="r", allow_pickle=False))
-
-
-def _mapped_rows(path: str, number: int) -> Fetch:
-    """Return what reads rows; the file is mapped anew for each block, so its pages are given back."""
-    return lambda start, stop: np.array(_mapped(path)[number].fetch(start, stop))
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    members = array_columns("", array)
+    if not members:
+        raise no_columns(path, [f"{array.dtype} {array.shape}"])
+    return ArraySource(path, members)
 
 
 def open_zip(path: str, part: str, reading: Reading) -> Source:
@@ -314,12 +294,7 @@ class ArrowSource(Source):
     def __init__(self, path: str) -> None:
         import polars as pl
 
-        self.name = path
-        self.columns = []
-        self.stated = clock_of(())
-        self.remarks = []
-        self._arrays: dict[int, NDArray[Any]] = {}
-        self._first = 1
+        super().__init__(path, ())
         with fenced(path, "Parquet or Feather"):
             with open(path, "rb") as file:
                 is_parquet = file.read(4) == b"PAR1"
@@ -341,15 +316,10 @@ class ArrowSource(Source):
             with fenced(self.name, "Parquet or Feather"):
                 frame = self._scan.select(names).slice(start, STRETCH).collect()
                 arrays = [_arrow_array(frame[name]) for name in names]
-            self._first = start + 1
+            self.first_row = start + 1
             for column, array in zip(chosen, arrays, strict=True):
-                self._arrays[column.number] = array
+                self.last_block[column.number] = array
             yield arrays
-
-    def where(self, row: int, column: Column) -> str:
-        """Say where a row of the last block is, and what stands in a column of it."""
-        value = self._arrays[column.number][row - self._first]
-        return f"{self.name}: row {row}: {column.label} is {value}"
 
 
 def _arrow_array(series: Any) -> NDArray[Any]:
@@ -425,21 +395,21 @@ def open_tdms(path: str, part: str, reading: Reading) -> Source:
         with fenced(path, "TDMS"):
             file = nptdms.TdmsFile.open(stream)
             groups = [group for group in file.groups() if part in ("", group.name)]
-            found, statements = _channels(groups)
-        if not found:
+            members, statements = _channels(groups)
+        if not members:
             raise no_columns(path, [f"::{group.name}" for group in file.groups()])
     except BaseException:
         stream.close()
         raise
-    source = ArraySource(path, found, statements, stream.close)
+    source = ArraySource(path, members, statements, stream.close)
     if len(groups) > 1:
         source.hint = f" (or one group alone: {path}::{groups[0].name})"
     return source
 
 
-def _channels(groups: Sequence[Any]) -> tuple[list[Found], list[Statement]]:
+def _channels(groups: Sequence[Any]) -> tuple[list[StoredColumn], list[Statement]]:
     """Return the channels of numbers, and what they state of their rate."""
-    found: list[Found] = []
+    members: list[StoredColumn] = []
     statements: list[Statement] = []
     for group in groups:
         for channel in group.channels():
@@ -449,12 +419,14 @@ def _channels(groups: Sequence[Any]) -> tuple[list[Found], list[Statement]]:
             unit = stated.get("unit_string") or stated.get("NI_UnitDescription")
             name = channel.name if len(groups) == 1 else f"{group.name}/{channel.name}"
             kind = "stamp" if channel.dtype.kind == "M" else "number"
-            found.append(Found(name, len(channel), _channel_rows(channel), unit, kind))
+            members.append(
+                StoredColumn(name, len(channel), _channel_rows(channel), unit, kind)
+            )
             if str(stated.get("wf_xname") or "Time").lower() == "time":  # no spectrum
                 for key in ("wf_increment", "wf_start_offset"):
                     if isinstance(stated.get(key), int | float):
                         statements.append((key, stated[key], "s"))
-    return found, statements
+    return members, statements
 
 
 def _channel_rows(channel: Any) -> Fetch:

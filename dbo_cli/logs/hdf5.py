@@ -16,17 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, warn
-from dbo_cli.logs.cells import stamp_format, to_stamp
-from dbo_cli.logs.formats import ArraySource, Fetch, Found, fenced, no_columns
+from dbo_cli.logs.formats import ArraySource, Fetch, StoredColumn, fenced, no_columns
 from dbo_cli.logs.headers import Statement, is_clock_setting
 from dbo_cli.logs.source import Column, Reading, Source
 
 MOST_HOPS = 16  # soft links behind each other; more are a circle
-MOST_MEMBERS = 20_000  # that are looked at: some seconds
 CHUNK_CACHE = (
     1 << 22
 )  # bytes a dataset: a compressed chunk is unpacked once, not once a block
-_NOT_APPLIED = ("scale", "offset", "gain", "factor", "sensitivity", "calibration")
+_NOT_APPLIED = {
+    "scale_factor": 1.0, "add_offset": 0.0, "scale": 1.0, "offset": 0.0, "gain": 1.0, "factor": 1.0,
+    "sensitivity": 1.0, "calibration": 1.0,
+}  # fmt: skip
 _MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
                    "uint32", "uint64", "logical")  # fmt: skip
 _EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
@@ -57,12 +58,16 @@ class _Group:
     """A group by its path from the part that is read, and what stands in it."""
 
     path: str
-    columns: list[Found] = field(default_factory=list)
+    columns: list[StoredColumn] = field(default_factory=list)
     statements: list[Statement] = field(default_factory=list)
 
     @property
     def depth(self) -> int:
         return self.path.count("/") + bool(self.path)
+
+    @property
+    def width(self) -> int:
+        return sum(column.kind == "number" for column in self.columns)
 
 
 class Hdf5Source(ArraySource):
@@ -83,13 +88,14 @@ class Hdf5Source(ArraySource):
         chosen = _holding(groups)
         if not chosen:
             raise no_columns(path, [_listed(file)])
-        found: list[Found] = []
+        members: list[StoredColumn] = []
         for group in chosen:
             for column in group.columns:
                 prefix = f"{group.path}/" if len(chosen) > 1 else ""
-                found.append(replace(column, name=prefix + column.name))
-        statements = chosen[0].statements or _stated_above(node, chosen[0].path)
-        super().__init__(path, found, statements, file.close)
+                members.append(replace(column, name=prefix + column.name))
+        above = groups[0].statements or _attributes(file)
+        statements = chosen[0].statements or above
+        super().__init__(path, members, statements, file.close)
         if len(chosen) > 1:
             self.hint = f" (or one group alone: {path}::{chosen[0].path})"
 
@@ -100,15 +106,15 @@ class Hdf5Source(ArraySource):
                 _node(self.name, base, name) if isinstance(base, h5py.Group) else None
             )
             if isinstance(node, h5py.Dataset):
-                found = columns_of(node, name)
-                if len(found) == 1:
-                    return self.add(found[0])
+                members = columns_of(node, name)
+                if len(members) == 1:
+                    return self.add(members[0])
         return None
 
     def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of the chosen columns; see ``Source``."""
         for column in chosen:
-            for warning in self._found[column.number - 1].warnings:
+            for warning in self._members[column.number - 1].warnings:
                 warn(f"{self.name}: {column.label} {warning}")
         yield from super().blocks(chosen)
 
@@ -138,20 +144,15 @@ def _node(path: str, base: Any, inner: str, hops: int = 0) -> Any:
     return node
 
 
-def _groups(path: str, group: Any, inner: str, seen: set[int]) -> Iterator[_Group]:
+def _groups(path: str, group: Any, inner: str, visited: set[int]) -> Iterator[_Group]:
     """Return a group and all groups below it, each with its columns."""
     address = h5py.h5o.get_info(group.id).addr
-    if address in seen:
+    if address in visited:
         return  # a circle of hard links
-    seen.add(address)
-    found = _Group(inner, statements=_attributes(group))
+    visited.add(address)
+    place = _Group(inner, statements=_attributes(group))
     below = []
     for name in group:
-        seen.add(-len(seen))
-        if len(seen) > MOST_MEMBERS:
-            raise InputError(
-                f"{path}: more than {MOST_MEMBERS:,} members: type {path}::/GROUP"
-            )
         is_external = isinstance(group.get(name, getlink=True), h5py.ExternalLink)
         if name.startswith("#") or is_external:
             continue  # MATLAB's book-keeping, or another file
@@ -159,35 +160,35 @@ def _groups(path: str, group: Any, inner: str, seen: set[int]) -> Iterator[_Grou
         if isinstance(node, h5py.Group):
             below.append((name, node))
         elif isinstance(node, h5py.Dataset) and node.size == 1:
-            found.statements += _single_value(node, name)
+            place.statements += _single_value(node, name)
         elif isinstance(node, h5py.Dataset):
-            found.columns += columns_of(node, name)
-            found.statements += _attributes(node)
-    yield found
+            place.columns += columns_of(node, name)
+            place.statements += _attributes(node)
+    yield place
     for name, node in below:
-        yield from _groups(path, node, f"{inner}/{name}".lstrip("/"), seen)
+        yield from _groups(path, node, f"{inner}/{name}".lstrip("/"), visited)
 
 
 def _holding(groups: Sequence[_Group]) -> list[_Group]:
     """Return the shallowest groups with columns; of several the only one that has more than one column."""
-    holding = [group for group in groups if group.columns]
+    holding = [group for group in groups if group.width]
     depth = min([group.depth for group in holding], default=0)
     holding = [group for group in holding if group.depth == depth]
-    wide = [group for group in holding if len(group.columns) > 1]
+    wide = [group for group in holding if group.width > 1]
     return wide if len(wide) == 1 else holding
 
 
-def columns_of(dataset: Any, name: str) -> list[Found]:
+def columns_of(dataset: Any, name: str) -> list[StoredColumn]:
     """Take a dataset apart into columns; none where it holds no numbers or stamps."""
     if not dataset.size or not _holds_numbers(dataset):
         return []
     if dataset.is_virtual or dataset.external:
-        return [Found(name, len(dataset), _refusing(name))]
+        return [StoredColumn(name, len(dataset), _refusing(name))]
     kind, shape = dataset.dtype, dataset.shape
     if kind.names is not None and len(shape) == 1:
         return _fields(dataset)
     if h5py.check_string_dtype(kind) is not None and len(shape) == 1:
-        return _stamps(dataset, name, len(dataset))
+        return [StoredColumn(name, len(dataset), _vector_rows(dataset), kind="text")]
     if kind.kind not in "fiub" or len(shape) not in (1, 2):
         return []
     if len(shape) == 1:
@@ -195,72 +196,56 @@ def columns_of(dataset: Any, name: str) -> list[Found]:
     is_matlab = "MATLAB_class" in dataset.attrs  # it stores matrices transposed
     along = 0 if shape[0] > shape[1] or (shape[0] == shape[1] and not is_matlab) else 1
     width = shape[1 - along]
-    labels = _texts(dataset, "columns", "column_names", "names", "channels", "labels")
+    labels = _texts(dataset, "columns", "column_names", "names")
     if len(labels) != width:
         labels = [f"{name}[{number + 1}]" for number in range(width)]
     if width == 1:
         labels = [name]
-    found = []
+    members = []
     for number, label in enumerate(labels):
         rows = _matrix_rows(dataset, along, number)
-        found.append(_column(dataset, label, number, shape[along], rows))
-    return found
+        members.append(_column(dataset, label, number, shape[along], rows))
+    return members
 
 
-def _column(dataset: Any, name: str, number: int, length: int, rows: Fetch) -> Found:
-    """Return a column with its unit; packed numbers are unpacked as netCDF says."""
-    factor = _number(dataset, "scale_factor")
-    shift = _number(dataset, "add_offset")
-    missing = [_number(dataset, key) for key in ("_FillValue", "missing_value")]
-
-    def unpacked(start: int, stop: int) -> Any:
-        stored = np.asarray(rows(start, stop), dtype=np.float64)
-        values = stored * (1.0 if factor is None else factor) + (shift or 0.0)
-        for value in missing:
-            if value is not None:
-                values[stored == value] = np.nan
-        return values
-
-    is_plain = factor is None and shift is None and missing == [None, None]
+def _column(
+    dataset: Any, name: str, number: int, length: int, rows: Fetch
+) -> StoredColumn:
+    """Return a column with its unit, and a warning of each attribute that may belong to its values."""
     warnings = []
-    for key in _NOT_APPLIED:
-        value = _number(dataset, key)
-        if value not in (None, 0.0 if key == "offset" else 1.0):
+    for key, nothing in _NOT_APPLIED.items():
+        values = _attribute(dataset, key)
+        if len(values) == 1 and values[0] != nothing:
             warnings.append(
-                f"has an attribute {key}, {value:g}, which is not applied (`scale`)"
+                f"has an attribute {key}, {values[0]}: not applied (`scale`)"
             )
     units = _texts(dataset, "units", "unit", "Units", "Unit")
     if len(units) == 1:
         units = units * (number + 1)
     unit = units[number] if number < len(units) else None
-    fetch = rows if is_plain else unpacked
-    return Found(name, length, fetch, unit, warnings=tuple(warnings))
+    fill = _attribute(dataset, "_FillValue")
+    fetch = _without(rows, fill[0]) if len(fill) == 1 else rows
+    return StoredColumn(name, length, fetch, unit, warnings=tuple(warnings))
 
 
-def _fields(dataset: Any) -> list[Found]:
-    found = []
+def _without(rows: Fetch, fill: Any) -> Fetch:
+    """Make NaN of what stands where a number is missing."""
+
+    def fetch(start: int, stop: int) -> Any:
+        stored = np.asarray(rows(start, stop), dtype=np.float64)
+        return np.where(stored == fill, np.nan, stored)
+
+    return fetch
+
+
+def _fields(dataset: Any) -> list[StoredColumn]:
+    members = []
     for number, name in enumerate(dataset.dtype.names):
         kind, length = dataset.dtype[name], len(dataset)
         if kind.kind in "fiub" and not kind.shape:
             rows = _vector_rows(dataset.fields(name))
-            found.append(_column(dataset, name, number, length, rows))
-        elif h5py.check_string_dtype(kind) is not None:
-            found += _stamps(dataset.fields(name), name, length)
-    return found
-
-
-def _stamps(dataset: Any, name: str, length: int) -> list[Found]:
-    """Take texts as time stamps, if they are."""
-    first = [_plain(cell).strip() for cell in dataset[:20]]
-    form = stamp_format([(cell, 1.0) for cell in first])
-    if form is None:
-        return []
-
-    def fetch(start: int, stop: int) -> Any:
-        cells = [_plain(cell).strip() for cell in dataset[start:stop]]
-        return np.array([to_stamp(cell, form) for cell in cells], dtype=np.int64)
-
-    return [Found(name, length, fetch, None, "stamp")]
+            members.append(_column(dataset, name, number, length, rows))
+    return members
 
 
 def _vector_rows(dataset: Any) -> Fetch:
@@ -338,12 +323,6 @@ def _texts(node: Any, *names: str) -> list[str]:
     return []
 
 
-def _number(node: Any, name: str) -> float | None:
-    values = _attribute(node, name)
-    is_single = len(values) == 1 and isinstance(values[0], int | float)
-    return float(values[0]) if is_single else None
-
-
 def _attributes(node: Any) -> list[Statement]:
     """Return what attributes state of the sample rate."""
     stated: list[Statement] = []
@@ -360,24 +339,3 @@ def _single_value(node: Any, name: str) -> list[Statement]:
         return []
     unit = _texts(node, "units", "unit")
     return [(name, _plain(np.ravel(node[()])[0]), "".join(unit))]
-
-
-def _stated_above(node: Any, inner: str) -> list[Statement]:
-    """Return what the nearest group above the columns states."""
-    top = node if isinstance(node, h5py.Group) else node.parent
-    place = _node("", top, inner)
-    while place is not None:
-        stated = _attributes(place)
-        for name in place:
-            member = _own_member(place, name) if is_clock_setting(name) else None
-            if isinstance(member, h5py.Dataset) and member.size == 1:
-                stated += _single_value(member, name)
-        if stated or place.name == "/":
-            return stated
-        place = place.parent
-    return []
-
-
-def _own_member(group: Any, name: str) -> Any:
-    is_own = group.get(name, getclass=True, getlink=True) is h5py.HardLink
-    return group[name] if is_own else None

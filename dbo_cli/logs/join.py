@@ -10,7 +10,7 @@ import numpy as np
 from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs.clock_offset import Pair, apart, find_offset
 from dbo_cli.logs.log import Log
-from dbo_cli.logs.source import FloatArray, Table
+from dbo_cli.logs.source import Block, FloatArray
 
 SENSORS = ("displacement", "measured")  # the rows are those of their file
 DRIVES = ("voltage", "desired", "input")
@@ -31,8 +31,8 @@ class ClockOffset:
 
     def describe(self) -> str:
         """Return what was done, as the line on what was read has it."""
-        found = f" ± {self.uncertainty:.1g}" if self.auto else ""
-        return f"clock of {self.name} moved by {self.seconds:.4g}{found} s"
+        within = f" ± {self.uncertainty:.1g}" if self.auto else ""
+        return f"{self.name} moved by {self.seconds:.4g}{within} s"
 
 
 def joined(logs: Sequence[Log], clock_offset: float | str | None) -> Log:
@@ -68,16 +68,16 @@ def joined(logs: Sequence[Log], clock_offset: float | str | None) -> Log:
     for log in logs:
         if log is base:
             continue
-        other = log.read()
+        table = log.read()
         place = f"{base.name} and {log.name}"
-        time = _time_beside(base, log, other, clock_offset)
+        time = _time_beside(base, log, table, clock_offset)
         if clock_offset is None:
-            _warn_if_apart(place, rows, log, time, other)
+            _warn_if_apart(place, rows, log, time, table)
         else:
-            offset = _offset(place, rows, log, time, other, clock_offset)
+            offset = _offset(place, rows, log, time, table, clock_offset)
             time = time + offset.seconds
         count = rows.rows
-        rows = _beside(rows, time, other, place)
+        rows = _beside(rows, time, table, place)
         if rows.rows < count:
             remarks.append(
                 f"{count - rows.rows:,} rows of {base.name} left out: {log.name} has none there"
@@ -93,7 +93,7 @@ def joined(logs: Sequence[Log], clock_offset: float | str | None) -> Log:
 
 
 def _time_beside(
-    base: Log, log: Log, table: Table, clock_offset: float | str | None
+    base: Log, log: Log, table: Block, clock_offset: float | str | None
 ) -> FloatArray:
     """Return a log's times on the clock of the base (InputError)."""
     for part in (base, log):
@@ -103,12 +103,12 @@ def _time_beside(
                 "have one rate"
             )
     assert table.time is not None
-    here, there = base.clock.first_stamp, log.clock.first_stamp
-    if here is not None and there is not None:
+    base_stamp, log_stamp = base.clock.first_stamp, log.clock.first_stamp
+    if base_stamp is not None and log_stamp is not None:
         if (base.clock.origin is None) == (log.clock.origin is None):
-            shifted: FloatArray = table.time + (there - here) / 1e9
+            shifted: FloatArray = table.time + (log_stamp - base_stamp) / 1e9
             return shifted
-    if here is there or clock_offset is not None:
+    if base_stamp is log_stamp or clock_offset is not None:
         return table.time
     raise InputError(
         f"{base.name} and {log.name}: only one clock has dates: give `clock_offset` SECONDS, or "
@@ -116,7 +116,7 @@ def _time_beside(
     )
 
 
-def _beside(rows: Table, time: FloatArray, other: Table, place: str) -> Table:
+def _beside(rows: Block, time: FloatArray, table: Block, place: str) -> Block:
     """Put another log's signals beside rows, where it has some; none in its gaps.
 
     Raises
@@ -138,23 +138,23 @@ def _beside(rows: Table, time: FloatArray, other: Table, place: str) -> Table:
             f"{place}: no time in common, {at[0]:.9g} to {at[-1]:.9g} s and {time[0]:.9g} to "
             f"{time[-1]:.9g} s: try `clock_offset` {at[0] - time[0]:.9g}, or auto"
         )
-    kept = at[covered]
+    times = at[covered]
     values = {role: array[covered] for role, array in rows.values.items()}
-    for role, array in other.values.items():
-        values[role] = np.interp(kept, time, array)
+    for role, array in table.values.items():
+        values[role] = np.interp(times, time, array)
     dt = rows.dt
     if (
         isinstance(dt, np.ndarray)
         or np.diff(np.flatnonzero(covered)).max(initial=1) > 1
     ):
-        steps = np.diff(kept)
+        steps = np.diff(times)
         dt = np.concatenate([steps[:1], steps])
-    return Table(kept, values, dt, rows.origin)
+    return Block(times, values, dt=dt)
 
 
-def _pair(rows: Table, time: FloatArray, other: Table) -> Pair | None:
+def _pair(rows: Block, time: FloatArray, table: Block) -> Pair | None:
     """Return drive and displacement of two logs, if one has each (InputError)."""
-    drives = [other.values[role] for role in DRIVES if role in other.values]
+    drives = [table.values[role] for role in DRIVES if role in table.values]
     sensors = [rows.values[role] for role in SENSORS if role in rows.values]
     if not drives or not sensors or rows.time is None:
         return None
@@ -163,17 +163,17 @@ def _pair(rows: Table, time: FloatArray, other: Table) -> Pair | None:
 
 def _offset(
     place: str,
-    rows: Table,
+    rows: Block,
     log: Log,
     time: FloatArray,
-    other: Table,
+    table: Block,
     typed: float | str,
 ) -> ClockOffset:
     """Return the offset that the user gives, or the one that the signals show."""
     if typed != "auto":
         return ClockOffset(log.name, float(typed))
     try:
-        pair = _pair(rows, time, other)
+        pair = _pair(rows, time, table)
         if pair is None:
             raise InputError("a drive and a displacement are needed")
         fit = find_offset(pair)
@@ -185,11 +185,11 @@ def _offset(
 
 
 def _warn_if_apart(
-    place: str, rows: Table, log: Log, time: FloatArray, other: Table
+    place: str, rows: Block, log: Log, time: FloatArray, table: Block
 ) -> None:
     """Warn where the drive explains the displacement much better when its clock is moved."""
     try:
-        pair = _pair(rows, time, other)
+        pair = _pair(rows, time, table)
     except InputError:
         return
     offset = 0.0 if pair is None else apart(pair)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,7 +24,6 @@ from dbo_cli.logs.source import (
     FloatArray,
     Reading,
     Source,
-    Table,
 )
 from dbo_cli.logs.time_column import find_clock
 from dbo_cli.units import split_header
@@ -79,13 +77,12 @@ class Log:
         cls,
         name: str,
         columns: Mapping[str, Column],
-        table: Table,
+        table: Block,
         clock: Clock,
         remarks: list[str],
     ) -> Log:
         """Make a log of arrays in memory, as a joined or resampled one is."""
-        block = Block(table.time, table.values, 1, table.dt)
-        return cls(name, columns, clock, lambda: iter([block]), remarks)
+        return cls(name, columns, clock, lambda: iter([table]), remarks)
 
     def provided(self, role: str) -> bool:
         """Return whether the log has a column for a role, or a clock for ``time``."""
@@ -111,7 +108,7 @@ class Log:
             for start in range(0, len(block), rows):
                 yield _part(block, start, start + rows)
 
-    def read(self) -> Table:
+    def read(self) -> Block:
         """Return the whole log.
 
         Raises
@@ -122,10 +119,10 @@ class Log:
         blocks = list(self.blocks(rows=1 << 40))
         values = {}
         for role in self.columns:
-            values[role] = _joined([block.values[role] for block in blocks])
+            values[role] = np.concatenate([block.values[role] for block in blocks])
         times = [block.time for block in blocks if block.time is not None]
-        time = _joined(times) if times else None
-        return Table(time, values, _joined_dt(blocks), self.clock.origin)
+        time = np.concatenate(times) if times else None
+        return Block(time, values, dt=_steps_of(blocks))
 
     def line(self) -> str:
         """Return one line on what was read; complete after the last block."""
@@ -146,12 +143,7 @@ class Log:
         """Use the log as a context manager."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        problem: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the file."""
         self.close()
 
@@ -166,22 +158,15 @@ def _part(block: Block, start: int, stop: int) -> Block:
     return Block(time, values, block.first_row + start, dt)
 
 
-def _joined(arrays: Sequence[FloatArray]) -> FloatArray:
-    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
-
-
-def _joined_dt(blocks: Sequence[Block]) -> float | FloatArray | None:
+def _steps_of(blocks: Sequence[Block]) -> float | FloatArray | None:
     """Return the steps of all blocks: one number where all have the same."""
-    steps = [block.dt for block in blocks]
-    first = steps[0]
-    if first is None:
-        return None
-    if all(isinstance(dt, float) and dt == first for dt in steps):
+    first = blocks[0].dt
+    if len(blocks) == 1 or first is None:
         return first
-    parts = []
-    for block, dt in zip(blocks, steps, strict=True):
-        parts.append(np.broadcast_to(np.asarray(dt, dtype=np.float64), (len(block),)))
-    return _joined(parts)
+    if all(isinstance(block.dt, float) and block.dt == first for block in blocks):
+        return first
+    steps = [np.broadcast_to(np.asarray(b.dt, np.float64), len(b)) for b in blocks]
+    return np.concatenate(steps)
 
 
 # --- opening ---
@@ -289,9 +274,7 @@ def columns_of_names(
     InputError
         It is not clear which columns are meant.
     """
-    source = Source()
-    source.name = "the frame"
-    source.columns = []
+    source = Source("the frame", ())
     for number, name in enumerate(names, start=1):
         source.columns.append(Column(number, name, split_header(name)[1]))
     clock, picks = _chosen(source, roles, Reading(), units or {}, ("time",))

@@ -72,47 +72,47 @@ def find_names(
         The last line above the rows has another number of cells than they have.
     """
     names = Names([""] * table.width, [""] * table.width)
-    found = _header_lines(above, table)
-    units = next((k for k, cells in enumerate(found) if _are_units(cells)), None)
-    only_units = units is not None and len(found) == 1
+    headers = _header_lines(above, table)
+    units = next((k for k, cells in enumerate(headers) if _are_units(cells)), None)
+    only_units = units is not None and len(headers) == 1
     if units is not None:
-        names.units = found[units]
-        if units + 1 < len(found):
-            names.names = found[units + 1]
+        names.units = headers[units]
+        if units + 1 < len(headers):
+            names.names = headers[units + 1]
         else:
-            names.names = list(found[0])  # units in the place of names, or below them
-    elif found:
-        names.names = found[0]
+            names.names = list(headers[0])  # units in the place of names, or below them
+    elif headers:
+        names.names = headers[0]
     else:
         _refuse_unclear(name, above, table)
     _fill_from_settings(
-        names, settings, sorted(table.numeric), bool(found) and not only_units
+        names, settings, sorted(table.numeric), bool(headers) and not only_units
     )
     return names
 
 
 def _header_lines(above: Sequence[str], table: Table) -> list[list[str]]:
     """Return the lines right above the rows that have a cell for each column, the nearest first."""
-    found: list[list[str]] = []
+    headers: list[list[str]] = []
     passed = 0
     for line in reversed(above):
         plain = line.strip("\r\n ")
         if not plain.strip("#%,;\t| "):
-            if found and not plain.strip("#%"):
+            if headers and not plain.strip("#%"):
                 break  # what stands above a blank line is no header
             continue
         if is_channel_key(split_cells(plain, table.delimiter)[0]):
             break
-        cells = _as_header(plain, table, bool(found) and _are_units(found[-1]))
+        cells = _as_header(plain, table, bool(headers) and _are_units(headers[-1]))
         if cells is not None:
-            found.append(cells)
-            if len(found) == _LINES:
+            headers.append(cells)
+            if len(headers) == _LINES:
                 break
             continue
         passed += 1
-        if found or plain[0] not in "#%" or passed > _PASSED:
+        if headers or plain[0] not in "#%" or passed > _PASSED:
             break
-    return found
+    return headers
 
 
 def _as_header(line: str, table: Table, above_units: bool) -> list[str] | None:
@@ -213,37 +213,39 @@ def _fill_from_settings(
     names: Names, settings: dict[str, list[str]], places: Sequence[int], named: bool
 ) -> None:
     """Take names and units that are stated by channel where no line above the rows has them."""
-    numbered: list[str] = []
-    stated: list[str] = []
-    units: list[str] = []
-    time = ""
+    stated = _stated_by_channel(settings, len(names.names))
+    if stated["numbered"] or not named:
+        _give(names.names, stated["numbered"] or stated["names"], places)
+    if not any(names.units) and not any(split_header(cell)[1] for cell in names.names):
+        units, time = stated["units"], stated["time"]
+        _give(names.units, units, places)
+        if len(units) == len(places) - 1 and time and time_unit(time[0]):
+            names.units[places[0]] = time[0]
+
+
+def _stated_by_channel(
+    settings: dict[str, list[str]], width: int
+) -> dict[str, list[str]]:
+    """Return names, units and the unit of time that settings state, and names one a line (``Name1``)."""
+    kinds = {"names": NAME_KEYS, "units": UNIT_KEYS, "time": TIME_UNIT_KEYS}
+    stated: dict[str, list[str]] = {
+        "numbered": [],
+        "names": [],
+        "units": [],
+        "time": [],
+    }
     for key, values in settings.items():
-        plain = plain_key(key)
         filled = [value for value in values if value and value != key]
         if not filled:
             continue
-        if re.fullmatch(r"name\d+", plain):
-            numbered.append(filled[0])
-        elif plain in NAME_KEYS:
-            stated = _by_place(key, values, len(names.names)) or filled
-        elif plain in UNIT_KEYS:
-            units = _by_place(key, values, len(names.names)) or filled
-        elif plain in TIME_UNIT_KEYS:
-            time = filled[0]
-    if numbered or not named:
-        _give(names.names, numbered or stated, places)
-    if not any(names.units) and not any(split_header(cell)[1] for cell in names.names):
-        _give(names.units, units, places)
-        if len(units) == len(places) - 1 and time_unit(time):
-            names.units[places[0]] = time
-
-
-def _by_place(key: str, values: Sequence[str], width: int) -> list[str]:
-    """Return the values of a line that repeats its key, in the places of the columns; else nothing."""
-    cells = [key, *values]
-    if len(cells) != width or cells.count(key) < 2:
-        return []
-    return ["" if cell == key else cell for cell in cells]
+        if re.fullmatch(r"name\d+", plain_key(key)):
+            stated["numbered"].append(filled[0])
+        if len(values) + 1 == width and key in values:  # in the places of the columns
+            filled = ["" if value == key else value for value in (key, *values)]
+        for kind, keys in kinds.items():
+            if plain_key(key) in keys:
+                stated[kind] = filled
+    return stated
 
 
 def _give(cells: list[str], stated: Sequence[str], places: Sequence[int]) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from dbo_cli.errors import InputError
 from dbo_cli.logs.clock import Clock
 from dbo_cli.logs.log import Log
-from dbo_cli.logs.source import Table
+from dbo_cli.logs.source import Block
 
 
 def resampled(log: Log, rate: float) -> Log:
@@ -35,13 +35,13 @@ def resampled(log: Log, rate: float) -> Log:
     first, last = float(time[0]), float(time[-1])
     step = 1.0 / rate
     clock = Clock(
-        log.name, "rate", rate=rate, start=first, step=step, origin=table.origin
+        log.name, "rate", rate=rate, start=first, step=step, origin=log.clock.origin
     )
     clock.rows, clock.first, clock.last = count, first, last
     log.remarks.append(
         f"{table.rows:,} rows are interpolated to {count:,} at {rate:g} Hz"
     )
-    even = Table(time, values, step, table.origin)
+    even = Block(time, values, dt=step)
     resampled_log = Log.of_table(log.name, log.columns, even, clock, log.remarks)
     resampled_log.doubtful = log.doubtful
     resampled_log.clock_offset = log.clock_offset

@@ -66,7 +66,7 @@ class Rows:
         chosen = list(self.picks.values())
         if self.clock.kind in ("column", "stamps") and self.clock.column is not None:
             chosen.append(self.clock.column)
-        told = len(self.source.remarks)
+        noted = len(self.source.remarks)
         row, count = 1, 0
         for arrays in self.source.blocks(chosen):
             start = max(0, self.first - row)
@@ -83,7 +83,7 @@ class Rows:
                 yield self._block(numbers, arrays)
             if self.last is not None and row > self.last:
                 break
-        self.doubtful += self.source.remarks[told:]
+        self.doubtful += self.source.remarks[noted:]
         if self._dropped:
             s = "" if self._dropped == 1 else "s"
             text = (
@@ -113,8 +113,8 @@ class Rows:
         column = chosen[int(np.argmax([marks[at] for marks in bad]))]
         place = self.source.where(int(numbers[at]), column)
         if not self.skip_bad:
-            others = int(np.count_nonzero(any_bad)) - 1
-            more = f", and {others:,} more such rows near it" if others else ""
+            rest = int(np.count_nonzero(any_bad)) - 1
+            more = f", and {rest:,} more such rows near it" if rest else ""
             raise InputError(f"{place}{more} (`skip_bad` drops such rows)")
         self._first_dropped = self._first_dropped or place
         self._dropped += int(np.count_nonzero(any_bad))
@@ -145,7 +145,7 @@ def _is_bad(array: NDArray[Any], column: Column) -> NDArray[np.bool_]:
     return np.asarray(~np.isfinite(array))
 
 
-def parse_rows(rows: str | tuple[int, int | None] | None) -> tuple[int, int | None]:
+def parse_rows(rows: str | None) -> tuple[int, int | None]:
     """Read ``rows``: the first and the last data row, counted from 1; either may be left out.
 
     Raises
@@ -153,20 +153,15 @@ def parse_rows(rows: str | tuple[int, int | None] | None) -> tuple[int, int | No
     UsageError
         It is no range.
     """
-    if rows is None:
-        return 1, None
-    if isinstance(rows, str):
-        match = re.fullmatch(r"\s*(\d{0,15})\s*:\s*(\d{0,15})\s*", rows, re.ASCII)
-        if match is None:
-            raise UsageError(
-                f"`rows` {rows}: give A:B, data rows counted from 1, both ends included"
-            )
-        first = int(match[1] or 1)
-        last = int(match[2]) if match[2] else None
-    else:
-        first, last = rows
+    match = re.fullmatch(r"\s*(\d{0,15})\s*:\s*(\d{0,15})\s*", rows or ":", re.ASCII)
+    if match is None:
+        raise UsageError(
+            f"`rows` {rows}: give A:B, data rows counted from 1, both ends included"
+        )
+    first = int(match[1] or 1)
+    last = int(match[2]) if match[2] else None
     if first < 1 or (last is not None and last < first):
-        raise UsageError(f"`rows` {first}:{last}: give A:B with 1 <= A <= B")
+        raise UsageError(f"`rows` {rows}: give A:B with 1 <= A <= B")
     return first, last
 
 

@@ -15,7 +15,6 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import MISSING, STAMPS, is_number, split_cells, stamp_format
 from dbo_cli.logs.headers import (
     is_setting,
-    plain_key,
     read_settings,
     stated_clock,
 )
@@ -44,7 +43,7 @@ class Layout:
     Attributes
     ----------
     delimiter, decimal
-        The signs; ``decimal`` is None while no cell shows it.
+        The signs.
     width
         The number of columns.
     numeric
@@ -60,7 +59,7 @@ class Layout:
     """
 
     delimiter: str
-    decimal: str | None
+    decimal: str
     width: int = 0
     numeric: frozenset[int] = frozenset()
     empty: frozenset[int] = frozenset()
@@ -79,19 +78,14 @@ class Layout:
             return False
         if 0 not in self.numeric and is_setting(cells[0]):
             return False
-        sign = self.decimal or "."
-        for n in self.numeric:
-            if not is_number(cells[n], sign) and not is_number(
-                cells[n], self.decimal or ","
-            ):
-                return False
+        if not all(is_number(cells[n], self.decimal) for n in self.numeric):
+            return False
         return all(STAMPS[form].fullmatch(cells[n]) for n, form in self.stamps.items())
 
     def partly_fits(self, cells: Sequence[str]) -> bool:
         """Return whether half of the numbers stand where the rows have theirs."""
-        sign = self.decimal or "."
         places = [n for n in self.numeric if n < len(cells)]
-        numbers = [n for n in places if is_number(cells[n], sign)]
+        numbers = [n for n in places if is_number(cells[n], self.decimal)]
         return bool(numbers) and 2 * len(numbers) >= len(self.numeric)
 
 
@@ -128,47 +122,39 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
         raise InputError(
             f"{name}: no line holds numbers only: try `delimiter`, `decimal` or `skip_lines`"
         )
+    if reading.decimal is None:
+        layout.decimal = _shown_decimal(layout, [lines[n] for n in rows])
     if reading.decimal is None and layout.decimal == ",":
-        refuse_thousands(name, [cell for line in sample for cell in layout.cells(line)])
+        _refuse_thousands(name, [c for n in rows for c in layout.cells(lines[n])])
     layout.first = _first_row(layout, lines, rows)
     _refuse_other_rows(name, layout, lines, rows)
     _read_header(name, layout, lines, skipped)
-    if not any(layout.names.names):
-        _refuse_numbers_as_names(name, layout, lines, reading)
-        _refuse_two_readings(name, layout, sample, reading)
+    is_named = any(layout.names.names)
+    if not is_named and reading.skip_lines is None:
+        _refuse_numbers_as_names(name, layout, lines)
+    if not is_named and reading.delimiter is None and reading.decimal is None:
+        _refuse_two_readings(name, layout, sample)
     return layout
 
 
-def _refuse_numbers_as_names(
-    name: str, layout: Layout, lines: Sequence[str], reading: Reading
-) -> None:
+def _refuse_numbers_as_names(name: str, layout: Layout, lines: Sequence[str]) -> None:
     """Refuse a first row 0, 1, 2 above rows with decimals: it may be the names of a frame."""
     cells = [cell for cell in layout.cells(lines[layout.first]) if cell]
     below = lines[layout.first + 1 : layout.first + 3]
-    counted = [str(n) for n in range(len(cells))]
-    named = [str(n) for n in range(1, len(cells) + 1)]
-    decimals = any((layout.decimal or ".") in line for line in below)
-    if (
-        reading.skip_lines is None
-        and len(cells) > 1
-        and decimals
-        and cells in (counted, named)
-    ):
+    is_counted = len(cells) > 1 and cells[0] in ("0", "1")
+    for number, cell in enumerate(cells, start=int(is_counted and cells[0] == "1")):
+        is_counted = is_counted and cell == str(number)
+    if is_counted and any(layout.decimal in line for line in below):
+        number = layout.first + 1
         raise InputError(
-            f"{name}:{layout.first + 1}: {', '.join(cells)}: names (type `skip_lines` "
-            f"{layout.first + 1}) or a row (`skip_lines` 0)?"
+            f"{name}:{number}: {', '.join(cells)}: names (type `skip_lines` {number}) or a row "
+            "(`skip_lines` 0)?"
         )
 
 
-def _refuse_two_readings(
-    name: str, layout: Layout, sample: Sequence[str], reading: Reading
-) -> None:
+def _refuse_two_readings(name: str, layout: Layout, sample: Sequence[str]) -> None:
     """Refuse ``0,5``, which may be two columns or a number, where no header says which."""
-    if reading.delimiter is not None or reading.decimal is not None:
-        return
-    if layout.delimiter == "," and all(
-        _TWO_READINGS.fullmatch(line) for line in sample
-    ):
+    if layout.delimiter == "," and all(_TWO_READINGS.fullmatch(x) for x in sample):
         raise InputError(
             f"{name}: '{sample[-1].strip()}' may be two columns (`delimiter` comma) or one number "
             "(`decimal` comma)"
@@ -185,11 +171,6 @@ def _read_header(name: str, layout: Layout, lines: Sequence[str], skipped: int) 
             f"{name}: each channel has an X column: export with X_Columns One or No"
         )
     layout.clock = stated_clock(settings)
-    for key, values in settings.items():
-        if plain_key(key) == "scalefactor" and set(values) - {"", "1", key}:
-            layout.clock.remarks.append(
-                f"'{key}' {values[0]}: the values may be scaled already"
-            )
     first_row = layout.cells(lines[layout.first])
     table = Table(layout.delimiter, layout.numeric, layout.width, first_row)
     layout.names = find_names(name, above, settings, table)
@@ -246,18 +227,23 @@ def _best_layout(sample: Sequence[str], reading: Reading) -> Layout | None:
         for sign in signs:
             if mark == sign and not quoted:
                 continue
-            share, found = _judged(sample, mark, sign)
+            share, candidate = _judged(sample, mark, sign)
             if mark == " ":
                 share *= _BLANKS  # stand around other delimiters, too
-            score = (round(share, 9), found.width > 1, mark != " ")
+            score = (round(share, 9), candidate.width > 1, mark != " ")
             if share > 0.0 and score > best:
-                best, layout = score, found
-    if layout is not None and reading.decimal is None:
-        cells = [cell for line in sample for cell in layout.cells(line)]
-        numbers = [cell for cell in cells if is_number(cell, layout.decimal or ".")]
-        if layout.delimiter != "," and not any("," in c or "." in c for c in numbers):
-            layout.decimal = None
+                best, layout = score, candidate
     return layout
+
+
+def _shown_decimal(layout: Layout, lines: Sequence[str]) -> str:
+    """Return the decimal sign that the last number with one has; that of the layout where none has."""
+    for line in reversed(lines):
+        for cell in layout.cells(line):
+            for sign in ".,":
+                if sign in cell and is_number(cell, sign):
+                    return sign
+    return layout.decimal
 
 
 def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]:
@@ -295,9 +281,9 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
     return (shares[layout.width] / sum(weights) if numeric else 0.0), layout
 
 
-def refuse_thousands(name: str, cells: Sequence[str]) -> None:
+def _refuse_thousands(name: str, cells: Sequence[str]) -> None:
     """Refuse commas that may stand between thousands as well as before decimals (InputError)."""
-    commas = [cell for cell in cells if re.search(r"\d,\d|,\d|\d,", cell)]
+    commas = [cell for cell in cells if "," in cell and is_number(cell, ",")]
     if commas and all(_THOUSANDS.fullmatch(cell) for cell in commas):
         cell = commas[0]
         raise InputError(
@@ -332,7 +318,7 @@ def _refuse_other_rows(
         if n >= layout.first:
             return
         cells = [cell for cell in layout.cells(lines[n]) if cell]
-        if cells and all(is_number(cell, layout.decimal or ".") for cell in cells):
+        if cells and all(is_number(cell, layout.decimal) for cell in cells):
             raise InputError(
                 f"{name}:{n + 1}: numbers above the {layout.width} columns that begin in line "
                 f"{layout.first + 1}: type `skip_lines` {n + 1}"
@@ -358,15 +344,7 @@ def describe_columns(name: str, layout: Layout) -> list[Column]:
             kind = "empty"
         header, unit = layout.names.names[n], spell(layout.names.units[n])
         stated = split_header(header)[1]
-        bracketed = header.rstrip().endswith((")", "]", "}", ">"))
-        same_kind = kind_of(stated) == kind_of(unit) is not None
-        if (
-            stated
-            and unit
-            and stated != unit
-            and kind_of(unit)
-            and (bracketed or same_kind)
-        ):
+        if stated and unit and stated != unit and kind_of(unit) == kind_of(stated):
             raise InputError(
                 f"{name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
                 f"{layout.first}"

@@ -69,7 +69,7 @@ class Reading:
     time_unit: str | None = None
     sample_rate: float | None = None
     scale: Mapping[str, str | float] = field(default_factory=dict)
-    rows: str | tuple[int, int | None] | None = None
+    rows: str | None = None
     skip_bad: bool = False
     resample: float | None = None
     delimiter: str | None = None
@@ -81,7 +81,7 @@ class Reading:
 
 @dataclass
 class Block:
-    """Rows that travel together.
+    """Rows that travel together; a whole log in memory is one block, ``block["voltage"]``.
 
     Attributes
     ----------
@@ -98,25 +98,12 @@ class Block:
 
     time: FloatArray | None
     values: dict[str, FloatArray]
-    first_row: int
+    first_row: int = 1
     dt: float | FloatArray | None = None
 
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(next(iter(self.values.values()), ()))
-
-
-@dataclass
-class Table:
-    """A whole log in memory: ``table["voltage"]``, and its clock as in a Block.
-
-    ``origin`` is what time 0 is in seconds since 1970, where the log states it.
-    """
-
-    time: FloatArray | None
-    values: dict[str, FloatArray]
-    dt: float | FloatArray | None = None
-    origin: float | None = None
 
     def __getitem__(self, role: str) -> FloatArray:
         """Return the array of a role."""
@@ -125,7 +112,7 @@ class Table:
     @property
     def rows(self) -> int:
         """The number of rows."""
-        return len(next(iter(self.values.values()), ()))
+        return len(self)
 
 
 @dataclass
@@ -165,25 +152,34 @@ class Source:
         What is appended to a refusal about columns, behind a blank.
     remarks
         What the user is to be told, without the file's name in front.
+    last_block, first_row
+        The arrays of the last block by the columns' numbers, and the number of its first row.
     """
 
-    name: str
-    columns: list[Column]
-    stated: StatedClock
     hint: str = ""
-    remarks: list[str]
+    first_row: int = 1
+
+    def __init__(
+        self, name: str, columns: Sequence[Column], stated: StatedClock | None = None
+    ) -> None:
+        self.name = name
+        self.columns = list(columns)
+        self.stated = stated or StatedClock()
+        self.remarks: list[str] = []
+        self.last_block: dict[int, NDArray[Any]] = {}
 
     def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of the chosen columns in blocks, one array a column.
 
-        Numbers are float64, with NaN for what is none; stamps are int64 nanoseconds
-        since 1970 or since midnight, with ``NOT_A_TIME`` for what is none.
+        Numbers are float64, NaN for other cells; stamps are int64 nanoseconds
+        since 1970 or since midnight, ``NOT_A_TIME`` for other cells.
         """
         raise NotImplementedError
 
     def where(self, row: int, column: Column) -> str:
         """Say where a row (from 1) of the last block is, and what stands in a column of it."""
-        raise NotImplementedError
+        value = self.last_block[column.number][row - self.first_row]
+        return f"{self.name}: row {row}: {column.label} is {value}"
 
     def find(self, name: str) -> Column | None:
         """Find what the user names and no column is called; None where there is nothing."""

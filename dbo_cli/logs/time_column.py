@@ -14,12 +14,12 @@ from dbo_cli.logs.columns import listed, named, words
 from dbo_cli.logs.source import Column, Reading, Source
 from dbo_cli.units import kind_of, ratio, time_unit
 
-_NAMES = frozenset("time t x_value zeit".split())
-_MORE_NAMES = frozenset(
-    "timestamp time_stamp timestamps elapsed seconds millis micros milliseconds microseconds nanoseconds "
-    "msec usec datetime zeitstempel uhrzeit temps tiempo tempo date datum datenum tijd tid czas čas cas "
-    "время 时间 時間 x-axis utc ts epoch clock".split()
+_NAMES = frozenset(
+    "time t x_value zeit timestamp time_stamp timestamps elapsed seconds sec secs millis micros milliseconds "
+    "microseconds nanoseconds nanosec msec usec nsec sekunden datetime zeitstempel uhrzeit temps tiempo "
+    "tempo date datum datenum tijd tid czas čas cas время 时间 時間 x-axis utc ts epoch clock".split()
 )
+_KINDS = (None, "time", "count", "number of samples")  # what its unit may measure
 # behind the name of a time column they show that it counts something else
 _COUNTED = frozenset(
     "tick ticks sample samples frame frames count counts cycle cycles index idx step steps point points "
@@ -63,24 +63,24 @@ def find_clock(
         if not 0.0 < rate < np.inf:
             raise UsageError(f"`sample_rate` {rate:g}: give a rate above 0 Hz")
     if selector is not None:
-        found = [named(source, selector, "time")]
+        matches = [named(source, selector, "time")]
     else:
-        found = _time_columns(source, used)
+        matches = _time_columns(source, used)
     if rate is not None:
         clock = Clock(source.name, "rate", rate=rate)
-        if len(found) == 1:
-            clock.column = found[0]
-            clock.remarks.append(f"`sample_rate` replaces {found[0].label}")
+        if len(matches) == 1:
+            clock.column = matches[0]
+            clock.remarks.append(f"`sample_rate` replaces {matches[0].label}")
         return clock
-    if len(found) > 1:
+    if len(matches) > 1:
         which = " or ".join(
-            f"`time` {column.number} ('{column.name}')" for column in found
+            f"`time` {column.number} ('{column.name}')" for column in matches
         )
         raise InputError(
             f"{source.name}: which column is the time? Type {which}{source.hint}"
         )
-    if found:
-        return _clock_of(source.name, found[0], reading.time_unit)
+    if matches:
+        return _clock_of(source.name, matches[0], reading.time_unit)
     return _stated_clock(source, reading)
 
 
@@ -106,54 +106,26 @@ def _stated_clock(source: Source, reading: Reading) -> Clock:
 
 
 def _time_columns(source: Source, used: Sequence[Column]) -> list[Column]:
-    """Return the columns that may hold the time, by the surest reason that there is."""
+    """Return the columns that may hold the time, by the surest reason that there is.
+
+    A name; a word of the name; dates; the unit of the first column.
+    """
     free = [column for column in source.columns if column not in used]
-    texts = [column for column in free if column.kind == "text"]
-    free = [column for column in free if column.kind in ("number", "stamp")]
-    fitting = []
-    for column in free:
-        kind = kind_of(column.unit)
-        if column.kind == "number" and kind not in (
-            None,
-            "time",
-            "count",
-            "number of samples",
-        ):
-            if not time_unit(column.unit):
-                continue  # a temperature called T
-        fitting.append(column)
-    called: list[Column] = []
-    for names in (_NAMES, _MORE_NAMES):
-        for whole in (True, False):
-            called = called or [c for c in fitting if _is_called(c, names, whole)]
+    fitting = [c for c in free if kind_of(c.unit) in _KINDS or time_unit(c.unit)]
+    called = [c for c in fitting if c.quantity.lower() in _NAMES]
+    called = called or [c for c in fitting if words(c.quantity) & _NAMES]
     figures = [c for c in called if c.kind == "number"]
     stamps = [c for c in called if c.kind == "stamp"]
-    stamps = stamps or [c for c in free if c.kind == "stamp"]
-    plain = [c for c in texts if _is_called(c, _NAMES, whole=True)]
-    if not figures and not stamps:
-        plain += [c for c in texts if _is_called(c, _MORE_NAMES, whole=True)]
-    if plain:
+    matches = figures or stamps or [c for c in free if c.kind == "stamp"]
+    texts = [c for c in called if c.kind == "text"]
+    if texts and not matches:
         raise InputError(
-            f"{source.name}: {plain[0].label} holds neither numbers nor ISO time stamps: type `time` "
+            f"{source.name}: {texts[0].label} holds neither numbers nor ISO time stamps: type `time` "
             "COLUMN or `sample_rate` HZ"
         )
-    if figures or stamps:
-        return figures or stamps
-    if fitting and fitting[0] is source.columns[0] and time_unit(fitting[0].unit):
-        return fitting[:1]
-    return [c for c in fitting if _last_unit(c)]
-
-
-def _last_unit(column: Column) -> str | None:
-    """Return the unit of time that a name ends in: ``stamp.sec``."""
-    word = re.split(r"[._/ ]", column.name.strip().lower())[-1]
-    return time_unit(word) if len(word) > 2 else None
-
-
-def _is_called(column: Column, names: frozenset[str], whole: bool) -> bool:
-    if whole:
-        return column.quantity.lower() in names
-    return bool(words(column.quantity) & names)
+    if not matches and free[:1] == source.columns[:1] and time_unit(free[0].unit):
+        return [column for column in free[:1] if column.kind == "number"]
+    return matches
 
 
 def _clock_of(name: str, column: Column, given: str | None) -> Clock:

@@ -39,7 +39,6 @@ BLOCK_ROWS = 1 << 16  # rows that are formatted at once
 # Cells that Python formats sooner than polars is imported (0.1 s, measured).
 PLAIN_CELLS = 1 << 16
 GZIP_LEVEL = 1  # three times as fast as 6, and 8 % larger (measured)
-NAME_BYTES = 100  # of the output's name in a temporary one; file systems allow 255
 STDOUT = ("-", "/dev/stdout")
 HDF5_SUFFIXES = (".h5", ".hdf5")
 DELIMITERS = {"": ",", ".csv": ",", ".txt": ",", ".dat": ",", ".tsv": "\t"}
@@ -105,8 +104,7 @@ def check_outputs(*paths: str | os.PathLike[str]) -> None:
 class _File:
     """One output: the name that it shall have, and what is written meanwhile.
 
-    ``temporary`` and ``backup`` (of the file that is replaced) are names beside it;
-    standard output, pipes and devices have none.
+    ``temporary`` is a name beside it; standard output, pipes and devices have none.
     """
 
     def __init__(self, path: str) -> None:
@@ -115,8 +113,6 @@ class _File:
         self.target = os.path.realpath(path)
         self.stream: IO[bytes] | None = None
         self.temporary: str | None = None
-        self.backup: str | None = None
-        self.renamed = False
         if self.is_stdout:
             return
         if os.path.isdir(path):
@@ -156,28 +152,18 @@ class _File:
             self.stream.close()
 
     def rename(self) -> None:
-        """Give the output its name; the old file is kept until all have theirs."""
-        if self.temporary is None:
-            return
-        with telling(self.path):
-            if os.path.exists(self.target):
-                self.backup = _hidden_name(self.target)
-                with contextlib.suppress(OSError):  # a file system without hard links
-                    os.link(self.target, self.backup)
-            os.replace(self.temporary, self.target)
-            self.renamed = True
+        """Give the output its name."""
+        if self.temporary is not None:
+            with telling(self.path):
+                os.replace(self.temporary, self.target)
 
-    def take_back(self) -> None:
-        """Leave no trace: the old file stands where it stood, and the new one is gone."""
+    def give_up(self) -> None:
+        """Remove what was written; what stood there is left as it was."""
         with contextlib.suppress(OSError, ValueError):
             self.close()
-        if self.renamed and self.backup is None:
-            _remove(self.target)
-        elif self.renamed and self.backup is not None:
+        if self.temporary is not None:
             with contextlib.suppress(OSError):
-                os.replace(self.backup, self.target)
-        _remove(self.backup)
-        _remove(self.temporary)
+                os.unlink(self.temporary)
 
 
 class Outputs:
@@ -186,7 +172,6 @@ class Outputs:
     def __init__(self) -> None:
         self._files: list[_File] = []
         self._writers: list[Writer] = []
-        self._complete = False
 
     def register(self, path: str) -> _File:
         """Note an output; refuse it where it cannot be written or is noted already (OutputError)."""
@@ -237,29 +222,18 @@ class Outputs:
         """Give all files their names, or remove all that was written."""
         try:
             if kind is None:
-                self._commit()
-        finally:
-            if self._complete:
+                for writer in self._writers:
+                    writer.close()
                 for file in self._files:
-                    _remove(file.backup)
-            else:
-                self._give_up()
-
-    def _commit(self) -> None:
-        for writer in self._writers:
-            writer.close()
-        for file in self._files:
-            file.finish()
-        for file in self._files:
-            file.rename()
-        self._complete = True
-
-    def _give_up(self) -> None:
-        for writer in self._writers:
-            with contextlib.suppress(Exception):
-                writer.close()
-        for file in self._files:
-            file.take_back()
+                    file.finish()
+                for file in self._files:
+                    file.rename()
+        finally:
+            for writer in self._writers:
+                with contextlib.suppress(Exception):
+                    writer.close()
+            for file in self._files:
+                file.give_up()
 
 
 def _suffix_of(path: str) -> str:
@@ -291,21 +265,14 @@ def _require_place(path: str, target: str) -> None:
         raise OutputError(
             f"{path}: the folder '{folder}' is not writable: write elsewhere"
         )
-    if os.path.exists(target) and not os.access(target, os.W_OK):
-        raise OutputError(f"{path}: the file is write-protected: give another name")
 
 
 def _hidden_name(target: str) -> str:
     """Return a name beside a file that nobody else uses."""
     folder, name = os.path.split(target)
-    short = os.fsencode(name)[:NAME_BYTES].decode("utf-8", "ignore")
-    return os.path.join(folder, f".{short}.{os.getpid()}-{os.urandom(4).hex()}.partial")
-
-
-def _remove(path: str | None) -> None:
-    if path is not None:
-        with contextlib.suppress(OSError):
-            os.unlink(path)
+    return os.path.join(
+        folder, f".{name[:50]}.{os.getpid()}-{os.urandom(4).hex()}.partial"
+    )
 
 
 @contextlib.contextmanager

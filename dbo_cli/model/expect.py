@@ -49,13 +49,13 @@ def expected_error(
     if isinstance(dt, np.ndarray):
         steps = dt[:last]
 
-    def played(other: Model, start: str = "auto") -> Floats:
-        return other.simulate(drive, dt=steps, state=start)[0][begin:]
+    def played(candidate: Model, start: str = "auto") -> Floats:
+        return candidate.simulate(drive, dt=steps, state=start)[0][begin:]
 
     expected = played(model)
     squares = float(left) ** 2
-    for weight, other in model.candidate_models():
-        squares += weight * _mean_square(played(other) - expected)
+    for weight, candidate in model.candidate_models():
+        squares += weight * _mean_square(played(candidate) - expected)
     if not past_known and _begins_inside(model, float(drive[0])):
         for start in STARTS:
             squares += _mean_square(played(model, start) - expected) / len(STARTS)
@@ -85,22 +85,22 @@ def move_warnings(
     if dt is None or len(voltage) < 2:
         return []
     steps = np.broadcast_to(np.asarray(dt, dtype=np.float64), (len(voltage),))[1:]
-    found = []
+    texts = []
     fastest, rest = model.fit.get("fastest"), model.fit.get("longest_rest")
     unit = model.input.suffix.strip() or "units"
     speed = fastest_drive(voltage, steps)
     if fastest and speed > LONGER * float(fastest):
-        found.append(
+        texts.append(
             f"{speed:.3g} {unit}/s, the logs at most {float(fastest):.3g}: the error may be larger; "
             "identify with a faster log"
         )
-    held = longest_rest(voltage, steps)
-    if rest is not None and held > LONGER * float(rest):
-        found.append(
-            f"holds for {held:.3g} s, the logs at most {float(rest):.3g}: the error may be larger; "
+    hold = longest_rest(voltage, steps)
+    if rest is not None and hold > LONGER * float(rest):
+        texts.append(
+            f"holds for {hold:.3g} s, the logs at most {float(rest):.3g}: the error may be larger; "
             "identify with a longer hold"
         )
-    return found
+    return texts
 
 
 def fastest_drive(voltage: Floats, steps: Floats) -> float:

@@ -65,31 +65,25 @@ class _Walk:
             return crossed
         return gear
 
-    def solve(self, u: float, kappa: float, extend: bool) -> tuple[float, bool]:
-        """Return the relative output for the relative input u, (11)-(12), and whether it lies outside."""
-        gear = self.travel(u, 1.0, kappa)
-        d = u - (self.x + kappa * self.y)
-        dx, dy, _, fraction = self.rows[min(gear, self.n - 1)]
-        width = dx + kappa * dy
-        outside = gear == self.n and abs(d) >= width * (1.0 - fraction)
-        if gear == self.n and not extend:
-            return self.y, outside
-        return self.y + d * (dy / width), outside
-
-    def solve_within(
+    def solve(
         self, u: float, kappa: float, low: float, high: float, extend: bool
-    ) -> tuple[float, float, bool]:
-        """Return the output within [low, high], by how much it was clipped, and whether it lies outside.
+    ) -> tuple[float, float]:
+        """Return the relative output for the relative input u, (11)-(12), clipped, and by how much it was.
 
-        The state becomes that of the operator with exchanged axes driven by the output.
+        Where it is clipped the state is that of the operator with exchanged axes driven
+        by the output.
         """
         before = self.bits, self.x, self.y
-        y, outside = self.solve(u, kappa, extend)
-        kept = min(max(y, low), high)
-        if kept != y:
+        gear = self.travel(u, 1.0, kappa)
+        dx, dy, _, _ = self.rows[min(gear, self.n - 1)]
+        y = self.y
+        if gear < self.n or extend:
+            y += (u - (self.x + kappa * self.y)) * (dy / (dx + kappa * dy))
+        clipped = min(max(y, low), high)
+        if clipped != y:
             self.bits, self.x, self.y = before
-            self.travel(kept, 0.0, 1.0)
-        return kept, abs(kept - y), outside
+            self.travel(clipped, 0.0, 1.0)
+        return clipped, abs(clipped - y)
 
 
 def backlash_run(
@@ -100,6 +94,7 @@ def backlash_run(
 ) -> tuple[int, int, int, int]:  # fmt: skip
     """Fill ``y`` by (1)-(12) from ``x``; ``words`` and ``memory`` become the state after the block.
 
+    What lies outside is not counted.
     With memory on the output its part kappa = sum gain_j (1 - a_j) of the present output
     widens every gear from dx to dx + kappa dy, and the rest is known.
     """
@@ -108,10 +103,10 @@ def backlash_run(
     if gain.size:
         factors[:] = decay
     steps = np.broadcast_to(step if step.size else math.inf, x.shape)
-    outsides, clips = [], []
+    clips = []
     for k, value in enumerate(x.tolist()):
         a = factors[k]
-        known = kappa = excess = 0.0
+        known = kappa = 0.0
         u = value - x0
         if on_output:
             known = float(gain @ (a * memory))
@@ -120,24 +115,18 @@ def backlash_run(
         else:
             memory[:] = a * memory + (1.0 - a) * (value - reference)
             known = float(gain @ memory)
-        if limited:
-            least, most = _window(last, float(steps[k]), low, high)
-            part, excess, outside = walk.solve_within(
-                u, kappa, least - y0, most - y0, extend
-            )
-            last = min(max(y0 + part, least), most)
-        else:
-            part, outside = walk.solve(u, kappa, extend)
-            last = y0 + part
+        least, most = _window(last, float(steps[k]), low, high)
+        part, excess = walk.solve(u, kappa, least - y0, most - y0, extend)
+        last = min(max(y0 + part, least), most)
         if not on_output:
             last += known
         else:
             memory[:] = a * memory + (1.0 - a) * (last - reference)
         y[k] = last
-        outsides.append(outside)
         clips.append(excess > slack)
     _put_bits(words, walk.bits)
-    return *_counted(outsides), *_counted(clips)
+    count = sum(clips)
+    return 0, 0, count, clips.index(True) if count else 0
 
 
 def _window(last: float, change: float, low: float, high: float) -> tuple[float, float]:
@@ -147,13 +136,6 @@ def _window(last: float, change: float, low: float, high: float) -> tuple[float,
     least = math.nextafter(last - change, last)
     most = math.nextafter(last + change, last)
     return min(max(least, low), high), max(min(most, high), low)
-
-
-def _counted(flags: list[bool]) -> tuple[int, int]:
-    """Return how many flags are set, and the place of the first."""
-    if not any(flags):
-        return 0, 0
-    return sum(flags), flags.index(True)
 
 
 def _put_bits(words: Words, bits: int) -> None:

@@ -116,7 +116,7 @@ class Gears:
     Raises
     ------
     ModelError
-        Lengths differ, a width is not > 0, or too narrow beside the others, or negative
+        Lengths differ, a width is not > 0, or too narrow beside the rest, or negative
         gains leave too little of a slope; the message begins with the key.
 
     Notes
@@ -318,13 +318,13 @@ class Gears:
             return first
         later = decay if len(decay) == 1 else np.ascontiguousarray(decay[1:])
         steps = steps if steps.size == 1 else steps[1:]
-        others = self._run(
+        behind = self._run(
             x[1:], first.bits, first.memory or (), later, extend, window, steps, float(first.y[0])
         )  # fmt: skip
-        y = np.concatenate([first.y, others.y])
-        clipped = first.clipped + others.clipped
-        place = 0 if first.clipped or not clipped else others.first_clipped + 1
-        return GearsRun(y, others.bits, others.memory, clipped, place)
+        y = np.concatenate([first.y, behind.y])
+        clipped = first.clipped + behind.clipped
+        place = 0 if first.clipped or not clipped else behind.first_clipped + 1
+        return GearsRun(y, behind.bits, behind.memory, clipped, place)
 
     def slack(self, window: Window) -> float:
         """Return by how much clipping has to move an output to count."""

@@ -43,9 +43,7 @@ Outside = Literal["extend", "hold", "error"]
 Sign = Literal["rising", "falling"]
 
 MOST_CANDIDATES = 5
-_TIME_IS_NEEDED = (
-    "this model depends on time, and there is none (`time` COLUMN or `sample_rate` HZ)"
-)
+_TIME_IS_NEEDED = "this model needs a clock: add `time` COLUMN or `sample_rate` HZ"
 
 
 @dataclass(frozen=True)
@@ -218,10 +216,10 @@ class Model:
         """The same model without dynamics and delay: gears, relaxation and curves."""
         if self.dynamics is None and self.delay is None:
             return self
-        kept = [
+        parts = [
             stage for stage in self.stages if isinstance(stage, Gears | Points | Scale)
         ]
-        return self.with_stages(tuple(kept))
+        return self.with_stages(tuple(parts))
 
     def with_stages(self, stages: tuple[Stage, ...]) -> Model:
         """Return a model of the same quantities with other stages, without candidates."""
@@ -337,14 +335,14 @@ class Model:
             if isinstance(state, State):
                 undoing = inverter.behind(state)
             ahead = np.full(inverter.ahead, signal[-1])
-            signal, undoing = inverter.run(np.concatenate([signal, ahead]), undoing)
+            signal, _ = inverter.run(np.concatenate([signal, ahead]), undoing)
         if not isinstance(state, State):
             first = float(signal[0]) if signal.size else 0.0
             state = self.start(first, state)
         done = self.run(signal, state, dt, outside)
         if outside == "error":
             self.require_inside(signal, done)
-        return done.y, replace(done.state, undoing=undoing)
+        return done.y, done.state
 
     def run(
         self, x: ArrayLike, state: State, dt: Steps = None, outside: Outside = "extend"
@@ -368,13 +366,13 @@ class Model:
             inner = np.clip(inner, *self._starts.ends)
         done = self.gears.run(inner, state.bits, state.memory, dt, extend=extend)
         y = through(self.tail, done.y)
-        sections, held = state.sections, state.delay
+        sections, waiting = state.sections, state.delay
         if self.dynamics is not None:
             y, sections = self.dynamics.run(y, _needed(dt), sections)
         if self.delay is not None:
-            y, held = self.delay.run(y, _needed(dt), held)
+            y, waiting = self.delay.run(y, _needed(dt), waiting)
         after = State(
-            done.bits, done.memory, float(x[-1]), sections=sections, delay=held
+            done.bits, done.memory, float(x[-1]), sections=sections, delay=waiting
         )
         return Run(y, after, *_outside(x, self._covered))
 

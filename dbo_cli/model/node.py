@@ -123,7 +123,7 @@ class Node:
         """Return one of some words."""
         value = self.value(key)
         if value not in words:
-            raise self.refuse(key, f"{value!r} is none of {', '.join(words)}")
+            raise self.refuse(key, f"{value!r} is not one of {', '.join(words)}")
         return str(value)
 
     def listed(self, key: str) -> list[Any]:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from itertools import chain, pairwise
 
-from dbo_cli.model.delay import BEFORE, Held
+from dbo_cli.model.delay import Held
 from dbo_cli.model.dynamics import SectionStates
 from dbo_cli.model.model import Model
 from dbo_cli.model.node import VERSION, Json, Node, dumps, load
 from dbo_cli.model.state import State
-from dbo_cli.model.undoing import Undoing
 
 STATE_FORMAT = "dbo-state"
 
@@ -27,13 +26,9 @@ def dumps_state(state: State, model: Model) -> str:
         "drive": state.drive,
         "sections": _flat(state.sections),
         "delay": None,
-        "undoing": None,
     }
     if state.delay is not None:
         values["delay"] = state.delay._asdict()
-    if state.undoing is not None:
-        values["undoing"] = state.undoing._asdict()
-        values["undoing"]["sections"] = _flat(state.undoing.sections)
     return dumps(values)
 
 
@@ -62,7 +57,6 @@ def read_state(path: str, model: Model) -> State:
         root.unless_null("time", root.number),
         _sections(root, model),
         _held(root, model),
-        _undoing(root, model),
     )
 
 
@@ -115,16 +109,3 @@ def _held(root: Node, model: Model) -> Held | None:
     if any(later < earlier for earlier, later in pairwise(times)):
         raise node.refuse("times", "goes backwards")
     return node.build(Held, times, values)
-
-
-def _undoing(root: Node, model: Model) -> Undoing | None:
-    """Return what undoing dynamics and delay remembered."""
-    if root.value("undoing") is None:
-        return None
-    node = root.node("undoing")
-    dt, past = node.number("dt"), node.numbers("past")
-    if not dt > 0.0:
-        raise node.refuse("dt", f"{dt!r} is not greater than 0")
-    if len(past) > BEFORE:
-        raise node.refuse("past", f"has more than {BEFORE} entries")
-    return node.build(Undoing, dt, _sections(node, model) or (), past)

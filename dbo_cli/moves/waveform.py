@@ -135,7 +135,7 @@ def waveform(
     if rounding > most and np.ptp(exact) > 0.0:
         raise LimitError(
             f"{name}: codes change the drive by up to {rounding:.3g} V, more than {most:.3g} V: "
-            "narrow `volts`, widen `codes`, or raise `max_rounding`"
+            "narrow `volts`, or raise `max_rounding`"
         )
     if allowed.slew is not None:  # codes stand a step beside
         allowed = replace(allowed, slew=allowed.slew + coding.step * rate)
@@ -220,14 +220,14 @@ def _at_generator(limits: Limits, gain: float) -> Limits:
 
 
 def _line(volts: Floats, rate: float, gain: float, moved: float) -> str:
-    """Say what has to be set at the generator, and what another rate did."""
+    """Return what to set at the generator, and what resampling changed, in words."""
     low, high = float(volts.min()), float(volts.max())
     text = (
         f"{volts.size:,} points at {rate:.9g} Hz, {volts.size / rate:.6g} s; {high - low:.6g} Vpp,"
         f" offset {0.5 * (high + low):.6g} V"
     )
     if gain != 1.0:
-        text += f" before a gain of {gain:g}"
+        text += f" at gain {gain:g}"
     if moved:
-        text += f"; resampling changes it by {moved:.3g} V"
+        text += f"; resampled within {moved:.3g} V"
     return text

@@ -13,7 +13,7 @@ from dbo_cli.reports.pair import Pair, mean_step, rows_text
 
 SAME_RATE = 1e-3
 """Part by which two rates may differ: clocks of two recorders do, by some 1e-4."""
-OWN_LAG = 0.05
+ACTUATOR_LAG = 0.05
 """Seconds that an actuator, its amplifier and its sensor may be late; more is a recorder's start."""
 CLEARLY_BETTER = 0.5
 """Part of the error that must be left at most for another start of the clock to be believed."""
@@ -61,13 +61,14 @@ def match(
         The rates differ where rows are matched, a clock is missing, or no row of one
         belongs to a row of the other.
     UsageError
-        ``match`` is none of the three.
+        ``match`` is another word.
     """
     if match not in ("auto", "time", "rows"):
         raise UsageError(f"`match` {match}: give auto, time or rows")
     wanted = np.asarray(desired, dtype=np.float64)
     values = np.asarray(measured, dtype=np.float64)
     recording = Pair(name, values, values, measured_time, voltage)  # type: ignore[arg-type]
+    recording = replace(recording, on_drive_clock=True)
     if match == "rows" or (
         match == "auto" and (measured_time is None or desired_time is None)
     ):
@@ -138,7 +139,7 @@ def _on_one_clock(
     """
     offset = _clock_ahead(recording, wanted, clock)
     step = recording.step() or 0.0
-    if offset is None or -0.5 * step <= offset <= OWN_LAG:
+    if offset is None or -0.5 * step <= offset <= ACTUATOR_LAG:
         return recording
     assert recording.time is not None
     shifted = replace(recording, time=recording.time - offset, clock_offset=offset)
@@ -177,14 +178,14 @@ def _clock_ahead(recording: Pair, wanted: Floats, clock: Floats) -> float | None
         return None
     grid = np.arange(clock[0], clock[-1], step)
     desired = np.interp(grid, clock, wanted)
-    seen = np.arange(time[0], time[-1], step)
-    measured = np.interp(seen, time, recording.measured)
-    if min(len(grid), len(seen)) < FEWEST or not np.ptp(measured) * np.ptp(desired):
+    stamps = np.arange(time[0], time[-1], step)
+    measured = np.interp(stamps, time, recording.measured)
+    if min(len(grid), len(stamps)) < FEWEST or not np.ptp(measured) * np.ptp(desired):
         return None
     rows, _ = lag_of(desired, measured)
-    offset = float(seen[0] - grid[0] + rows * step)
+    offset = float(stamps[0] - grid[0] + rows * step)
     for _ in range(STEPS):
-        change = _refined(seen - offset, measured, clock, wanted, step)
+        change = _refined(stamps - offset, measured, clock, wanted, step)
         offset += change
         if abs(change) < 1e-3 * step:
             break
@@ -192,13 +193,13 @@ def _clock_ahead(recording: Pair, wanted: Floats, clock: Floats) -> float | None
 
 
 def _refined(
-    seen: Floats, measured: Floats, clock: Floats, wanted: Floats, step: float
+    stamps: Floats, measured: Floats, clock: Floats, wanted: Floats, step: float
 ) -> float:
     """Return by how much later measured still is (s): the weight of the derivative beside a loop."""
-    inside = (seen >= clock[0] + step) & (seen <= clock[-1] - step)
+    inside = (stamps >= clock[0] + step) & (stamps <= clock[-1] - step)
     if np.count_nonzero(inside) < FEWEST:
         return 0.0
-    at, y = seen[inside], measured[inside]
+    at, y = stamps[inside], measured[inside]
     x = np.interp(at, clock, wanted)
     after = np.interp(at + step, clock, wanted)
     before = np.interp(at - step, clock, wanted)

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 LOOP_BINS = 32
-"""Bins of the desired signal in which both ways are compared."""
+"""Bins of the desired signal in which both directions are compared."""
 FEWEST_IN_BIN = 3
-"""Samples of either way that a bin needs, lest the noise of one sample wins."""
+"""Samples of either direction that a bin needs, lest the noise of one sample wins."""
 TURN_IN_NOISE = 10.0
 """Standard deviations of the noise that a turn must exceed: 10,000 normal samples span 8."""
 LARGEST_TURN = 0.1
@@ -48,7 +48,7 @@ class Merits:
     offset
         What was subtracted from the error beforehand.
     loop_width
-        See ``loop_width``; None where no value was passed both ways.
+        See ``loop_width``; None where no value was passed in both directions.
     lag
         See ``lag_left``, in samples; None where nothing moves back and forth.
     """
@@ -135,36 +135,36 @@ def noise_of(values: Floats) -> float:
 
 
 def directions(values: Floats) -> NDArray[np.int8]:
-    """Return which way each sample goes: 1 up, -1 down, 0 neither.
+    """Return the direction of each sample: 1 up, -1 down, 0 neither.
 
     A turn counts where the signal goes back by more than its noise does. Samples
-    between the extreme and the place where that is certain belong to no way: there the
+    between the extreme and the place where that is certain have no direction: there the
     signal rests.
     """
-    ways = np.zeros(len(values), dtype=np.int8)
+    signs = np.zeros(len(values), dtype=np.int8)
     span = float(np.ptp(values))
     least = min(TURN_IN_NOISE * noise_of(values), LARGEST_TURN * span)
-    way = 0
+    sign = 0
     low = high = extreme = float(values[0])
-    begin = last = 0  # of the way that goes on, and its extreme
+    begin = last = 0  # of the direction that goes on, and its extreme
     for place in turning_places(values).tolist():
         value = float(values[place])
-        if way == 0:
+        if sign == 0:
             low, high = min(low, value), max(high, value)
             if value - low > least:
-                way, extreme, last = 1, value, place
+                sign, extreme, last = 1, value, place
             elif high - value > least:
-                way, extreme, last = -1, value, place
-        elif way * (value - extreme) >= 0.0:
+                sign, extreme, last = -1, value, place
+        elif sign * (value - extreme) >= 0.0:
             extreme, last = value, place
-        elif way * (extreme - value) > least:
-            ways[begin : last + 1] = way
+        elif sign * (extreme - value) > least:
+            signs[begin : last + 1] = sign
             back = np.abs(values[last + 1 : place + 1] - extreme)
             begin = last + 1 + int(np.argmax(back > least))
-            way, extreme, last = -way, value, place
-    if way != 0:
-        ways[begin : last + 1] = way
-    return ways
+            sign, extreme, last = -sign, value, place
+    if sign != 0:
+        signs[begin : last + 1] = sign
+    return signs
 
 
 def turning_places(values: Floats) -> NDArray[np.int64]:
@@ -182,17 +182,17 @@ def loop_width(desired: Floats, error: Floats) -> float | None:
     The means are taken in bins of the desired signal (IEC 61298-2: the largest
     difference between upscale and downscale readings at one input, averaged over the
     cycles). Positive: the output lags behind, as an uncompensated piezo does. A delay
-    opens a loop, too. None where no bin was passed both ways.
+    opens a loop, too. None where no bin was passed in both directions.
     """
     low, span = float(desired.min()), float(np.ptp(desired))
     if not span > 0.0:
         return None
-    ways = directions(desired)
+    signs = directions(desired)
     bins = np.minimum((desired - low) / span * LOOP_BINS, LOOP_BINS - 1).astype(int)
     means = []
     counted = np.ones(LOOP_BINS, dtype=bool)
-    for way in (1, -1):
-        taken = ways == way
+    for sign in (1, -1):
+        taken = signs == sign
         counts = np.bincount(bins[taken], minlength=LOOP_BINS)
         sums = np.bincount(bins[taken], weights=error[taken], minlength=LOOP_BINS)
         means.append(sums / np.maximum(counts, 1))

@@ -147,7 +147,7 @@ def _for_page(svg: str, plot: Plot) -> str:
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r' id="', f' id="{plot.key}-', svg)
-    svg = re.sub(r"(url\(#|href=\"#)", lambda found: f"{found[1]}{plot.key}-", svg)
+    svg = re.sub(r"(url\(#|href=\"#)", lambda match: f"{match[1]}{plot.key}-", svg)
     for color, name in SCHEME.items():
         svg = svg.replace(color, f"var(--{name})")
     for side in ("width", "height"):

@@ -258,9 +258,9 @@ def html_figures(plots: Sequence[Plot]) -> str:
 
 def page(title: str, parts: Sequence[str]) -> str:
     """Return a whole page of parts that are HTML already."""
-    here = resources.files("dbo_cli.reports")
-    style = here.joinpath("page.css").read_text("utf-8")
-    frame = Template(here.joinpath("page.html").read_text("utf-8"))
+    folder = resources.files("dbo_cli.reports")
+    style = folder.joinpath("page.css").read_text("utf-8")
+    frame = Template(folder.joinpath("page.html").read_text("utf-8"))
     body = "\n".join(part for part in parts if part)
     return frame.substitute(title=escape(title), style=style, body=body)
 

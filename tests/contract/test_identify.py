@@ -222,7 +222,9 @@ def test_skip_leaves_out_the_beginning() -> None:
         cells = lines[row].split(",")
         lines[row] = ",".join([*cells[:2], "50"])
     log.write_text("\n".join(lines) + "\n")
-    assert identified(log, *QUICK, "--skip", 0.2)["fit"]["rmse"] < 0.1
+    fit = identified(log, *QUICK, "--skip", 0.2)["fit"]
+    assert fit["rmse"] < 0.1
+    assert fit["logs"][0]["rows"] == 1200 - 100
 
 
 def test_a_prior_is_rescaled_from_a_short_log() -> None:

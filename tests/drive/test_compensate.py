@@ -172,6 +172,14 @@ def test_a_stream_counts_its_loss_and_refuses_in_the_end() -> None:
     assert clipping.drive.lost_rms > 0.1
 
 
+def test_nothing_of_a_lead_that_is_too_long_leaves() -> None:
+    model = actuator()
+    limits = limits_of(model, max_slew=1)
+    parts = stream(model, blocks_of(ripple(model, 9), DT, 3), limits, condition=True)
+    with pytest.raises(LimitError, match="max_slew"):
+        next(iter(parts))
+
+
 def test_a_stream_takes_constant_memory() -> None:
     model = actuator(tau=(0.1,), gain=(0.01,), sections=(Lag(1e-3),), delay=0.002)
     block = ripple(model, 20000, 0.5)

