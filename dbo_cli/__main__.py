@@ -7,8 +7,12 @@ line of this package: it says so in its own way (a traceback, or nothing).
 from __future__ import annotations
 
 import os
-import signal
-from types import FrameType
+
+try:
+    import signal
+    from types import FrameType
+except KeyboardInterrupt:
+    os._exit(130)
 
 
 def _leave(number: int, frame: FrameType | None) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.say import detail, say, working
+from dbo_cli.cli.say import say_logs, working
 
 if TYPE_CHECKING:
     from dbo_cli.logs import Reading
@@ -39,9 +39,7 @@ def compare(
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
     every, opened = read_recordings([*logs, *(validate or [])], reading, columns)
     recordings, tests = every[: len(logs)], every[len(logs) :]
-    for log in opened[: len(logs)]:
-        say(log.line())
-        detail(*log.remarks)
+    say_logs(opened[: len(logs)], sum(len(log.voltage) for log in recordings))
     working("fitting")
     seconds = opt.quantity("skip", skip, "s") or 0.0
     result = compare_operators(recordings, tests, options={"skip": seconds})

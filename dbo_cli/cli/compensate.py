@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from typer import Argument
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.say import detail, present, progress, say, say_log, say_output
+from dbo_cli.cli.say import present, progress, say, say_log, say_output
 from dbo_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -48,7 +48,8 @@ def compensate(
     ] = "auto",
     start: opt.From = None,
     approach: Annotated[
-        opt.Text, opt.value("SECONDS|auto", "Duration of the way to row 1.", opt.MOVE)
+        opt.Text,
+        opt.value("SECONDS|auto", "Time of a ramp from there to row 1.", opt.MOVE),
     ] = None,
     condition: Annotated[
         bool,
@@ -175,7 +176,6 @@ def compensate(
     say_log(wanted)
     say_output(output, drive.line())
     say(drive.expected_line())
-    detail(drive.lead_line())
 
 
 def write_drive(

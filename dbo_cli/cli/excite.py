@@ -14,7 +14,9 @@ def excite(
     ],
     v_min: opt.VMin = "0",
     max_slew: opt.MaxSlew = None,
-    sample_rate: Annotated[str, opt.value("HZ", "Rows per second.")] = "1000",
+    sample_rate: Annotated[
+        str, opt.value("HZ", "Rows per second; default 1000.")
+    ] = "1000",
     duration: Annotated[
         opt.Text,
         opt.value("SECONDS", "Of the swings; 30 s, longer where slew is limited."),

@@ -17,7 +17,7 @@ def export(
     ] = "actuator",
     arithmetic: Annotated[
         Literal["double", "q31"],
-        opt.value(None, "double: exact; q31: integers, within a stated bound."),
+        opt.value(None, "double: exact (default); q31: integers, bounded error."),
     ] = "double",
     sample_rate: Annotated[
         opt.Text, opt.value("HZ", "Steps per second, for a model that needs time.")

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.say import detail, say, say_output, working
+from dbo_cli.cli.say import detail, say_logs, say_output, working
 from dbo_cli.errors import UsageError
 
 if TYPE_CHECKING:
@@ -37,11 +37,11 @@ def identify(
     ] = None,
     prior: Annotated[
         opt.Text,
-        opt.value("MODEL", "Keep its shape; identify gain, offset and delay again."),
+        opt.value("MODEL", "Keep its shape; identify gain, offset, delay."),
     ] = None,
     sign: Annotated[
         Literal["rising", "falling"] | None,
-        opt.value(None, "Expected direction; exit 3 where the log shows the other."),
+        opt.value(None, "Expected direction; exit 3 if the log differs."),
     ] = None,
     skip: opt.Skip = "0",
     zero: Annotated[
@@ -108,7 +108,7 @@ def identify(
     )
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
     if not channels.is_pattern(columns):
-        model = identified(logs, validate or [], reading, columns, options, say)
+        model = identified(logs, validate or [], reading, columns, options)
         with Outputs() as outputs:
             outputs.write_text(output, dumps_model(model))
             if summary is not None:
@@ -119,7 +119,7 @@ def identify(
     for name in channels.names(logs, reading, columns):
         chosen = channels.filled(columns, name)
         models[name] = identified(
-            logs, validate or [], reading, chosen, options, detail
+            logs, validate or [], reading, chosen, options, quiet=True
         )
     write_text(output, dumps_set(models))
     say_output(output, f"{len(models)} models")
@@ -133,9 +133,9 @@ def identified(
     reading: Reading,
     columns: dict[str, str | None],
     options: Options,
-    say_read: Any,
+    quiet: bool = False,
 ) -> Model:
-    """Identify one actuator; ``say_read`` prints what was read."""
+    """Identify one actuator, and print what was read."""
     from dbo_cli.identification import identify as fit
     from dbo_cli.recordings import read_recordings, require_sign, with_provenance
     from dbo_cli.reports import show_model
@@ -148,9 +148,9 @@ def identified(
     working("identifying")
     model = fit(recordings, options, tests)
     logs = logs[: len(paths)]
-    for log in logs:
-        say_read(f"{log.line()} ({model.sign})")
-        detail(*log.remarks)
+    if not quiet:
+        rows = sum(len(log.voltage) for log in recordings)
+        say_logs(logs, rows, f" ({model.sign})")
     model = with_provenance(model, recordings, logs)
     detail(*show_model(model).text().splitlines()[1:])
     return model

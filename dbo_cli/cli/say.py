@@ -10,7 +10,7 @@ import re
 import sys
 import time
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, ClassVar, TypeVar
 
 from dbo_cli.errors import DboWarning, warn
@@ -45,6 +45,18 @@ def say(text: str) -> None:
 def say_output(output: str, text: str) -> None:
     """Print what is in an output."""
     say(f"{'stdout' if output == '-' else output}: {text}")
+
+
+def say_logs(logs: Sequence[Any], rows: int, behind: str = "") -> None:
+    """Print what was read: a line a log, of more than two one line for all."""
+    lines = [log.line() + behind for log in logs]
+    if len(lines) > 2:
+        detail(*lines)
+        lines = [f"{len(logs)} logs, {rows:,} rows{behind}"]
+    for line in lines:
+        say(line)
+    for log in logs:
+        detail(*log.remarks)
 
 
 def say_log(log: Any) -> None:

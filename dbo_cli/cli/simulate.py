@@ -27,7 +27,7 @@ def simulate(
     save_state: opt.SaveState = None,
     outside: Annotated[
         Literal["extend", "hold", "error"],
-        opt.value(None, "Beyond the identified range."),
+        opt.value(None, "Beyond the identified range; default extend."),
     ] = "extend",
 ) -> None:
     """Run a model over its input and write its output.

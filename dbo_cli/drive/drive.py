@@ -126,20 +126,15 @@ class Drive:
 
     def line(self) -> str:
         """Return what came out: ``4,910 rows, 3.1 to 96.2 V, within limits``."""
-        text = f"{self.rows:,} rows, {self.least:.4g} to {self.greatest:.4g}{self.limits.suffix}"
+        unit, lead = self.limits.suffix, self.lead
+        state = "within limits"
         if self.clipped:
-            rows = "row" if self.clipped == 1 else "rows"
-            return f"{text}, {self.clipped:,} {rows} clipped"
-        return f"{text}, within limits"
-
-    def lead_line(self) -> str:
-        """Return what stands before the move; empty where nothing does."""
-        if not self.lead.rows:
-            return ""
-        return (
-            f"before the move {self.lead_seconds:.3g} s, {self.lead.least:.4g} to "
-            f"{self.lead.greatest:.4g}{self.limits.suffix}"
-        )
+            state = f"{self.clipped:,} {'row' if self.clipped == 1 else 'rows'} clipped"
+        text = f"{self.rows:,} rows, {self.least:.4g} to {self.greatest:.4g}{unit}, {state}"
+        if lead.rows:
+            ends = f"{lead.least:.4g} to {lead.greatest:.4g}{unit}"
+            text += f"; {self.lead_seconds:.3g} s before the move, {ends}"
+        return text
 
     def expected_line(self) -> str:
         """Return the error to expect; empty where it is not known."""

@@ -130,14 +130,9 @@ class ArraySource(Source):
         statements: Sequence[Statement] = (),
         close: Callable[[], object] = lambda: None,
     ) -> None:
-        self.name = path
-        self.columns = []
-        self.stated = clock_of(statements)
-        self.remarks = []
+        super().__init__(path, (), clock_of(statements))
         self._members: list[StoredColumn] = []
         self._close = close
-        self._arrays: dict[int, NDArray[Any]] = {}
-        self._first = 1
         for column in members:
             self.add(column)
 
@@ -166,11 +161,10 @@ class ArraySource(Source):
             )
         for start in range(0, lengths[0], BLOCK_ROWS):
             stop = min(lengths[0], start + BLOCK_ROWS)
-            self._first = start + 1
-            self._arrays = {}
+            self.first_row = start + 1
             for column in chosen:
-                self._arrays[column.number] = self._read(column, start, stop)
-            yield [self._arrays[column.number] for column in chosen]
+                self.last_block[column.number] = self._read(column, start, stop)
+            yield [self.last_block[column.number] for column in chosen]
 
     def _read(self, column: Column, start: int, stop: int) -> NDArray[Any]:
         """Read rows of one column as float64, or dates as int64 nanoseconds."""
@@ -183,11 +177,6 @@ class ArraySource(Source):
         if len(stored) != stop - start:
             raise InputError(f"{self.name}: {column.label} ends early: damaged?")
         return stored
-
-    def where(self, row: int, column: Column) -> str:
-        """Return the place of a row of the last block, and its cell in a column."""
-        value = self._arrays[column.number][row - self._first]
-        return f"{self.name}: row {row}: {column.label} is {value}"
 
     def close(self) -> None:
         """Close the file."""
@@ -305,12 +294,7 @@ class ArrowSource(Source):
     def __init__(self, path: str) -> None:
         import polars as pl
 
-        self.name = path
-        self.columns = []
-        self.stated = clock_of(())
-        self.remarks = []
-        self._arrays: dict[int, NDArray[Any]] = {}
-        self._first = 1
+        super().__init__(path, ())
         with fenced(path, "Parquet or Feather"):
             with open(path, "rb") as file:
                 is_parquet = file.read(4) == b"PAR1"
@@ -332,15 +316,10 @@ class ArrowSource(Source):
             with fenced(self.name, "Parquet or Feather"):
                 frame = self._scan.select(names).slice(start, STRETCH).collect()
                 arrays = [_arrow_array(frame[name]) for name in names]
-            self._first = start + 1
+            self.first_row = start + 1
             for column, array in zip(chosen, arrays, strict=True):
-                self._arrays[column.number] = array
+                self.last_block[column.number] = array
             yield arrays
-
-    def where(self, row: int, column: Column) -> str:
-        """Return the place of a row of the last block, and its cell in a column."""
-        value = self._arrays[column.number][row - self._first]
-        return f"{self.name}: row {row}: {column.label} is {value}"
 
 
 def _arrow_array(series: Any) -> NDArray[Any]:

@@ -274,9 +274,7 @@ def columns_of_names(
     InputError
         It is not clear which columns are meant.
     """
-    source = Source()
-    source.name = "the frame"
-    source.columns = []
+    source = Source("the frame", ())
     for number, name in enumerate(names, start=1):
         source.columns.append(Column(number, name, split_header(name)[1]))
     clock, picks = _chosen(source, roles, Reading(), units or {}, ("time",))

@@ -43,7 +43,7 @@ class Layout:
     Attributes
     ----------
     delimiter, decimal
-        The signs; ``decimal`` is None while no cell shows it.
+        The signs.
     width
         The number of columns.
     numeric
@@ -59,7 +59,7 @@ class Layout:
     """
 
     delimiter: str
-    decimal: str | None
+    decimal: str
     width: int = 0
     numeric: frozenset[int] = frozenset()
     empty: frozenset[int] = frozenset()
@@ -78,19 +78,14 @@ class Layout:
             return False
         if 0 not in self.numeric and is_setting(cells[0]):
             return False
-        sign = self.decimal or "."
-        for n in self.numeric:
-            if not is_number(cells[n], sign) and not is_number(
-                cells[n], self.decimal or ","
-            ):
-                return False
+        if not all(is_number(cells[n], self.decimal) for n in self.numeric):
+            return False
         return all(STAMPS[form].fullmatch(cells[n]) for n, form in self.stamps.items())
 
     def partly_fits(self, cells: Sequence[str]) -> bool:
         """Return whether half of the numbers stand where the rows have theirs."""
-        sign = self.decimal or "."
         places = [n for n in self.numeric if n < len(cells)]
-        numbers = [n for n in places if is_number(cells[n], sign)]
+        numbers = [n for n in places if is_number(cells[n], self.decimal)]
         return bool(numbers) and 2 * len(numbers) >= len(self.numeric)
 
 
@@ -127,8 +122,10 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
         raise InputError(
             f"{name}: no line holds numbers only: try `delimiter`, `decimal` or `skip_lines`"
         )
+    if reading.decimal is None:
+        layout.decimal = _shown_decimal(layout, [lines[n] for n in rows])
     if reading.decimal is None and layout.decimal == ",":
-        refuse_thousands(name, [cell for line in sample for cell in layout.cells(line)])
+        _refuse_thousands(name, [c for n in rows for c in layout.cells(lines[n])])
     layout.first = _first_row(layout, lines, rows)
     _refuse_other_rows(name, layout, lines, rows)
     _read_header(name, layout, lines, skipped)
@@ -147,7 +144,7 @@ def _refuse_numbers_as_names(name: str, layout: Layout, lines: Sequence[str]) ->
     is_counted = len(cells) > 1 and cells[0] in ("0", "1")
     for number, cell in enumerate(cells, start=int(is_counted and cells[0] == "1")):
         is_counted = is_counted and cell == str(number)
-    if is_counted and any((layout.decimal or ".") in line for line in below):
+    if is_counted and any(layout.decimal in line for line in below):
         number = layout.first + 1
         raise InputError(
             f"{name}:{number}: {', '.join(cells)}: names (type `skip_lines` {number}) or a row "
@@ -236,12 +233,17 @@ def _best_layout(sample: Sequence[str], reading: Reading) -> Layout | None:
             score = (round(share, 9), candidate.width > 1, mark != " ")
             if share > 0.0 and score > best:
                 best, layout = score, candidate
-    if layout is not None and reading.decimal is None:
-        cells = [cell for line in sample for cell in layout.cells(line)]
-        numbers = [cell for cell in cells if is_number(cell, layout.decimal or ".")]
-        if layout.delimiter != "," and not any("," in c or "." in c for c in numbers):
-            layout.decimal = None
     return layout
+
+
+def _shown_decimal(layout: Layout, lines: Sequence[str]) -> str:
+    """Return the decimal sign that the last number with one has; that of the layout where none has."""
+    for line in reversed(lines):
+        for cell in layout.cells(line):
+            for sign in ".,":
+                if sign in cell and is_number(cell, sign):
+                    return sign
+    return layout.decimal
 
 
 def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]:
@@ -279,9 +281,9 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
     return (shares[layout.width] / sum(weights) if numeric else 0.0), layout
 
 
-def refuse_thousands(name: str, cells: Sequence[str]) -> None:
+def _refuse_thousands(name: str, cells: Sequence[str]) -> None:
     """Refuse commas that may stand between thousands as well as before decimals (InputError)."""
-    commas = [cell for cell in cells if re.search(r"\d,\d|,\d|\d,", cell)]
+    commas = [cell for cell in cells if "," in cell and is_number(cell, ",")]
     if commas and all(_THOUSANDS.fullmatch(cell) for cell in commas):
         cell = commas[0]
         raise InputError(
@@ -316,7 +318,7 @@ def _refuse_other_rows(
         if n >= layout.first:
             return
         cells = [cell for cell in layout.cells(lines[n]) if cell]
-        if cells and all(is_number(cell, layout.decimal or ".") for cell in cells):
+        if cells and all(is_number(cell, layout.decimal) for cell in cells):
             raise InputError(
                 f"{name}:{n + 1}: numbers above the {layout.width} columns that begin in line "
                 f"{layout.first + 1}: type `skip_lines` {n + 1}"

@@ -152,13 +152,21 @@ class Source:
         What is appended to a refusal about columns, behind a blank.
     remarks
         What the user is to be told, without the file's name in front.
+    last_block, first_row
+        The arrays of the last block by the columns' numbers, and the number of its first row.
     """
 
-    name: str
-    columns: list[Column]
-    stated: StatedClock
     hint: str = ""
-    remarks: list[str]
+    first_row: int = 1
+
+    def __init__(
+        self, name: str, columns: Sequence[Column], stated: StatedClock | None = None
+    ) -> None:
+        self.name = name
+        self.columns = list(columns)
+        self.stated = stated or StatedClock()
+        self.remarks: list[str] = []
+        self.last_block: dict[int, NDArray[Any]] = {}
 
     def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of the chosen columns in blocks, one array a column.
@@ -169,8 +177,9 @@ class Source:
         raise NotImplementedError
 
     def where(self, row: int, column: Column) -> str:
-        """Return the place of a row (from 1) of the last block, and its cell in a column."""
-        raise NotImplementedError
+        """Say where a row (from 1) of the last block is, and what stands in a column of it."""
+        value = self.last_block[column.number][row - self.first_row]
+        return f"{self.name}: row {row}: {column.label} is {value}"
 
     def find(self, name: str) -> Column | None:
         """Find what the user names and no column is called; None where there is nothing."""

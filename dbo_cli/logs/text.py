@@ -7,7 +7,6 @@ line by line. A small file is read line by line at once, and does without polars
 from __future__ import annotations
 
 import codecs
-import re
 import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -16,15 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.cells import is_number, split_cells, to_number, to_stamp
-from dbo_cli.logs.sniff import describe_columns, is_comment, refuse_thousands, sniff
+from dbo_cli.logs.cells import split_cells, to_number, to_stamp
+from dbo_cli.logs.sniff import describe_columns, is_comment, sniff
 from dbo_cli.logs.source import NOT_A_TIME, Column, Reading, Source
 from dbo_cli.logs.stream import ByteStream
 
 _HEAD = 1 << 16  # bytes from which the layout is found; longer than any header
 _BLOCK = 1 << 22  # bytes of text at a time; of 1 to 4 MB the fastest
-_ABOVE = 1 << 14  # bytes that are kept of a block, for a look back from the last line
-_COMPARED = 60  # rows that a last line is compared with
 _LONGEST_LINE = 1 << 24  # what is longer has no line ends
 _SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
 _TINY = 1 << 12  # bytes that are read faster in Python than by polars
@@ -53,8 +50,7 @@ class TextSource(Source):
     """A text log: its columns at once, its rows in blocks."""
 
     def __init__(self, stream: ByteStream, reading: Reading) -> None:
-        self.name = stream.name
-        self.remarks = []
+        super().__init__(stream.name, ())
         self._stream = stream
         self._encoding = ""
         self._decoder: Any = None
@@ -63,7 +59,6 @@ class TextSource(Source):
         self._ended = False
         self._text = b""  # the last block, and the number of its first line
         self._line = 1
-        self._row = 1
         self._seen = 0  # bytes of rows
         try:
             self._open()
@@ -195,21 +190,28 @@ class TextSource(Source):
 
     def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of the chosen columns; see ``Source``."""
-        above = b""
         for text in self._texts():
             if self._line <= self.layout.first:
                 text = self._below_header(text)
             if not text:
                 continue
-            if self._ended and not text.endswith(b"\n"):
-                text = self._without_cut_record(text, above)
-            above = text[-_ABOVE:]
+            if self._ended:
+                self._doubt_last_line(text)
             self._text = text
             arrays, lines = self._read_block(text, chosen)
             if len(arrays[0]):
                 yield arrays
-            self._row += len(arrays[0])
+            self.first_row += len(arrays[0])
             self._line += lines
+
+    def _doubt_last_line(self, text: bytes) -> None:
+        """Say that a row at the end has no line end."""
+        last = self._lines_of(text[text.rfind(b"\n") + 1 :])[0]
+        if not is_comment(last):
+            number = self._line + text.count(b"\n")
+            self.remarks.append(
+                f"line {number}, the last one, has no line end: was the record cut there?"
+            )
 
     def _below_header(self, text: bytes) -> bytes:
         """Return the rows of a text that begins above them."""
@@ -221,7 +223,6 @@ class TextSource(Source):
         self, text: bytes, chosen: Sequence[Column]
     ) -> tuple[list[NDArray[Any]], int]:
         """Read a block by polars, or line by line where it is small or not regular; count its lines."""
-        self._decide_decimal(text)
         self._seen += len(text)
         if len(text) <= _TINY or (self._seen <= _SMALL and "polars" not in sys.modules):
             return self._read_lines(text, chosen), text.count(b"\n")
@@ -236,27 +237,12 @@ class TextSource(Source):
             arrays = self._read_lines(text, chosen)
         return arrays, text.count(b"\n")
 
-    def _decide_decimal(self, text: bytes) -> None:
-        """Find the decimal sign in the first cell that shows one, where the head has shown none."""
-        if self.layout.decimal is not None or (b"," not in text and b"." not in text):
-            return
-        for line in self._data_lines(text):
-            cells = split_cells(line, self.layout.delimiter)
-            for n in sorted(self.layout.numeric):
-                cell = cells[n] if n < len(cells) else ""
-                match = re.fullmatch(r"[-+\d]*([.,])[\deE+-]*", cell)
-                if match is None:
-                    continue
-                refuse_thousands(self.name, [cell])
-                self.layout.decimal = match[1]
-                return
-
     def _data_lines(self, text: bytes) -> list[str]:
         return [line for line in self._lines_of(text) if not is_comment(line)]
 
     def _read_lines(self, text: bytes, chosen: Sequence[Column]) -> list[NDArray[Any]]:
         """Read a block in Python; other cells become NaN."""
-        sign = self.layout.decimal or "."
+        sign = self.layout.decimal
         width, delimiter = self.layout.width, self.layout.delimiter
         lines = self._data_lines(text)
         arrays: list[NDArray[Any]] = []
@@ -278,7 +264,7 @@ class TextSource(Source):
         """Say in which line a row of the last block is, and what stands in a column of it."""
         lines = self._lines_of(self._text)
         places = [k for k, line in enumerate(lines) if not is_comment(line)]
-        place = places[row - self._row]
+        place = places[row - self.first_row]
         at = f"{self.name}:{self._line + place}"
         cells = split_cells(lines[place], self.layout.delimiter)
         if len(cells) != self.layout.width:
@@ -288,44 +274,9 @@ class TextSource(Source):
         if not cell:
             return f"{at}: {column.label} is empty"
         wanted = "a known time stamp" if column.kind == "stamp" else "a finite number"
-        return f"{at}: {column.label} is not {wanted}: '{cell[:40]}'"
-
-    def _without_cut_record(self, text: bytes, above: bytes) -> bytes:
-        """Refuse (or leave out) a last line that was cut in a cell; say that it has no line end."""
-        last = self._lines_of(text)[-1]
-        lines = self._data_lines(above[above.find(b"\n") + 1 :] + text)
-        if is_comment(last) or len(lines) < 2:
-            return text
-        number = self._line + text.count(b"\n")
-        rows = [split_cells(line, self.layout.delimiter) for line in lines[-_COMPARED:]]
-        if not is_cut(rows, self.layout.decimal or "."):
-            self.remarks.append(
-                f"line {number}, the last one, has no line end: was the record cut there?"
-            )
-            return text
-        cell = rows[-1][-1]
-        cut = f"the last line has no line end, and '{cell}' is shorter than the cells above: it was cut"
-        if not self._reading.skip_bad:
-            raise InputError(
-                f"{self.name}:{number}: {cut} (end the line if it is whole; `skip_bad` leaves it out)"
-            )
-        self.remarks.append(f"line {number}: {cut}: it is left out")
-        return text[: text.rfind(b"\n") + 1]
+        advice = " (`decimal` comma?)" if "," in cell else ""
+        return f"{at}: {column.label} is not {wanted}: '{cell[:40]}'{advice}"
 
     def close(self) -> None:
         """Close the file."""
         self._stream.close()
-
-
-def is_cut(rows: Sequence[Sequence[str]], decimal: str) -> bool:
-    """Return whether the last cell of all has fewer decimals, or a shorter exponent, than those above."""
-    last = rows[-1][-1]
-    above = [row[-1] for row in rows[:-1] if len(row) == len(rows[-1])]
-    shapes = [_shape(cell) for cell in above if is_number(cell, decimal)]
-    return bool(shapes) and is_number(last, decimal) and _shape(last) < min(shapes)
-
-
-def _shape(cell: str) -> tuple[int, int]:
-    """Return how many decimal signs and exponents a number has, and the characters behind the last."""
-    parts = re.split("[.,eE]", cell)
-    return len(parts), len(parts[-1])

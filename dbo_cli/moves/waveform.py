@@ -135,7 +135,7 @@ def waveform(
     if rounding > most and np.ptp(exact) > 0.0:
         raise LimitError(
             f"{name}: codes change the drive by up to {rounding:.3g} V, more than {most:.3g} V: "
-            "narrow `volts`, widen `codes`, or raise `max_rounding`"
+            "narrow `volts`, or raise `max_rounding`"
         )
     if allowed.slew is not None:  # codes stand a step beside
         allowed = replace(allowed, slew=allowed.slew + coding.step * rate)

@@ -68,6 +68,7 @@ def match(
     wanted = np.asarray(desired, dtype=np.float64)
     values = np.asarray(measured, dtype=np.float64)
     recording = Pair(name, values, values, measured_time, voltage)  # type: ignore[arg-type]
+    recording = replace(recording, on_drive_clock=True)
     if match == "rows" or (
         match == "auto" and (measured_time is None or desired_time is None)
     ):

@@ -46,6 +46,8 @@ class Pair:
         The error that was to be expected.
     clock_offset : float, optional
         Seconds that the recorder's clock was found to be ahead, and that were taken off.
+    on_drive_clock
+        Whether the times are those of the drive.
     missing
         Rows without a number that were left out.
     notes, warnings : tuple of str
@@ -61,6 +63,7 @@ class Pair:
     numbers: Floats | None = None
     expected: Expected | None = None
     clock_offset: float | None = None
+    on_drive_clock: bool = False
     missing: int = 0
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -164,10 +167,10 @@ def _chosen_rows(pair: Pair) -> Pair:
     if pair.time is None:
         return pair
     begin, end = 0.0, math.inf
-    if pair.expected is not None and pair.expected.move_time is not None:
-        begin, end = pair.expected.move_time
+    move_time = None if pair.expected is None else pair.expected.move_time
+    if pair.on_drive_clock and move_time is not None:
         slack = 0.5 * (pair.step() or 0.0)
-        begin, end = min(begin - slack, 0.0), end + slack
+        begin, end = move_time[0] - slack, move_time[1] + slack
     inside = (pair.time >= begin) & (pair.time <= end)
     count = int(np.count_nonzero(~inside))
     if count in (0, len(pair)):

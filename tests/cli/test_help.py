@@ -64,3 +64,25 @@ def test_a_default_line_has_at_most_120_characters(capsys, monkeypatch):
     monkeypatch.setattr(say.Level, "verbose", True)
     say.say("x" * 300)
     assert len(capsys.readouterr().err.rstrip("\n")) == 305
+
+
+class Log:
+    """A log of 100 rows."""
+
+    remarks = ("a remark",)
+
+    def __init__(self, name):
+        self.name = name
+
+    def line(self):
+        """Return what was read."""
+        return f"{self.name}: 100 rows"
+
+
+def test_many_logs_are_one_line(capsys, monkeypatch):
+    monkeypatch.setattr(say.Level, "verbose", False)
+    say.say_logs([Log("a"), Log("b")], 200, " (rising)")
+    assert capsys.readouterr().err.count("\n") == 2
+    say.say_logs([Log("a"), Log("b"), Log("c")], 300, " (rising)")
+    line = capsys.readouterr().err
+    assert line == "dbo: 3 logs, 300 rows (rising)\n"

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest import mock
@@ -121,9 +121,9 @@ def process(*words: object, **more: Any) -> subprocess.CompletedProcess[bytes]:
 
 
 @contextlib.contextmanager
-def started(*words: object) -> Iterator[Any]:
+def started(*words: object, program: Sequence[str] = PROGRAM) -> Iterator[Any]:
     """Start one command line as a process with pipes, which hears interrupts; none outlives the test."""
-    line = [*PROGRAM, *(str(word) for word in words)]
+    line = [*program, *(str(word) for word in words)]
     pipe = subprocess.PIPE
     running = subprocess.Popen(
         line, stdin=pipe, stdout=pipe, stderr=pipe, preexec_fn=_hear_interrupts

@@ -67,7 +67,7 @@ BAD_ROWS = {
     "infinite": (21, "0.020,inf"),
     "one cell": (21, "0.020"),
     "three cells": (21, "0.020,50,50"),
-    "a repeated stamp": (21, "0.019,52"),
+    "a repeated stamp": (21, "0.019,55\n0.020,55"),
     "a stamp that goes back": (21, "0.001,52"),
 }
 

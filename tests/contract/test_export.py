@@ -26,14 +26,21 @@ FLAGS = "-std=c99 -Wall -Wextra -Werror -O0 -ffp-contract=off".split()
 RATE = 1000.0
 
 PLAY = """
-#include "{name}.h"
+#include "stage.h"
 #include <stddef.h>
-void play(const {number} *in, {number} *out, size_t count);
-void play(const {number} *in, {number} *out, size_t count) {{
-    {name}_state state;
-    {name}_init(&state);
-    for (size_t k = 0; k < count; k++) out[k] = {name}_step(&state, in[k]);
-}}
+void play(const double *in, double *out, size_t count);
+void play(const double *in, double *out, size_t count) {
+    stage_state state;
+    stage_init(&state);
+    for (size_t k = 0; k < count; k++) out[k] = stage_step(&state, in[k]);
+}
+double held(double drive);
+double held(double drive) { /* what a senseless input leaves of a drive */
+    stage_state state;
+    stage_init(&state);
+    stage_reset(&state, drive);
+    return stage_step(&state, 1e300);
+}
 """
 
 
@@ -52,43 +59,53 @@ def sources(folder: str) -> list[str]:
     return sorted(str(path) for path in Path(folder).glob("*.c"))
 
 
-def compiled(folder: str, name: str, number: str) -> ctypes.CDLL:
-    """Compile an export without its self-test and its example, as a library."""
-    Path("play.c").write_text(PLAY.format(name=name, number=number))
-    parts = [one for one in sources(folder) if not re.search("_test|main|example", one)]
-    words = [
-        CC,
-        *FLAGS,
-        "-shared",
-        "-fPIC",
-        f"-I{folder}",
-        "play.c",
-        *parts,
-        "-o",
-        "play.so",
-    ]
-    subprocess.run(words, check=True, capture_output=True)
-    return ctypes.CDLL(str(Path("play.so").resolve()))
+def compiled(name: str, *words: object) -> ctypes.CDLL:
+    """Export a model; compile it without its self-test and its example, as a library."""
+    words = ("--sample-rate", RATE, "--name", "stage", *words, "-q", "-o", "firmware")
+    done("export", model(name), *words)
+    Path("play.c").write_text(PLAY)
+    parts = []
+    for one in sources("firmware"):
+        if not re.search("_test|main|example", one):
+            parts.append(one)
+    line = [CC, *FLAGS, "-shared", "-fPIC", "-Ifirmware", "play.c", *parts]
+    subprocess.run([*line, "-o", "play.so"], check=True, capture_output=True)
+    library = ctypes.CDLL(str(Path("play.so").resolve()))
+    library.held.restype = ctypes.c_double
+    return library
+
+
+def played(library: ctypes.CDLL, wanted: Floats) -> Floats:
+    """Return the drive of a move, sample by sample from the start."""
+    out = np.empty_like(wanted)
+    pointer = ctypes.POINTER(ctypes.c_double)
+    count = ctypes.c_size_t(len(wanted))
+    library.play(wanted.ctypes.data_as(pointer), out.ctypes.data_as(pointer), count)
+    return out
 
 
 @pytest.mark.parametrize("name", ["creep", "bent"])
 def test_double_gives_the_bits_of_the_library(name: str) -> None:
-    words = ("--sample-rate", RATE, "--name", "stage", "-q", "-o", "firmware")
-    done("export", model(name), *words)
-    library = compiled("firmware", "stage", "double")
     wanted = wanted_of(name)
-    out = np.empty_like(wanted)
-    pointer = ctypes.POINTER(ctypes.c_double)
-    library.play(
-        wanted.ctypes.data_as(pointer),
-        out.ctypes.data_as(pointer),
-        ctypes.c_size_t(len(wanted)),
-    )
-    actuator = dbo_cli.read_model(model(name))
-    expected = actuator.compensate(
+    expected = dbo_cli.read_model(model(name)).compensate(
         wanted, sample_rate=RATE, state="empty", on_limit="clip"
     )
-    np.testing.assert_array_equal(out, expected)
+    np.testing.assert_array_equal(played(compiled(name), wanted), expected)
+
+
+@pytest.mark.parametrize("name", ["late", "moving"])
+def test_the_input_comes_so_many_samples_earlier_as_live(name: str) -> None:
+    library = compiled(name)
+    header = Path("firmware/stage.h").read_text()
+    ahead = re.search(r"#define STAGE_AHEAD (\d+)", header)
+    live = dbo_cli.read_model(model(name)).controller(
+        sample_rate=RATE, lookahead="auto", state="empty"
+    )
+    assert ahead is not None and int(ahead[1]) == live.lookahead > 0
+    wanted = wanted_of(name, 600)
+    expected = [live.step(value) for value in wanted.tolist()]
+    out = played(library, wanted)
+    np.testing.assert_allclose(out, expected, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("arithmetic", ["double", "q31"])
@@ -127,19 +144,13 @@ def test_q31_states_its_bound() -> None:
 
 
 def test_limits_are_in_the_tables() -> None:
-    words = ("--sample-rate", RATE, "--v-max", 8, "--max-slew", 200, "--name", "stage")
-    done("export", model("small"), *words, "-q", "-o", "firmware")
-    library = compiled("firmware", "stage", "double")
+    library = compiled("small", "--v-min", 1, "--v-max", 8, "--max-slew", 200)
     wanted = np.concatenate([np.linspace(1.0, 9.0, 100), np.linspace(9.0, 1.0, 100)])
-    out = np.empty_like(wanted)
-    pointer = ctypes.POINTER(ctypes.c_double)
-    library.play(
-        wanted.ctypes.data_as(pointer),
-        out.ctypes.data_as(pointer),
-        ctypes.c_size_t(200),
-    )
-    assert out.max() <= 8.0
+    out = played(library, wanted)
+    assert out.min() >= 1.0 and out.max() == 8.0
     assert np.abs(np.diff(out)).max() <= 0.2 * (1.0 + 1e-12)
+    held = [library.held(ctypes.c_double(drive)) for drive in (9.5, 5.0, 0.5)]
+    assert held == [8.0, 5.0, 1.0]
 
 
 def test_fewer_gears_and_a_lookup_table() -> None:

@@ -91,9 +91,12 @@ def test_rows_before_time_0_take_no_part():
     # nor do those after the move, where a summary tells its end
     late = np.where((time < 0.0) | (time > 0.5), 9.0, 1.0)
     expected = Expected(1.0, move_time=(0.0, 0.5))
-    pair = Pair("run", np.zeros(150), late, time=time)
+    pair = match("run", late, np.zeros(150), measured_time=time, desired_time=time)
     assert rmse(pair, expected=expected) == 1.0
     assert rmse(pair) > 1.0
+    # another recorder may count from elsewhere
+    shifted = Pair("run", np.zeros(150), late, time=time + 1.0)
+    assert rmse(shifted, expected=expected) == rmse(shifted)
     # where all are before 0, they are the move
     assert rmse(Pair("run", np.zeros(50), error[:50], time=time[:50])) == 9.0
 
