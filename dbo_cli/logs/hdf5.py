@@ -179,7 +179,7 @@ def _holding(groups: Sequence[_Group]) -> list[_Group]:
 
 
 def columns_of(dataset: Any, name: str) -> list[StoredColumn]:
-    """Take a dataset apart into columns; none where it holds no numbers or stamps."""
+    """Take a dataset apart into columns; none where it holds no numbers."""
     if not dataset.size or not _holds_numbers(dataset):
         return []
     if dataset.is_virtual or dataset.external:
