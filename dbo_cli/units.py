@@ -47,7 +47,7 @@ _BASE_OF = {kind: base for base, kind in _BASES.items()}
 _SPELLINGS = {
     "V": "volt volts vdc vac в 伏", "mV": "millivolt millivolts мв", "uV": "microvolt microvolts",
     "kV": "kilovolt kilovolts кв", "m": "meter meters metre metres",
-    "um": "micron microns micrometer micrometers micrometre micrometres mikrometer мкм 微米",
+    "um": "um micron microns micrometer micrometers micrometre micrometres mikrometer мкм 微米",
     "nm": "nanometer nanometers nanometre nanometres нм 纳米",
     "mm": "millimeter millimeters millimetre millimetres мм 毫米", "angstrom": "ångström å",
     "A": "ampere amperes amp amps", "mA": "milliampere", "N": "newton", "Pa": "pascal", "Hz": "hertz",
@@ -73,6 +73,7 @@ DRIVING_KINDS = frozenset(
     ("pressure", "current", "force", "field", "temperature", "charge", "power")
 )
 MOVED_KINDS = frozenset(("strain", "force", "torque", "induction"))
+_VALUE_KINDS = DRIVING_KINDS | MOVED_KINDS | {"voltage", "length", "angle"}
 
 
 def _sizes() -> dict[str, tuple[str, Fraction]]:
@@ -223,9 +224,31 @@ def split_header(text: str) -> tuple[str, str | None]:
     """Split a header at its unit: ``voltage_V``, ``Weg/nm``, ``time (ms)``, ``CH1 in V``.
 
     A suffix counts as a unit only where it is a known one; what stands in brackets
-    counts unless it is an index or a word such as ``raw``.
+    counts unless it is an index or a word such as ``raw``. Where the name ends in no
+    known unit, the one that stands in it counts: ``Voltage [mV] (CH1)``.
     """
     plain = " ".join(text.split())
+    name, unit = _split_at_end(plain)
+    if unit and (parse_unit(unit) or time_unit(unit) or "/" in unit):
+        return name, unit
+    inside = units_in(plain)
+    return (plain, inside.pop()) if len(inside) == 1 else (name, unit)
+
+
+def units_in(name: str) -> set[str]:
+    """Return the known units that stand in a name, in brackets or else between its words."""
+    inner = re.findall(r"[\[(<{]([^\[\](){}<>]*)[\])>}]", name)
+    units = {spell(text) for text in inner if len(text) > 1 or text == "V"}
+    units = {unit for unit in units if parse_unit(unit)}
+    if not units:
+        words = re.split(r"[\s_.:;,'-]+", _MICRO.sub("u", name))
+        units = {word for word in words if len(word) > 1 and word in _SIZES}
+        units = {word for word in units if kind_of(word) in _VALUE_KINDS}
+    return {unit for unit in units if unit}
+
+
+def _split_at_end(plain: str) -> tuple[str, str | None]:
+    """Split a header at the unit at its end."""
     match = _BRACKETED.fullmatch(plain)
     if match and match["name"] and not has_torn_bracket(plain):
         inner = match["unit"].strip()

@@ -6,6 +6,7 @@ without a unit that can hardly be seconds.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
@@ -20,6 +21,8 @@ from dbo_cli.units import multiplied
 _DAY = 86400 * 10**9  # ns
 # s; whoever logs a hysteresis loop at one sample a second or slower states the unit
 _LONG_STEP = 1.0
+_SHORT_STEP = 1e-5  # s; nor does he sample it faster without one: these are days
+_SAME = 0.01  # of a step
 _LONG_LOG = 3600.0  # s
 _LATEST = 1e8  # s, three years; a clock that counts a run never gets there
 _EPOCH = (1e9, 4.1e9)  # s since 1970: the years 2001 to 2100
@@ -51,6 +54,8 @@ class Clock:
         Samples a second (Hz) and the time (s) of the first row, without a column.
     step, uneven
         Seconds between rows where they are even so far; whether they are not.
+    rate_beside
+        The rate (Hz) that the file states beside a time column.
     origin, first_stamp
         What time 0 is in seconds since 1970, where dates say it; the first stamp (ns).
     """
@@ -63,6 +68,7 @@ class Clock:
     given: bool = False
     rate: float | None = None
     start: float = 0.0
+    rate_beside: float | None = None
     step: float | None = None
     uneven: bool = False
     origin: float | None = None
@@ -187,14 +193,18 @@ class Clock:
         if self.kind != "column" or self.unit is not None:
             return
         is_epoch = _EPOCH[0] < self.first < _EPOCH[1]
-        if self.usual_step >= _LONG_STEP:
-            odd = f"its usual step would be {self.usual_step:.6g} s"
+        beside = self.usual_step * (self.rate_beside or 0.0)
+        thousands = round(math.log10(beside) / 3.0) if beside else 0
+        if thousands and abs(beside / 1e3**thousands - 1.0) < _SAME:
+            odd = f"its steps contradict the stated rate by a factor of 1e{3 * abs(thousands)}"
+        elif self.usual_step >= _LONG_STEP or 0.0 < self.usual_step < _SHORT_STEP:
+            odd = f"its usual step would be {self.usual_step:.4g} s"
         elif reach > _LATEST and not is_epoch:
             odd = f"its stamps would reach {reach:.6g} s"
         else:
             return
         raise InputError(
-            f"{self.called} has no unit: in seconds, {odd}: add `time_unit` s, ms, us or ns, or "
+            f"{self.called} has no unit: in seconds, {odd}: add `time_unit` s, ms, us, ns or d, or "
             "`sample_rate` HZ"
         )
 
@@ -229,7 +239,11 @@ class Clock:
         if step <= 0.0:
             return "no span of time"
         about = "" if self.step else "about "
-        return f"{self.last - self.first + step:.4g} s at {about}{hertz(1.0 / step)}"
+        text = f"{self.last - self.first + step:.4g} s at {about}{hertz(1.0 / step)}"
+        is_assumed = self.kind == "column" and self.unit is None
+        if is_assumed or any("assumed" in remark for remark in self.remarks):
+            text += " (no unit stated)"
+        return text
 
 
 def hertz(rate: float) -> str:

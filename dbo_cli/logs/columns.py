@@ -76,7 +76,7 @@ _DISPLACEMENT = Role(
         "deplacement déplacement desplazamiento spostamento posición posizione verplaatsing przemieszczenie "
         "перемещение 位移 変位 deflection stroke elongation interferometer encoder capacitive lvdt"
     ),
-    against=_set(_ORDERS + " " + _HEAT),
+    against=_set(_ORDERS + " error fehler digits " + _HEAT),
     allowed=_PLACES,
     proving=frozenset(("length", "angle")),
     more=MOVED_KINDS,
@@ -141,8 +141,15 @@ def listed(columns: Sequence[Column]) -> str:
         return f"it has {len(columns)} column{s} without names"
     shown = []
     for column in columns[:_LISTED]:
-        text = " (no numbers)" if column.kind == "text" else ""
-        shown.append(f"{column.number} {column.name}".strip() + text)
+        shown.append(f"{column.number} {column.name}".strip())
+        if column.kind == "text":
+            shown[-1] += (
+                f" (no numbers: '{column.sample}')"
+                if column.sample
+                else " (no numbers)"
+            )
+        if column.kind == "empty" and column.name:
+            shown[-1] += " (mostly empty)"
     more = f", ... ({len(columns)} in all)" if len(columns) > _LISTED else ""
     return f"it has {', '.join(shown)}{more}"
 
@@ -301,9 +308,12 @@ def _question(
 
 
 def _typed(column: Column | None, columns: Sequence[Column]) -> str:
-    """Return how a column is typed in the shell: its name, or its number where that is not enough."""
+    """Return how a column is typed in the shell: its name, or its number where that is not enough.
+
+    Where no column is left, it is one of another file.
+    """
     if column is None:
-        return "NAME"
+        return "FILE::COLUMN"
     same = [twin for twin in columns if twin.name == column.name]
     if not column.name or len(same) > 1 or column.name.isdigit():
         return str(column.number)

@@ -15,7 +15,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from dbo_cli.logs.cells import STAMPS
-from dbo_cli.logs.sniff import Layout
+from dbo_cli.logs.sniff import ERROR, Layout
 from dbo_cli.logs.source import NOT_A_TIME, Column
 
 
@@ -40,8 +40,6 @@ def read_fast(
     list or None
         float64, or int64 nanoseconds, for each chosen column.
     """
-    if layout.decimal == "," and b"." in text and not layout.stamps:
-        return None
     if layout.delimiter == " ":
         text = _single_blanks(text)
     if b'"' in text:
@@ -86,6 +84,10 @@ def _frame(text: bytes, layout: Layout) -> pl.DataFrame | None:
         marks = text.count(layout.delimiter.encode())
         if marks != (layout.width - 1) * len(frame):
             return None
+    if layout.decimal == ",":
+        texts = frame.select(pl.selectors.string().str.count_matches(".", literal=True))
+        if text.count(b".") != sum(map(sum, texts.fill_null(0).iter_columns())):
+            return None  # a point in a cell of a number
     return frame
 
 
@@ -120,7 +122,8 @@ def _unquoted(text: bytes, delimiter: str) -> bytes:
 
 def _cleaned(text: bytes, delimiter: str) -> bytes:
     """Leave out comments, blank lines, and blanks around cells."""
-    text = re.sub(rb"(?m)^[ \t]*(?:[#%].*|EOF[ \t]*$)\n?", b"", text)
+    comment = rb"(?m)^[ \t]*(?:(?!" + ERROR.encode() + rb")[#%].*|EOF[ \t]*$)\n?"
+    text = re.sub(comment, b"", text)
     if delimiter != " " and b" " in text:
         mark = re.escape(delimiter.encode())
         text = re.sub(rb" *" + mark + rb" *", lambda _: delimiter.encode(), text)

@@ -35,6 +35,9 @@ UNIT_KEYS = frozenset(
 TIME_UNIT_KEYS = frozenset("hunit horizontalunits horizontalunit xunits xunit".split())
 _IN_TIME_UNIT = ("xinc", "hresolution", "xincrement")
 _BARE = {"rate": "rate", "sampling": "rate", "interval": "step"}  # with a unit only
+_DIVIDERS = frozenset(
+    "decimation decimationfactor downsampling downsamplingfactor downsample".split()
+)
 _HERTZ = frozenset(
     "hz hertz s/s sa/s sps samples/s sample/s samples/sec samples/second scans/s 1/s s^-1 s-1 /s fps "
     "frames/s".split()
@@ -42,6 +45,7 @@ _HERTZ = frozenset(
 _LARGE = {"k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
 # rates that differ by less were rounded when the file was written (0.000333333 s, 3000 Hz)
 _SAME = 1e-6
+_SLOW = 1.0  # Hz; whoever logs a hysteresis loop so slowly states the unit
 _LATEST_START = 1e6  # s; a start beyond counts from a date in the past
 _LOOKED_AT = 200  # lines in which settings are looked for
 _LONGEST = 300  # characters of a line that holds one
@@ -50,7 +54,10 @@ _KEYED = re.compile(
     r"[\s#%!;/*\"]*([^\W\d_][^:=,;\t]{0,60}?)[\s\"]*([:=,;\t])[:=,;\t]*(.*)"
 )
 _AMOUNT = re.compile(r"([-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?)\s*([^\d,;]*)")
-_THOUSANDS = re.compile(r"[1-9]\d{0,2},\d{3}\D*")
+_THOUSANDS = {
+    ".": re.compile(r"[1-9]\d{0,2},\d{3}\D*"),
+    ",": re.compile(r"[1-9]\d{0,2}[.,]\d{3}\D*"),
+}
 
 
 def plain_key(key: str) -> str:
@@ -94,11 +101,11 @@ def _kind_of(key: str) -> tuple[str, str]:
 # --- the rate ---
 
 
-def clock_of(statements: Sequence[Statement]) -> StatedClock:
+def clock_of(statements: Sequence[Statement], decimal: str = ".") -> StatedClock:
     """Return the clock that statements give: a rate, or why it cannot be used, and a start."""
     clock = StatedClock()
     try:
-        clock.rate = stated_rate(statements, clock.remarks)
+        clock.rate = stated_rate(statements, clock.remarks, decimal)
     except InputError as problem:
         clock.problem = str(problem)
     for key, value, _ in statements:
@@ -109,7 +116,9 @@ def clock_of(statements: Sequence[Statement]) -> StatedClock:
     return clock
 
 
-def stated_rate(statements: Iterable[Statement], remarks: list[str]) -> float | None:
+def stated_rate(
+    statements: Iterable[Statement], remarks: list[str], decimal: str = "."
+) -> float | None:
     """Return the one sample rate (Hz) that statements give; None where none does.
 
     Parameters
@@ -119,6 +128,8 @@ def stated_rate(statements: Iterable[Statement], remarks: list[str]) -> float | 
         (or an empty text).
     remarks
         Receives what is assumed.
+    decimal
+        The decimal sign of the rows.
 
     Raises
     ------
@@ -133,7 +144,7 @@ def stated_rate(statements: Iterable[Statement], remarks: list[str]) -> float | 
         match = _AMOUNT.fullmatch(text)
         if not kind or match is None:
             continue  # a text under such a name is no statement (ts: a time stamp)
-        _refuse_thousands(key, text)
+        _refuse_thousands(key, text, decimal)
         unit = match[2].strip(' []()"') or unit_in_key
         if plain_key(split_header(key)[0]) in _BARE and not unit:
             continue
@@ -146,8 +157,7 @@ def stated_rate(statements: Iterable[Statement], remarks: list[str]) -> float | 
             continue  # what an instrument writes when it does not know
         rates[f"'{key}' {text}"] = rate
         if not unit:
-            base = "Hz" if kind == "rate" else "s"
-            assumed = f"'{key}' {text} has no unit: {base} is assumed"
+            assumed = _assumed(kind, f"'{key}' {text}", rate)
     if not rates:
         return None
     if max(rates.values()) > (1.0 + _SAME) * min(rates.values()):
@@ -158,11 +168,20 @@ def stated_rate(statements: Iterable[Statement], remarks: list[str]) -> float | 
     return next(iter(rates.values()))
 
 
-def _refuse_thousands(key: str, text: str) -> None:
-    if _THOUSANDS.fullmatch(text):
+def _assumed(kind: str, statement: str, rate: float) -> str:
+    """Say what unit is assumed of a statement without one (InputError where that makes it slow)."""
+    if rate <= _SLOW:
         raise InputError(
-            f"'{key}' {text} may be {text.split(',')[0]} or {text.replace(',', '')}: type "
-            "`sample_rate` HZ"
+            f"{statement} has no unit and makes {rate:.4g} Hz: type `sample_rate` HZ"
+        )
+    return f"{statement} has no unit: {'Hz' if kind == 'rate' else 's'} is assumed"
+
+
+def _refuse_thousands(key: str, text: str, decimal: str) -> None:
+    if _THOUSANDS[decimal].fullmatch(text):
+        least, most = re.split("[.,]", text)[0], re.sub("[.,]", "", text)
+        raise InputError(
+            f"'{key}' {text} may be {least} or {most}: type `sample_rate` HZ"
         )
 
 
@@ -203,7 +222,8 @@ def read_settings(lines: Sequence[str], delimiter: str) -> dict[str, list[str]]:
             if match and match[2] == "=":
                 settings.setdefault(match[1].strip(), [match[3].strip()])
         match = _KEYED.fullmatch(line)
-        if match and match[3].strip():
+        # an increment that is not in a table of settings may be that of a scan
+        if match and match[3].strip() and plain_key(match[1]) != "increment":
             values = _values(match[3], match[2], delimiter)
             settings.setdefault(match[1].strip(), values)
         before = cells
@@ -219,8 +239,8 @@ def _values(text: str, mark: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in split_cells(text, mark)]
 
 
-def stated_clock(settings: dict[str, list[str]]) -> StatedClock:
-    """Return the rate and the start that settings state."""
+def stated_clock(settings: dict[str, list[str]], decimal: str) -> StatedClock:
+    """Return the rate and the start that settings state above rows with this decimal sign."""
     beside = ""
     for key, values in settings.items():
         if plain_key(key) in TIME_UNIT_KEYS:
@@ -236,4 +256,8 @@ def stated_clock(settings: dict[str, list[str]]) -> StatedClock:
         if plain_key(key) in STARTS:
             filled = filled[:1]
         statements += [(key, value, unit) for value in filled]
-    return clock_of(statements)
+    clock = clock_of(statements, decimal)
+    for key, values in settings.items():
+        if clock.rate and plain_key(key) in _DIVIDERS and values[0] != "1":
+            clock.problem = f"'{key}' {values[0]} beside a rate: type `sample_rate` HZ"
+    return clock

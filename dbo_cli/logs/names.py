@@ -22,7 +22,7 @@ from dbo_cli.logs.headers import (
     is_setting,
     plain_key,
 )
-from dbo_cli.units import parse_unit, split_header, time_unit
+from dbo_cli.units import parse_unit, spell, split_header, time_unit
 
 _LINES = 3  # names, units and a remark stand above the rows at most
 _PASSED = 3  # comments that may stand between the names and the rows
@@ -42,12 +42,16 @@ class Names:
 
 @dataclass(frozen=True)
 class Table:
-    """How the rows are written: delimiter, columns of numbers, number of columns, and the first row."""
+    """How the rows are written: delimiter, columns of numbers, number of columns, the first row.
+
+    ``counts``: whether the first column counts the rows.
+    """
 
     delimiter: str
     numeric: frozenset[int]
     width: int
     first_row: Sequence[str]
+    counts: bool
 
 
 def find_names(
@@ -74,6 +78,8 @@ def find_names(
     names = Names([""] * table.width, [""] * table.width)
     headers = _header_lines(above, table)
     units = next((k for k, cells in enumerate(headers) if _are_units(cells)), None)
+    if units is None:
+        units = _mostly_units(headers)
     only_units = units is not None and len(headers) == 1
     if units is not None:
         names.units = headers[units]
@@ -164,7 +170,7 @@ def _fitted(cells: list[str], table: Table) -> list[str]:
     if len(cells) == table.width - 1 and cells:
         if not table.first_row[-1]:
             return [*cells, ""]  # the rows end in a delimiter
-        if table.first_row[0] in ("0", "1") and len(cells) > 1:
+        if table.counts and len(cells) > 1:
             return ["", *cells]  # the rows are numbered by a column without a name
     return cells
 
@@ -183,6 +189,18 @@ def _are_units(cells: Sequence[str]) -> bool:
         filled = filled[1:]
     words = [cell for cell in filled if not is_number(cell, ".")]
     return bool(words) and all(parse_unit(cell) or time_unit(cell) for cell in words)
+
+
+def _mostly_units(found: Sequence[Sequence[str]]) -> int | None:
+    """Return which line below another holds units for the most part: ``s;mV;nm;nm/s``."""
+    for k, cells in enumerate(found[:-1]):
+        filled = [cell for cell in cells if cell.strip("()[]- ")]
+        known = [cell for cell in filled if parse_unit(cell) or time_unit(cell)]
+        if 2 * len(known) > len(filled) and any(
+            len(spell(cell) or "") > 1 for cell in known
+        ):
+            return k
+    return None
 
 
 def _is_figure(cell: str) -> bool:

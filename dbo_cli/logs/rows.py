@@ -14,12 +14,14 @@ from numpy.typing import NDArray
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.clock import Clock
 from dbo_cli.logs.source import NOT_A_TIME, Block, Column, Source
-from dbo_cli.units import multiplied, ratio, spell
+from dbo_cli.units import multiplied, parse_unit, ratio, spell, units_in
 
 _SCALE = re.compile(
     r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?:([^\s/\d.][^\s/]*)\s*/\s*([^\s/]+))?\s*",
     re.ASCII,
 )
+
+_OVERLOAD = 9.9e30  # instruments write 9.9E37 and 1E+31 for what they could not measure
 
 
 @dataclass(frozen=True)
@@ -142,7 +144,7 @@ def _is_bad(array: NDArray[Any], column: Column) -> NDArray[np.bool_]:
     """Return which rows of a column hold no number or no stamp."""
     if column.kind == "stamp":
         return np.asarray(array == NOT_A_TIME)
-    return np.asarray(~np.isfinite(array))
+    return np.asarray(~(np.abs(array) < _OVERLOAD))
 
 
 def parse_rows(rows: str | None) -> tuple[int, int | None]:
@@ -203,7 +205,9 @@ def scales_of(
     scales = {}
     for role, column in picks.items():
         factor, unit = Fraction(1), column.unit
-        if role in wishes:
+        if role not in wishes:
+            _refuse_unclear_unit(name, role, column)
+        else:
             factor, unit = _wished(name, role, column, str(wishes[role]))
         wanted = units.get(role)
         if wanted is not None and unit is None:
@@ -219,6 +223,22 @@ def scales_of(
             unit = spell(wanted)
         scales[role] = Scale(factor, unit)
     return scales
+
+
+def _refuse_unclear_unit(name: str, role: str, column: Column) -> None:
+    """Refuse a unit whose capitals are those of the name (``VOLTAGE (MV)``), and several units."""
+    unit = column.unit or ""
+    stated = sorted(units_in(column.name)) if parse_unit(unit) is None else []
+    if unit.startswith("M") and unit.lower() in ("mv", "mm"):
+        stated = [f"m{unit[1:]}", unit]
+    camel = re.search(r"[a-z]([KMN][mv]|Uv)$", column.name)
+    if camel and not unit:  # VoltageMv
+        stated = [camel[1].lower().replace("v", "V"), camel[1]]
+    if len(stated) > 1:
+        raise InputError(
+            f"{name}: {column.label} may be in {' or '.join(stated)}: add `scale` "
+            f"{role}=1{stated[0]}/{unit or stated[0]}"
+        )
 
 
 def _wished(

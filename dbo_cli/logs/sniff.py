@@ -34,6 +34,8 @@ DELIMITERS = {
 _DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
 _TWO_READINGS = re.compile(r"\s*[-+]?\d+,\d+\s*", re.ASCII)
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}", re.ASCII)
+ERROR = r"#[A-Z][A-Z/0]*[!?]?[;,\t|]"  # how a row begins that a spreadsheet could not compute
+_GROUP = re.compile(r"[-+]?[1-9]\d{0,2}\.\d{3}", re.ASCII)
 
 
 @dataclass
@@ -52,6 +54,8 @@ class Layout:
         The columns in which hardly a cell is filled.
     stamps
         The format of the columns of time stamps.
+    texts
+        A cell of each column that holds neither numbers nor nothing.
     first
         The index of the line of the first row.
     names, clock
@@ -64,6 +68,7 @@ class Layout:
     numeric: frozenset[int] = frozenset()
     empty: frozenset[int] = frozenset()
     stamps: dict[int, str] = field(default_factory=dict)
+    texts: dict[int, str] = field(default_factory=dict)
     first: int = 0
     names: Names = field(default_factory=lambda: Names([], []))
     clock: StatedClock = field(default_factory=StatedClock)
@@ -82,6 +87,17 @@ class Layout:
             return False
         return all(STAMPS[form].fullmatch(cells[n]) for n, form in self.stamps.items())
 
+    def is_labelled(self, cells: Sequence[str]) -> bool:
+        """Return whether a row begins with a text where the rows begin with something else."""
+        first = "".join(cells[:1])
+        if first.lower() in MISSING or first[0] in COMMENTS:
+            return False
+        if is_number(first, self.decimal):
+            return False
+        if 0 in self.stamps:
+            return not STAMPS[self.stamps[0]].fullmatch(first)
+        return 0 in self.numeric
+
     def partly_fits(self, cells: Sequence[str]) -> bool:
         """Return whether half of the numbers stand where the rows have theirs."""
         places = [n for n in self.numeric if n < len(cells)]
@@ -93,6 +109,16 @@ def is_comment(line: str) -> bool:
     """Return whether a line is blank or a comment."""
     plain = line.strip()
     return not plain or plain[0] in COMMENTS or plain == "EOF"  # TwinCAT's end
+
+
+def is_blank_row(line: str) -> bool:
+    """Return whether a line holds delimiters only, as spreadsheets end a table."""
+    return not line.strip("\t ;,|")
+
+
+def is_no_row(line: str) -> bool:
+    """Return whether a line below the first row is a comment, and no row that begins with ``#N/A``."""
+    return is_comment(line) and not re.match(ERROR, line)
 
 
 def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
@@ -116,6 +142,8 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     if not any(line.strip() for line in lines):
         raise InputError(f"{name}: the file is empty")
     rows = [n for n in range(skipped, len(lines)) if not is_comment(lines[n])]
+    while rows and is_blank_row(lines[rows[-1]]):
+        rows.pop()
     sample = [lines[n] for n in rows[-_SAMPLE:]]
     layout = _best_layout(sample, reading)
     if layout is None:
@@ -124,8 +152,8 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
         )
     if reading.decimal is None:
         layout.decimal = _shown_decimal(layout, [lines[n] for n in rows])
-    if reading.decimal is None and layout.decimal == ",":
-        _refuse_thousands(name, [c for n in rows for c in layout.cells(lines[n])])
+        _refuse_thousands(name, layout, [layout.cells(lines[n]) for n in rows])
+    _count_first_column(layout, sample)
     layout.first = _first_row(layout, lines, rows)
     _refuse_other_rows(name, layout, lines, rows)
     _read_header(name, layout, lines, skipped)
@@ -170,9 +198,12 @@ def _read_header(name: str, layout: Layout, lines: Sequence[str], skipped: int) 
         raise InputError(
             f"{name}: each channel has an X column: export with X_Columns One or No"
         )
-    layout.clock = stated_clock(settings)
+    layout.clock = stated_clock(settings, layout.decimal)
     first_row = layout.cells(lines[layout.first])
-    table = Table(layout.delimiter, layout.numeric, layout.width, first_row)
+    below = layout.cells(lines[min(layout.first + 1, len(lines) - 1)])
+    first, second = "".join(first_row[:1]), "".join(below[:1])
+    counts = first in ("0", "1") and second.isdigit() and int(second) > int(first)
+    table = Table(layout.delimiter, layout.numeric, layout.width, first_row, counts)
     layout.names = find_names(name, above, settings, table)
 
 
@@ -277,19 +308,42 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
             form = stamp_format(column)
             if form is not None:
                 layout.stamps[n] = form
+            texts = [cell for cell, _ in column if cell and not is_number(cell, sign)]
+            layout.texts[n] = texts[0][:20]
     layout.numeric, layout.empty = frozenset(numeric), frozenset(empty)
     return (shares[layout.width] / sum(weights) if numeric else 0.0), layout
 
 
-def _refuse_thousands(name: str, cells: Sequence[str]) -> None:
-    """Refuse commas that may stand between thousands as well as before decimals (InputError)."""
+def _count_first_column(layout: Layout, sample: Sequence[str]) -> None:
+    """Let the first column be one of numbers where most rows have one, and the last rows a label."""
+    first = ["".join(layout.cells(line)[:1]) for line in sample]
+    numbers = [cell for cell in first if is_number(cell, layout.decimal)]
+    if 2 * len(numbers) > len(first):
+        layout.numeric |= {0}
+        layout.texts.pop(0, None)
+
+
+def _refuse_thousands(
+    name: str, layout: Layout, table: Sequence[Sequence[str]]
+) -> None:
+    """Refuse marks that may stand between thousands as well as before decimals (InputError)."""
+    cells = [cell for row in table for cell in row]
     commas = [cell for cell in cells if "," in cell and is_number(cell, ",")]
-    if commas and all(_THOUSANDS.fullmatch(cell) for cell in commas):
+    if layout.decimal == "," and all(_THOUSANDS.fullmatch(cell) for cell in commas):
         cell = commas[0]
         raise InputError(
-            f"{name}: '{cell}' may be {cell.replace(',', '')} (`decimal` point) or "
-            f"{cell.replace(',', '.')} (`decimal` comma)"
+            f"{name}: '{cell}' may be {cell.replace(',', '.')} (type `decimal` comma) or "
+            f"{cell.replace(',', '')} (write it without the comma)"
         )
+    for n in layout.numeric if layout.decimal == "." else ():
+        column = [row[n] for row in table if n < len(row)]
+        points = [cell for cell in column if "." in cell and is_number(cell, ".")]
+        whole = [cell for cell in column if cell.isdigit()]
+        if whole and points and all(_GROUP.fullmatch(cell) for cell in points):
+            raise InputError(
+                f"{name}: '{points[0]}' beside '{whole[0]}' may be a thousand (write it without the point): "
+                "type `decimal` point if it is none"
+            )
 
 
 def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int:
@@ -349,5 +403,6 @@ def describe_columns(name: str, layout: Layout) -> list[Column]:
                 f"{name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
                 f"{layout.first}"
             )
-        columns.append(Column(n + 1, header, unit or stated, kind))
+        sample = layout.texts.get(n, "")
+        columns.append(Column(n + 1, header, unit or stated, kind, sample))
     return columns

@@ -22,13 +22,14 @@ class Column:
     """A column: its number (from 1), and the name and the unit that the file gives it.
 
     ``kind`` is ``number``, ``stamp`` (a date or a clock time), or ``text`` or ``empty``,
-    which cannot be read.
+    which cannot be read; ``sample`` is a cell that is no number.
     """
 
     number: int
     name: str = ""
     unit: str | None = None
     kind: str = "number"
+    sample: str = ""
 
     @property
     def label(self) -> str:

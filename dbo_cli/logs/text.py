@@ -9,19 +9,27 @@ from __future__ import annotations
 import codecs
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.cells import split_cells, to_number, to_stamp
-from dbo_cli.logs.sniff import describe_columns, is_comment, sniff
+from dbo_cli.logs.cells import is_number, split_cells, to_number, to_stamp
+from dbo_cli.logs.sniff import (
+    describe_columns,
+    is_blank_row,
+    is_comment,
+    is_no_row,
+    sniff,
+)
 from dbo_cli.logs.source import NOT_A_TIME, Column, Reading, Source
 from dbo_cli.logs.stream import ByteStream
 
 _HEAD = 1 << 16  # bytes from which the layout is found; longer than any header
 _BLOCK = 1 << 22  # bytes of text at a time; of 1 to 4 MB the fastest
+_EDGE = 1 << 14  # bytes in which labelled rows are looked for
 _LONGEST_LINE = 1 << 24  # what is longer has no line ends
 _SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
 _TINY = 1 << 12  # bytes that are read faster in Python than by polars
@@ -165,6 +173,10 @@ class TextSource(Source):
         if not self._ended and not self._stream.is_pipe:
             data += self._next(_BLOCK)
         while True:
+            # the last rows must be known as such, where nobody waits for them
+            ahead = None
+            if not self._ended and self._stream.has_more():
+                ahead = self._next(_BLOCK)
             end = data.rfind(b"\n") + 1
             if self._ended:
                 end = len(data)
@@ -179,7 +191,7 @@ class TextSource(Source):
                 raise InputError(
                     f"{self.name}: a line is longer than 16 MB: no text log?"
                 )
-            data = self._next(_BLOCK)
+            data = self._next(_BLOCK) if ahead is None else ahead
 
     def _next(self, size: int) -> bytes:
         data = self._stream.read(size)
@@ -196,9 +208,11 @@ class TextSource(Source):
             if not text:
                 continue
             if self._ended:
+                text = self._without_blank_rows(text)
                 self._doubt_last_line(text)
             self._text = text
             arrays, lines = self._read_block(text, chosen)
+            arrays = self._without_labelled(text, arrays)
             if len(arrays[0]):
                 yield arrays
             self.first_row += len(arrays[0])
@@ -219,6 +233,37 @@ class TextSource(Source):
         self._line += len(parts) - 1
         return parts[-1] if self._line > self.layout.first else b""
 
+    def _without_blank_rows(self, text: bytes) -> bytes:
+        """Leave out rows of delimiters at the end of a file."""
+        while b"\n" in text:
+            last = text.rfind(b"\n", 0, len(text) - 1) + 1
+            line = self._lines_of(text[last:])[0]
+            if not line.strip() or not is_blank_row(line):
+                break
+            text = text[:last]
+        return text
+
+    def _without_labelled(
+        self, text: bytes, arrays: list[NDArray[Any]]
+    ) -> list[NDArray[Any]]:
+        """Make bad the rows of settings and statistics above and below all others (``Max;95;12,6``)."""
+        first = self._data_lines(text[:_EDGE]) if self.first_row == 1 else []
+        last = self._data_lines(text[-_EDGE:]) if self._ended else []
+        bad = self._count_labelled(first), self._count_labelled(last[::-1])
+        if not any(bad):
+            return arrays
+        arrays = [array.copy() for array in arrays]
+        for array in arrays:
+            missing = NOT_A_TIME if array.dtype.kind == "i" else np.nan
+            array[: bad[0]] = missing
+            array[len(array) - bad[1] :] = missing
+        return arrays
+
+    def _count_labelled(self, lines: Sequence[str]) -> int:
+        """Count the lines before the first one that does not begin with a label."""
+        rows = (split_cells(line, self.layout.delimiter) for line in lines)
+        return sum(1 for _ in takewhile(self.layout.is_labelled, rows))
+
     def _read_block(
         self, text: bytes, chosen: Sequence[Column]
     ) -> tuple[list[NDArray[Any]], int]:
@@ -238,7 +283,7 @@ class TextSource(Source):
         return arrays, text.count(b"\n")
 
     def _data_lines(self, text: bytes) -> list[str]:
-        return [line for line in self._lines_of(text) if not is_comment(line)]
+        return [line for line in self._lines_of(text) if not is_no_row(line)]
 
     def _read_lines(self, text: bytes, chosen: Sequence[Column]) -> list[NDArray[Any]]:
         """Read a block in Python; other cells become NaN."""
@@ -263,7 +308,7 @@ class TextSource(Source):
     def where(self, row: int, column: Column) -> str:
         """Say in which line a row of the last block is, and what stands in a column of it."""
         lines = self._lines_of(self._text)
-        places = [k for k, line in enumerate(lines) if not is_comment(line)]
+        places = [k for k, line in enumerate(lines) if not is_no_row(line)]
         place = places[row - self.first_row]
         at = f"{self.name}:{self._line + place}"
         cells = split_cells(lines[place], self.layout.delimiter)
@@ -271,9 +316,11 @@ class TextSource(Source):
             s = "" if len(cells) == 1 else "s"
             return f"{at}: {len(cells)} cell{s} where the other rows have {self.layout.width}"
         cell = cells[column.number - 1]
+        if is_number(cell, self.layout.decimal) and self.layout.is_labelled(cells):
+            return f"{at}: '{cells[0]}' stands where the other rows have a number or a time"
         if not cell:
             return f"{at}: {column.label} is empty"
-        wanted = "a known time stamp" if column.kind == "stamp" else "a finite number"
+        wanted = "a known time stamp" if column.kind == "stamp" else "a measured number"
         advice = " (`decimal` comma?)" if "," in cell else ""
         return f"{at}: {column.label} is not {wanted}: '{cell[:40]}'{advice}"
 

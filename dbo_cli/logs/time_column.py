@@ -65,7 +65,7 @@ def find_clock(
     if selector is not None:
         matches = [named(source, selector, "time")]
     else:
-        matches = _time_columns(source, used)
+        matches = _time_columns(source, used, needed=rate is None)
     if rate is not None:
         clock = Clock(source.name, "rate", rate=rate)
         if len(matches) == 1:
@@ -80,7 +80,9 @@ def find_clock(
             f"{source.name}: which column is the time? Type {which}{source.hint}"
         )
     if matches:
-        return _clock_of(source.name, matches[0], reading.time_unit)
+        clock = _clock_of(source.name, matches[0], reading.time_unit)
+        clock.rate_beside = source.stated.rate
+        return clock
     return _stated_clock(source, reading)
 
 
@@ -105,10 +107,11 @@ def _stated_clock(source: Source, reading: Reading) -> Clock:
     )
 
 
-def _time_columns(source: Source, used: Sequence[Column]) -> list[Column]:
+def _time_columns(source: Source, used: Sequence[Column], needed: bool) -> list[Column]:
     """Return the columns that may hold the time, by the surest reason that there is.
 
-    A name; a word of the name; dates; the unit of the first column.
+    A name; a word of the name; dates; the unit of the first column. One that cannot be
+    read is refused where it is needed (InputError).
     """
     free = [column for column in source.columns if column not in used]
     fitting = [c for c in free if kind_of(c.unit) in _KINDS or time_unit(c.unit)]
@@ -118,7 +121,7 @@ def _time_columns(source: Source, used: Sequence[Column]) -> list[Column]:
     stamps = [c for c in called if c.kind == "stamp"]
     matches = figures or stamps or [c for c in free if c.kind == "stamp"]
     texts = [c for c in called if c.kind == "text"]
-    if texts and not matches:
+    if texts and not matches and needed:
         raise InputError(
             f"{source.name}: {texts[0].label} holds neither numbers nor ISO time stamps: type `time` "
             "COLUMN or `sample_rate` HZ"

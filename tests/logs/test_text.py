@@ -94,6 +94,7 @@ def test_large_files_of_many_ways(change: Callable[[str], str], tmp_path: Path) 
         ("20.000,x,20000.25", 20002, "'voltage_V'"),
         ("20.000,inf,20000.25", 20002, "'voltage_V'"),
         ("20.000,nan,20000.25", 20002, "'voltage_V'"),
+        ("20.000,9.9E37,20000.25", 20002, "'voltage_V'"),
         ('20.000,",20000.25', 20002, "'voltage_V'"),
         ("20.000,1_000,20000.25", 20002, "'voltage_V'"),
         ("20.000,1,5,20000.25", 20002, "4 cells where"),
@@ -121,6 +122,31 @@ def test_points_under_a_decimal_comma_are_refused(tmp_path: Path) -> None:
     path.write_text(large(delimiter=";", decimal=",").replace("20000,25", "20000.25"))
     with pytest.raises(InputError, match=r"run.csv:20002: .*'20000.25'"):
         read(path)
+
+
+def test_points_are_refused_beside_stamps_as_well(tmp_path: Path) -> None:
+    lines = ["Zeitstempel;Spannung [V];Weg [nm]"]
+    for k in range(9000):
+        lines.append(
+            f"02.01.2026 10:00:{k // 1000:02d},{k % 1000:03d};{k % 97},5;900,5"
+        )
+    lines[8000] = lines[8000].replace("900,5", "1.001")
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join([*lines, ""]))
+    with pytest.raises(InputError, match=r"run.csv:8001: .*'1.001'"):
+        read(path)
+
+
+@pytest.mark.parametrize("rows", [20, 30_000])
+def test_rows_of_statistics_are_no_rows(rows: int, tmp_path: Path) -> None:
+    table = "".join(f"{k};{k % 97}.5;{k % 89}.25\n" for k in range(rows))
+    path = tmp_path / "run.csv"
+    path.write_text(
+        f"Nr;voltage_V;position_um\n{table}Mean;48;44\nMax;96.5;88.25\n;;\n"
+    )
+    with pytest.raises(InputError, match=f"run.csv:{rows + 2}: 'Mean'"):
+        read(path, sample_rate=1000.0)
+    assert read(path, sample_rate=1000.0, skip_bad=True)[0].rows == rows
 
 
 def test_short_and_long_rows_do_not_make_up_for_each_other(tmp_path: Path) -> None:
