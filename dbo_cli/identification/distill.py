@@ -58,8 +58,8 @@ class Average:
         best = self.fits[0].structure
         curve = "a straight line" if np.isinf(best.smooth_curve) else "a curve"
         return [
-            f"{len(self.fits)} structures averaged; first: {best.slopes} slopes, {curve} behind them,"
-            f" memories {best.memories or 'none'}, delay {best.delay:.3g} s,"
+            f"mean of {len(self.fits)} structures; the heaviest: {best.slopes} slopes and {curve},"
+            f" {'creep' if best.memories else 'no creep'}, delay {best.delay:.3g} s,"
             f" bend {best.bend:g}, drift {best.drift}"
         ]
 

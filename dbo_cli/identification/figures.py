@@ -30,8 +30,8 @@ def refuse_other_sign(logs: Sequence[Recording], options: Options) -> None:
     sign = "falling" if falling(logs) else "rising"
     if sign != options.sign:
         raise LimitError(
-            f"{logs[0].name}: the displacement is {sign} with the voltage, and `sign` {options.sign} was"
-            " asked for; check the columns and the sensor's polarity"
+            f"{logs[0].name}: displacement is {sign} with voltage, `sign` is {options.sign}: check "
+            "the columns"
         )
 
 

@@ -101,8 +101,7 @@ def rescale(prior: Model, recordings: Sequence[Recording], options: Options) -> 
     prior.require("forward", "the prior")
     if prior.needs_time and any(log.time is None for log in recordings):
         raise UsageError(
-            "the prior has dynamics or relaxation, which need a clock: name the time column (`time`) or give "
-            "`sample_rate`"
+            "the prior needs a clock: add `time` COLUMN or `sample_rate` HZ"
         )
     predictions = [_prediction(prior, log) for log in recordings]
     fitted, shrunk = _changes(prior, predictions)
@@ -172,8 +171,7 @@ def _changes(prior: Model, predictions: Sequence[Prediction]) -> tuple[Change, C
     numbers[2] = delay
     if numbers[0] <= -1.0:
         raise FitError(
-            f"the displacement runs against the prior's (gain {1.0 + numbers[0]:.3g}): check `voltage` and "
-            "`displacement`"
+            f"the displacement runs against the prior (gain {1.0 + numbers[0]:.3g}): check the columns"
         )
     within = STUDENT * errors
     shrunk = np.zeros(5)
@@ -239,8 +237,8 @@ def _check_shape(
     if shape <= BROKEN * stated:
         return []
     text = (
-        f"{predictions[0].log.name}: the shape has changed: the prior leaves {shape:.4g}{unit} and stated "
-        f"{stated:.4g}{unit}; identify again from a whole log, without `prior`"
+        f"{predictions[0].log.name}: error {shape:.4g}{unit}, the prior states {stated:.4g}: its shape has"
+        " changed; identify again without it"
     )
     if not force:
         raise FitError(f"{text} (`force` keeps the shape)")
