@@ -10,7 +10,7 @@ before it by ``bend * x * (1 - x)``.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ CELL_GROWTH = 1.5  # a cell's upper edge grows with its number to this power
 SEGMENTS = 24  # of the curve behind the gears
 BEND_SEGMENTS = 32  # of the points before the gears
 TAU_RATIO = 3.0  # of neighbouring time constants
+RISING = 1e-6  # of a step: what a clock that repeats stamps rises by at least
 BLOCK_ROWS = 4096  # of the full rate that are held at once
 LANES = 8  # plays in a group of the kernel
 
@@ -205,21 +206,23 @@ class Basis:
 
     cells: Cells
     taus: Floats
-    _kept: dict[object, Floats] = field(default_factory=dict)
 
-    def columns(self, log: PreparedLog, structure: Structure) -> Floats:
+    def columns(
+        self, log: PreparedLog, structure: Structure, sums: Floats | None = None
+    ) -> Floats:
         """Return the table (rows, cells + 2 terms): engaged parts, lags, and drive less its lags.
 
-        A mean is a difference of sums from the first row on; a delay shifts both ends.
+        A mean is a difference of ``sums``; a delay shifts both ends.
         """
-        drive = bent(log.drive, structure.bend)
+        if sums is None:
+            sums = self.sums(log, structure.bend)
         ends = np.concatenate((log.rows, log.ends))
         position = _late(log, structure.delay, ends)
-        taken, weights, outside = _between(position, len(drive))
-        needed, place = np.unique(taken, return_inverse=True)
-        sums, first = self._sums(log, drive, needed)
-        late = np.einsum("krc,kr->rc", sums[place.reshape(taken.shape)], weights)
-        late += outside[:, None] * first
+        inside = np.maximum(position, 0.0)
+        whole = np.minimum(inside.astype(np.int64), len(log.drive) - 1)
+        before, behind = sums[whole], sums[whole + 1]
+        late = before + (inside - whole)[:, None] * (behind - before)
+        late += np.minimum(position, 0.0)[:, None] * sums[1]
         begun, ended = np.split(late, 2)
         first_rows, last_rows = np.split(position, 2)
         table = (ended - begun) / (last_rows - first_rows)[:, None]
@@ -229,23 +232,14 @@ class Basis:
         engaged[:, -1:] += beyond
         return np.hstack((engaged, lags, table[:, :1] + beyond - lags))
 
-    def _sums(
-        self, log: PreparedLog, drive: Floats, places: Integers
-    ) -> tuple[Floats, Floats]:
-        """Return the sums of all rows before each of these places (in order), and the first row."""
-        parts: list[Floats] = []
-        first: Floats | None = None
-        total = np.zeros(0)
-        for begin, table in self._full_rate(log, drive):
-            if first is None:
-                first, total = table[0], np.zeros(table.shape[1])
-            sums = np.vstack((total, table)).cumsum(axis=0)
-            final = begin + len(table) == len(drive)
-            low, high = np.searchsorted(places, (begin, begin + len(table) + final))
-            parts.append(sums[places[low:high] - begin])
-            total = sums[-1]
-        assert first is not None
-        return np.vstack(parts), first
+    def sums(self, log: PreparedLog, bend: float) -> Floats:
+        """Return the sums of plays, lags and what is beyond the gears over the rows before each row."""
+        rows = len(log.drive)
+        sums = np.zeros((rows + 1, self.cells.count + len(self.taus) + 2))
+        for begin, table in self._full_rate(log, bent(log.drive, bend)):
+            table[0] += sums[begin]
+            np.cumsum(table, axis=0, out=sums[begin + 1 : begin + 1 + len(table)])
+        return sums
 
     def _full_rate(
         self, log: PreparedLog, drive: Floats
@@ -285,32 +279,14 @@ def _play_table(reach: Floats, first: float, start: str) -> tuple[Floats, Floats
 
 def _late(log: PreparedLog, delay: float, places: Integers) -> Floats:
     """Return where the drive of these places, which lie between rows, was earlier; before the log below 0."""
-    if delay == 0.0:
-        return places.astype(np.float64)
+    if delay == 0.0 or isinstance(log.steps, float):
+        return places.astype(np.float64) - delay / log.dt
     clock = np.append(log.time, log.time[-1] + log.dt)
+    clock = clock + RISING * log.dt * np.arange(len(clock))
     late = clock[places] - delay
     within: Floats = np.interp(late, clock, np.arange(len(clock), dtype=float))
     position: Floats = within + np.minimum(late - clock[0], 0.0) / log.dt
     return position
-
-
-def _between(position: Floats, count: int) -> tuple[Integers, Floats, Floats]:
-    """Return four places around each position, their weights in a cubic, and how far it lies before the log.
-
-    The first two have shape (4, positions).
-    """
-    outside = np.minimum(position, 0.0)
-    whole = np.clip(np.floor(position).astype(np.int64), 1, count - 2)
-    f = position - outside - whole
-    weights = np.stack(
-        (
-            -f * (f - 1.0) * (f - 2.0) / 6.0,
-            (f + 1.0) * (f - 1.0) * (f - 2.0) / 2.0,
-            -(f + 1.0) * f * (f - 2.0) / 2.0,
-            (f + 1.0) * f * (f - 1.0) / 6.0,
-        )
-    )
-    return whole[None, :] + np.arange(-1, 3)[:, None], weights, outside
 
 
 def means(values: Floats, rows: Integers, ends: Integers) -> Floats:

@@ -12,7 +12,6 @@ from dbo_cli.identification.recording import (
     FEWEST_ROWS,
     Booleans,
     Floats,
-    Integers,
     Options,
     Recording,
     turning_points,
@@ -25,10 +24,7 @@ LEAST_SPIKE = 1e-3  # of the range
 MOST_SPIKES = 0.2  # of the rows: more are no spikes
 OF_NORMAL = 1.4826  # standard deviation over the median distance, of normal noise
 STUCK_PATH = 0.08  # of the drive's range: a sensor of 5 bits repeats itself so far
-CLIPPED_ROWS = 5  # at the sensor's extreme
-CLIPPED_STEEPNESS = 0.35  # of the mean slope: an actuator comes to rest first
 TURNS_BACK = 0.01  # of the drive's range
-GLITCH = 3.0  # times the largest other step of the drive
 
 
 def clean(
@@ -45,7 +41,6 @@ def clean(
     logs = []
     for log in recordings:
         log = without_sensor_delay(log, options.sensor_delay)
-        log = without_glitches(log, notes)
         good = log.usable & not_skipped(log, options.skip)
         good &= ~faulty_rows(log, notes)
         if int(good.sum()) < FEWEST_ROWS:
@@ -90,30 +85,11 @@ def not_skipped(log: Recording, seconds: float) -> Booleans:
     return late
 
 
-def without_glitches(log: Recording, notes: list[str]) -> Recording:
-    """Replace single voltages that jump away and back by the mean of their neighbours."""
-    v = log.voltage
-    middle = np.median((v[:-2], v[1:-1], v[2:]), axis=0)
-    usual = float(np.abs(np.diff(middle)).max())
-    least = max(GLITCH * usual, 0.05 * float(np.ptp(middle)))
-    rows = np.flatnonzero(np.abs(v[1:-1] - middle) > least) + 1
-    if not rows.size or usual == 0.0:
-        return log
-    repaired = v.copy()
-    repaired[rows] = (v[rows - 1] + v[rows + 1]) / 2.0
-    notes.append(
-        f"{log.name}: {rows.size} single voltages that jump away and back were replaced, the first in row"
-        f" {rows[0] + 1}"
-    )
-    return replace(log, voltage=repaired)
-
-
 def faulty_rows(log: Recording, notes: list[str]) -> Booleans:
     """Return the rows in which the sensor did not measure."""
     kinds = {
         "spikes of the displacement": spiked_rows(log.displacement),
         "the displacement stands still while the drive moves": stuck_rows(log),
-        "the sensor is at the end of its range (clipped)": clipped_rows(log),
     }
     faulty = np.zeros(len(log.voltage), bool)
     for words, rows in kinds.items():
@@ -148,16 +124,9 @@ def spiked_rows(displacement: Floats, window: int = SPIKE_WINDOW) -> Booleans:
     return spiked
 
 
-def runs(rows: Booleans) -> Integers:
-    """Return begin and end of each run of true rows; shape (runs, 2)."""
-    edges = np.diff(np.concatenate(([False], rows, [False])).astype(np.int8))
-    return np.column_stack((np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)))
-
-
 def stuck_rows(log: Recording) -> Booleans:
-    """Return rows of runs of one displacement, away from its extremes, over which the drive travels far."""
+    """Return rows of runs of one displacement over which the drive travels far: a stuck or clipped sensor."""
     y = log.displacement
-    stuck = np.zeros(len(y), bool)
     edges = np.flatnonzero(np.diff(y) != 0.0) + 1
     begins = np.concatenate(([0], edges))
     ends = np.concatenate((edges, [len(y)]))
@@ -165,41 +134,4 @@ def stuck_rows(log: Recording) -> Booleans:
     travelled = path[ends - 1] - path[begins]
     usual = float(np.percentile(travelled, 90.0))
     far = travelled > max(STUCK_PATH * float(np.ptp(log.voltage)), 4.0 * usual)
-    for begin, end in zip(begins[far], ends[far], strict=True):
-        if y.min() < y[begin] < y.max():
-            stuck[begin:end] = True
-    return stuck
-
-
-def clipped_rows(log: Recording) -> Booleans:
-    """Return rows where the displacement stands at its own extreme while the drive moves on.
-
-    An actuator may stand still there, too, but it comes to rest by and by; a clipped
-    sensor is cut off in full motion.
-    """
-    y, v = log.displacement, log.voltage
-    clipped = np.zeros(len(y), bool)
-    moving = np.abs(np.diff(v, prepend=v[0])) > 0.0
-    usual = _steepness(y, v)
-    for extreme in (y.min(), y.max()):
-        spans, before = [], []
-        for begin, end in runs((y == extreme) & moving):
-            long = end - begin >= CLIPPED_ROWS
-            if not long or np.ptp(v[begin:end]) <= 0.01 * np.ptp(v):
-                continue
-            spans.append((begin, end))
-            near = slice(max(begin - max((end - begin) // 5, 3), 0), begin + 1)
-            if begin - near.start >= 3:
-                before.append(_steepness(y[near], v[near]))
-        if spans and (not before or np.median(before) > CLIPPED_STEEPNESS * usual):
-            for begin, end in spans:
-                clipped[begin:end] = True
-    return clipped
-
-
-def _steepness(displacement: Floats, voltage: Floats) -> float:
-    """Return the displacement travelled for each volt travelled."""
-    path = float(np.abs(np.diff(voltage)).sum())
-    if path == 0.0:
-        return 0.0
-    return float(np.abs(np.diff(displacement)).sum()) / path
+    return np.repeat(far, ends - begins)

@@ -12,20 +12,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import Structure
 from dbo_cli.identification.judge import judge
 from dbo_cli.identification.problem import Problem
-from dbo_cli.identification.recording import Options, Recording
+from dbo_cli.identification.recording import Floats, Options, Recording
 from dbo_cli.identification.solve import Fit, solve
 from dbo_cli.identification.stages import model_of
 from dbo_cli.model import Dynamics, Lag, Relaxation
 from dbo_cli.model.undoing import Inverter
-
-Floats = NDArray[np.float64]
 
 ROUNDS = 8  # of gears and creep in turn
 TAU_RATIO = 1.4  # of neighbouring time constants: 3 leaves 2 % of the creep
@@ -77,7 +74,9 @@ def _fits(problem: Problem, structure: Structure, curves: Sequence[float]) -> li
             first = solve(problem.rows(trial), trial, first)
         except FitError:
             continue
-        fits.append(judge(problem, first))
+        judged = judge(problem, first)
+        if judged.left:
+            fits.append(judged)
     return fits
 
 

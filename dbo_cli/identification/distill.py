@@ -12,6 +12,7 @@ from dbo_cli.identification.basis import Basis, PreparedLog, Structure
 from dbo_cli.identification.judge import error_left_out
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Floats
+from dbo_cli.identification.search import CURVES
 from dbo_cli.identification.solve import Fit, Rows, solve
 
 WIDTH = 0.15  # of the score: a fit that is worse by so much weighs exp(-1)
@@ -23,10 +24,8 @@ INVENTED_WEIGHT = 0.5  # of a row, beside one of the logs
 BEYOND = 0.05  # of the range: the invented drive goes so far beyond the logs'
 REST = 0.25  # of a swing
 SWING_ROWS = 40  # of the invented drive
-CURVES = (np.inf, 1e-1, 1e-4, 1e-7)
-SMOOTH_SLOPES = 2e-6
+SMOOTH_SLOPES = 1e-8  # of a mean prediction, which has no noise
 MOST_MISFIT = 0.5  # of the error left out: farther from the mean, one fit is better
-HEAVY = 0.05  # weight of a fit whose corners are kept
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
@@ -59,8 +58,8 @@ class Average:
         best = self.fits[0].structure
         curve = "a straight line" if np.isinf(best.smooth_curve) else "a curve"
         return [
-            f"{len(self.fits)} structures averaged; first: {best.slopes} slopes, {curve} behind them,"
-            f" memories {best.memories or 'none'}, delay {best.delay:.3g} s,"
+            f"mean of {len(self.fits)} structures; the heaviest: {best.slopes} slopes and {curve},"
+            f" {'creep' if best.memories else 'no creep'}, delay {best.delay:.3g} s,"
             f" bend {best.bend:g}, drift {best.drift}"
         ]
 
@@ -74,12 +73,12 @@ class Average:
         for fit, weight in zip(self.fits, self.weights.tolist(), strict=True):
             total[frame(fit)] = total.get(frame(fit), 0.0) + weight
         heaviest = max(total, key=lambda key: total[key])
-        pairs = np.asarray(list(total))
-        mean = np.average(pairs, axis=0, weights=list(total.values()))
-        delay = float(mean[0])
-        if np.ptp(pairs[:, 0]) > 0.0:
-            delay = round(delay / dt) * dt
-        return [heaviest, (delay, float(mean[1]))]
+        frames = np.asarray([frame(fit) for fit in self.fits])
+        delay, bend = (self.weights @ frames).tolist()
+        delay = round(delay / dt) * dt
+        if np.ptp(frames[:, 0]) == 0.0:
+            delay = heaviest[0]
+        return [heaviest, (delay, bend)]
 
 
 def frame(fit: Fit) -> tuple[float, float]:
@@ -88,25 +87,37 @@ def frame(fit: Fit) -> tuple[float, float]:
 
 
 def distill(problem: Problem, average: Average) -> Fit:
-    """Return the fit nearest to the mean prediction on the logs' drives and on an invented one."""
+    """Return the fit nearest to the mean prediction on the logs' drives and on an invented one.
+
+    Where it is far from that mean, the best fit.
+    """
+    best = average.fits[0]
     if len(average.fits) == 1:
-        return average.fits[0]
+        return best
     invented = invented_log(problem)
     mean = np.zeros(len(problem.output) + len(invented.rows))
     tables: dict[tuple[float, float], Floats] = {}
-    for fit, weight in zip(average.fits, average.weights, strict=True):
-        if frame(fit) not in tables:
-            tables[frame(fit)] = _table(problem, invented, fit.structure)
-        mean += weight * fit.predict(tables[frame(fit)])
-    found: list[Fit] = []
+    for part, weight in zip(average.fits, average.weights, strict=True):
+        if frame(part) not in tables:
+            tables[frame(part)] = _table(problem, invented, part.structure)
+        mean += weight * part.predict(tables[frame(part)])
+    weights = np.full(len(mean), INVENTED_WEIGHT)
+    weights[: len(problem.output)] = 1.0
+    weights /= weights.sum()
+    least, nearest = math.inf, best
     for delay, bend in dict.fromkeys(average.frames(problem.dt)):
         structure = replace(_widest(average), delay=delay, bend=bend)
-        found += _nearest(problem, invented, structure, mean)
-    nearest = min(found, key=lambda fit: fit.misfit)
-    best = average.fits[0]
-    if math.sqrt(nearest.misfit) > MOST_MISFIT * error_left_out(best.left):
-        return best
-    return nearest
+        table = _table(problem, invented, structure)
+        free = np.zeros((len(mean), 0))
+        rows = Rows(table, mean, weights, free, problem.cells.shares, len(problem.taus))
+        fit: Fit | None = None
+        for smooth in CURVES:
+            fit = solve(rows, replace(structure, smooth_curve=smooth), fit)
+        assert fit is not None
+        misfit = math.sqrt(float(weights @ fit.error**2))
+        if misfit < least:
+            least, nearest = misfit, fit
+    return best if least > MOST_MISFIT * error_left_out(best.left) else nearest
 
 
 def _table(problem: Problem, invented: PreparedLog, structure: Structure) -> Floats:
@@ -118,49 +129,13 @@ def _table(problem: Problem, invented: PreparedLog, structure: Structure) -> Flo
 def _widest(average: Average) -> Structure:
     """Return a structure that holds all fits but for their delays and bends."""
     slopes = {fit.structure.slopes for fit in average.fits}
-    return replace(
-        average.fits[0].structure,
+    memories = [fit.structure.memories for fit in average.fits]
+    return Structure(
         slopes=slopes.pop() if len(slopes) == 1 else "free",
-        memories=_memories(average),
-        smooth_slopes=_smoothness(average),
-        drift=0,
+        memories=max(memories, key=len),
+        smooth_slopes=SMOOTH_SLOPES,
+        segments=average.fits[0].structure.segments,
     )
-
-
-def _nearest(
-    problem: Problem, invented: PreparedLog, structure: Structure, mean: Floats
-) -> list[Fit]:
-    """Return fits to the mean prediction with rougher and rougher curves."""
-    weights = np.full(len(mean), INVENTED_WEIGHT)
-    weights[: len(problem.output)] = 1.0
-    rows = Rows(
-        _table(problem, invented, structure),
-        mean,
-        weights / weights.sum(),
-        np.zeros((len(mean), 0)),
-        problem.cells.shares,
-        len(problem.taus),
-    )
-    found: list[Fit] = []
-    first = None
-    for smooth in CURVES:
-        first = solve(rows, replace(structure, smooth_curve=smooth), first)
-        found.append(replace(first, misfit=float(rows.weights @ first.error**2)))
-    return found
-
-
-def _memories(average: Average) -> str:
-    """Return the largest set of memories among the fits."""
-    return max((fit.structure.memories for fit in average.fits), key=len)
-
-
-def _smoothness(average: Average) -> float:
-    """Return the least smoothness of slopes among the fits that weigh much, and what distilling takes."""
-    heavy = [SMOOTH_SLOPES]
-    for fit, weight in zip(average.fits, average.weights, strict=True):
-        if weight > HEAVY:
-            heavy.append(fit.structure.smooth_slopes)
-    return min(heavy)
 
 
 def invented_log(problem: Problem) -> PreparedLog:

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import FitError
 from dbo_cli.identification.fast import FastPart
@@ -32,8 +31,6 @@ from dbo_cli.identification.sections import (
 from dbo_cli.identification.spectra import peak_of, phase_delay
 from dbo_cli.model import Gears, Lag, Model, Relaxation, Resonance, Section
 
-Floats = NDArray[np.float64]
-
 MOST_RESONANCES = 2  # one sweep does not tell more apart
 EARNED = 0.9  # of the error left out: what a resonance must lower it to
 SURE, MOST_OF_IT = 200.0, 0.3
@@ -45,7 +42,6 @@ NEAR = 0.03  # of the logarithms of two resonances that undo each other
 SEEN_DELAY = 0.1  # periods of the highest frequency: less is fitted as a lag
 FAST_LAGS = 2.0  # periods of the lowest frequency: shorter relaxation is dynamics
 UNEXPLAINED = 0.1  # of what the fast rows do: more is a warning
-STUDENT = 2.0  # standard errors of a 95 % interval
 
 
 def find(
@@ -256,31 +252,12 @@ def _figures(
     best: Fitted, signals: Sequence[Signals], fast: Sequence[FastPart]
 ) -> dict[str, Any]:
     """Return what the model file says of the dynamics."""
-    resonances = []
-    for k, resonance in enumerate(best.resonances):
-        frequency, damping = best.spread[2 * k : 2 * k + 2].tolist()
-        resonances.append(
-            {
-                "frequency": resonance.frequency,
-                "damping": resonance.damping,
-                "frequency_interval": _interval(resonance.frequency, frequency),
-                "damping_interval": _interval(resonance.damping, damping),
-            }
-        )
     return {
-        "resonances": resonances,
         "rmse": best.rmse,
         "left_out_rmse": best.left_out,
         "logs": [part.recording.name for part in fast],
-        "swept": list(_band(fast)),
         "warnings": _unexplained(signals, fast, best),
     }
-
-
-def _interval(value: float, spread: float) -> list[float]:
-    """Return both ends of the interval of a parameter, from the standard error of its logarithm."""
-    factor = float(np.exp(STUDENT * spread))
-    return [value / factor, value * factor]
 
 
 def _unexplained(

@@ -13,10 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.identification.recording import Recording
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from dbo_cli.identification.recording import Recording, turning_points
 
 FEWEST_ROWS = 40  # of a slow part
 NOTICEABLE = 3e-4  # of the range: a smaller reversal of the drive is no turn
@@ -87,30 +84,9 @@ def even_step(log: Recording) -> float | None:
     return step if float(away.max()) <= 0.5 * step else None
 
 
-def turns(voltage: Floats, span: float) -> Integers:
-    """Return the rows where a drive turns, its two ends included."""
-    moving = np.flatnonzero(np.diff(voltage))
-    if moving.size == 0:
-        return np.array([0, voltage.size - 1])
-    signs = np.sign(np.diff(voltage)[moving])
-    places = moving[1:][np.diff(signs) != 0.0]
-    candidates = [0, *places.tolist(), voltage.size - 1]
-    found = [0]
-    best, direction = 0, 0.0
-    for row in candidates[1:]:
-        change = float(voltage[row] - voltage[best])
-        if change * direction > 0.0:
-            best = row
-        elif abs(change) > NOTICEABLE * span:
-            if direction:
-                found.append(best)
-            direction, best = np.sign(change), row
-    return np.array([*found, voltage.size - 1])
-
-
 def _median_half_period(log: Recording, span: float) -> float | None:
     """Return the median time between turns (s), None where there are too few."""
-    rows = turns(log.voltage, span)
+    rows = turning_points(log.voltage, NOTICEABLE * span)
     if log.time is None or rows.size < 6:
         return None
     return float(np.median(np.diff(log.time[rows])))
@@ -118,7 +94,7 @@ def _median_half_period(log: Recording, span: float) -> float | None:
 
 def _band(log: Recording, span: float, step: float) -> tuple[float, float]:
     """Return the lowest and highest frequency of a fast log's drive (Hz), by its turns."""
-    halves = step * np.diff(turns(log.voltage, span))[1:-1]
+    halves = step * np.diff(turning_points(log.voltage, NOTICEABLE * span))[1:-1]
     shortest, longest = np.quantile(halves[halves > 0.0], (0.02, 0.98))
     return 0.5 / float(longest), 0.5 / max(float(shortest), step)
 
@@ -128,7 +104,7 @@ def _sweep(log: Recording, span: float) -> FastPart | None:
     step = even_step(log)
     if step is None:
         return None
-    rows = turns(log.voltage, span)
+    rows = turning_points(log.voltage, NOTICEABLE * span)
     halves = np.diff(rows).astype(np.float64)
     small = np.abs(np.diff(log.voltage[rows])) <= SMALL_SWING * span
     gradual = np.abs(np.diff(np.log(np.maximum(halves, 1.0)))) <= SMOOTH

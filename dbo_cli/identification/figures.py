@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,9 +13,9 @@ import numpy as np
 from dbo_cli.errors import FitError, LimitError
 from dbo_cli.identification.distill import Average, invented_log
 from dbo_cli.identification.judge import error_left_out
-from dbo_cli.identification.problem import Problem
+from dbo_cli.identification.problem import Problem, falling
 from dbo_cli.identification.recording import Floats, Options, Recording, Swings
-from dbo_cli.model import Model, steps_of
+from dbo_cli.model import Model
 from dbo_cli.model.expect import expected_error, fastest_drive, longest_rest
 
 NO_BETTER = 0.95  # of a straight line's error: above it there is nothing but a line
@@ -27,15 +27,11 @@ def refuse_other_sign(logs: Sequence[Recording], options: Options) -> None:
     """Refuse (LimitError) logs whose displacement does not go the way that the user says."""
     if options.sign is None:
         return
-    together = 0.0
-    for log in logs:
-        v, y = log.voltage[log.usable], log.displacement[log.usable]
-        together += float(np.sum((v - v.mean()) * (y - y.mean())))
-    sign = "rising" if together > 0.0 else "falling"
+    sign = "falling" if falling(logs) else "rising"
     if sign != options.sign:
         raise LimitError(
-            f"{logs[0].name}: the displacement is {sign} with the voltage, and `sign` {options.sign} was"
-            " asked for; check the columns and the sensor's polarity"
+            f"{logs[0].name}: displacement is {sign} with voltage, `sign` is {options.sign}: check "
+            "the columns"
         )
 
 
@@ -58,7 +54,7 @@ def stated(
         **figures,
         "expected_rmse": expected_error(model, drive, invented.dt),
         "one_amplitude": problem.one_amplitude,
-        "swings": problem.swings,
+        "swings": problem.swing_count,
     }
     return replace(model, fit=figures)
 
@@ -72,23 +68,6 @@ def left_out_rmse(problem: Problem, average: Average) -> float:
     return abs(problem.scale) * error_left_out(left)
 
 
-@dataclass(frozen=True)
-class Residual:
-    """What a model leaves of a log, offset and drift aside; in the displacement's unit.
-
-    Attributes
-    ----------
-    rows : how many count
-    rmse : RMS of the error
-    drift : how far the straight drift goes along the log
-    """
-
-    name: str
-    rows: int
-    rmse: float
-    drift: float
-
-
 def measured(
     model: Model, logs: Sequence[Recording], options: Options, notes: Sequence[str]
 ) -> Model:
@@ -96,13 +75,12 @@ def measured(
     residuals = [residual_of(model, log) for log in logs]
     rmse, line = pooled(residuals), line_rmse(logs)
     _refuse_no_better(rmse, line, logs, options)
-    speeds, rests, periods = [], [], []
+    speeds, rests = [], []
     for log in logs:
         if log.time is not None:
             steps = np.diff(log.time)
             speeds.append(fastest_drive(log.voltage, steps))
             rests.append(longest_rest(log.voltage, steps))
-            periods.append(float(np.median(steps)))
     figures: dict[str, Any] = {
         **model.fit,
         "sign": model.sign,
@@ -110,8 +88,8 @@ def measured(
         "line_rmse": line,
         "fastest": max(speeds, default=None),
         "longest_rest": max(rests, default=None),
-        "sample_period": min(periods, default=None),
-        "logs": [vars(residual) for residual in residuals],
+        "sample_period": min((log.dt for log in logs if log.dt), default=None),
+        "logs": residuals,
         "notes": list(notes),
     }
     found = [*figures.get("warnings", []), *_warnings(model, figures)]
@@ -167,17 +145,17 @@ def _warnings(model: Model, figures: dict[str, Any]) -> list[str]:
 
 def predicted(model: Model, log: Recording) -> Floats:
     """Return what a model makes of a log's drive."""
-    steps: float | Floats | None = None
-    if log.time is not None:
-        steps = steps_of(log.time)
-    elif model.needs_time:
-        steps = 1.0
-    y, _ = model.simulate(log.voltage, dt=steps)
-    return y
+    dt = None if log.time is not None else 1.0
+    played, _ = model.simulate(log.voltage, time=log.time, dt=dt)
+    return played
 
 
-def residual_of(model: Model, log: Recording) -> Residual:
-    """Return what a model leaves of a log beside an offset, and a straight drift where swings can tell it."""
+def residual_of(model: Model, log: Recording) -> dict[str, Any]:
+    """Return what a model leaves of a log beside an offset, and a straight drift where swings can tell it.
+
+    Name, rows that count, RMS error, and how far the drift goes along the log, in the
+    displacement's unit.
+    """
     rows = log.usable
     left = (log.displacement - predicted(model, log))[rows]
     left = left - left.mean()
@@ -188,13 +166,14 @@ def residual_of(model: Model, log: Recording) -> Residual:
         left = left - rate * place
         drift = rate * float(np.ptp(place))
     rmse = math.sqrt(float(np.mean(left**2)))
-    return Residual(os.path.basename(log.name), len(left), rmse, drift)
+    name = os.path.basename(log.name)
+    return {"name": name, "rows": len(left), "rmse": rmse, "drift": drift}
 
 
-def pooled(residuals: Sequence[Residual]) -> float:
+def pooled(residuals: Sequence[dict[str, Any]]) -> float:
     """Return the RMS over all rows."""
-    squares = sum(log.rows * log.rmse**2 for log in residuals)
-    return math.sqrt(squares / sum(log.rows for log in residuals))
+    squares = sum(log["rows"] * log["rmse"] ** 2 for log in residuals)
+    return math.sqrt(squares / sum(log["rows"] for log in residuals))
 
 
 def line_rmse(logs: Sequence[Recording]) -> float:

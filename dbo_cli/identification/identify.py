@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from dbo_cli.errors import FitError, warn
+from dbo_cli.errors import warn
 from dbo_cli.identification.clean import clean
 from dbo_cli.identification.distill import Average, distill
 from dbo_cli.identification.fast import split
@@ -73,8 +73,6 @@ def _searched(
     problem, choices = choices_for(prepared, options)
     search = Search(problem, choices)
     fits = search.run()
-    if not fits:
-        raise FitError("no model can be fitted to the logs; leave out bad rows")
     moved = None
     if options.dynamics != 0 and (fast or options.dynamics != "auto"):
         moved = moving(problem, fits, slow, fast, options)

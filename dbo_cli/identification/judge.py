@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -15,11 +16,11 @@ from dbo_cli.identification.solve import Equations, Fit, products
 WORSE_ALLOWED = 1.3  # mean square on the rows kept, over that of the whole fit
 SHORTENED = (1.0, 0.5, 0.25, 0.1)
 FLOOR = 1e-4  # of the output's standard deviation: a smaller error is as good
-PRICES = {"t": 0.1, "r": 0.1, "free": 1.5, "drift": 0.1, "curve": 0.05}
-"""What a family must gain in the logarithm of the error left out: lags, the drive less its lags,
-slopes without a rule, drift, each power of ten by which the curve may be rougher (not of one amplitude,
-whose loop and curve are told by one another).
-"""
+PRICE = 0.1
+"""What a family must gain in the logarithm of the error left out: lags, the drive less its lags, drift."""
+CURVE_PRICE = 0.05
+"""The same for each power of ten by which the curve may be rougher; not of one amplitude, whose loop and
+curve are fitted by one another."""
 
 
 def judge(problem: Problem, fit: Fit, equations: Equations | None = None) -> Fit:
@@ -40,13 +41,15 @@ def judge(problem: Problem, fit: Fit, equations: Equations | None = None) -> Fit
         return fit
     states = equations.states
     left = []
-    for number, part in enumerate(problem.parts):
+    for number, mask in enumerate(problem.parts):
         equations.states = states.copy()
         rest = total - np.add.reduce(grams[groups[:, number]])
-        kept = rest / (1.0 - float(rows.weights[part.mask].sum()))
-        left.append(_left_out(equations, fit, part.mask, kept, problem))
-    judged = replace(fit, left=tuple(left))
-    return replace(judged, score=score(problem, judged))
+        kept = rest / (1.0 - float(rows.weights[mask].sum()))
+        left.append(_left_out(equations, fit, mask, kept, problem))
+    judged = score(problem, fit, left)
+    if not math.isfinite(judged):
+        return fit
+    return replace(fit, left=tuple(left), score=judged)
 
 
 def _left_out(
@@ -83,26 +86,26 @@ def error_left_out(left: Sequence[Floats]) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def score(problem: Problem, fit: Fit) -> float:
-    """Return the logarithm of the error left out, and the price of the terms."""
+def score(problem: Problem, fit: Fit, left: Sequence[Floats]) -> float:
+    """Return the logarithm of what is left of a part, the mean of the RMS errors, and the price of the terms.
+
+    Not the mean of their squares, since a part that nothing predicts must not decide alone.
+    """
     floor = FLOOR * float(problem.output.std())
-    return float(np.log(max(error_left_out(fit.left), floor))) + price(problem, fit)
+    errors = [math.sqrt(float(np.mean(values**2))) for values in left]
+    return math.log(max(float(np.mean(errors)), floor)) + price(problem, fit)
 
 
 def least_score(problem: Problem, fit: Fit) -> float:
     """Return what the score can be at best: no part is predicted better than it is fitted."""
-    floor = FLOOR * float(problem.output.std())
-    return float(np.log(max(fit.rmse, floor))) + price(problem, fit)
+    return score(problem, fit, [fit.error[mask] for mask in problem.parts])
 
 
 def price(problem: Problem, fit: Fit) -> float:
     """Return what the families of terms of a structure cost."""
-    cost = sum(PRICES[family] for family in fit.structure.memories)
-    if fit.structure.slopes == "free":
-        cost += PRICES["free"]
-    if fit.structure.drift:
-        cost += PRICES["drift"]
+    families = len(fit.structure.memories) + (fit.structure.drift > 0)
+    cost = PRICE * families
     smooth = fit.structure.smooth_curve
     if np.isfinite(smooth) and not problem.one_amplitude:
-        cost += PRICES["curve"] * max(1.0 - float(np.log10(smooth)), 0.0)
+        cost += CURVE_PRICE * max(1.0 - float(np.log10(smooth)), 0.0)
     return cost

@@ -91,17 +91,17 @@ def moving(
     FitError
         Resonances are asked for, and there are no fast rows.
     """
-    best = min(fits, key=lambda fit: fit.score)
+    best = fits[0]
     static = model_of(problem, best, logs[0], options)
     wanted = options.dynamics
     sections, delay, figures = find(static, fast, wanted)
     if not sections:
         return Moving(problem, fits, (), 0.0, figures)
     slower = problem.taus[problem.taus >= least_relaxation(fast)]
-    problem = replace(problem, taus=slower, _columns={})
+    problem = replace(problem, taus=slower)
     late = delay + lateness(sections)
     fits = _around(problem, best, late)
-    best = min(fits, key=lambda fit: fit.score)
+    best = fits[0]
     creep: tuple[Lag, ...] = ()
     if options.taus is None and len(slower) and all(map(even_step, logs)):
         freed, others, lags = with_creep(problem, logs, best.structure, CURVES)

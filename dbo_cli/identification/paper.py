@@ -11,19 +11,13 @@ does on the cycle and on the cycle shrunk about its middle.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from dbo_cli.errors import FitError, UsageError
+from dbo_cli.errors import FitError
+from dbo_cli.identification.recording import Floats, Options, Recording
+from dbo_cli.identification.stages import zero_of
 from dbo_cli.model import Gears, Model, Points, Quantity, Scale
-
-if TYPE_CHECKING:
-    from dbo_cli.identification.recording import Options, Recording
-
-Floats = NDArray[np.float64]
 
 GEARS = 25  # the paper's
 FINE_GEARS, GROUP = 1280, 20  # gears of the fine operator, and how many share a slope
@@ -50,8 +44,6 @@ def identify_paper(recording: Recording, options: Options) -> Model:
     ------
     FitError
         The displacement falls where the voltage rises: the paper's rule takes K > 0.
-    UsageError
-        Options that the paper's method does not have.
     """
     voltage, displacement = recording.voltage, recording.displacement
     if float(np.cov(voltage, displacement)[0, 1]) < 0.0:
@@ -61,8 +53,6 @@ def identify_paper(recording: Recording, options: Options) -> Model:
         )
     count = GEARS if options.gears == "auto" else int(options.gears)
     segments = SEGMENTS if options.points == "auto" else max(int(options.points), 1)
-    if count < 1:
-        raise UsageError(f"`gears` {count}: give 1 or more")
 
     low, swing = float(voltage.min()), float(np.ptp(voltage))
     least, stroke = float(displacement.min()), float(np.ptp(displacement))
@@ -77,7 +67,7 @@ def identify_paper(recording: Recording, options: Options) -> Model:
     if segments > 1:
         parts = np.full(segments, swing / segments)
         stages.append(Points(swing * curve, parts, 0.0, 0.0))
-    shift = zero_shift(displacement, options.zero)
+    shift = zero_of(recording, options)
     stages.append(Scale(stroke / swing, least - shift))
     model = Model(
         direction="forward",
@@ -86,17 +76,6 @@ def identify_paper(recording: Recording, options: Options) -> Model:
         stages=tuple(stages),
     )
     return _with_figures(model, recording, displacement - shift, count)
-
-
-def zero_shift(displacement: Floats, zero: str | float) -> float:
-    """Return what is taken off the displacement so that its zero is where the user wants it."""
-    if zero == "none":
-        return 0.0
-    if zero == "mean":
-        return float(displacement.mean())
-    if zero == "first":
-        return float(displacement[0])
-    return float(zero)
 
 
 def _with_figures(

@@ -8,7 +8,7 @@ import numpy as np
 
 from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import PreparedLog, Structure
-from dbo_cli.identification.problem import Problem, parts_of
+from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Booleans
 from dbo_cli.identification.solve import solve, times
 
@@ -73,6 +73,4 @@ def _without(problem: Problem, early: list[Booleans]) -> Problem:
     logs = []
     for log, rows in zip(problem.logs, early, strict=True):
         logs.append(replace(log, rows=log.rows[~rows], ends=log.ends[~rows]))
-    smaller = replace(problem, logs=tuple(logs), _columns={}, _groups=None)
-    smaller.parts = parts_of(smaller)
-    return smaller
+    return replace(problem, logs=tuple(logs))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,7 +16,6 @@ Booleans = NDArray[np.bool_]
 Integers = NDArray[np.int64]
 
 FEWEST_ROWS = 20  # fewer tell nothing of a loop
-MOST_EXTREMES = 20_000  # rows that turning points are looked for in
 SMALLEST_SWING = 0.05  # of the drive's range
 
 
@@ -148,36 +146,23 @@ class Options:
 
 def turning_points(drive: Floats, least: float) -> Integers:
     """Return the rows where the drive turns by more than ``least``, the first and the last row included."""
-    rows = _extremes(drive)
+    steps = np.diff(drive)
+    moving = np.flatnonzero(steps)
+    rising = steps[moving] > 0.0
+    extremes = [*moving[1:][rising[1:] != rising[:-1]].tolist(), len(drive) - 1]
     turns = [0]
-    extreme, direction = 0, 0
-    values = drive[rows].tolist()
-    for place, value in enumerate(values):
-        if direction == 0:
-            if abs(value - values[0]) > least:
-                direction = 1 if value > values[0] else -1
-                extreme = place
-        elif direction * (value - values[extreme]) >= 0.0:
-            extreme = place
-        elif direction * (values[extreme] - value) > least:
-            turns.append(int(rows[extreme]))
-            direction, extreme = -direction, place
-    if len(drive) - 1 > turns[-1]:
-        turns.append(len(drive) - 1)
-    return np.asarray(turns, dtype=np.int64)
-
-
-def _extremes(drive: Floats) -> Integers:
-    """Return some rows that hold all turning points but those of neighbouring rows of a long log."""
-    size = max(len(drive) // (MOST_EXTREMES // 2), 1)
-    if size == 1:
-        return np.arange(len(drive))
-    whole = len(drive) // size * size
-    blocks = drive[:whole].reshape(-1, size)
-    begins = np.arange(0, whole, size)
-    rows = [begins + blocks.argmin(axis=1), begins + blocks.argmax(axis=1)]
-    rows += [np.asarray([0]), np.arange(whole, len(drive))]
-    return np.unique(np.concatenate(rows))
+    level, direction = float(drive[0]), 0
+    turn = 0
+    for row, value in zip(extremes, drive[extremes].tolist(), strict=True):
+        change = value - level
+        if direction and change * direction >= 0.0:
+            turn, level = row, value
+        elif abs(change) > least:
+            if direction:
+                turns.append(turn)
+            direction = 1 if change > 0.0 else -1
+            turn, level = row, value
+    return np.asarray([*turns, len(drive) - 1], dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -212,13 +197,3 @@ class Swings:
     def usual_rows(self) -> float:
         """Rows that a swing takes, the mean weighted by rows."""
         return float(np.average(self.rows, weights=self.rows))
-
-
-def usual_swing(drives: Sequence[Floats], steps: Sequence[float]) -> float:
-    """Return the seconds that a swing takes, the mean over all logs weighted by rows."""
-    total = weight = 0.0
-    for drive, dt in zip(drives, steps, strict=True):
-        swings = Swings.of(drive)
-        total += swings.usual_rows * dt * len(drive)
-        weight += len(drive)
-    return total / weight

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,62 +14,62 @@ from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options
 from dbo_cli.identification.solve import Equations, Fit, solve
 
-CURVES = (np.inf, 1e-1, 1e-4, 1e-7)
-SLOPE_SMOOTHNESS = (2e-1, 2e-4)
-CORNERS = 1e-8  # of slopes that only grow or fall: springs slip at a few forces
+RULES = ("growing", "falling")  # for the slopes
+CURVES = (np.inf, 1e1, 1e-1, 1e-4, 1e-7)
+SLOPE_SMOOTHNESS = (2e-1, 2e-4, 1e-8)  # the last for springs that slip at a few forces
 ONE_AMPLITUDE_SMOOTHNESS = 1e5  # times what a first fit leaves of the output's variance
 BENDS = (-0.4, -0.25, -0.12, 0.12, 0.25, 0.4)
 DRIFTS = (1, 3)
 DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
-COARSE_DELAYS = ((0.6, 0.8, 1.25, 1.6), (0.9, 1.1))
-FINE_DELAYS = ((0.95, 1.05), (0.98, 1.02))
+REFINED = (
+    0.6,
+    0.8,
+    1.25,
+    1.6,
+    0.9,
+    1.1,
+    0.95,
+    1.05,
+)  # times the best delay, tried in turn
+ROUNDS = (2, 1)  # of neighbours: of how many kinds of structures
 HOPELESS = 1.0  # of the score: a fit that is worse at best weighs nothing
-WITHIN_REACH = 0.7  # of the score: worse delays are not refined
-FEWEST_SWINGS = 4  # with fewer a bend cannot be told from the loop
+FEWEST_SWINGS = 4  # with fewer neither bend nor drift can be told from the loop
 ONE_WAY = 2  # swings, up and down once: a curve cannot be told from the loop, either
 SWINGS_FOR_DRIFT = 4  # of each log, for each order
 SLOWEST = 3.0  # swings: the slowest memory that a log of one amplitude can tell
 OTHER_SMOOTHNESS = (0.01, 0.1, 1.0, 10.0, 100.0)  # of the candidates of one amplitude
-REFINED = 2  # kinds of structures whose neighbours are tried
 
 
 @dataclass(frozen=True)
 class Choices:
     """What is offered to the search."""
 
-    slopes: tuple[str, ...] = ("growing", "falling", "free")
+    slopes: tuple[str, ...] = RULES
     memories: tuple[str, ...] = ("", "t", "tr")
     smoothness: tuple[float, ...] = SLOPE_SMOOTHNESS
     curves: tuple[float, ...] = CURVES
     bends: tuple[float, ...] = BENDS
-    drifts: tuple[int, ...] = DRIFTS
-    corners: bool = True
+    drifts: tuple[int, ...] = ()
     segments: int = SEGMENTS
     delay: float | None = None
 
 
 def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
     """Return what a log can tell, and the problem without memories that it cannot."""
-    choices = Choices(drifts=_drifts(problem))
-    if problem.swings < FEWEST_SWINGS:
+    choices = Choices()
+    if problem.clock:
+        swings = min(len(swings.sizes) for swings in problem.swings)
+        drifts = [order for order in DRIFTS if swings >= SWINGS_FOR_DRIFT * order]
+        choices = replace(choices, drifts=tuple(drifts))
+    if problem.swing_count < FEWEST_SWINGS:
         choices = replace(choices, bends=())
-    if problem.swings <= ONE_WAY:
+    if problem.swing_count <= ONE_WAY:
         choices = replace(choices, curves=CURVES[:1])
     if problem.one_amplitude:
         problem, choices = _for_one_amplitude(problem, choices)
-    elif problem.smaller_swings == 1:
-        choices = replace(choices, slopes=("growing", "falling"))
     if not len(problem.taus):
         choices = replace(choices, memories=("",))
     return problem, _fixed(choices, options)
-
-
-def _drifts(problem: Problem) -> tuple[int, ...]:
-    """Return the orders of a drift that the logs can tell from anything else."""
-    if not problem.clock:
-        return ()
-    swings = problem.swings_of_log
-    return tuple(order for order in DRIFTS if swings >= SWINGS_FOR_DRIFT * order)
 
 
 def _for_one_amplitude(problem: Problem, choices: Choices) -> tuple[Problem, Choices]:
@@ -78,40 +78,39 @@ def _for_one_amplitude(problem: Problem, choices: Choices) -> tuple[Problem, Cho
     Slopes as smooth as can be, in the loop's sense, and no memory slower than three
     swings: where the level stays, that is one with a moving zero.
     """
-    rules = ("growing", "falling")
     errors = []
-    for rule in rules:
+    for rule in RULES:
         trial = Structure(rule, "", SLOPE_SMOOTHNESS[0], 1e-1)
         errors.append(solve(problem.rows(trial), trial).rmse)
     smooth = ONE_AMPLITUDE_SMOOTHNESS * min(errors) ** 2 / float(np.var(problem.output))
-    problem = problem.without_memories_from(SLOWEST * problem.swing)
+    fast = problem.taus[problem.taus < SLOWEST * problem.swing]
     choices = replace(
         choices,
-        slopes=(rules[int(np.argmin(errors))],),
+        slopes=(RULES[int(np.argmin(errors))],),
         memories=("", "t"),
         smoothness=(smooth,),
-        corners=False,
-        curves=CURVES[:3],
+        curves=CURVES[:4],
         drifts=choices.drifts[:1],
     )
-    return problem, choices
+    return replace(problem, taus=fast), choices
 
 
 def _fixed(choices: Choices, options: Options) -> Choices:
     """Return the choices that the user left."""
     if options.slopes != "auto":
         choices = replace(choices, slopes=(options.slopes,))
+    if options.slopes == "free":
+        choices = replace(choices, smoothness=choices.smoothness[:2])
     if options.delay != "auto":
         choices = replace(choices, delay=options.delay)
     if options.taus:
-        some = tuple(kind for kind in choices.memories if kind) or ("t",)
-        choices = replace(choices, memories=some)
+        choices = replace(choices, memories=("t", "tr"))
     if options.points == "auto":
         return choices
     choices = replace(choices, bends=())
     if options.points <= 1:
-        return replace(choices, curves=choices.curves[:1])
-    return replace(choices, curves=choices.curves[1:], segments=options.points)
+        return replace(choices, curves=CURVES[:1])
+    return replace(choices, curves=CURVES[1:], segments=options.points)
 
 
 class Search:
@@ -120,37 +119,43 @@ class Search:
     def __init__(self, problem: Problem, choices: Choices) -> None:
         self.problem, self.choices = problem, choices
         self.fits: list[Fit] = []
+        self.tried: set[Structure] = set()
         self.best = np.inf
 
     def run(self) -> list[Fit]:
-        """Return all fits."""
+        """Return all fits, the best first.
+
+        Raises
+        ------
+        FitError
+            No structure can be fitted.
+        """
         choices = self.choices
+        base = Structure(delay=choices.delay or 0.0, segments=choices.segments)
         for memories in choices.memories:
             for slopes in choices.slopes:
-                for smooth in self._smoothness(slopes):
-                    base = Structure(
-                        slopes, memories, smooth, delay=choices.delay or 0.0
+                for smooth in choices.smoothness:
+                    kind = replace(
+                        base, slopes=slopes, memories=memories, smooth_slopes=smooth
                     )
-                    base = replace(base, segments=choices.segments)
-                    self._path(base, choices.curves)
-        for kinds, factors in ((REFINED, COARSE_DELAYS), (1, FINE_DELAYS)):
-            for fit in self._best_kinds()[:kinds]:
+                    self._path(kind, choices.curves)
+        for count in ROUNDS:
+            for fit in self._best_kinds()[:count]:
                 self._neighbours(fit)
-            for some in factors:
-                self._finer_delay(some)
-        return self.fits
-
-    def _smoothness(self, slopes: str) -> tuple[float, ...]:
-        """Return the smoothness of slopes that are tried; steps of one sign are few by themselves."""
-        if self.choices.corners and slopes != "free":
-            return (*self.choices.smoothness, CORNERS)
-        return self.choices.smoothness
+            for factor in REFINED:
+                self._finer_delay(factor)
+        if not self.fits:
+            raise FitError("no model can be fitted to the logs; leave out bad rows")
+        return sorted(self.fits, key=lambda fit: fit.score)
 
     def _path(self, base: Structure, curves: Iterable[float]) -> None:
         """Fit a structure with rougher and rougher curves, each begun at the one before."""
         first = None
         for smooth in curves:
             structure = replace(base, smooth_curve=smooth)
+            if structure in self.tried:
+                continue
+            self.tried.add(structure)
             equations = Equations(self.problem.rows(structure), structure)
             try:
                 first = equations.solve(first)
@@ -176,7 +181,7 @@ class Search:
             fits.append(solve(self.problem.rows(structure), structure))
         return fits
 
-    def _best_kinds(self) -> Sequence[Fit]:
+    def _best_kinds(self) -> list[Fit]:
         """Return the best fit of each of the best kinds of slopes and memories."""
         best: dict[tuple[str, str], Fit] = {}
         for fit in sorted(self.fits, key=lambda fit: fit.score):
@@ -186,37 +191,23 @@ class Search:
     def _neighbours(self, fit: Fit) -> None:
         """Fit what differs from a good fit in one thing."""
         structure, choices = fit.structure, self.choices
-        curves = [structure.smooth_curve]
-        if np.isfinite(structure.smooth_curve):
-            curves.insert(0, min(structure.smooth_curve * 100.0, 1e9))
         trials = [replace(structure, bend=bend) for bend in (0.0, *choices.bends)]
         trials += [replace(structure, drift=order) for order in (0, *choices.drifts)]
+        if choices.delay is None and self.problem.clock:
+            dt, swing = self.problem.dt, self.problem.swing
+            for part in DELAYS:
+                steps = max(round(swing * part / dt), 1)
+                trials.append(replace(structure, delay=steps * dt))
         for trial in trials:
             if trial != structure:
-                self._path(trial, curves)
-        if choices.delay is None and self.problem.clock:
-            for delay in self._delays():
-                self._path(replace(structure, delay=delay), curves)
+                self._path(trial, [structure.smooth_curve])
 
-    def _delays(self) -> list[float]:
-        """Return the delays tried first, in seconds: whole steps."""
-        dt, swing = self.problem.dt, self.problem.swing
-        steps = {max(round(swing * part / dt), 1) for part in DELAYS}
-        return [step * dt for step in sorted(steps)]
-
-    def _finer_delay(self, factors: Sequence[float]) -> None:
-        """Try delays around the best one."""
-        if self.choices.delay is not None or not self.problem.clock:
+    def _finer_delay(self, factor: float) -> None:
+        """Try a delay beside the best one."""
+        if self.choices.delay is not None:
             return
         late = [fit for fit in self.fits if fit.structure.delay > 0.0]
-        best = min(late, key=lambda fit: fit.score, default=None)
-        if (
-            best is None
-            or best.score > min(fit.score for fit in self.fits) + WITHIN_REACH
-        ):
-            return
-        for factor in factors:
-            delay = best.structure.delay * factor
-            self._path(
-                replace(best.structure, delay=delay), [best.structure.smooth_curve]
-            )
+        if late:
+            best = min(late, key=lambda fit: fit.score).structure
+            trial = replace(best, delay=best.delay * factor)
+            self._path(trial, [best.smooth_curve])

@@ -1,4 +1,4 @@
-"""Fits of given sections to fast rows: output error, its size on blocks left out, standard errors."""
+"""Fits of given sections to fast rows: output error, and its size on blocks left out."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from dbo_cli.identification.fast import FastPart
+from dbo_cli.identification.recording import Floats
 from dbo_cli.model import Delay, Dynamics, Lag, Mode, Model, Resonance, Section
 
-Floats = NDArray[np.float64]
 Band = tuple[float, float]  # lowest and highest frequency swept, Hz
 
 BLOCKS, FOLDS = 40, 5  # blocks of the fast rows, dealt out to the folds in turn
@@ -48,8 +47,6 @@ class Fitted:
         On all fast rows, and on blocks left out.
     noise
         Mean square of what is white in what is left.
-    spread
-        Standard errors of the parameters.
     """
 
     form: Form
@@ -57,7 +54,6 @@ class Fitted:
     rmse: float
     left_out: float
     noise: float
-    spread: Floats
 
     @property
     def white(self) -> bool:
@@ -157,12 +153,7 @@ def _bounds(
 
 
 def _judged(signals: Sequence[Signals], parameters: Floats, form: Form) -> Fitted:
-    """Return a fit with its error on blocks left out and the standard errors of its parameters.
-
-    A fit without some blocks is one step from the whole fit. The standard errors hold
-    where what is left is no white noise, too: (J'J)^-1 (sum of g g') (J'J)^-1 with g =
-    J'r of each block (Liang and Zeger, Biometrika 73, 13, 1986).
-    """
+    """Return a fit with its error on blocks left out, each one step from the whole fit."""
     left = np.concatenate([part.left(parameters, form) for part in signals])
     columns = []
     for direction in np.eye(parameters.size):
@@ -176,10 +167,6 @@ def _judged(signals: Sequence[Signals], parameters: Floats, form: Form) -> Fitte
         kept = along[~out]
         step = -np.linalg.lstsq(kept, left[~out], rcond=1e-9)[0]
         squares += float(np.sum((left[out] + along[out] @ step) ** 2))
-    inverse = np.linalg.pinv(along.T @ along, hermitian=True)
-    pulls = np.zeros((BLOCKS, parameters.size))
-    np.add.at(pulls, block, along * left[:, None])
-    spread = np.sqrt(np.diag(inverse @ (pulls.T @ pulls) @ inverse))
     noise = [np.diff(part.left(parameters, form), 2) for part in signals]
     return Fitted(
         form,
@@ -187,7 +174,6 @@ def _judged(signals: Sequence[Signals], parameters: Floats, form: Form) -> Fitte
         float(np.sqrt(np.mean(left**2))),
         float(np.sqrt(squares / left.size)),
         float(np.mean(np.concatenate(noise) ** 2)) / 6.0,
-        spread,
     )
 
 

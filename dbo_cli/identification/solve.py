@@ -70,7 +70,6 @@ class Fit:
     penalised : what was minimised
     left : what is left of each part where that was left out (``judge``)
     score : mean logarithm of that, and the price of the terms (``judge``)
-    misfit : weighted mean square of what it leaves of a mean prediction (``distill``)
     """
 
     structure: Structure
@@ -83,7 +82,6 @@ class Fit:
     penalised: float = np.inf
     left: tuple[Floats, ...] = ()
     score: float = np.inf
-    misfit: float = np.inf
 
     @property
     def rmse(self) -> float:
@@ -113,11 +111,6 @@ def travelled(u: Floats, segments: int) -> Floats:
     part[:, 0] += np.minimum(u, 0.0)
     part[:, -1] += np.maximum(u - 1.0, 0.0)
     return part
-
-
-def used_columns(rows: Rows, structure: Structure) -> int:
-    """Return how many of the columns a structure uses."""
-    return rows.cells + rows.terms * len(structure.memories)
 
 
 def bending(columns: Floats) -> Floats:
@@ -171,7 +164,7 @@ class Equations:
 
     def __init__(self, rows: Rows, structure: Structure) -> None:
         self.rows, self.structure = rows, structure
-        self.inner = used_columns(rows, structure)
+        self.inner = rows.cells + rows.terms * len(structure.memories)
         self.segments = structure.segments if np.isfinite(structure.smooth_curve) else 1
         self.curved = self.segments > 1
         self.free = self.inner + self.segments * self.curved

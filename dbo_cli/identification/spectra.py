@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import csd, welch
 
+from dbo_cli.identification.recording import Floats
 from dbo_cli.identification.sections import Band, Fitted, Signals
-
-Floats = NDArray[np.float64]
 
 APART = 0.3  # of the logarithms of two resonances
 SAME_GAIN = 0.3  # of the logarithm: up to here the phase tells a delay

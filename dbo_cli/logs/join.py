@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -32,7 +33,8 @@ class ClockOffset:
     def describe(self) -> str:
         """Return what was done, as the line on what was read has it."""
         within = f" ± {self.uncertainty:.1g}" if self.auto else ""
-        return f"{self.name} moved by {self.seconds:.4g}{within} s"
+        name = os.path.basename(self.name)
+        return f"{name} moved by {self.seconds:.4g}{within} s"
 
 
 def joined(logs: Sequence[Log], clock_offset: float | str | None) -> Log:

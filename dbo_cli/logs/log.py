@@ -130,10 +130,10 @@ class Log:
         for role, column in self.columns.items():
             names.append(column.name or f"column {column.number} ({role})")
         s = "" if self._rows == 1 else "s"
-        line = f"{self.name}: {self._rows:,} row{s}, {self.clock.describe()}; {', '.join(names)}"
+        line = f"{self.name}: {self._rows:,} row{s}, {self.clock.describe()}"
         if self.clock_offset is not None:
-            line += f"; {self.clock_offset.describe()}"
-        return line
+            line += f", {self.clock_offset.describe()}"
+        return f"{line}; {', '.join(names)}"
 
     def close(self) -> None:
         """Close the file."""

@@ -338,11 +338,6 @@ static PyObject *stepper_clipped(PyObject *object, void *nothing) {
     return PyLong_FromSize_t(((const stepper *)object)->clipped);
 }
 
-static PyObject *stepper_last(PyObject *object, void *nothing) {
-    (void)nothing;
-    return PyFloat_FromDouble(((const stepper *)object)->now.last);
-}
-
 static PyMethodDef stepper_methods[] = {
     {"plan", stepper_plan, METH_O, "The output for an input; nothing changes yet."},
     {"commit", stepper_commit, METH_NOARGS, "Go on to the state that was worked out last."},
@@ -353,7 +348,6 @@ static PyMethodDef stepper_methods[] = {
 
 static PyGetSetDef stepper_attributes[] = {
     {"clipped", stepper_clipped, NULL, "Whether the last plan met the limits.", NULL},
-    {"last", stepper_last, NULL, "The output of the last step committed.", NULL},
     {NULL, NULL, NULL, NULL, NULL}};
 
 static PyType_Slot stepper_slots[] = {

@@ -1,6 +1,6 @@
 /* Weighted sums of play operators: what the Prandtl-Ishlinskii operator and its descendants are made of.
  *
- * C99, no allocation, no library calls; the readable twin is relatives/plays.py, and both give the same bits.
+ * C99, no allocation, no library calls; compare/plays.py makes the tables.
  * Arrays are padded to whole groups of DBO_PLAY_LANES plays with weight 0 and infinite reach, so that a compiler
  * may keep a group in vector registers; `n` counts the real ones. Play 0 has reach 0: it is the last input.
  */
@@ -9,7 +9,7 @@
 
 #include <stddef.h>
 
-#define DBO_PLAY_LANES 8 /* chosen; the order of the sums, so part of the bits: LANES in relatives/plays.py */
+#define DBO_PLAY_LANES 8 /* chosen; the order of the sums, so part of the bits: LANES in compare/plays.py */
 
 /* z_i = max(x - up_i, min(x + down_i, z_i)), y = curve(x) + sum (weight_i + s by_rate_i) z_i, s being 0 to 1.
  * by_rate is 0 where weights do not depend on the rate. The curve is cubic x^3 + linear x from 0 to 1 and goes

@@ -124,14 +124,6 @@ def test_a_changed_shape_is_refused_and_kept_by_force() -> None:
     assert kept.fit["expected_rmse"] > 0.02
 
 
-def test_an_unknown_past_that_hides_an_offset_is_said() -> None:
-    prior = actuator()
-    swept = rescale(prior, [recorded(prior, waves(0.0, 100.0))], Options())
-    inside = rescale(prior, [recorded(prior, waves(40.0, 60.0))], Options())
-    assert swept.fit["warnings"] == []
-    assert len(inside.fit["warnings"]) == 1
-
-
 def test_what_cannot_be_refreshed_is_refused() -> None:
     log = recorded(actuator(), waves(0.0, 100.0))
     against = Recording("new.csv", log.voltage, -log.displacement, log.time)

@@ -17,7 +17,7 @@ from dbo_cli.identification.basis import (
     plays_at_start,
     time_constants,
 )
-from dbo_cli.identification.problem import groups_of, prepare, steady_rows
+from dbo_cli.identification.problem import groups_of, prepare
 from dbo_cli.identification.recording import Options, Recording, Swings, turning_points
 from dbo_cli.identification.solve import (
     AT_ZERO,
@@ -160,8 +160,6 @@ def test_turning_points_and_swings() -> None:
 
 def test_groups_of_rows() -> None:
     rows = np.asarray([True] * 5 + [False] + [True] * 4)
-    begins, ends = groups_of(rows, 3, 2)
-    assert begins.tolist() == [0, 3, 6, 9] and ends.tolist() == [2, 5, 8, 10]
-    assert means(np.arange(10.0), begins, ends).tolist() == [0.5, 3.5, 6.5, 9.0]
-    fast = Recording("log", np.tile([0.0, 1.0], 50), np.arange(100.0))
-    assert steady_rows([fast], 8) == 1
+    begins, ends = groups_of(rows, 3, 3)
+    assert begins.tolist() == [0, 3, 6, 9] and ends.tolist() == [3, 5, 9, 10]
+    assert means(np.arange(10.0), begins, ends).tolist() == [1.0, 3.5, 7.0, 9.0]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 from typing import NamedTuple
@@ -288,3 +291,16 @@ def test_stamps_of_two_files_are_one_clock(tmp_path: Path) -> None:
     assert table.rows == 30
     assert table.time is not None
     assert table.time[0] == 10.0
+
+
+def test_a_model_of_a_found_offset_has_no_delay(tmp_path: Path) -> None:
+    seen, sent = split_sample(tmp_path, 0.37)
+    words = ["identify", seen.name, "--voltage", f"{sent.name}::voltage_V"]
+    words += ["--clock-offset", "auto", "-o", "model.json"]
+    line = [sys.executable, "-m", "dbo_cli", *words]
+    done = subprocess.run(
+        line, capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert f"{sent.name} moved by 0.373" in done.stderr
+    model = json.loads((tmp_path / "model.json").read_text())
+    assert "delay" not in [stage["type"] for stage in model["stages"]]

@@ -34,8 +34,8 @@ def two_logs(**options):
     time, desired, first, second = signals()
     drive = 1.2 * desired
     pairs = [
-        Pair("runs/without.csv", desired, first, time=time, voltage=drive),
-        Pair("runs/with <b>&.csv", desired, second, time=time, voltage=drive),
+        Pair("logs/without.csv", desired, first, time=time, voltage=drive),
+        Pair("logs/with <b>&.csv", desired, second, time=time, voltage=drive),
     ]
     return Report.of(pairs, unit="um", voltage_unit="V", **options)
 
