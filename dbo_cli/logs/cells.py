@@ -53,10 +53,7 @@ def split_cells(line: str, delimiter: str) -> list[str]:
     if '"' in line:
         return _split_quoted(line, delimiter)
     if delimiter == " ":
-        blanks = line.strip().replace(
-            "\t", " "
-        )  # no-break blanks stand between thousands
-        return [cell for cell in blanks.split(" ") if cell]
+        return re.findall(r"[^ \t\r]+", line)  # no-break blanks stand between thousands
     return [cell.strip() for cell in line.split(delimiter)]
 
 

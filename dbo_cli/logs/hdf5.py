@@ -26,7 +26,7 @@ CHUNK_CACHE = (
 )  # bytes a dataset: a compressed chunk is unpacked once, not once a block
 _NOT_APPLIED = {
     "scale_factor": 1.0, "add_offset": 0.0, "scale": 1.0, "offset": 0.0, "gain": 1.0, "factor": 1.0,
-    "sensitivity": 1.0, "calibration": 1.0,
+    "sensitivity": 1.0, "calibration": 1.0, "YInc": 1.0,
 }  # fmt: skip
 _MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
                    "uint32", "uint64", "logical")  # fmt: skip
@@ -214,7 +214,8 @@ def _column(
     """Return a column with its unit, and a warning of each attribute that may belong to its values."""
     warnings = []
     for key, nothing in _NOT_APPLIED.items():
-        values = _attribute(dataset, key)
+        node = dataset.parent if key == "YInc" else dataset  # Keysight's counts
+        values = _attribute(node, key)
         if len(values) == 1 and values[0] != nothing:
             warnings.append(
                 f"has an attribute {key}, {values[0]}: not applied (`scale`)"

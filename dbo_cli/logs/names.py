@@ -44,13 +44,14 @@ class Names:
 class Table:
     """How the rows are written: delimiter, columns of numbers, number of columns, the first row.
 
-    ``counts``: whether the first column counts the rows.
+    ``first`` is the number of lines above it, ``counts`` whether the first column counts the rows.
     """
 
     delimiter: str
     numeric: frozenset[int]
     width: int
     first_row: Sequence[str]
+    first: int
     counts: bool
 
 
@@ -141,8 +142,9 @@ def _as_header(line: str, table: Table, above_units: bool) -> list[str] | None:
         words = [cell for cell in cells if cell and not is_number(cell, ".")]
         if len(cells) != table.width or not words:
             continue
-        if above_units or not any(_is_figure(cells[n]) for n in table.numeric):
-            return cells
+        figures = {cells[n] for n in table.numeric if _is_figure(cells[n])}
+        if above_units or not figures or (figures == {"1"} and _are_units(cells)):
+            return cells  # 1 stands for no unit
     return None
 
 
@@ -222,8 +224,8 @@ def _refuse_unclear(name: str, above: Sequence[str], table: Table) -> None:
     figures = any(_is_figure(cell) for cell in cells)
     if (figures and not blank) or (not figures and len(cells) != table.width):
         raise InputError(
-            f"{name}: {len(cells)} names above rows of {table.width} cells: type `skip_lines` N, "
-            "`delimiter` or `decimal`"
+            f"{name}:{table.first - blank}: {len(cells)} names above rows of {table.width} cells: "
+            f"type `skip_lines` {table.first}, `delimiter` or `decimal`"
         )
 
 

@@ -216,7 +216,9 @@ def _read_header(name: str, layout: Layout, lines: Sequence[str], skipped: int) 
     below = layout.cells(lines[min(layout.first + 1, len(lines) - 1)])
     first, second = "".join(first_row[:1]), "".join(below[:1])
     counts = first in ("0", "1") and second.isdigit() and int(second) > int(first)
-    table = Table(layout.delimiter, layout.numeric, layout.width, first_row, counts)
+    table = Table(
+        layout.delimiter, layout.numeric, layout.width, first_row, layout.first, counts
+    )
     layout.names = find_names(name, above, settings, table)
 
 
