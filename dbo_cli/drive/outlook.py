@@ -16,7 +16,7 @@ from dbo_cli.model import State
 Floats = NDArray[np.float64]
 
 EXPECTED_ROWS = 131_072  # first rows of a move, on which the error to expect is played
-RINGS = 1e-3  # of the range: so far off its first value may a drive begin unsaid
+OFF_AT_FIRST = 1e-3  # of the range: so far off its first value may a drive begin unsaid
 LONG_HOLD = 100.0  # times the longest time constant: what creeps has come to rest
 
 
@@ -123,12 +123,12 @@ class Outlook:
                 f"{loss.clipping()}: clipped; the move misses {loss.rms:.3g}{unit} RMS, at most "
                 f"{loss.most:.3g}{unit}"
             )
-        if self.missed:
+        if abs(self.missed) > OFF_AT_FIRST * self.model.output.span:
             texts.append(
                 f"{self.name}: row 1 starts {abs(self.missed):.3g}{unit} off, where no settled actuator "
                 "is: try `condition` or `state` empty"
             )
-        if abs(self.off) > RINGS * self.model.output.span:
+        if abs(self.off) > OFF_AT_FIRST * self.model.output.span:
             texts.append(
                 f"{self.name}: the move starts in motion and rings at first: add `lead` auto"
             )
