@@ -9,6 +9,8 @@ from dbo_cli.logs.clock import Clock
 from dbo_cli.logs.log import Log
 from dbo_cli.logs.source import Block
 
+MOST_ROWS = 100_000_000  # some gigabytes
+
 
 def resampled(log: Log, rate: float) -> Log:
     """Return a log at an even rate, by linear interpolation between its rows.
@@ -26,7 +28,7 @@ def resampled(log: Log, rate: float) -> Log:
         )
     span = float(table.time[-1] - table.time[0])
     count = int(np.floor(span * rate * (1.0 + 1e-12))) + 1
-    if count < 2 or count > 1_000_000_000:
+    if count < 2 or count > MOST_ROWS:
         raise InputError(f"{log.name}: `resample` {rate:g}: the log lasts {span:.4g} s")
     time = table.time[0] + np.arange(count) / rate
     values = {}
