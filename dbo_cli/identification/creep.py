@@ -14,12 +14,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import nnls
 
-from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import Structure
-from dbo_cli.identification.judge import judge
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Floats, Options, Recording
-from dbo_cli.identification.solve import Fit, solve
+from dbo_cli.identification.search import Choices, Search
+from dbo_cli.identification.solve import Fit
 from dbo_cli.identification.stages import model_of
 from dbo_cli.model import Dynamics, Lag, Relaxation
 from dbo_cli.model.undoing import Inverter
@@ -49,7 +48,9 @@ def with_creep(
     curves
         Smoothness of the curve behind the gears, from a straight line on.
     """
-    taus = _taus(problem)
+    shortest, longest = float(problem.taus.min()), float(problem.taus.max())
+    count = 1 + int(np.ceil(np.log(longest / shortest) / np.log(TAU_RATIO)))
+    taus = np.geomspace(shortest, longest, count)
     bare = replace(structure, memories="")
     freed = problem
     creep: tuple[Lag, ...] = ()
@@ -66,18 +67,9 @@ def with_creep(
 
 def _fits(problem: Problem, structure: Structure, curves: Sequence[float]) -> list[Fit]:
     """Return judged fits over the smoothness of the curve."""
-    fits = []
-    first = None
-    for smooth in curves:
-        trial = replace(structure, smooth_curve=smooth)
-        try:
-            first = solve(problem.rows(trial), trial, first)
-        except FitError:
-            continue
-        judged = judge(problem, first)
-        if judged.left:
-            fits.append(judged)
-    return fits
+    search = Search(problem, Choices())
+    search.path(structure, curves)
+    return search.fits
 
 
 def _freed(problem: Problem, creep: tuple[Lag, ...]) -> Problem:
@@ -87,13 +79,6 @@ def _freed(problem: Problem, creep: tuple[Lag, ...]) -> Problem:
         output, _ = Inverter(Dynamics(creep), None, log.dt).run(log.output)
         logs.append(replace(log, output=output))
     return replace(problem, logs=tuple(logs))
-
-
-def _taus(problem: Problem) -> Floats:
-    """Return time constants (s) over those of the problem, nearer to each other."""
-    shortest, longest = float(problem.taus.min()), float(problem.taus.max())
-    count = 1 + int(np.ceil(np.log(longest / shortest) / np.log(TAU_RATIO)))
-    return np.geomspace(shortest, longest, count)
 
 
 def _shares(

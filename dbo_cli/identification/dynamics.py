@@ -26,9 +26,10 @@ from dbo_cli.identification.sections import (
     Signals,
     fitted,
     parameters_of,
+    peak_of,
+    phase_delay,
     sections_of,
 )
-from dbo_cli.identification.spectra import peak_of, phase_delay
 from dbo_cli.model import Gears, Lag, Model, Relaxation, Resonance, Section
 
 MOST_RESONANCES = 2  # one sweep does not tell more apart

@@ -23,14 +23,13 @@ CURVE_PRICE = 0.05
 curve are fitted by one another."""
 
 
-def judge(problem: Problem, fit: Fit, equations: Equations | None = None) -> Fit:
+def judge(problem: Problem, fit: Fit, equations: Equations) -> Fit:
     """Return the fit with what it leaves of each part left out, and its score.
 
     A fit without a part is one step from the fit to all rows; ``equations`` are the
-    fit's, where they are at hand.
+    fit's.
     """
-    rows = problem.rows(fit.structure)
-    equations = equations or Equations(rows, fit.structure)
+    rows = equations.rows
     table = equations.table(fit)
     groups, of_row = problem.groups
     grams = np.stack([products(table[of_row == place]) for place in range(len(groups))])

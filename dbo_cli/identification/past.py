@@ -39,17 +39,16 @@ def without_unknown_past(problem: Problem, notes: list[str]) -> Problem:
     strange = []
     for place, rows in enumerate(early):
         left = error[problem.owner == place][rows]
-        alien = rows.any() and float(np.mean(left**2)) > STRANGE * usual
-        strange.append(rows if alien else np.zeros(len(rows), bool))
-        if alien:
-            log = problem.logs[place]
-            last = int(log.rows[rows][-1]) + 1
-            notes.append(
-                f"{log.name}: rows 1 to {last} left out: unknown past, before the drive was at both ends "
-                "of its range"
-            )
-    if not any(rows.any() for rows in strange):
-        return problem
+        if not rows.any() or float(np.mean(left**2)) <= STRANGE * usual:
+            strange.append(np.zeros(len(rows), bool))
+            continue
+        strange.append(rows)
+        log = problem.logs[place]
+        last = int(log.rows[rows][-1]) + 1
+        notes.append(
+            f"{log.name}: rows 1 to {last} left out: unknown past, before the drive was at both ends "
+            "of its range"
+        )
     return _without(problem, strange)
 
 

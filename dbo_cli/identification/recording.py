@@ -115,7 +115,6 @@ class Options:
     slopes: Slopes = "auto"
     method: Literal["least-squares", "paper"] = "least-squares"
     force: bool = False
-    rating: tuple[float | None, float | None] = (None, None)
 
     def __post_init__(self) -> None:
         """Refuse (UsageError) what makes no sense."""
