@@ -17,6 +17,7 @@ import numpy as np
 
 from dbo_cli.errors import FitError
 from dbo_cli.identification.fast import FastPart
+from dbo_cli.identification.recording import white_noise
 from dbo_cli.identification.sections import (
     LEAST_DAMPING,
     MOST_BESIDE,
@@ -268,8 +269,7 @@ def _unexplained(
     warnings = []
     for part, one in zip(fast, signals, strict=True):
         left = one.left(best.parameters, best.form)
-        noise = float(np.mean(np.diff(left, 2) ** 2)) / 6.0
-        beyond = max(float(np.var(left)) - noise, 0.0)
+        beyond = max(float(np.var(left)) - white_noise([left]), 0.0)
         share = float(np.sqrt(beyond / np.var(one.measured)))
         if share > UNEXPLAINED:
             low, high = part.band

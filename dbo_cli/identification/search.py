@@ -151,14 +151,13 @@ class Search:
             equations = Equations(self.problem.rows(structure), structure)
             try:
                 first = equations.solve(first)
+                if least_score(self.problem, first) > self.best + HOPELESS:
+                    continue
+                judged = judge(self.problem, first, equations)
             except FitError:
                 continue
-            if least_score(self.problem, first) > self.best + HOPELESS:
-                continue
-            judged = judge(self.problem, first, equations)
-            if judged.left:
-                self.best = min(self.best, judged.score)
-                self.fits.append(judged)
+            self.best = min(self.best, judged.score)
+            self.fits.append(judged)
 
     def as_smooth(self, best: Fit) -> list[Fit]:
         """Return fits of a structure with other smoothness of the slopes.

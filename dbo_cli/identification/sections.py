@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.signal import csd, welch
 
 from dbo_cli.identification.fast import FastPart
-from dbo_cli.identification.recording import Floats
+from dbo_cli.identification.recording import Floats, white_noise
 from dbo_cli.model import Delay, Dynamics, Lag, Mode, Model, Resonance, Section
 
 Band = tuple[float, float]  # lowest and highest frequency swept, Hz
@@ -159,7 +159,8 @@ def _bounds(
 
 def _judged(signals: Sequence[Signals], parameters: Floats, form: Form) -> Fitted:
     """Return a fit with its error on blocks left out, each one step from the whole fit."""
-    left = np.concatenate([part.left(parameters, form) for part in signals])
+    parts = [part.left(parameters, form) for part in signals]
+    left = np.concatenate(parts)
     columns = []
     for direction in np.eye(parameters.size):
         beside = [part.left(parameters + SMALL * direction, form) for part in signals]
@@ -172,13 +173,12 @@ def _judged(signals: Sequence[Signals], parameters: Floats, form: Form) -> Fitte
         kept = along[~out]
         step = -np.linalg.lstsq(kept, left[~out], rcond=1e-9)[0]
         squares += float(np.sum((left[out] + along[out] @ step) ** 2))
-    noise = [np.diff(part.left(parameters, form), 2) for part in signals]
     return Fitted(
         form,
         parameters,
         float(np.sqrt(np.mean(left**2))),
         float(np.sqrt(squares / left.size)),
-        float(np.mean(np.concatenate(noise) ** 2)) / 6.0,
+        white_noise(parts),
     )
 
 
