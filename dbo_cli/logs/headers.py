@@ -222,12 +222,18 @@ def read_settings(lines: Sequence[str], delimiter: str) -> dict[str, list[str]]:
             if match and match[2] == "=":
                 settings.setdefault(match[1].strip(), [match[3].strip()])
         match = _KEYED.fullmatch(line)
-        # an increment that is not in a table of settings may be that of a scan
-        if match and match[3].strip() and plain_key(match[1]) != "increment":
+        if match and match[3].strip() and not _is_scan(match[1], match[3]):
             values = _values(match[3], match[2], delimiter)
             settings.setdefault(match[1].strip(), values)
         before = cells
     return settings
+
+
+def _is_scan(key: str, text: str) -> bool:
+    """Return whether a setting may be a scan's: an increment without a unit, which no table holds."""
+    return plain_key(key) == "increment" and is_number(
+        text.strip().replace(",", "."), "."
+    )
 
 
 def _values(text: str, mark: str, delimiter: str) -> list[str]:
@@ -258,6 +264,7 @@ def stated_clock(settings: dict[str, list[str]], decimal: str) -> StatedClock:
         statements += [(key, value, unit) for value in filled]
     clock = clock_of(statements, decimal)
     for key, values in settings.items():
-        if clock.rate and plain_key(key) in _DIVIDERS and values[0] != "1":
+        divided = plain_key(key) in _DIVIDERS and to_number(values[0], ".") > 1.0
+        if clock.rate and divided:
             clock.problem = f"'{key}' {values[0]} beside a rate: type `sample_rate` HZ"
     return clock

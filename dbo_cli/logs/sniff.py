@@ -155,7 +155,7 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     if reading.decimal is None:
         layout.decimal = _shown_decimal(layout, [lines[n] for n in rows])
         _refuse_thousands(name, layout, [layout.cells(lines[n]) for n in rows])
-    _count_first_column(layout, sample)
+    _decide_first_column(layout, sample)
     layout.first = _first_row(layout, lines, rows)
     _refuse_other_rows(name, layout, lines, rows)
     _read_header(name, layout, lines, skipped)
@@ -174,7 +174,7 @@ def _refuse_other_delimiter(name: str, layout: Layout) -> None:
             sign = re.escape(DELIMITERS[mark])
             if re.search(rf"\d{sign}|{sign}\d", text):
                 raise InputError(
-                    f"{name}: '{text}' holds another delimiter: type `delimiter` {mark}"
+                    f"{name}: {text!r} holds another delimiter: type `delimiter` {mark}"
                 )
 
 
@@ -330,13 +330,18 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
     return (shares[layout.width] / sum(weights) if numeric else 0.0), layout
 
 
-def _count_first_column(layout: Layout, sample: Sequence[str]) -> None:
-    """Let the first column be one of numbers where most rows have one, and the last rows a label."""
+def _decide_first_column(layout: Layout, sample: Sequence[str]) -> None:
+    """Let the first column be what it is in most rows, where the last ones begin with a label."""
     first = ["".join(layout.cells(line)[:1]) for line in sample]
     numbers = [cell for cell in first if is_number(cell, layout.decimal)]
+    form = stamp_format([(cell, 1.0) for cell in first])
     if 2 * len(numbers) > len(first):
         layout.numeric |= {0}
-        layout.texts.pop(0, None)
+    elif form is not None:
+        layout.stamps[0] = form
+    else:
+        return
+    layout.texts.pop(0, None)
 
 
 def _refuse_thousands(
