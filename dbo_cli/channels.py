@@ -161,12 +161,12 @@ def compensate(
     return _write(output, table.time, results, len(channels))
 
 
-def refuse(pieces: Mapping[str, object], **others: object) -> None:
-    """Refuse what gives channels drives of different lengths."""
-    for option, value in {**pieces, **others}.items():
+def refuse(pieces: Mapping[str, object] | None = None, **others: object) -> None:
+    """Refuse what gives channels drives of different lengths, or is of one model."""
+    for option, value in {**(pieces or {}), **others}.items():
         if value:
             raise UsageError(
-                f"`{option}` needs a single channel: dbo compensate SET::NAME ..."
+                f"`{option}` needs a single channel: give SET::NAME and its columns"
             )
 
 

@@ -112,8 +112,8 @@ class Model:
         begun, last = self._state(state), None
         if isinstance(clock, np.ndarray):
             dt, last = room.steps_of(clock), float(clock[-1])
-            if isinstance(begun, room.State) and begun.time is not None:
-                dt = np.diff(clock, prepend=begun.time)
+            if isinstance(begun, room.State):
+                dt = room.steps_behind(begun.time, clock, dt)
         y, after = self.actuator.simulate(values, dt=dt, state=begun, outside=outside)
         if return_state:
             return y, dataclasses.replace(after, time=last)
@@ -129,8 +129,8 @@ class Model:
         v_max: float | str | None = None,
         max_slew: float | str | None = None,
         extrapolate: bool = False,
-        from_: float | None = None,
-        return_: float | None = None,
+        from_: float | str | None = None,
+        return_: float | str | None = None,
         state: str | room.State = "auto",
         details: bool = False,
         **options: Any,
@@ -146,8 +146,9 @@ class Model:
             Time in s, or a rate in Hz.
         v_min, v_max, max_slew, extrapolate
             Limits, as numbers in the drive's unit or as text (``"2V/ms"``).
-        from_, return_ : float, optional
-            Where the amplifier stands before the move, and where it goes after it.
+        from_, return_ : float or str, optional
+            Where the amplifier stands before the move, and where it goes after it; as
+            limits are.
         state : str or State
             What was before the first sample.
         details : bool
@@ -164,19 +165,21 @@ class Model:
         LimitError
             A start outside the limits, or a move that they do not allow.
         """
-        from dbo_cli.drive import Limits, plan
+        from dbo_cli.drive import Limits, plan, voltage_in
 
         self.actuator.require("forward")
         values = floats(wanted, "wanted")
         clock = clock_of(wanted, time, sample_rate, len(values))
         limits = Limits.within(self.input, v_min, v_max, max_slew, extrapolate)
+        start = None if from_ is None else voltage_in("from", from_, self.input)
+        end = None if return_ is None else voltage_in("return", return_, self.input)
         drive: Drive = plan(
             self.actuator,
             values,
             clock,
             limits,
-            start=from_,
-            return_to=return_,
+            start=start,
+            return_to=end,
             state=self._state(state),
             **options,
         )
@@ -508,7 +511,7 @@ def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Cloc
     back = np.flatnonzero(np.diff(seconds) < 0.0)
     if back.size:
         raise InputError(
-            f"`time`[{back[0] + 1}]: {seconds[back[0] + 1]!r} s goes backwards"
+            f"`time`[{back[0] + 1}]: {seconds[back[0] + 1]:.9g} s goes backwards"
         )
     return seconds
 

@@ -123,7 +123,13 @@ def compensate(
             {"from": start, "approach": approach, "lead": lead, "return": return_to},
             condition=condition,
             periodic=periodic,
+            passes=passes,
             tracked=tracked,
+            history=history,
+            absolute=absolute,
+            bandwidth=bandwidth,
+            summary=summary,
+            save_state=save_state,
         )
         limits_of = {**ranges, "extrapolate": extrapolate}
         text = channels.compensate(
@@ -131,8 +137,10 @@ def compensate(
         )
         say_output(output, text)
         return
-    if not tracked and (history or absolute):
-        raise UsageError("`history` and `absolute` need `tracked` LOG")
+    if not tracked and (history or absolute or voltage or measured):
+        raise UsageError(
+            "`history`, `absolute`, `voltage` and `measured` need `tracked` LOG"
+        )
     actuator = read_model(model)
     actuator.require("forward", model)
     limits = Limits.within(actuator.input, **ranges, extrapolate=extrapolate)
@@ -148,7 +156,7 @@ def compensate(
         options["start"] = voltage_in("from", start, actuator.input)
     if return_to is not None:
         options["return_to"] = voltage_in("return", return_to, actuator.input)
-    if bandwidth or periodic or tracked:
+    if bandwidth or periodic or passes or tracked:
         roles = {"time": time, "voltage": voltage, "measured": measured}
         options |= {
             "bandwidth": opt.quantity("bandwidth", bandwidth, "Hz"),

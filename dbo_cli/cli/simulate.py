@@ -44,6 +44,7 @@ def simulate(
 
     columns = {"time": time, "input": input}
     if channels.is_pattern(columns):
+        channels.refuse(save_state=save_state)
         text = channels.simulate(model, log, output, reading, columns, state, outside)
         say_output(output, text)
         return
@@ -89,12 +90,10 @@ def feed(
     first: Block, blocks: Iterator[Block], run: Simulation
 ) -> Iterator[tuple[Block, Any, Any]]:
     """Yield blocks with their input and time steps; a saved state knows when it was."""
-    import numpy as np
+    from dbo_cli.model import steps_behind
 
-    dt = first.dt
-    saved = None if run.state is None else run.state.time
-    if saved is not None and first.time is not None and first.time[0] > saved:
-        dt = np.diff(first.time, prepend=saved)
+    left = None if run.state is None else run.state.time
+    dt = steps_behind(left, first.time, first.dt)
     yield first, first.values["input"], dt
     for block in blocks:
         yield block, block.values["input"], block.dt

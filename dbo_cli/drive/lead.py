@@ -157,8 +157,10 @@ def plan_lead(
     if not isinstance(around.lead, float | int):
         chosen = desired.size * dt
     if not around.moves:
-        state = around.state if isinstance(around.state, State) else None
-        if state is None and last is not None:
+        state = None
+        if isinstance(around.state, State):
+            state = replace(around.state, drive=last)
+        elif last is not None:
             state = _played(model, np.array([last]), dt, around.state).state
         return Lead(desired=desired, state=state, chosen=chosen)
     if last is None and not around.condition:

@@ -122,14 +122,24 @@ class Controller:
         typed = None if from_ is None else voltage_in("from_", from_, model.input)
         left_at = state.drive if isinstance(state, State) else None
         self._last = self.limits.standing(typed, left_at, "`from_`")
+        if self._last is not None:
+            self._begin = self._stood_at(self._last)
         self._stepper: Stepper | None = None
         self._pending: Pending | None = None
         self._inverter = model.inverter(self._dt)
         self.lookahead = self._samples_ahead(lookahead)
         self._wanted: Floats | None = None
         self._undoing: Undoing | None = None
-        if isinstance(state, State):
-            self._undoing = self._inverter.behind(state)
+        if isinstance(self._begin, State):
+            self._undoing = self._inverter.behind(self._begin)
+
+    def _stood_at(self, voltage: float) -> State:
+        """Return the state before the first row, where the amplifier stands at a voltage."""
+        begin = self._begin
+        if not isinstance(begin, State):
+            started = self._model.start(voltage, begin)
+            begin = self._model.run(np.array([voltage]), started, self._dt).state
+        return dataclasses.replace(begin, drive=voltage)
 
     def _samples_ahead(self, lookahead: float | Literal["auto"] | None) -> int:
         """Return how many samples what is wanted is read ahead."""
@@ -180,7 +190,7 @@ class Controller:
         u, queue, undoing = self._undone(value)
         begun = None
         if self._stepper is None:
-            begun = self._begun(u)
+            begun = self._model.start_drive(u, self._begin, *self.limits.move)
             voltage, clipped = self._planned_first(u, begun)
         else:
             voltage, clipped = self._planned(u, self._stepper)
@@ -225,7 +235,7 @@ class Controller:
 
     def _undone(self, wanted: float) -> tuple[float, Floats | None, Undoing | None]:
         """Return what the gears are to reach now, what is wanted from now on, and what undoing remembers."""
-        if not self.lookahead:
+        if not self.lookahead and not self._inverter.parts:
             return wanted, None, None
         if self._wanted is None:
             queue = np.full(self.lookahead + 1, wanted)
@@ -236,16 +246,6 @@ class Controller:
         known = queue[: self._inverter.ahead + 1]
         undone, undoing = self._inverter.run(known, self._undoing)
         return float(undone[0]), queue, undoing
-
-    def _begun(self, u: float) -> State:
-        """Return the state before the first row."""
-        begun = self._model.start_drive(u, self._begin, *self.limits.move)
-        if self._last is None or isinstance(self._begin, State):
-            return begun
-        if begun.first is not None:
-            # chosen for the voltage at which the amplifier stands
-            begun = self._model.static.start(self._last, self._begin)
-        return dataclasses.replace(begun, drive=self._last, first=None)
 
     def _planned_first(self, u: float, begun: State) -> tuple[float, bool]:
         """Return the voltage of the first row, and whether a limit held it back."""

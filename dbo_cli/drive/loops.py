@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.gate import Gate
-from dbo_cli.drive.lead import Around, ramp, standing_at
+from dbo_cli.drive.lead import MOST_ROWS, Around, ramp, standing_at
 from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.loss import ALLOWED_PART, Loss, OnLimit
 from dbo_cli.drive.outlook import Outlook
@@ -92,6 +92,8 @@ class Loop:
         """
         if passes < 0:
             raise UsageError(f"`passes` {passes}: give a whole number of passes")
+        if passes * self.desired.size > MOST_ROWS:
+            raise UsageError(f"`passes` {passes}: at most {MOST_ROWS:,} rows in all")
         around = self.around
         if around.condition or around.lead or around.return_to is not None:
             raise UsageError(

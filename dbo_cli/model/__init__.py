@@ -12,10 +12,17 @@ from dbo_cli.model.file import (
     read_models,
 )
 from dbo_cli.model.gears import Gears, Window
-from dbo_cli.model.model import Candidate, Model, Outside, Steps
+from dbo_cli.model.model import Candidate, Model, Outside
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
-from dbo_cli.model.state import Quantity, Run, State, steps_of
+from dbo_cli.model.state import (
+    Quantity,
+    Run,
+    State,
+    Steps,
+    steps_behind,
+    steps_of,
+)
 from dbo_cli.model.state_file import dumps_state, read_state
 from dbo_cli.model.undoing import Undoing, read_ahead
 
@@ -49,5 +56,6 @@ __all__ = [
     "read_model",
     "read_models",
     "read_state",
+    "steps_behind",
     "steps_of",
 ]

@@ -32,13 +32,10 @@ from dbo_cli.model.points import (
     value_through,
 )
 from dbo_cli.model.start import Starts, require_start
-from dbo_cli.model.state import Quantity, Run, State, steps_of
+from dbo_cli.model.state import Quantity, Run, State, Steps, steps_of
 from dbo_cli.model.undoing import Inverter
 
 Floats = NDArray[np.float64]
-Steps = (
-    float | Floats | None
-)  # seconds since the sample before: one number, or one each
 Outside = Literal["extend", "hold", "error"]
 Sign = Literal["rising", "falling"]
 

@@ -15,6 +15,9 @@ from dbo_cli.model.dynamics import SectionStates
 from dbo_cli.model.undoing import Undoing
 
 Floats = NDArray[np.float64]
+Steps = (
+    float | Floats | None
+)  # seconds since the sample before: one number, or one each
 StartName = Literal["auto", "empty", "full", "settled"]
 START_NAMES: tuple[StartName, ...] = ("auto", "empty", "full", "settled")
 
@@ -144,6 +147,19 @@ def steps_of(time: ArrayLike) -> float | Floats:
     if mean > 0.0 and float(np.abs(steps - mean).max()) <= slack:
         return mean
     return np.concatenate([[0.0], steps])
+
+
+def steps_behind(left: float | None, time: Floats | None, dt: Steps) -> Steps:
+    """Return the seconds before each row, where a state was left at a time (s) before the first.
+
+    An even clock that goes on stays one number; a clock that begins anew, or no clock,
+    leaves ``dt`` as it is.
+    """
+    if left is None or time is None or not time[0] > left:
+        return dt
+    if isinstance(dt, float) and abs(time[0] - left - dt) <= _COARSE * dt:
+        return dt
+    return np.diff(time, prepend=left)
 
 
 def _last_decimal(stamps: Floats, coarsest: float) -> float:

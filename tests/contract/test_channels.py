@@ -108,3 +108,20 @@ def test_an_error_of_one_channel_names_it(channels: Path) -> None:
 def test_options_for_one_channel_at_a_time_are_refused(channels: Path) -> None:
     words = ("--displacement", "D{}_um", "--condition", "-o", "drives.csv")
     assert "--condition" in refused(2, "compensate", "set.json", channels, *words)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--save-state", "s.json"),
+        ("--summary", "s.json"),
+        ("--bandwidth", "5"),
+        ("--passes", "3"),
+    ],
+)
+def test_what_is_of_one_channel_is_refused(
+    channels: Path, words: tuple[str, ...]
+) -> None:
+    sides = ("--displacement", "D{}_um", "-o", "out.csv")
+    assert words[0] in refused(2, "compensate", "set.json", channels, *sides, *words)
+    assert not Path("out.csv").exists()

@@ -438,3 +438,10 @@ def test_a_saved_state_joins_two_moves() -> None:
     two = drive_of("--state", "s.json", name="creep", wish="second.csv")
     joined = np.concatenate([one["voltage_V"], two["voltage_V"]])
     np.testing.assert_allclose(joined, whole, atol=1e-9)
+
+
+@pytest.mark.parametrize("words", [("--passes", "3"), ("--measured", "D")])
+def test_an_option_without_the_one_it_belongs_to_is_refused(
+    wish: Path, words: tuple[str, str]
+) -> None:
+    assert words[0] in refused(2, "compensate", model("small"), wish, *words)

@@ -38,6 +38,27 @@ def test_a_saved_state_goes_on_where_it_ended(name: str) -> None:
         np.testing.assert_allclose(np.concatenate(parts), whole, rtol=0, atol=1e-12)
 
 
+def test_an_inverse_model_goes_on_from_a_state() -> None:
+    time = np.arange(300) / 1000.0
+    wanted = 3.0 + np.sin(20.0 * np.minimum(time, 0.1))
+    done("invert", model("moving"), "-o", "inverse.json")
+    write("first.csv", "time_s,displacement_um", time[:200], wanted[:200])
+    write("second.csv", "time_s,displacement_um", time[200:], wanted[200:])
+    write("whole.csv", "time_s,displacement_um", time, wanted)
+    whole = table(done("simulate", "inverse.json", "whole.csv"))["voltage_V"]
+    done("simulate", "inverse.json", "first.csv", "--save-state", "s.json", "-q")
+    second = table(done("simulate", "inverse.json", "second.csv", "--state", "s.json"))
+    np.testing.assert_allclose(second["voltage_V"], whole[200:], rtol=0, atol=1e-3)
+
+
+def test_a_state_goes_on_under_a_clock_that_begins_anew() -> None:
+    creep = dbo_cli.read_model(model("creep"))
+    time, drive = np.arange(50) / 1000.0, signal(100)
+    _, state = creep.simulate(drive[:50], time, return_state=True)
+    again = creep.simulate(drive[50:], time, state=state)
+    np.testing.assert_allclose(again, creep.simulate(drive, sample_rate=1e3)[50:])
+
+
 def test_a_state_belongs_to_one_model(drive: Path) -> None:
     done("simulate", model("small"), drive, "--save-state", "s.json", "-o", "o.csv")
     values = json.loads(Path("s.json").read_text())

@@ -47,6 +47,43 @@ def test_live_is_compensate(parts):
     assert np.abs(np.diff(sent)).max() <= 0.9 * (1 + 1e-12)
 
 
+@pytest.mark.parametrize("state", ["auto", "full"])
+@pytest.mark.parametrize("slew", [None, 9000.0])
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {"tau": (0.05,), "gain": (0.004,), "bend": (1.0, 1.5)},
+        {"sections": (Lag(0.002),)},
+        {"sections": (Resonance(120.0, 0.05),), "delay": 0.00137},
+    ],
+)
+def test_a_known_voltage_starts_live_as_compensate(parts, slew, state):
+    model = actuator(**parts)
+    wanted = ripple(model, 200)
+    live = Controller(
+        model, RATE, max_slew=slew, from_=30.0, state=state, lookahead="auto"
+    )
+    led = np.concatenate([np.full(live.lookahead, wanted[0]), wanted])
+    limits = Limits.within(model.input, None, None, slew)
+    whole = plan(
+        model, led, 1 / RATE, limits, start=30.0, state=state, on_limit="clip"
+    ).voltage
+    sent = stepped(live, wanted)
+    np.testing.assert_allclose(sent, whole[: len(sent)], rtol=0, atol=1e-9)
+
+
+def test_a_state_without_a_voltage_takes_the_typed_one():
+    model, wanted = actuator(), np.full(20, 5.0)
+    limits = Limits.within(model.input, None, None, 1e4)
+    begun = model.start(40.0, "empty")
+    whole = plan(
+        model, wanted, 1 / RATE, limits, state=begun, start=20.0, on_limit="clip"
+    )
+    live = Controller(model, RATE, max_slew=1e4, state=begun, from_=20.0)
+    assert abs(whole.voltage[0] - 20.0) <= 10.0 + 1e-12
+    np.testing.assert_allclose(stepped(live, wanted), whole.voltage, atol=1e-9)
+
+
 @each(
     "parts",
     [
