@@ -44,6 +44,7 @@ def simulate(
 
     columns = {"time": time, "input": input}
     if channels.is_pattern(columns):
+        channels.refuse({"save_state": save_state})
         text = channels.simulate(model, log, output, reading, columns, state, outside)
         say_output(output, text)
         return

@@ -78,6 +78,10 @@ class Recording:
             raise InputError(
                 f"{self.name}: row {row}: time goes backwards; sort the log"
             )
+        if float(np.median(steps)) == 0.0:
+            raise InputError(
+                f"{self.name}: most time stamps repeat: replace them with `sample_rate` HZ"
+            )
 
     @property
     def dt(self) -> float | None:
