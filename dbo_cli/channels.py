@@ -155,7 +155,10 @@ def compensate(
         wanted = table["displacement"]
         with _naming(name):
             allowed = Limits.within(drive, **limits)
-            done = plan(model, wanted, clock, allowed, on_limit=on_limit, state=state)
+        label = f"channel {name}"
+        done = plan(
+            model, wanted, clock, allowed, on_limit=on_limit, state=state, name=label
+        )
         results.append((f"desired_{name}", moved.unit, done.desired))
         results.append((f"{drive.quantity}_{name}", drive.unit, done.voltage))
     return _write(output, table.time, results, len(channels))
@@ -199,7 +202,8 @@ def _naming(channel: str) -> Iterator[None]:
     try:
         yield
     except DboError as problem:
-        named = DboError(f"channel {channel}: {problem}")
+        place = f"channel {channel}: "
+        named = DboError(place + str(problem).removeprefix(place))
         named.exit_code = problem.exit_code
         raise named from problem
 

@@ -66,6 +66,7 @@ def check(
 
     if not math.isfinite(gain) or not gain or (gain != 1.0 and against is None):
         raise UsageError(f"`gain` {gain:g}: give a factor, together with `against`")
+    opt.require("against", against, tolerance=tolerance)
     signal = read_drive(drive, reading, {"time": time, "voltage": voltage}, None)
     limits = limits_in(signal.unit, v_min, v_max, max_slew)
     position = None if start is None else figure_in("from", start, signal.unit)

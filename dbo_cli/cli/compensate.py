@@ -11,7 +11,6 @@ from typer import Argument
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.say import present, progress, say, say_log, say_output
-from dbo_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from dbo_cli.drive import Drive, Limits
@@ -137,10 +136,9 @@ def compensate(
         )
         say_output(output, text)
         return
-    if not tracked and (history or absolute or voltage or measured):
-        raise UsageError(
-            "`history`, `absolute`, `voltage` and `measured` need `tracked` LOG"
-        )
+    opt.require("tracked", tracked, history=history, absolute=absolute)
+    opt.require("tracked", tracked, voltage=voltage, measured=measured)
+    opt.require("periodic", periodic, passes=passes)
     actuator = read_model(model)
     actuator.require("forward", model)
     limits = Limits.within(actuator.input, **ranges, extrapolate=extrapolate)
@@ -252,4 +250,4 @@ def read_history(path: str | None) -> list[PassRecord]:
 
     if path is None or not Path(path).exists():
         return []
-    return parse_history(Path(path).read_text(encoding="utf-8"), path)
+    return parse_history(Path(path).read_bytes(), path)

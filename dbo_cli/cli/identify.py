@@ -115,6 +115,7 @@ def identify(
                 outputs.write_text(summary, summary_of(model))
         say_output(output, describe(model))
         return
+    channels.refuse({"summary": summary})
     models = {}
     for name in channels.names(logs, reading, columns):
         chosen = channels.filled(columns, name)

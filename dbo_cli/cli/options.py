@@ -238,6 +238,13 @@ def _appended(
 # --- values ---
 
 
+def require(partner: str, typed: object, **options: object) -> None:
+    """Refuse options that say nothing without another one."""
+    for name, value_of in options.items():
+        if value_of and not typed:
+            raise UsageError(f"`{name}` needs `{partner}`")
+
+
 def number(name: str, text: str | None) -> float | None:
     """Return the number of an option; UsageError where it is none."""
     try:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.say import detail, say
-from dbo_cli.errors import UsageError, warn
+from dbo_cli.errors import InputError, UsageError, warn
 
 if TYPE_CHECKING:
     from dbo_cli.logs import Block, Reading
@@ -84,6 +84,8 @@ def report(
 
     if model is not None and trajectory is not None:
         raise UsageError("give either `model` or `trajectory`")
+    opt.require("model", model, state=state != "auto")
+    opt.require("trajectory", trajectory, match=match != "auto")
     opt.quantity("max_rmse", max_rmse, None)  # a wrong word is refused before any work
     most_percent = opt.number("max_nrmse_percent", max_nrmse_percent)
     actuator = None if model is None else read_model(model)
@@ -153,7 +155,12 @@ def side_by_side(
 
     table, read_units = read(path, reading, roles, units, "voltage")
     unit = read_units.get("desired", read_units.get("measured"))
-    factor = conversion(read_units.get("measured"), unit)
+    try:
+        factor = conversion(read_units.get("measured"), unit)
+    except InputError as problem:
+        raise InputError(
+            f"{path}: measured and desired: {problem}: choose `measured` and `desired`"
+        ) from None
     if unit is not None:
         read_units["measured"] = unit
     measured = table["measured"] * factor

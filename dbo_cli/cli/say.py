@@ -20,6 +20,7 @@ _PARAMETER = re.compile(r"`([a-z]\w*)`")
 _CONTROL = re.compile(
     "[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufeff]+"
 )
+_FOLDER = re.compile(r"^.*?[/\\](?=[^/\\]*?(::|: ))")
 WIDTH = 115  # characters of a default line, behind ``dbo: ``
 _PAUSE = 0.2  # seconds between two updates of a progress line
 _Block = TypeVar("_Block")
@@ -35,7 +36,12 @@ class Level:
 
 
 def say(text: str) -> None:
-    """Print a line that everybody needs, at most ``WIDTH`` characters of it without ``--verbose``."""
+    """Print a line that everybody needs, at most ``WIDTH`` characters of it without ``--verbose``.
+
+    The folder of a file goes first, since the figures stand behind it.
+    """
+    if len(text) > WIDTH and not Level.verbose:
+        text = _FOLDER.sub("…/", text)
     if len(text) > WIDTH and not Level.verbose:
         text = text[: WIDTH - 1] + "…"
     if not Level.quiet and text:

@@ -363,7 +363,7 @@ def _trusted_by_bands(
 # --- the history ---
 
 
-def parse_history(text: str, name: str) -> list[PassRecord]:
+def parse_history(text: str | bytes, name: str) -> list[PassRecord]:
     """Read the passes of a history file, the oldest first.
 
     Raises

@@ -67,10 +67,17 @@ class Recording:
             )
         if float(np.ptp(self.displacement)) == 0.0:
             raise FitError(f"{self.name}: displacement never changes; check the sensor")
-        if self.time is not None and float(np.diff(self.time).min()) < 0.0:
-            row = int(np.argmin(np.diff(self.time))) + 2
+        if self.time is None:
+            return
+        steps = np.diff(self.time)
+        if float(steps.min()) < 0.0:
+            row = int(np.argmin(steps)) + 2
             raise InputError(
                 f"{self.name}: row {row}: time goes backwards; sort the log"
+            )
+        if float(np.median(steps)) == 0.0:
+            raise InputError(
+                f"{self.name}: most time stamps repeat: replace them with `sample_rate` HZ"
             )
 
     @property

@@ -60,6 +60,9 @@ def test_a_default_line_has_at_most_120_characters(capsys, monkeypatch):
     monkeypatch.setattr(say.Level, "quiet", False)
     say.say("x" * 300)
     assert len(capsys.readouterr().err.rstrip("\n")) == 120
+    say.say("/a/long/folder" * 20 + "/run.h5::/scan/1: 5 rows; speed 3 V/s: fast")
+    line = "dbo: …/run.h5::/scan/1: 5 rows; speed 3 V/s: fast\n"
+    assert capsys.readouterr().err == line
     monkeypatch.setattr(say.Level, "verbose", True)
     say.say("x" * 300)
     assert len(capsys.readouterr().err.rstrip("\n")) == 305

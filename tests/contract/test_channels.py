@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from .program import Floats, done, model, refused, table, values_of, write
+from .program import Floats, dbo, done, model, refused, table, values_of, write
 
 TIME = np.arange(600) / 500.0
 NAMES = ("a", "b", "c")
@@ -106,22 +106,18 @@ def test_an_error_of_one_channel_names_it(channels: Path) -> None:
 
 
 def test_options_for_one_channel_at_a_time_are_refused(channels: Path) -> None:
-    words = ("--displacement", "D{}_um", "--condition", "-o", "drives.csv")
-    assert "--condition" in refused(2, "compensate", "set.json", channels, *words)
+    words = ("--displacement", "D{}_um", "-o", "drives.csv")
+    for option in ("--condition", "--summary s.json", "--bandwidth 20", "--passes 2"):
+        more = option.split()
+        error = refused(2, "compensate", "set.json", channels, *words, *more)
+        assert more[0] in error
+    refused(2, "identify", channels, *SIDES, "--summary", "s.json", "-o", "x.json")
+    words = ("--input", "V{}_V", "--save-state", "s.json", "-o", "moved.csv")
+    refused(2, "simulate", "set.json", channels, *words)
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ("--save-state", "s.json"),
-        ("--summary", "s.json"),
-        ("--bandwidth", "5"),
-        ("--passes", "3"),
-    ],
-)
-def test_what_is_of_one_channel_is_refused(
-    channels: Path, words: tuple[str, ...]
-) -> None:
-    sides = ("--displacement", "D{}_um", "-o", "out.csv")
-    assert words[0] in refused(2, "compensate", "set.json", channels, *sides, *words)
-    assert not Path("out.csv").exists()
+def test_a_warning_names_the_channel(channels: Path) -> None:
+    words = ("--displacement", "D{}_um", "--v-max", "7", "--on-limit", "clip")
+    warned = dbo("compensate", "set.json", channels, *words, "-o", "x.csv").err
+    for name in NAMES:
+        assert f"warning: channel {name}: " in warned

@@ -300,6 +300,18 @@ def test_passes_come_before_the_settled_one() -> None:
     assert rms(came[-400:] - wanted) < 0.01
 
 
+def test_an_option_without_its_partner_is_refused() -> None:
+    move("wish.csv", np.linspace(3.0, 7.0, 400))
+    for option in ("--passes 2", "--voltage 2", "--measured 2", "--history h.json"):
+        words = (*option.split(), "-o", "d.csv")
+        refused(2, "compensate", model("small"), "wish.csv", *words)
+    Path("h.json").write_bytes(bytes(range(128, 256)))
+    done("compensate", model("small"), "wish.csv", "-o", "drive.csv", "-q")
+    done("simulate", model("small"), "drive.csv", "-o", "came.csv", "-q")
+    words = ("--tracked", "came.csv", "--history", "h.json", "-o", "d.csv")
+    assert "h.json" in refused(1, "compensate", model("small"), "wish.csv", *words)
+
+
 def test_a_loop_that_does_not_close_is_refused() -> None:
     move("wish.csv", np.linspace(3.0, 7.0, 400))
     outcome = dbo("compensate", model("small"), "wish.csv", "--periodic", "-o", "d.csv")

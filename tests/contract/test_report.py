@@ -203,6 +203,14 @@ def model_log(name: str = "log.csv") -> Floats:
     return noise(0.02)
 
 
+def test_an_option_without_its_partner_is_refused() -> None:
+    model_log()
+    log = ("log.csv", "--desired", "displacement", "--measured", "voltage")
+    assert "--state" in refused(2, "report", *log, "--state", "full")
+    assert "--match" in refused(2, "report", *log, "--match", "rows")
+    assert "log.csv" in refused(1, "report", *log)  # V beside um
+
+
 def test_a_model_s_prediction() -> None:
     error = model_log()
     found = merits("log.csv", "--model", model("small"))

@@ -141,6 +141,8 @@ def test_recordings_are_checked() -> None:
         Recording("log", DRIVE, np.where(np.arange(len(TIME)) == 2, np.nan, DRIVE))
     with pytest.raises(FitError, match="too few"):
         Recording("log", DRIVE[:10], DRIVE[:10])
+    with pytest.raises(InputError, match="sample_rate"):
+        Recording("log", DRIVE, DRIVE, np.floor(np.arange(len(DRIVE)) / 5.0))
 
 
 def test_unknown_past_is_part_of_the_expected_error(model: Model) -> None:
