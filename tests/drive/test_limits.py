@@ -9,6 +9,7 @@ from dbo_cli.drive.gate import Gate, GateError
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.model import Quantity
+from tests.each import each
 
 RANGE = Quantity("voltage", "V", 0.236, 3.424)
 
@@ -24,7 +25,7 @@ def test_two_ranges() -> None:
     assert wide.move == wide.rating == (-1.0, 5.0)
 
 
-@pytest.mark.parametrize(
+@each(
     ("v_min", "v_max", "slew"),
     [
         (4, None, None),
@@ -62,7 +63,7 @@ def test_units_of_limits() -> None:
     assert Limits.within(bar, 0, 5, 2).slew == 2.0
 
 
-@pytest.mark.parametrize("voltage", [1000.0, -0.001, 5.001, math.nan, math.inf])
+@each("voltage", [1000.0, -0.001, 5.001, math.nan, math.inf])
 def test_start_outside_the_rating(voltage: float) -> None:
     with pytest.raises(LimitError):
         Limits.within(RANGE, 0, 5).require_start(voltage)

@@ -12,6 +12,7 @@ from dbo_cli.drive import Limits, plan
 from dbo_cli.drive.live import Controller
 from dbo_cli.errors import InputError, LimitError, ModelError, UsageError
 from dbo_cli.model import Lag, Resonance
+from tests.each import each
 
 from .actuators import actuator, ripple
 
@@ -23,7 +24,7 @@ def stepped(live: Controller, wanted: np.ndarray) -> np.ndarray:
     return np.array([live.step(x) for x in wanted])
 
 
-@pytest.mark.parametrize(
+@each(
     "parts",
     [
         {},
@@ -46,7 +47,7 @@ def test_live_is_compensate(parts):
     assert np.abs(np.diff(sent)).max() <= 0.9 * (1 + 1e-12)
 
 
-@pytest.mark.parametrize(
+@each(
     "parts",
     [
         {"delay": 0.0035},
@@ -122,9 +123,7 @@ def test_an_applied_voltage_outside_walks_inwards():
     np.testing.assert_allclose(inwards, [81.5, 80.5, 80.0, 79.0], rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "wrong", [math.nan, math.inf, "3", True, None, 1e99, [1.0, 2.0]]
-)
+@each("wrong", [math.nan, math.inf, "3", True, None, 1e99, [1.0, 2.0]])
 def test_what_is_no_number_leaves_nothing_to_commit(wrong):
     live = Controller(actuator(), RATE)
     live.plan(3.0)

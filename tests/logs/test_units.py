@@ -16,9 +16,10 @@ from dbo_cli.units import (
     split_header,
     time_unit,
 )
+from tests.each import each
 
 
-@pytest.mark.parametrize(
+@each(
     ("header", "name", "unit"),
     [
         ("voltage_V", "voltage", "V"),

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import Gears, Relaxation, Window
 from tests import reference
+from tests.each import each
 from tests.model.random_models import random_drive, random_gears, random_points
 
 ROWS = 40  # exact rationals grow with every sample of a memory
@@ -33,7 +34,7 @@ def test_gears_are_the_papers(dx: list[float], signal: list[float], state: int) 
     np.testing.assert_allclose(done.y, expected, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@each("seed", range(12))
 def test_gears_with_memory_are_the_papers(seed: int) -> None:
     rng = np.random.default_rng(seed)
     gears = random_gears(rng)
@@ -62,7 +63,7 @@ def test_gears_with_memory_are_the_papers(seed: int) -> None:
     assert done.bits == paper.gears.state
 
 
-@pytest.mark.parametrize("seed", range(20))
+@each("seed", range(20))
 def test_points_are_the_papers(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = random_points(rng, -1.0, 3.0)
@@ -75,7 +76,7 @@ def test_points_are_the_papers(seed: int) -> None:
     np.testing.assert_allclose(points.inverse().run(got), signal, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("seed", range(60))
+@each("seed", range(60))
 def test_blocks_change_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)
     gears = random_gears(rng)
@@ -136,7 +137,7 @@ def test_lags_are_those_of_the_model() -> None:
     assert memory == pytest.approx(done.memory)
 
 
-@pytest.mark.parametrize(
+@each(
     ("dx", "dy", "text"),
     [
         ([], [], "dx: is empty"),
