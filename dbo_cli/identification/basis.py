@@ -9,7 +9,7 @@ before it by ``bend * x * (1 - x)``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,7 +68,6 @@ class PreparedLog:
         the drive
     time : shape (n,), seconds (rows where there is no clock)
     steps : seconds since the sample before, a number where the clock is even
-    start : "empty", "full" or "settled": where the gears stand at the first row
     rows, ends : shape (k,): row k of the fit is the mean over rows[k] to ends[k]
     """
 
@@ -77,7 +76,6 @@ class PreparedLog:
     output: Floats
     time: Floats
     steps: float | Floats
-    start: str
     rows: Integers
     ends: Integers
 
@@ -150,27 +148,18 @@ class Cells:
         return reach
 
 
-def plays_at_start(first: float, reach: Floats, start: str) -> Floats:
+def plays_at_start(first: float, reach: Floats) -> Floats:
     """Return where plays of these reaches stand before the first drive value.
 
-    "settled" is what an oscillation leaves that decays from the whole range to
-    ``first``. No drive inside the range moves the last play.
+    It is what an oscillation leaves that decays from the whole range to ``first``; at
+    the ends of the range no other past differs from it. No drive inside the range moves
+    the last play.
     """
-    if start == "empty":
-        plays = np.maximum(reach, first - reach)
-    elif start == "full":
-        plays = np.minimum(1.0 - reach, first + reach)
-    elif first <= 0.5:
+    plays = np.minimum(1.0 - reach, first)
+    if first <= 0.5:
         plays = np.maximum(reach, first)
-    else:
-        plays = np.minimum(1.0 - reach, first)
     plays[-1] = 0.5
     return plays
-
-
-def start_of(first: float) -> str:
-    """Return the start that a model takes by itself."""
-    return "empty" if first <= 0.0 else "settled"
 
 
 def bent(drive: Floats, bend: float) -> Floats:
@@ -194,86 +183,59 @@ def time_constants(logs: Sequence[PreparedLog]) -> Floats:
     return np.append(shortest * TAU_RATIO ** np.arange(count), longest)
 
 
-@dataclass
-class Basis:
-    """Columns of one log at the rows wanted, for one delay and bend.
+def columns_of(log: PreparedLog, sums: Floats, cells: Cells, delay: float) -> Floats:
+    """Return the table (rows, cells + 2 terms): engaged parts, lags, and drive less its lags.
 
-    Attributes
-    ----------
-    cells : the slope cells
-    taus : shape (terms,), time constants in seconds
+    A mean is a difference of ``sums``; a delay (s) shifts both ends.
     """
-
-    cells: Cells
-    taus: Floats
-
-    def columns(
-        self, log: PreparedLog, structure: Structure, sums: Floats | None = None
-    ) -> Floats:
-        """Return the table (rows, cells + 2 terms): engaged parts, lags, and drive less its lags.
-
-        A mean is a difference of ``sums``; a delay shifts both ends.
-        """
-        if sums is None:
-            sums = self.sums(log, structure.bend)
-        ends = np.concatenate((log.rows, log.ends))
-        position = _late(log, structure.delay, ends)
-        inside = np.maximum(position, 0.0)
-        whole = np.minimum(inside.astype(np.int64), len(log.drive) - 1)
-        before, behind = sums[whole], sums[whole + 1]
-        late = before + (inside - whole)[:, None] * (behind - before)
-        late += np.minimum(position, 0.0)[:, None] * sums[1]
-        begun, ended = np.split(late, 2)
-        first_rows, last_rows = np.split(position, 2)
-        table = (ended - begun) / (last_rows - first_rows)[:, None]
-        plays = self.cells.count + 1
-        lags, beyond = table[:, plays:-1], table[:, -1:]
-        engaged = table[:, : plays - 1] - table[:, 1:plays]
-        engaged[:, -1:] += beyond
-        return np.hstack((engaged, lags, table[:, :1] + beyond - lags))
-
-    def sums(self, log: PreparedLog, bend: float) -> Floats:
-        """Return the sums of plays, lags and what is beyond the gears over the rows before each row."""
-        rows = len(log.drive)
-        sums = np.zeros((rows + 1, self.cells.count + len(self.taus) + 2))
-        for begin, table in self._full_rate(log, bent(log.drive, bend)):
-            table[0] += sums[begin]
-            np.cumsum(table, axis=0, out=sums[begin + 1 : begin + 1 + len(table)])
-        return sums
-
-    def _full_rate(
-        self, log: PreparedLog, drive: Floats
-    ) -> Iterator[tuple[int, Floats]]:
-        """Yield the first row of each block and its table, all rows in order."""
-        compiled = kernel.require("identification")
-        reach = self.cells.reach
-        beyond = self.cells.beyond
-        inside = np.clip(drive, -beyond, 1.0 + beyond)
-        table, state = _play_table(reach, float(inside[0]), log.start)
-        taus = tuple(self.taus.tolist()) or (1.0,)  # the kernel wants one at least
-        lag = Relaxation(0.0, taus, (0.0,) * len(taus))
-        memory: Sequence[float] | None = None
-        for first in range(0, len(drive), BLOCK_ROWS):
-            part = slice(first, first + BLOCK_ROWS)
-            x = np.ascontiguousarray(inside[part])
-            plays = np.empty((len(x), len(reach)))
-            compiled.plays_rows(len(reach), table, state, x, plays)
-            steps = log.steps
-            if not isinstance(steps, float):
-                steps = steps[part]
-            lags, memory = lag.lags(drive[part], steps, memory)
-            outside = (drive[part] - x)[:, None]
-            yield first, np.hstack((plays, lags[:, : len(self.taus)], outside))
+    position = _late(log, delay, np.concatenate((log.rows, log.ends)))
+    inside = np.maximum(position, 0.0)
+    whole = np.minimum(inside.astype(np.int64), len(log.drive) - 1)
+    before, behind = sums[whole], sums[whole + 1]
+    late = before + (inside - whole)[:, None] * (behind - before)
+    late += np.minimum(position, 0.0)[:, None] * sums[1]
+    begun, ended = np.split(late, 2)
+    first_rows, last_rows = np.split(position, 2)
+    table = (ended - begun) / (last_rows - first_rows)[:, None]
+    plays = cells.count + 1
+    lags, beyond = table[:, plays:-1], table[:, -1:]
+    engaged = table[:, : plays - 1] - table[:, 1:plays]
+    engaged[:, -1:] += beyond
+    return np.hstack((engaged, lags, table[:, :1] + beyond - lags))
 
 
-def _play_table(reach: Floats, first: float, start: str) -> tuple[Floats, Floats]:
+def sums_of(log: PreparedLog, cells: Cells, taus: Floats, bend: float) -> Floats:
+    """Return the sums of plays, lags and what is beyond the gears over the rows before each row."""
+    compiled = kernel.require("identification")
+    drive, reach = bent(log.drive, bend), cells.reach
+    inside = np.clip(drive, -cells.beyond, 1.0 + cells.beyond)
+    table, state = _play_table(reach, float(inside[0]))
+    seconds = tuple(taus.tolist()) or (1.0,)  # the kernel wants one at least
+    lag = Relaxation(0.0, seconds, (0.0,) * len(seconds))
+    memory: Sequence[float] | None = None
+    sums = np.zeros((len(drive) + 1, len(reach) + len(taus) + 1))
+    for first in range(0, len(drive), BLOCK_ROWS):
+        rows = slice(first, first + BLOCK_ROWS)
+        x = np.ascontiguousarray(inside[rows])
+        plays = np.empty((len(x), len(reach)))
+        compiled.plays_rows(len(reach), table, state, x, plays)
+        steps = log.steps if isinstance(log.steps, float) else log.steps[rows]
+        lags, memory = lag.lags(drive[rows], steps, memory)
+        outside = (drive[rows] - x)[:, None]
+        block = np.hstack((plays, lags[:, : len(taus)], outside))
+        block[0] += sums[first]
+        np.cumsum(block, axis=0, out=sums[first + 1 : first + 1 + len(x)])
+    return sums
+
+
+def _play_table(reach: Floats, first: float) -> tuple[Floats, Floats]:
     """Return the kernel's table of plays, and their state."""
     padded = -(-len(reach) // LANES) * LANES
     table = np.zeros((3, padded))
     table[:2] = np.inf
     table[:2, : len(reach)] = reach
     state = np.zeros(padded)
-    state[: len(reach)] = plays_at_start(first, reach, start)
+    state[: len(reach)] = plays_at_start(first, reach)
     return table, state
 
 

@@ -48,16 +48,15 @@ def clean(
                 f"{log.name}: {int(good.sum())} usable rows are too few; record longer, or skip less"
             )
         logs.append(replace(log, good=good))
-    if not any(turns_back(log.voltage) for log in logs):
+    turns = []
+    for log in logs:
+        noise = TURNS_BACK * float(np.ptp(log.voltage))
+        turns.append(len(turning_points(log.voltage, noise)))
+    if max(turns) <= 2:
         raise FitError(
             f"{logs[0].name}: the voltage never turns back; record a drive that goes up and down"
         )
     return logs, notes
-
-
-def turns_back(voltage: Floats) -> bool:
-    """Whether a drive goes up and down by more than noise."""
-    return len(turning_points(voltage, TURNS_BACK * float(np.ptp(voltage)))) > 2
 
 
 def without_sensor_delay(log: Recording, delay: float) -> Recording:
@@ -103,16 +102,15 @@ def faulty_rows(log: Recording, notes: list[str]) -> Booleans:
     return faulty
 
 
-def spiked_rows(displacement: Floats, window: int = SPIKE_WINDOW) -> Booleans:
+def spiked_rows(displacement: Floats) -> Booleans:
     """Return rows that leave their neighbours and come back, further than these differ among themselves."""
-    spiked = np.zeros(len(displacement), bool)
-    if len(displacement) < 4 * window:
-        return spiked
-    half = window // 2
+    half = SPIKE_WINDOW // 2
     padded = np.pad(displacement, half, mode="edge")
-    around = np.sort(np.lib.stride_tricks.sliding_window_view(padded, window), axis=1)
+    around = np.sort(
+        np.lib.stride_tricks.sliding_window_view(padded, SPIKE_WINDOW), axis=1
+    )
     away = np.abs(displacement - around[:, half])
-    spread = around[:, -1 - window // 3] - around[:, window // 3]
+    spread = around[:, -1 - SPIKE_WINDOW // 3] - around[:, SPIKE_WINDOW // 3]
     sigma = 0.0
     if (away > 0.0).any():
         sigma = OF_NORMAL * float(np.median(away[away > 0.0]))

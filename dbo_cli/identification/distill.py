@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dbo_cli.identification.basis import Basis, PreparedLog, Structure
+from dbo_cli.identification.basis import PreparedLog, Structure, columns_of, sums_of
 from dbo_cli.identification.judge import error_left_out
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Floats
@@ -122,8 +122,10 @@ def distill(problem: Problem, average: Average) -> Fit:
 
 def _table(problem: Problem, invented: PreparedLog, structure: Structure) -> Floats:
     """Return the columns of the logs' rows and of an invented drive."""
-    basis = Basis(problem.cells, problem.taus)
-    return np.vstack((problem.columns(structure), basis.columns(invented, structure)))
+    cells = problem.cells
+    sums = sums_of(invented, cells, problem.taus, structure.bend)
+    added = columns_of(invented, sums, cells, structure.delay)
+    return np.vstack((problem.columns(structure), added))
 
 
 def _widest(average: Average) -> Structure:
@@ -159,6 +161,4 @@ def invented_log(problem: Problem) -> PreparedLog:
     drive = (1.0 + 2.0 * BEYOND) * np.concatenate(parts) - BEYOND
     every = np.arange(len(drive))
     time = np.asarray(dt * every, dtype=np.float64)
-    return PreparedLog(
-        "invented", drive, drive, time, float(dt), "empty", every, every + 1
-    )
+    return PreparedLog("invented", drive, drive, time, float(dt), every, every + 1)

@@ -17,6 +17,7 @@ import numpy as np
 
 from dbo_cli.errors import FitError
 from dbo_cli.identification.fast import FastPart
+from dbo_cli.identification.recording import white_noise
 from dbo_cli.identification.sections import (
     LEAST_DAMPING,
     MOST_BESIDE,
@@ -26,9 +27,10 @@ from dbo_cli.identification.sections import (
     Signals,
     fitted,
     parameters_of,
+    peak_of,
+    phase_delay,
     sections_of,
 )
-from dbo_cli.identification.spectra import peak_of, phase_delay
 from dbo_cli.model import Gears, Lag, Model, Relaxation, Resonance, Section
 
 MOST_RESONANCES = 2  # one sweep does not tell more apart
@@ -267,8 +269,7 @@ def _unexplained(
     warnings = []
     for part, one in zip(fast, signals, strict=True):
         left = one.left(best.parameters, best.form)
-        noise = float(np.mean(np.diff(left, 2) ** 2)) / 6.0
-        beyond = max(float(np.var(left)) - noise, 0.0)
+        beyond = max(float(np.var(left)) - white_noise([left]), 0.0)
         share = float(np.sqrt(beyond / np.var(one.measured)))
         if share > UNEXPLAINED:
             low, high = part.band

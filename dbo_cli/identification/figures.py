@@ -44,14 +44,12 @@ def stated(
     """
     followed = pooled([residual_of(model, log) for log in logs])
     left = max(left_out_rmse(problem, average), followed)
-    figures = {**model.fit, "left_out_rmse": left}
+    figures = {"method": "least-squares", **model.fit, "left_out_rmse": left}
     model = replace(model, fit=figures)
     invented = invented_log(problem)
     inside = np.clip(invented.drive, 0.0, 1.0)
     drive = problem.low + (problem.high - problem.low) * inside
-    figures = {
-        "method": "least-squares",
-        **figures,
+    figures |= {
         "expected_rmse": expected_error(model, drive, invented.dt),
         "one_amplitude": problem.one_amplitude,
         "swings": problem.swing_count,

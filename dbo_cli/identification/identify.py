@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from dbo_cli.errors import warn
 from dbo_cli.identification.clean import clean
@@ -16,8 +15,7 @@ from dbo_cli.identification.figures import (
     validated,
 )
 from dbo_cli.identification.moving import moving
-from dbo_cli.identification.past import without_unknown_past
-from dbo_cli.identification.problem import prepare
+from dbo_cli.identification.problem import prepare, without_unknown_past
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.search import Search, choices_for
 from dbo_cli.identification.stages import model_of
@@ -86,7 +84,6 @@ def _searched(
     model = model_of(problem, fit, slow[0], options, others)
     if moved is not None:
         model = moved.applied(model)
-        model = replace(model, fit={"dynamics": moved.figures})
     notes += average.words()
     known = problem.known(slow)
     return stated(model, problem, average, known), known

@@ -23,22 +23,18 @@ CURVE_PRICE = 0.05
 curve are fitted by one another."""
 
 
-def judge(problem: Problem, fit: Fit, equations: Equations | None = None) -> Fit:
+def judge(problem: Problem, fit: Fit, equations: Equations) -> Fit:
     """Return the fit with what it leaves of each part left out, and its score.
 
     A fit without a part is one step from the fit to all rows; ``equations`` are the
-    fit's, where they are at hand.
+    fit's.
     """
-    rows = problem.rows(fit.structure)
-    equations = equations or Equations(rows, fit.structure)
+    rows = equations.rows
     table = equations.table(fit)
     groups, of_row = problem.groups
     grams = np.stack([products(table[of_row == place]) for place in range(len(groups))])
     total = np.add.reduce(grams)
-    try:
-        equations.step(total, fit)
-    except FitError:
-        return fit
+    equations.step(total, fit)
     states = equations.states
     left = []
     for number, mask in enumerate(problem.parts):
@@ -46,10 +42,7 @@ def judge(problem: Problem, fit: Fit, equations: Equations | None = None) -> Fit
         rest = total - np.add.reduce(grams[groups[:, number]])
         kept = rest / (1.0 - float(rows.weights[mask].sum()))
         left.append(_left_out(equations, fit, mask, kept, problem))
-    judged = score(problem, fit, left)
-    if not math.isfinite(judged):
-        return fit
-    return replace(fit, left=tuple(left), score=judged)
+    return replace(fit, left=tuple(left), score=score(problem, fit, left))
 
 
 def _left_out(

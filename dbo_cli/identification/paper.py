@@ -11,6 +11,8 @@ does on the cycle and on the cycle shrunk about its middle.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.optimize import nnls
 
@@ -69,40 +71,21 @@ def identify_paper(recording: Recording, options: Options) -> Model:
         stages.append(Points(swing * curve, parts, 0.0, 0.0))
     shift = zero_of(recording, options)
     stages.append(Scale(stroke / swing, least - shift))
+    fit = {
+        "method": "paper",
+        "expected_rmse": None,
+        "gears": count,
+        "range": [low, low + swing],
+    }
     model = Model(
         direction="forward",
         input=Quantity(*recording.input, low, low + swing),
-        output=Quantity(*recording.output, least - shift, least - shift + stroke),
+        output=Quantity(*recording.output, 0.0, 1.0),
         stages=tuple(stages),
+        fit=fit,
     )
-    return _with_figures(model, recording, displacement - shift, count)
-
-
-def _with_figures(
-    model: Model, recording: Recording, displacement: Floats, count: int
-) -> Model:
-    """Return the model with what it leaves on its cycle, played twice: the first only sets the state."""
-    twice = np.tile(recording.voltage, 2)
-    played, _ = model.simulate(twice, state="empty")
-    left = displacement - played[recording.voltage.size :]
-    rmse = float(np.sqrt(np.mean(left**2)))
-    ends, _ = model.simulate(
-        np.array([model.input.min, model.input.max]), state="empty"
-    )
-    fit = {
-        "method": "paper",
-        "sign": "rising",
-        "rmse": rmse,
-        "expected_rmse": None,
-        "gears": count,
-        "range": [model.input.min, model.input.max],
-        "logs": [{"name": recording.name, "rows": displacement.size, "rmse": rmse}],
-        "warnings": [],
-        "notes": [],
-    }
-    kind, unit = recording.output
-    output = Quantity(kind, unit, float(ends[0]), float(ends[1]))
-    return Model("forward", model.input, output, model.stages, fit)
+    ends, _ = model.simulate(np.array([low, low + swing]), state="empty")
+    return replace(model, output=Quantity(*recording.output, *ends.tolist()))
 
 
 def _fine_slopes(drive: Floats, output: Floats, segments: int) -> tuple[Floats, Floats]:

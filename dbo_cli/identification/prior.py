@@ -26,8 +26,9 @@ from dbo_cli.identification.recording import (
     Options,
     Recording,
     Swings,
+    white_noise,
 )
-from dbo_cli.model import Candidate, Delay, Dynamics, Model, Quantity, Scale, steps_of
+from dbo_cli.model import Candidate, Delay, Dynamics, Model, Scale, steps_of
 
 STUDENT = 2.0  # standard errors of a 95 % interval
 BROKEN = 2.0
@@ -231,9 +232,8 @@ def _check_shape(
     """Refuse logs that the prior's shape does not follow, the sensor's noise aside; warn where forced."""
     left = _left_over(prior, change, predictions)
     stated, unit = change.gain * _stated(prior), prior.output.suffix
-    squares = np.mean(np.concatenate(left) ** 2)
-    noise = np.mean(np.concatenate([np.diff(part, 2) for part in left]) ** 2) / 6.0
-    shape = float(np.sqrt(max(squares - noise, 0.0)))
+    squares = float(np.mean(np.concatenate(left) ** 2))
+    shape = float(np.sqrt(max(squares - white_noise(left), 0.0)))
     if shape <= BROKEN * stated:
         return []
     text = (
@@ -270,11 +270,9 @@ def _refreshed(
             "digest": prior.digest,
         },
     }
-    output = Quantity(
-        prior.output.quantity,
-        prior.output.unit,
-        gain * prior.output.min + change.offset,
-        gain * prior.output.max + change.offset,
+    low, high = prior.output.min, prior.output.max
+    output = replace(
+        prior.output, min=gain * low + change.offset, max=gain * high + change.offset
     )
     stages = _moved(prior.stages, change)
     return replace(

@@ -10,11 +10,11 @@ from functools import cached_property
 import numpy as np
 
 from dbo_cli.identification.basis import (
-    Basis,
     Cells,
     PreparedLog,
     Structure,
-    start_of,
+    columns_of,
+    sums_of,
     time_constants,
 )
 from dbo_cli.identification.recording import (
@@ -25,13 +25,17 @@ from dbo_cli.identification.recording import (
     Recording,
     Swings,
 )
-from dbo_cli.identification.solve import Rows
+from dbo_cli.identification.solve import Rows, solve, times
 
 SEARCH_ROWS = 900  # of all logs: means of more
 STEADY = 0.02  # of a swing's rows, over which a mean is taken at most
 MOST_ROWS = 100_000  # of all logs at full rate: a longer log is thinned by means
 BLOCKS = 6  # of time, each left out in turn
 SMALL, TINY = 0.75, 0.4  # of the largest swing: swings below are left out together
+NEAR_END = 0.02  # of the log's range
+MOST_EARLY = 0.25  # of a log's rows: of a shorter rest less is learnt than is lost
+STRANGE = 4.0  # mean square of early rows over that of the others
+PROBE = Structure("free", "t", smooth_slopes=2e-3, smooth_curve=1e-1)
 LEAST_PART, MOST_PART = 0.08, 0.9  # of the rows, of small swings that are left out
 
 
@@ -129,8 +133,7 @@ class Problem:
         if key not in self._columns:
             tables = []
             for log, sums in zip(self.logs, self._sums_of(structure.bend), strict=True):
-                basis = Basis(self.cells, self.taus)
-                tables.append(basis.columns(log, structure, sums))
+                tables.append(columns_of(log, sums, self.cells, structure.delay))
             self._columns[key] = np.vstack(tables)
         return self._columns[key]
 
@@ -138,8 +141,8 @@ class Problem:
         """Return the sums that columns of all delays are made of, the last bend's stored."""
         if bend not in self._sums:
             self._sums.clear()
-            basis = Basis(self.cells, self.taus)
-            self._sums[bend] = [basis.sums(log, bend) for log in self.logs]
+            sums = [sums_of(log, self.cells, self.taus, bend) for log in self.logs]
+            self._sums[bend] = sums
         return self._sums[bend]
 
     def drift(self, order: int) -> Floats:
@@ -197,10 +200,7 @@ def prepare(recordings: Sequence[Recording], options: Options) -> Problem:
         output = (log.displacement - offset) / scale
         most = max(round(STEADY * Swings.of(drive).usual_rows), 1)
         rows, ends = groups_of(log.usable, stride, min(stride, most))
-        start = start_of(float(drive[0]))
-        logs.append(
-            PreparedLog(log.name, drive, output, time, steps, start, rows, ends)
-        )
+        logs.append(PreparedLog(log.name, drive, output, time, steps, rows, ends))
     clock = all(log.time is not None for log in recordings)
     taus = np.zeros(0)
     if options.taus is not None:
@@ -265,3 +265,60 @@ def falling(recordings: Sequence[Recording]) -> bool:
         v, y = log.voltage[log.usable], log.displacement[log.usable]
         together += float(np.sum((v - v.mean()) * (y - y.mean())))
     return together < 0.0
+
+
+# --- the unknown past: rows at the beginning that tell of it, not of the actuator ---
+
+
+def without_unknown_past(problem: Problem, notes: list[str]) -> Problem:
+    """Return the problem without early rows that a fit to all others does not follow.
+
+    Until the drive has been at both ends of its range, the gears stand where an earlier
+    drive has left them.
+    """
+    early = [early_rows(log) for log in problem.logs]
+    if not any(rows.any() for rows in early):
+        return problem
+    later = _without(problem, early)
+    probe = PROBE if len(problem.taus) else replace(PROBE, memories="")
+    fit = solve(later.rows(probe), probe)
+    columns = problem.columns(probe)[:, : problem.cells.count + len(fit.gains)]
+    error = problem.output - fit.predict(columns) - times(problem.drift(0), fit.drift)
+    usual = float(np.mean(fit.error**2))
+    strange = []
+    for place, rows in enumerate(early):
+        left = error[problem.owner == place][rows]
+        if not rows.any() or float(np.mean(left**2)) <= STRANGE * usual:
+            strange.append(np.zeros(len(rows), bool))
+            continue
+        strange.append(rows)
+        log = problem.logs[place]
+        last = int(log.rows[rows][-1]) + 1
+        notes.append(
+            f"{log.name}: rows 1 to {last} left out: unknown past, before the drive was at both ends "
+            "of its range"
+        )
+    return _without(problem, strange)
+
+
+def early_rows(log: PreparedLog) -> Booleans:
+    """Return which fitted rows come before the drive has been at both ends; none where they are too many."""
+    drive = log.drive[log.rows]
+    low, high = float(drive.min()), float(drive.max())
+    near = NEAR_END * (high - low)
+    both = max(
+        int(np.argmax(drive <= low + near)), int(np.argmax(drive >= high - near))
+    )
+    early = np.arange(len(drive)) < both
+    again = np.ptp(drive[both:]) >= (1.0 - 2.0 * NEAR_END) * (high - low)
+    if both > MOST_EARLY * len(drive) or not again:
+        early[:] = False
+    return early
+
+
+def _without(problem: Problem, early: list[Booleans]) -> Problem:
+    """Return the problem without these of its fitted rows."""
+    logs = []
+    for log, rows in zip(problem.logs, early, strict=True):
+        logs.append(replace(log, rows=log.rows[~rows], ends=log.ends[~rows]))
+    return replace(problem, logs=tuple(logs))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -42,20 +43,6 @@ class Recording:
 
     def __post_init__(self) -> None:
         """Refuse (InputError, FitError) arrays that hold no recording."""
-        self._check_columns()
-        if len(self.voltage) < FEWEST_ROWS:
-            raise FitError(
-                f"{self.name}: {len(self.voltage)} rows are too few; record at least {FEWEST_ROWS}"
-            )
-        if float(np.ptp(self.voltage)) == 0.0:
-            raise FitError(
-                f"{self.name}: voltage never changes; record a drive that goes up and down"
-            )
-        if float(np.ptp(self.displacement)) == 0.0:
-            raise FitError(f"{self.name}: displacement never changes; check the sensor")
-
-    def _check_columns(self) -> None:
-        """Refuse (InputError) columns of other lengths, what is no number, and time that falls."""
         rows = len(self.voltage)
         columns = {"voltage": self.voltage, "displacement": self.displacement}
         if self.time is not None:
@@ -70,11 +57,18 @@ class Recording:
                 raise InputError(
                     f"{self.name}: row {wrong[0] + 1}: {name} is {values[wrong[0]]}; leave such rows out"
                 )
-        if self.time is None or rows < 2:
-            return
-        steps = np.diff(self.time)
-        if float(steps.min()) < 0.0:
-            row = int(np.argmin(steps)) + 2
+        if rows < FEWEST_ROWS:
+            raise FitError(
+                f"{self.name}: {rows} rows are too few; record at least {FEWEST_ROWS}"
+            )
+        if float(np.ptp(self.voltage)) == 0.0:
+            raise FitError(
+                f"{self.name}: voltage never changes; record a drive that goes up and down"
+            )
+        if float(np.ptp(self.displacement)) == 0.0:
+            raise FitError(f"{self.name}: displacement never changes; check the sensor")
+        if self.time is not None and float(np.diff(self.time).min()) < 0.0:
+            row = int(np.argmin(np.diff(self.time))) + 2
             raise InputError(
                 f"{self.name}: row {row}: time goes backwards; sort the log"
             )
@@ -115,7 +109,6 @@ class Options:
     slopes: Slopes = "auto"
     method: Literal["least-squares", "paper"] = "least-squares"
     force: bool = False
-    rating: tuple[float | None, float | None] = (None, None)
 
     def __post_init__(self) -> None:
         """Refuse (UsageError) what makes no sense."""
@@ -142,6 +135,12 @@ class Options:
         if self.relaxation == "auto":
             return None
         return tuple(sorted(tau for tau in self.relaxation if tau > 0.0))
+
+
+def white_noise(signals: Sequence[Floats]) -> float:
+    """Return the mean square of what is white in signals, by their second differences."""
+    bends = [np.diff(signal, 2) for signal in signals]
+    return float(np.mean(np.concatenate(bends) ** 2)) / 6.0
 
 
 def turning_points(drive: Floats, least: float) -> Integers:

@@ -21,16 +21,8 @@ ONE_AMPLITUDE_SMOOTHNESS = 1e5  # times what a first fit leaves of the output's 
 BENDS = (-0.4, -0.25, -0.12, 0.12, 0.25, 0.4)
 DRIFTS = (1, 3)
 DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
-REFINED = (
-    0.6,
-    0.8,
-    1.25,
-    1.6,
-    0.9,
-    1.1,
-    0.95,
-    1.05,
-)  # times the best delay, tried in turn
+REFINED = (0.6, 0.8, 1.25, 1.6, 0.9, 1.1, 0.95, 1.05)
+"""Times the best delay, tried in turn."""
 ROUNDS = (2, 1)  # of neighbours: of how many kinds of structures
 HOPELESS = 1.0  # of the score: a fit that is worse at best weighs nothing
 FEWEST_SWINGS = 4  # with fewer neither bend nor drift can be told from the loop
@@ -138,7 +130,7 @@ class Search:
                     kind = replace(
                         base, slopes=slopes, memories=memories, smooth_slopes=smooth
                     )
-                    self._path(kind, choices.curves)
+                    self.path(kind, choices.curves)
         for count in ROUNDS:
             for fit in self._best_kinds()[:count]:
                 self._neighbours(fit)
@@ -148,7 +140,7 @@ class Search:
             raise FitError("no model can be fitted to the logs; leave out bad rows")
         return sorted(self.fits, key=lambda fit: fit.score)
 
-    def _path(self, base: Structure, curves: Iterable[float]) -> None:
+    def path(self, base: Structure, curves: Iterable[float]) -> None:
         """Fit a structure with rougher and rougher curves, each begun at the one before."""
         first = None
         for smooth in curves:
@@ -159,14 +151,13 @@ class Search:
             equations = Equations(self.problem.rows(structure), structure)
             try:
                 first = equations.solve(first)
+                if least_score(self.problem, first) > self.best + HOPELESS:
+                    continue
+                judged = judge(self.problem, first, equations)
             except FitError:
                 continue
-            if least_score(self.problem, first) > self.best + HOPELESS:
-                continue
-            judged = judge(self.problem, first, equations)
-            if judged.left:
-                self.best = min(self.best, judged.score)
-                self.fits.append(judged)
+            self.best = min(self.best, judged.score)
+            self.fits.append(judged)
 
     def as_smooth(self, best: Fit) -> list[Fit]:
         """Return fits of a structure with other smoothness of the slopes.
@@ -200,7 +191,7 @@ class Search:
                 trials.append(replace(structure, delay=steps * dt))
         for trial in trials:
             if trial != structure:
-                self._path(trial, [structure.smooth_curve])
+                self.path(trial, [structure.smooth_curve])
 
     def _finer_delay(self, factor: float) -> None:
         """Try a delay beside the best one."""
@@ -210,4 +201,4 @@ class Search:
         if late:
             best = min(late, key=lambda fit: fit.score).structure
             trial = replace(best, delay=best.delay * factor)
-            self._path(trial, [best.smooth_curve])
+            self.path(trial, [best.smooth_curve])

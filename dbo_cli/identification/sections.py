@@ -1,4 +1,4 @@
-"""Fits of given sections to fast rows: output error, and its size on blocks left out."""
+"""Fits of given sections to fast rows: output error, its size on blocks left out, and spectra for starts."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
+from scipy.signal import csd, welch
 
 from dbo_cli.identification.fast import FastPart
-from dbo_cli.identification.recording import Floats
+from dbo_cli.identification.recording import Floats, white_noise
 from dbo_cli.model import Delay, Dynamics, Lag, Mode, Model, Resonance, Section
 
 Band = tuple[float, float]  # lowest and highest frequency swept, Hz
@@ -20,6 +22,9 @@ MOST_BESIDE = 0.1  # damping of resonances one of which has an antiresonance
 NO_LAG = 2e-3  # of a time step: a lag at the lower end of its range is none
 FEW_STEPS, FINALISTS, MOST_STEPS = 6, 2, 40  # of a refinement
 SMALL = 1e-5  # of a parameter's logarithm, for derivatives
+APART = 0.3  # of the logarithms of two resonances
+SAME_GAIN = 0.3  # of the logarithm: up to here the phase tells a delay
+ENERGY = 0.003  # of the strongest amplitude of the drive: with less nothing is known
 WHITE = 1.05  # of the noise's mean square: what is left is noise alone
 
 
@@ -154,7 +159,8 @@ def _bounds(
 
 def _judged(signals: Sequence[Signals], parameters: Floats, form: Form) -> Fitted:
     """Return a fit with its error on blocks left out, each one step from the whole fit."""
-    left = np.concatenate([part.left(parameters, form) for part in signals])
+    parts = [part.left(parameters, form) for part in signals]
+    left = np.concatenate(parts)
     columns = []
     for direction in np.eye(parameters.size):
         beside = [part.left(parameters + SMALL * direction, form) for part in signals]
@@ -167,13 +173,12 @@ def _judged(signals: Sequence[Signals], parameters: Floats, form: Form) -> Fitte
         kept = along[~out]
         step = -np.linalg.lstsq(kept, left[~out], rcond=1e-9)[0]
         squares += float(np.sum((left[out] + along[out] @ step) ** 2))
-    noise = [np.diff(part.left(parameters, form), 2) for part in signals]
     return Fitted(
         form,
         parameters,
         float(np.sqrt(np.mean(left**2))),
         float(np.sqrt(squares / left.size)),
-        float(np.mean(np.concatenate(noise) ** 2)) / 6.0,
+        white_noise(parts),
     )
 
 
@@ -225,3 +230,53 @@ def parameters_of(
     form = Form(len(values) // 2, bool(beside), delay > 0.0)
     late = [delay] if delay > 0.0 else []
     return form, np.log([*values, *beside, *late, lag])
+
+
+# --- spectra: where a resonance is to be looked for, and how late all is ---
+
+
+def spectra(
+    before: Floats, after: Floats, dt: float, band: Band
+) -> tuple[Floats, Floats, NDArray[np.complex128]]:
+    """Return Hz, power and cross power of two signals, where the first has energy within the band."""
+    size = min(before.size, max(256, round(8.0 / (band[0] * dt))))
+    frequency, power = welch(before, 1.0 / dt, nperseg=size)
+    both = csd(before, after, 1.0 / dt, nperseg=size)[1]
+    driven = (frequency >= band[0]) & (frequency <= band[1])
+    driven &= power > ENERGY**2 * power.max()
+    return frequency[driven], power[driven], both[driven]
+
+
+def longest(signals: Sequence[Signals]) -> Signals:
+    """Return the fast part with the most rows."""
+    return max(signals, key=lambda part: part.measured.size)
+
+
+def peak_of(signals: Sequence[Signals], best: Fitted, band: Band) -> float:
+    """Return where the measured departs most from the best found (Hz), away from its resonances."""
+    one = longest(signals)
+    moved = one.moved(best.parameters, best.form)
+    left = one.left(best.parameters, best.form)
+    frequency, power, both = spectra(moved, left, one.dt, band)
+    away = np.ones(frequency.size, dtype=bool)
+    for known in best.resonances:
+        away &= np.abs(np.log(frequency / known.frequency)) > APART
+    if not away.any():
+        return 0.7 * band[1]
+    ratio = np.abs(both[away]) / power[away]
+    return float(frequency[away][np.argmax(ratio)])
+
+
+def phase_delay(signals: Sequence[Signals], band: Band) -> float:
+    """Return how late the measured is (s), by the phase where its gain is still that of slow moves."""
+    one = longest(signals)
+    frequency, power, both = spectra(one.predicted, one.measured, one.dt, band)
+    if frequency.size < 3:
+        return 0.0
+    gain = np.abs(both) / power
+    changed = np.flatnonzero(np.abs(np.log(gain / np.median(gain[:3]))) > SAME_GAIN)
+    rows = max(int(changed[0]) if changed.size else frequency.size, 3)
+    phase = np.unwrap(np.angle(both[:rows]))
+    w = 2.0 * np.pi * frequency[:rows]
+    slope = float(np.sum(power[:rows] * w * phase) / np.sum(power[:rows] * w * w))
+    return max(-slope, 0.0)

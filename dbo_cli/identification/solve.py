@@ -115,8 +115,6 @@ def travelled(u: Floats, segments: int) -> Floats:
 
 def bending(columns: Floats) -> Floats:
     """Return the products of all pairs of columns' second differences."""
-    if len(columns) < 3:
-        return np.zeros((columns.shape[1], columns.shape[1]))
     return products(np.diff(columns, 2, axis=0))
 
 
@@ -232,12 +230,6 @@ class Equations:
         matrix[np.diag_indices(self.size)] += RIDGE
         return matrix
 
-    def floors(self) -> Floats:
-        """Return the least value of each unknown."""
-        least = np.zeros(self.size)
-        least[self.inner : self.free] = LEAST_CURVE
-        return least
-
     # --- fits ---
 
     def fit_of(self, x: Floats) -> Fit:
@@ -257,21 +249,13 @@ class Equations:
 
     def _measured(self, fit: Fit) -> Fit:
         """Return the fit with what it leaves."""
-        error = self.left_by(fit)
+        error = self.rows.output - fit.predict(self.columns)
+        error -= times(self.rows.drift, fit.drift)
         squares = float(self.rows.weights @ error**2) / self.variance
-        return replace(fit, error=error, penalised=squares + self._cost(fit))
-
-    def left_by(self, fit: Fit) -> Floats:
-        """Return what a fit leaves of every row."""
-        left = self.rows.output - fit.predict(self.columns)
-        return left - times(self.rows.drift, fit.drift)
-
-    def _cost(self, fit: Fit) -> float:
-        """Return what smoothness adds to the squares."""
         cost = self.structure.smooth_slopes * _bent(fit.slopes)
         if self.curved:
             cost += self.structure.smooth_curve * _bent(fit.curve)
-        return cost
+        return replace(fit, error=error, penalised=squares + cost)
 
     def between(self, fit: Fit, goal: Fit, part: float) -> Fit:
         """Return a fit a part of the way to another one."""
@@ -323,7 +307,8 @@ class Equations:
         right = gram[:-1, -1] / self.variance
         if self.curved:
             right[self.inner : self.free] += HOLD / self.segments
-        least = self.floors()
+        least = np.zeros(self.size)
+        least[self.inner : self.free] = LEAST_CURVE
         x, self.states = minimum(matrix, right - times(matrix, least), self.states)
         x[self.states == AT_ZERO] = 0.0
         found: Floats = np.where(self.states == FREE, x, np.maximum(x, 0.0)) + least
@@ -355,7 +340,7 @@ class Equations:
 
 def _bent(values: Floats) -> float:
     """Return the sum of squared second differences."""
-    return float(np.sum(np.diff(values, 2) ** 2)) if len(values) > 2 else 0.0
+    return float(np.sum(np.diff(values, 2) ** 2))
 
 
 def solve(rows: Rows, structure: Structure, first: Fit | None = None) -> Fit:

@@ -107,19 +107,11 @@ def model_of(
         stages_of(problem, fit, zero),
         candidates=tuple(candidates),
     )
-    low, high = reached_at_rest(model)
-    output = Quantity(*log.output, min(low, high), max(low, high))
-    return replace(model, output=output)
-
-
-def reached_at_rest(model: Model) -> tuple[float, float]:
-    """Return the displacement at rest at both ends of the drive, empty below and full above."""
-    static = model.static
     ends: list[float] = []
-    for voltage, name in ((model.input.min, "empty"), (model.input.max, "full")):
-        reached, _ = static.simulate(np.asarray([voltage]), dt=1.0, state=name)
+    for voltage, state in ((problem.low, "empty"), (problem.high, "full")):
+        reached, _ = model.static.simulate(np.asarray([voltage]), dt=1.0, state=state)
         ends.append(float(reached[0]))
-    return ends[0], ends[1]
+    return replace(model, output=Quantity(*log.output, min(ends), max(ends)))
 
 
 def zero_of(log: Recording, options: Options) -> float:

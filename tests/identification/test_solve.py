@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from dbo_cli.identification.basis import (
-    Basis,
     Cells,
     PreparedLog,
     Structure,
     bent,
+    columns_of,
     means,
     plays_at_start,
+    sums_of,
     time_constants,
 )
 from dbo_cli.identification.problem import groups_of, prepare
@@ -50,9 +51,13 @@ def hysteresis(drive: np.ndarray) -> np.ndarray:
 
 def log_of(drive: np.ndarray, cells: Cells) -> PreparedLog:
     every = np.arange(len(drive))
-    return PreparedLog(
-        "log", drive, drive, 0.01 * every, 0.01, "empty", every, every + 1
-    )
+    return PreparedLog("log", drive, drive, 0.01 * every, 0.01, every, every + 1)
+
+
+def columns(log: PreparedLog, taus: list[float], delay: float = 0.0) -> np.ndarray:
+    cells = Cells.of()
+    sums = sums_of(log, cells, np.asarray(taus), 0.0)
+    return columns_of(log, sums, cells, delay)
 
 
 def test_bounded_problem_meets_its_conditions() -> None:
@@ -84,7 +89,7 @@ def test_engaged_parts_add_up_to_the_drive() -> None:
     drive = np.random.default_rng(2).random(500)
     drive[0] = 0.0
     log = log_of(drive, cells)
-    table = Basis(cells, np.asarray([0.1, 1.0])).columns(log, Structure())
+    table = columns(log, [0.1, 1.0])
     level = table[:, : cells.count].sum(axis=1)
     assert np.allclose(level - level[0], drive - drive[0], atol=1e-12)
     assert np.allclose(table[:, -4:-2] + table[:, -2:], drive[:, None], atol=1e-12)
@@ -96,20 +101,15 @@ def test_means_of_columns_are_columns_of_means() -> None:
     log = log_of(drive, cells)
     begins = np.arange(0, 600, 6)
     coarse = replace(log, rows=begins, ends=begins + 6)
-    basis = Basis(cells, np.asarray([0.1]))
-    fine = basis.columns(log, Structure(delay=0.02))
-    table = basis.columns(coarse, Structure(delay=0.02))
+    fine, table = columns(log, [0.1], 0.02), columns(coarse, [0.1], 0.02)
     assert np.allclose(table, fine.reshape(100, 6, -1).mean(axis=1), atol=1e-12)
-    assert np.allclose(fine[10:], basis.columns(log, Structure())[8:-2], atol=1e-12)
+    assert np.allclose(fine[10:], columns(log, [0.1])[8:-2], atol=1e-12)
 
 
-def test_starts_agree_at_the_ends() -> None:
+def test_at_the_ends_the_past_is_known() -> None:
     reach = Cells.of().reach
-    for first in (0.0, 1.0):
-        known = [
-            plays_at_start(first, reach, name) for name in ("empty", "full", "settled")
-        ]
-        assert np.allclose(known[0], known[1]) and np.allclose(known[0], known[2])
+    assert np.allclose(plays_at_start(0.0, reach)[:-1], reach[:-1])
+    assert np.allclose(plays_at_start(1.0, reach)[:-1], 1.0 - reach[:-1])
 
 
 def test_bend_keeps_both_ends() -> None:
@@ -134,8 +134,9 @@ def test_model_is_what_was_fitted(slopes: str, memories: str) -> None:
         model = model_of(problem, fit, log, Options())
         every = np.arange(len(TIME))
         whole = replace(problem.logs[0], rows=every, ends=every + 1)
-        columns = Basis(problem.cells, problem.taus).columns(whole, structure)
-        expected = problem.offset + problem.scale * fit.predict(columns)
+        sums = sums_of(whole, problem.cells, problem.taus, structure.bend)
+        table = columns_of(whole, sums, problem.cells, structure.delay)
+        expected = problem.offset + problem.scale * fit.predict(table)
         played, _ = model.simulate(DRIVE, time=TIME)
         # a turn inside a gear retraces it, which plays do not
         assert np.abs(played - expected)[8:].max() < 2e-3 * abs(problem.scale)
