@@ -3,32 +3,21 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
-
-from typer import Argument
+from typing import TYPE_CHECKING, Annotated
 
 from dbo_cli.cli import options as opt
+from dbo_cli.cli.options import Text, flag, option, rare
 from dbo_cli.cli.say import detail
 from dbo_cli.errors import InputError, LimitError, UsageError
 
 if TYPE_CHECKING:
     from dbo_cli.drive.limits import Limits
-    from dbo_cli.logs import Reading
-
-
-class Signal(NamedTuple):
-    """A drive that was read whole: its unit, time (s), step (s), and the reader's doubts."""
-
-    voltage: Any
-    unit: str | None
-    time: Any
-    step: float | None
-    doubts: list[str]
+    from dbo_cli.logs import Block, Log, Reading
 
 
 @opt.reads_logs
 def check(
-    drive: Annotated[str, Argument(metavar="DRIVE", help="The drive; - is stdin.")],
+    drive: opt.DriveFile,
     reading: Reading,
     output: opt.Output = "-",
     form: opt.TextOrJson = None,
@@ -37,18 +26,14 @@ def check(
     max_slew: opt.MaxSlew = None,
     start: opt.From = None,
     loop: Annotated[
-        bool, opt.flag("--loop", "Also check the step from the last row to the first.")
+        bool, flag("--loop", "Also check the step from the last row to the first.")
     ] = False,
     against: Annotated[
-        opt.Text, opt.value("FILE", "DRIVE is a recording; was this file played?")
+        Text, option("FILE", "DRIVE is a recording; was this file played?")
     ] = None,
-    gain: Annotated[
-        float,
-        opt.value("FACTOR", "With --against: amplifier gain.", rare=True),
-    ] = 1.0,
+    gain: Annotated[float, rare("FACTOR", "With --against: amplifier gain.")] = 1.0,
     tolerance: Annotated[
-        opt.Text,
-        opt.value("VOLT", "With --against: largest difference; 0.1 % of the range."),
+        Text, option("VOLT", "With --against: largest difference; 0.1 % of the range.")
     ] = None,
     time: opt.Time = None,
     voltage: opt.Voltage = None,
@@ -67,37 +52,40 @@ def check(
     if not math.isfinite(gain) or not gain or (gain != 1.0 and against is None):
         raise UsageError(f"`gain` {gain:g}: give a factor, together with `against`")
     opt.require("against", against, tolerance=tolerance)
-    signal = read_drive(drive, reading, {"time": time, "voltage": voltage}, None)
-    limits = limits_in(signal.unit, v_min, v_max, max_slew)
-    position = None if start is None else figure_in("from", start, signal.unit)
-    allowed, slack, played = None, 0.0, signal.voltage * gain
+    columns = {"time": time, "voltage": voltage}
+    signal, log = read_drive(drive, reading, columns, None)
+    unit = log.columns["voltage"].unit
+    limits = limits_in(unit, v_min, v_max, max_slew)
+    position = None if start is None else figure_in("from", start, unit)
+    allowed, slack, played = None, 0.0, signal["voltage"] * gain
     if against is not None:
         roles: dict[str, str | None] = {"time": None, "voltage": None}
-        meant = read_drive(against, Reading(), roles, signal.unit)
+        meant, _ = read_drive(against, Reading(), roles, unit)
         if tolerance is not None:
-            allowed = figure_in("tolerance", tolerance, signal.unit)
-        slack = tolerance_of(meant.voltage, played, allowed) / abs(gain)
+            allowed = figure_in("tolerance", tolerance, unit)
+        slack = tolerance_of(meant["voltage"], played, allowed) / abs(gain)
     checked = check_drive(
-        signal.voltage,
+        signal["voltage"],
         signal.time,
         limits,
         name=drive,
         start=position,
         loop=loop,
         tolerance=slack,
-        doubts=signal.doubts,
+        doubts=log.doubtful,
     )
     if against is not None:
-        steps = (meant.step, signal.step)
-        check_played(checked, meant.voltage, played, steps, allowed)
-    write_text(output, checked.json() if opt.as_json(form, output) else checked.text())
-    detail(*signal.doubts)
+        steps = (step_of(meant), step_of(signal))
+        check_played(checked, meant["voltage"], played, steps, allowed)
+    is_json = opt.form_of(form, output) == "json"
+    write_text(output, checked.json() if is_json else checked.text())
+    detail(*log.doubtful)
     checked.require_passed()
 
 
 def read_drive(
     path: str, reading: Reading, columns: dict[str, str | None], unit: str | None
-) -> Signal:
+) -> tuple[Block, Log]:
     """Read a drive whole, as strictly as it was written.
 
     Raises
@@ -120,9 +108,12 @@ def read_drive(
             table = log.read()
         except InputError as problem:
             raise LimitError(str(problem)) from problem
-        step = table.dt if isinstance(table.dt, float) else None
-        read_unit = log.columns["voltage"].unit
-        return Signal(table["voltage"], read_unit, table.time, step, log.doubtful)
+    return table, log
+
+
+def step_of(table: Block) -> float | None:
+    """Return the seconds from row to row; None where they are uneven, or no clock is known."""
+    return table.dt if isinstance(table.dt, float) else None
 
 
 def limits_in(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 from dbo_cli.cli import options as opt
+from dbo_cli.cli.options import option
 from dbo_cli.cli.say import say_logs, working
 
 if TYPE_CHECKING:
@@ -21,7 +22,7 @@ def compare(
     voltage: opt.Voltage = None,
     displacement: opt.Displacement = None,
     validate: Annotated[
-        list[str] | None, opt.value("LOG", "Log to test each operator on; repeatable.")
+        list[str] | None, option("LOG", "Log to test each operator on; repeatable.")
     ] = None,
     skip: opt.Skip = "0",
 ) -> None:
@@ -43,4 +44,5 @@ def compare(
     working("fitting")
     seconds = opt.quantity("skip", skip, "s") or 0.0
     result = compare_operators(recordings, tests, options={"skip": seconds})
-    write_text(output, result.json() if opt.as_json(form, output) else result.text())
+    is_json = opt.form_of(form, output) == "json"
+    write_text(output, result.json() if is_json else result.text())

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from typer import Argument
 
 from dbo_cli.cli import options as opt
+from dbo_cli.cli.options import LIMITS, MOVE, OUTPUT, READING, Text, flag, option, rare
 from dbo_cli.cli.say import present, progress, say, say_log, say_output
 
 if TYPE_CHECKING:
@@ -33,77 +34,57 @@ def compensate(
     max_slew: opt.MaxSlew = None,
     extrapolate: Annotated[
         bool,
-        opt.flag(
-            "--extrapolate", "Use the range beyond the logs' range.", opt.LIMITS, True
-        ),
+        rare(None, "Use the range beyond the logs' range.", LIMITS, "--extrapolate"),
     ] = False,
     on_limit: Annotated[
         Literal["auto", "clip", "error"],
-        opt.value(
+        option(
             None,
             "auto: clip if the tracking error stays under 1 % of the move, otherwise exit 3.",
-            opt.LIMITS,
+            LIMITS,
         ),
     ] = "auto",
     start: opt.From = None,
     approach: Annotated[
-        opt.Text,
-        opt.value("SECONDS|auto", "Time of a ramp from there to row 1.", opt.MOVE),
+        Text, option("SECONDS|auto", "Time of a ramp from there to row 1.", MOVE)
     ] = None,
     condition: Annotated[
-        bool,
-        opt.flag(
-            "--condition", "Sweep the range first: makes the past known.", opt.MOVE
-        ),
+        bool, flag("--condition", "Sweep the range first: makes the past known.", MOVE)
     ] = False,
     lead: Annotated[
-        opt.Text,
-        opt.value("SECONDS|auto", "Hold row 1 before the move.", opt.MOVE, rare=True),
+        Text, rare("SECONDS|auto", "Hold row 1 before the move.", MOVE)
     ] = None,
     return_to: Annotated[
-        opt.Text, opt.value("VOLT", "Voltage to end at.", opt.MOVE, "--return")
+        Text, option("VOLT", "Voltage to end at.", MOVE, "--return")
     ] = None,
     periodic: Annotated[
-        bool,
-        opt.flag("--periodic", "The trajectory is one period of a loop.", opt.MOVE),
+        bool, flag("--periodic", "The trajectory is one period of a loop.", MOVE)
     ] = False,
     passes: Annotated[
-        int,
-        opt.value(
-            "N", "With --periodic: passes before it.", opt.MOVE, rare=True, least=0
-        ),
+        int, rare("N", "With --periodic: passes before it.", MOVE, least=0)
     ] = 0,
     tracked: Annotated[
-        list[str] | None,
-        opt.value("LOG", "Learn from recordings of the last pass.", opt.MOVE),
+        list[str] | None, option("LOG", "Learn from recordings of the last pass.", MOVE)
     ] = None,
     history: Annotated[
-        opt.Text,
-        opt.value(
-            "FILE", "With --tracked: errors of all passes.", opt.OUTPUT, rare=True
-        ),
+        Text, rare("FILE", "With --tracked: errors of all passes.", OUTPUT)
     ] = None,
     absolute: Annotated[
         bool,
-        opt.flag(
-            "--absolute", "With --tracked: learn the mean error, too.", opt.MOVE, True
-        ),
+        rare(None, "With --tracked: learn the mean error, too.", MOVE, "--absolute"),
     ] = False,
     bandwidth: Annotated[
-        opt.Text,
-        opt.value("HZ", "Zero-phase low-pass of the trajectory.", opt.MOVE, rare=True),
+        Text, rare("HZ", "Zero-phase low-pass of the trajectory.", MOVE)
     ] = None,
     state: opt.State = "auto",
     save_state: opt.SaveState = None,
     time: opt.Time = None,
     displacement: opt.Displacement = None,
     voltage: Annotated[
-        opt.Text,
-        opt.value("COLUMN", "Drive of a --tracked log.", opt.READING, rare=True),
+        Text, rare("COLUMN", "Drive of a --tracked log.", READING)
     ] = None,
     measured: Annotated[
-        opt.Text,
-        opt.value("COLUMN", "Displacement of a --tracked log.", opt.READING, rare=True),
+        Text, rare("COLUMN", "Displacement of a --tracked log.", READING)
     ] = None,
 ) -> None:
     """Write the drive that makes an actuator follow a displacement.

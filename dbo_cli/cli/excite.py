@@ -5,27 +5,25 @@ from __future__ import annotations
 from typing import Annotated
 
 from dbo_cli.cli import options as opt
+from dbo_cli.cli.options import Text, option
 from dbo_cli.cli.say import say_output
 
 
 def excite(
-    v_max: Annotated[
-        str, opt.value("VOLT", "Highest voltage, or another drive: 4bar.")
-    ],
+    v_max: Annotated[str, option("VOLT", "Highest voltage, or another drive: 4bar.")],
     v_min: opt.VMin = "0",
     max_slew: opt.MaxSlew = None,
     sample_rate: Annotated[
-        str, opt.value("HZ", "Rows per second; default 1000.")
+        str, option("HZ", "Rows per second; default 1000.")
     ] = "1000",
     duration: Annotated[
-        opt.Text,
-        opt.value("SECONDS", "Of the swings; 30 s, longer where slew is limited."),
+        Text, option("SECONDS", "Of the swings; 30 s, longer where slew is limited.")
     ] = None,
     sweep_to: Annotated[
-        opt.Text, opt.value("HZ", "Append a small sweep up to this frequency.")
+        Text, option("HZ", "Append a small sweep up to this frequency.")
     ] = None,
     sweep_amplitude: Annotated[
-        opt.Text, opt.value("VOLT", "Amplitude of the sweep; default 1 % of the range.")
+        Text, option("VOLT", "Amplitude of the sweep; default 1 % of the range.")
     ] = None,
     output: opt.Output = "-",
 ) -> None:

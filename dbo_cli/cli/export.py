@@ -5,28 +5,29 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from dbo_cli.cli import options as opt
+from dbo_cli.cli.options import Text, flag, option
 from dbo_cli.cli.say import say, say_output
 from dbo_cli.errors import UsageError
 
 
 def export(
     model: opt.ModelFile,
-    output: Annotated[str, opt.value("DIR", "Output folder.", None, "-o", "--output")],
+    output: Annotated[str, option("DIR", "Output folder.", None, "-o", "--output")],
     name: Annotated[
-        str, opt.value(None, "First word of file, type and function names.")
+        str, option(None, "First word of file, type and function names.")
     ] = "actuator",
     arithmetic: Annotated[
         Literal["double", "q31"],
-        opt.value(None, "double: exact (default); q31: integers, bounded error."),
+        option(None, "double: exact (default); q31: integers, bounded error."),
     ] = "double",
     sample_rate: Annotated[
-        opt.Text, opt.value("HZ", "Steps per second, for a model that needs time.")
+        Text, option("HZ", "Steps per second, for a model that needs time.")
     ] = None,
     gears: Annotated[
-        int | None, opt.value("N", "Fewer gears than the model has.", least=0)
+        int | None, option("N", "Fewer gears than the model has.", least=0)
     ] = None,
     lookup: Annotated[
-        bool, opt.flag("--lookup", "Table of all states; at most 12 gears.")
+        bool, flag("--lookup", "Table of all states; at most 12 gears.")
     ] = False,
     v_min: opt.VMin = None,
     v_max: opt.VMax = None,

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from dbo_cli.cli import options as opt
+from dbo_cli.cli.options import READING, Text, flag, option, rare
 from dbo_cli.cli.say import detail, say_logs, say_output, working
 from dbo_cli.errors import UsageError
 
@@ -20,7 +21,7 @@ STRUCTURE = "Structure of the model"
 
 def structure(metavar: str | None, text: str) -> Any:
     """Return an option that few need."""
-    return opt.value(metavar, text, STRUCTURE, rare=True)
+    return rare(metavar, text, STRUCTURE)
 
 
 @opt.reads_logs
@@ -33,32 +34,28 @@ def identify(
     voltage: opt.Voltage = None,
     displacement: opt.Displacement = None,
     validate: Annotated[
-        list[str] | None, opt.value("LOG", "Log to test the model on; repeatable.")
+        list[str] | None, option("LOG", "Log to test the model on; repeatable.")
     ] = None,
     prior: Annotated[
-        opt.Text,
-        opt.value("MODEL", "Keep its shape; identify gain, offset, delay."),
+        Text, option("MODEL", "Keep its shape; identify gain, offset, delay.")
     ] = None,
     sign: Annotated[
         Literal["rising", "falling"] | None,
-        opt.value(None, "Expected direction; exit 3 if the log differs."),
+        option(None, "Expected direction; exit 3 if the log differs."),
     ] = None,
     skip: opt.Skip = "0",
     zero: Annotated[
-        str,
-        opt.value("none|mean|first|VALUE", "Displacement to call 0.", rare=True),
+        str, rare("none|mean|first|VALUE", "Displacement to call 0.")
     ] = "none",
     sensor_delay: Annotated[
-        str,
-        opt.value("SECONDS", "Delay of the sensor, taken off.", opt.READING, rare=True),
+        str, rare("SECONDS", "Delay of the sensor, taken off.", READING)
     ] = "0",
     gears: Annotated[str, structure("N|auto", "Number of gears.")] = "auto",
     points: Annotated[
         str, structure("M|auto", "Segments of the asymmetry; 0 for none.")
     ] = "auto",
     relaxation: Annotated[
-        str,
-        structure("auto|0|T1,T2,...", "Time constants of creep in s; 0 for none."),
+        str, structure("auto|0|T1,T2,...", "Time constants of creep in s; 0 for none.")
     ] = "auto",
     delay: Annotated[
         str, structure("SECONDS|auto", "Delay behind the drive.")
@@ -75,7 +72,7 @@ def identify(
         structure(None, "paper: the procedure of the 2018 paper."),
     ] = "least-squares",
     force: Annotated[
-        bool, opt.flag("--force", "Keep a model no better than a straight line.")
+        bool, flag("--force", "Keep a model no better than a straight line.")
     ] = False,
 ) -> None:
     """Identify a model from logs of drive voltage and displacement.
@@ -95,12 +92,12 @@ def identify(
         prior=None if prior is None else read_model(prior),
         sign=sign,
         skip=opt.quantity("skip", skip, "s") or 0.0,
-        zero=zero_of(zero),
+        zero=opt.number("zero", zero, "none", "mean", "first"),
         sensor_delay=opt.quantity("sensor_delay", sensor_delay, "s") or 0.0,
         gears=opt.count_or_auto("gears", gears),
         points=opt.count_or_auto("points", points),
         relaxation=relaxation_of(relaxation),
-        delay=delay_of(delay),
+        delay=opt.seconds_or_auto("delay", delay),
         dynamics=opt.count_or_auto("dynamics", dynamics),
         slopes=slopes,
         method=method,
@@ -168,33 +165,11 @@ def summary_of(model: Model) -> str:
     return json.dumps({**values, **model.fit}, indent=2) + "\n"
 
 
-def zero_of(text: str) -> Any:
-    """Return ``--zero``: a word, or a value."""
-    if text in ("none", "mean", "first"):
-        return text
-    try:
-        return float(text)
-    except ValueError:
-        raise UsageError(f"`zero` {text}: give none, mean, first or a value") from None
-
-
-def delay_of(text: str) -> Any:
-    """Return seconds of at least 0, or ``auto``."""
-    seconds = opt.seconds_or_auto("delay", text)
-    if isinstance(seconds, float) and seconds < 0.0:
-        raise UsageError(f"`delay` {text}: give 0 s or more")
-    return seconds
-
-
 def relaxation_of(text: str) -> Any:
-    """Return time constants in s, none for ``0``, or ``auto``."""
+    """Return time constants in s, 0 for none, or ``auto``."""
     if text == "auto":
         return "auto"
-    constants = [
-        opt.quantity("relaxation", part, "s") or 0.0 for part in text.split(",")
-    ]
-    if constants == [0.0]:
-        return ()
-    if min(constants) <= 0.0:
-        raise UsageError(f"`relaxation` {text}: give times above 0 s")
+    constants = [opt.quantity("relaxation", part, "s") for part in text.split(",")]
+    if len(constants) > 1 and 0.0 in constants:
+        raise UsageError(f"`relaxation` {text}: give times above 0 s, or 0 alone")
     return tuple(constants)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import os
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
@@ -19,37 +20,42 @@ from dbo_cli.errors import UsageError
 
 Text = str | None
 LIMITS, MOVE, READING, OUTPUT = "Limits", "Move", "Log", "Output"
+FORMS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
 START_NAMES = ("auto", "empty", "full", "settled")
 
 
-def value(
+def option(
     metavar: str | None,
     text: str,
     panel: str | None = None,
     *names: str,
-    rare: bool = False,
     least: int | None = None,
+    hidden: bool = False,
 ) -> Any:
-    """Return an option under a heading of the help; ``--help-all`` alone shows a rare one."""
+    """Return an option under a heading of the help."""
     return Option(
         *names,
         metavar=metavar,
         help=text,
-        hidden=rare,
+        hidden=hidden,
         rich_help_panel=panel,
         show_default=False,
         min=least,
     )
 
 
-def flag(name: str, text: str, panel: str | None = None, rare: bool = False) -> Any:
+rare = functools.partial(option, hidden=True)
+"""An option that ``--help-all`` alone shows."""
+
+
+def flag(name: str, text: str, panel: str | None = None) -> Any:
     """Return an option without a value."""
-    return value(None, text, panel, name, rare=rare)
+    return option(None, text, panel, name)
 
 
 def column(text: str) -> Any:
     """Return the option of a column's role."""
-    return value("COLUMN", text, READING)
+    return option("COLUMN", text, READING)
 
 
 # --- arguments ---
@@ -64,18 +70,19 @@ LogFiles = Annotated[
     list[str],
     Argument(metavar="LOG...", help="Logs; FILE::/group in HDF5; - is stdin."),
 ]
+DriveFile = Annotated[str, Argument(metavar="DRIVE", help="The drive; - is stdin.")]
 
 # --- output ---
 
 Output = Annotated[
     str,
-    value("FILE", "Output file; - is stdout, the default.", OUTPUT, "-o", "--output"),
+    option("FILE", "Output file; - is stdout, the default.", OUTPUT, "-o", "--output"),
 ]
-Summary = Annotated[Text, value("FILE", "Write the figures as JSON, too.", OUTPUT)]
-Figures = Annotated[Text, value("DIR", "Write PNG and SVG figures there.", OUTPUT)]
+Summary = Annotated[Text, option("FILE", "Write the figures as JSON, too.", OUTPUT)]
+Figures = Annotated[Text, option("DIR", "Write PNG and SVG figures there.", OUTPUT)]
 TextOrJson = Annotated[
     Literal["text", "json"] | None,
-    value(None, "Default: by the name of the output.", OUTPUT, "--format"),
+    option(None, "Default: by the name of the output.", OUTPUT, "--format"),
 ]
 
 # --- columns: a header name, a dataset path, a number from 1, or FILE::COLUMN ---
@@ -88,22 +95,20 @@ Displacement = Annotated[
 
 # --- limits ---
 
-VMin = Annotated[Text, value("VOLT", "Lowest voltage of the amplifier.", LIMITS)]
-VMax = Annotated[Text, value("VOLT", "Highest voltage of the amplifier.", LIMITS)]
-MaxSlew = Annotated[Text, value("VOLT/S", "Largest slew rate, or 2V/ms.", LIMITS)]
+VMin = Annotated[Text, option("VOLT", "Lowest voltage of the amplifier.", LIMITS)]
+VMax = Annotated[Text, option("VOLT", "Highest voltage of the amplifier.", LIMITS)]
+MaxSlew = Annotated[Text, option("VOLT/S", "Largest slew rate, or 2V/ms.", LIMITS)]
 From = Annotated[
-    Text, value("VOLT", "Voltage of the amplifier before row 1.", MOVE, "--from")
+    Text, option("VOLT", "Voltage of the amplifier before row 1.", MOVE, "--from")
 ]
 
 # --- state ---
 
 State = Annotated[
-    str, value("NAME|FILE", "Start: auto, empty, full, settled or a file.", MOVE)
+    str, option("NAME|FILE", "Start: auto, empty, full, settled or a file.", MOVE)
 ]
-SaveState = Annotated[
-    Text, value("FILE", "Write the state after the last row.", OUTPUT, rare=True)
-]
-Skip = Annotated[str, value("SECONDS", "Skip the beginning of every log.", READING)]
+SaveState = Annotated[Text, rare("FILE", "Write the state after the last row.", OUTPUT)]
+Skip = Annotated[str, option("SECONDS", "Skip the beginning of every log.", READING)]
 
 # --- options that are appended ---
 
@@ -111,56 +116,47 @@ Skip = Annotated[str, value("SECONDS", "Skip the beginning of every log.", READI
 def read_as(
     *,
     sample_rate: Annotated[
-        Text, value("HZ", "Rate of a log without a time column.", READING)
+        Text, option("HZ", "Rate of a log without a time column.", READING)
     ] = None,
     scale: Annotated[
         list[str] | None,
-        value("ROLE=FACTOR", "Factor: voltage=20, displacement=10um/V.", READING),
+        option("ROLE=FACTOR", "Factor: voltage=20, displacement=10um/V.", READING),
     ] = None,
     rows: Annotated[
-        Text, value("A:B", "Data rows A to B, counted from 1.", READING, rare=True)
+        Text, rare("A:B", "Data rows A to B, counted from 1.", READING)
     ] = None,
     time_unit: Annotated[
-        Text,
-        value("UNIT", "Unit of the time: s, ms, us, min, h.", READING, rare=True),
+        Text, rare("UNIT", "Unit of the time: s, ms, us, min, h.", READING)
     ] = None,
     skip_bad: Annotated[
         bool,
-        flag("--skip-bad", "Drop and count rows that hold no number.", READING, True),
+        rare(None, "Drop and count rows that hold no number.", READING, "--skip-bad"),
     ] = False,
     resample: Annotated[
-        Text, value("HZ", "Interpolate to this rate first.", READING, rare=True)
+        Text, rare("HZ", "Interpolate to this rate first.", READING)
     ] = None,
     delimiter: Annotated[
-        Text,
-        value("NAME", "comma, semicolon, tab, blanks or pipe.", READING, rare=True),
+        Text, rare("NAME", "comma, semicolon, tab, blanks or pipe.", READING)
     ] = None,
-    decimal: Annotated[
-        Text, value("point|comma", "Decimal sign.", READING, rare=True)
-    ] = None,
+    decimal: Annotated[Text, rare("point|comma", "Decimal sign.", READING)] = None,
     skip_lines: Annotated[
-        int | None,
-        value("N", "Lines before the header.", READING, rare=True, least=0),
+        int | None, rare("N", "Lines before the header.", READING, least=0)
     ] = None,
     encoding: Annotated[
-        Text, value("NAME", "Text encoding, if not UTF-8.", READING, rare=True)
+        Text, rare("NAME", "Text encoding, if not UTF-8.", READING)
     ] = None,
     clock_offset: Annotated[
         Text,
-        value(
+        rare(
             "SECONDS|auto",
             "Added to the clock of the drive's file; auto finds it.",
             READING,
-            rare=True,
         ),
     ] = None,
 ) -> Any:
     """Return how a log is to be read."""
     from dbo_cli.logs import Reading
 
-    offset = clock_offset
-    if offset != "auto":
-        offset = number("clock_offset", clock_offset)  # type: ignore[assignment]
     return Reading(
         time_unit=time_unit,
         sample_rate=quantity("sample_rate", sample_rate, "Hz"),
@@ -172,7 +168,7 @@ def read_as(
         decimal=decimal,
         skip_lines=skip_lines,
         encoding=encoding,
-        clock_offset=offset,
+        clock_offset=number("clock_offset", clock_offset, "auto"),
     )
 
 
@@ -190,11 +186,11 @@ def _scales(texts: list[str]) -> dict[str, str | float]:
 def speak(
     *,
     quiet: Annotated[
-        bool, value(None, "Print errors only.", OUTPUT, "-q", "--quiet")
+        bool, option(None, "Print errors only.", OUTPUT, "-q", "--quiet")
     ] = False,
     verbose: Annotated[bool, flag("--verbose", "Print details.", OUTPUT)] = False,
     debug: Annotated[
-        bool, flag("--debug", "Print the traceback of an error.", OUTPUT, True)
+        bool, rare(None, "Print the traceback of an error.", OUTPUT, "--debug")
     ] = False,
 ) -> None:
     """Set how much a command says."""
@@ -245,12 +241,15 @@ def require(partner: str, typed: object, **options: object) -> None:
             raise UsageError(f"`{name}` needs `{partner}`")
 
 
-def number(name: str, text: str | None) -> float | None:
-    """Return the number of an option; UsageError where it is none."""
+def number(name: str, text: str | None, *words: str) -> Any:
+    """Return the number of an option, or one of its words; UsageError where it is neither."""
+    if text is None or text in words:
+        return text
     try:
-        return None if text is None else float(text)
+        return float(text)
     except ValueError:
-        raise UsageError(f"`{name}` {text}: not a number") from None
+        wanted = ", ".join([*words, "a number"])
+        raise UsageError(f"`{name}` {text}: give {wanted}") from None
 
 
 def quantity(name: str, text: str | None, unit: str | None) -> float | None:
@@ -260,7 +259,7 @@ def quantity(name: str, text: str | None, unit: str | None) -> float | None:
     return None if text is None else parse_quantity(text, unit, name)
 
 
-def seconds_or_auto(name: str, text: str | None) -> float | Literal["auto"] | None:
+def seconds_or_auto(name: str, text: str | None) -> Any:
     """Return seconds (``5ms`` as well), or ``auto``."""
     return "auto" if text == "auto" else quantity(name, text, "s")
 
@@ -298,9 +297,9 @@ def state_of(text: str, model: Any) -> Any:
     return text if text in START_NAMES else read_state(text, model)
 
 
-def as_json(form: str | None, output: str) -> bool:
-    """Return whether JSON is wanted: by ``--format``, else by the name of the output."""
-    return form == "json" or (form is None and output.endswith(".json"))
+def form_of(form: str | None, output: str) -> str:
+    """Return the form of a result: by ``--format``, else by the name of the output."""
+    return form or FORMS.get(os.path.splitext(output.lower())[1], "text")
 
 
 def units_of(**quantities: Any) -> dict[str, str]:

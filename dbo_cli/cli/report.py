@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import shlex
 import sys
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from dbo_cli.cli import options as opt
+from dbo_cli.cli.options import OUTPUT, Text, column, flag, option, rare
 from dbo_cli.cli.say import detail, say
 from dbo_cli.errors import InputError, UsageError, warn
 
@@ -17,7 +19,6 @@ if TYPE_CHECKING:
     from dbo_cli.reports import Pair
 
 COMPARED, BOUNDS = "Comparison", "Bounds (exit 3)"
-FORMS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
 Columns = dict[str, str | None]
 Units = dict[str, str]
 
@@ -29,46 +30,40 @@ def report(
     output: opt.Output = "-",
     form: Annotated[
         Literal["text", "json", "csv", "html"] | None,
-        opt.value(None, "Default: by the name of the output.", opt.OUTPUT, "--format"),
+        option(None, "Default: by the name of the output.", OUTPUT, "--format"),
     ] = None,
     figures: opt.Figures = None,
-    desired: Annotated[opt.Text, opt.column("Desired displacement.")] = None,
-    measured: Annotated[opt.Text, opt.column("Measured displacement.")] = None,
-    voltage: Annotated[
-        opt.Text, opt.column("The drive, for --model and the figures.")
-    ] = None,
+    desired: Annotated[Text, column("Desired displacement.")] = None,
+    measured: Annotated[Text, column("Measured displacement.")] = None,
+    voltage: Annotated[Text, column("The drive, for --model and the figures.")] = None,
     time: opt.Time = None,
     trajectory: Annotated[
-        opt.Text, opt.value("FILE", "The desired displacement, if in a file.", COMPARED)
+        Text, option("FILE", "The desired displacement, if in a file.", COMPARED)
     ] = None,
     match: Annotated[
         Literal["auto", "time", "rows"],
-        opt.value(None, "How rows of log and --trajectory match.", COMPARED, rare=True),
+        rare(None, "How rows of log and --trajectory match.", COMPARED),
     ] = "auto",
     model: Annotated[
-        opt.Text,
-        opt.value("MODEL", "Compare with the prediction of a model.", COMPARED),
+        Text, option("MODEL", "Compare with the prediction of a model.", COMPARED)
     ] = None,
     state: Annotated[
-        str,
-        opt.value("NAME|FILE", "With --model: auto, empty, full, settled.", COMPARED),
+        str, option("NAME|FILE", "With --model: auto, empty, full, settled.", COMPARED)
     ] = "auto",
     expected: Annotated[
-        opt.Text,
-        opt.value("SUMMARY", "Expected error: a --summary, or a model.", COMPARED),
+        Text, option("SUMMARY", "Expected error: a --summary, or a model.", COMPARED)
     ] = None,
     lag: Annotated[
-        int,
-        opt.value("N", "Rows by which measured is taken later.", COMPARED, rare=True),
+        int, rare("N", "Rows by which measured is taken later.", COMPARED)
     ] = 0,
     remove_offset: Annotated[
-        bool, opt.flag("--remove-offset", "Subtract the mean error.", COMPARED)
+        bool, flag("--remove-offset", "Subtract the mean error.", COMPARED)
     ] = False,
     max_rmse: Annotated[
-        opt.Text, opt.value("VALUE", "Largest RMS error, such as 10nm.", BOUNDS)
+        Text, option("VALUE", "Largest RMS error, such as 10nm.", BOUNDS)
     ] = None,
     max_nrmse_percent: Annotated[
-        opt.Text, opt.value("PERCENT", "Largest RMS error, in % of the move.", BOUNDS)
+        Text, option("PERCENT", "Largest RMS error, in % of the move.", BOUNDS)
     ] = None,
 ) -> None:
     """Report how well a measured displacement follows the desired one.
@@ -118,9 +113,9 @@ def report(
         voltage_unit=units.get("voltage"),
         labels=("desired" if actuator is None else "model", "measured"),
         model=actuator,
-        command=command_line(),
+        command=shlex.join(["dbo", *sys.argv[1:]]),
     )
-    write_text(output, result.render(form or form_of(output)))
+    write_text(output, result.render(opt.form_of(form, output)))
     if figures is not None:
         detail(*map(str, result.figures(figures)))
     if output != "-":
@@ -232,15 +227,3 @@ def short_name(log: str, logs: list[str]) -> str:
     """Return the name of a file without its folder, where the names of all logs differ then."""
     names = {os.path.basename(path) or path for path in logs}
     return os.path.basename(log) or log if len(names) == len(logs) else log
-
-
-def form_of(output: str) -> str:
-    """Return the form of a report that its name asks for."""
-    return FORMS.get(os.path.splitext(output.lower())[1], "text")
-
-
-def command_line() -> str:
-    """Return what was typed, for the footer of a page."""
-    import shlex
-
-    return shlex.join(["dbo", *sys.argv[1:]])

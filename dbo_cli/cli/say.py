@@ -69,8 +69,7 @@ def say_log(log: Any) -> None:
     """Print what was read; warn of rows that were left out, cut or guessed."""
     for doubt in log.doubtful:
         warn(f"{log.name}: {doubt}")
-    say(log.line())
-    detail(*log.remarks)
+    say_logs([log], 0)
 
 
 def present(*values: Any) -> list[Any]:

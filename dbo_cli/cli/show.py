@@ -27,7 +27,7 @@ def show(
             pages.append(show_model(channel, f"{model}::{name}"))
     else:
         pages = [show_model(read_model(model), model)]
-    is_json = opt.as_json(form, output)
+    is_json = opt.form_of(form, output) == "json"
     texts = [page.json() if is_json else page.text() for page in pages]
     write_text(output, "\n".join(texts))
     if figures is not None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from dbo_cli.cli import options as opt
+from dbo_cli.cli.options import Text, column, option
 from dbo_cli.cli.say import present, progress, say_log, say_output
 from dbo_cli.errors import ModelError, warn
 
@@ -22,12 +23,12 @@ def simulate(
     reading: Reading,
     output: opt.Output = "-",
     time: opt.Time = None,
-    input: Annotated[opt.Text, opt.column("Input of the model.")] = None,
+    input: Annotated[Text, column("Input of the model.")] = None,
     state: opt.State = "auto",
     save_state: opt.SaveState = None,
     outside: Annotated[
         Literal["extend", "hold", "error"],
-        opt.value(None, "Beyond the identified range; default extend."),
+        option(None, "Beyond the identified range; default extend."),
     ] = "extend",
 ) -> None:
     """Run a model over its input and write its output.

@@ -7,6 +7,7 @@ from typing import Annotated
 from typer import Argument
 
 from dbo_cli.cli import options as opt
+from dbo_cli.cli.options import Text, flag, option
 from dbo_cli.cli.say import say_output
 from dbo_cli.errors import UsageError
 
@@ -18,39 +19,34 @@ def trajectory(
         str,
         Argument(metavar="SHAPE", help="raster, spiral, staircase, sine or triangle."),
     ],
-    rate: Annotated[str, opt.value("HZ", "Rows per second.")],
+    rate: Annotated[str, option("HZ", "Rows per second.")],
     range_: Annotated[
         str,
-        opt.value(
-            "LOW:HIGH", "Of each axis, in the model's unit or um.", None, "--range"
-        ),
+        option("LOW:HIGH", "Of each axis, in the model's unit or um.", None, "--range"),
     ],
     output: opt.Output = "-",
     frequency: Annotated[
-        opt.Text, opt.value("HZ", "Lines, turns or cycles per second.")
+        Text, option("HZ", "Lines, turns or cycles per second.")
     ] = None,
-    lines: Annotated[int | None, opt.value("N", "Lines of a raster.", least=0)] = None,
+    lines: Annotated[int | None, option("N", "Lines of a raster.", least=0)] = None,
     steps: Annotated[
-        int | None,
-        opt.value("N", "Steps of a staircase: up, then down.", least=0),
+        int | None, option("N", "Steps of a staircase: up, then down.", least=0)
     ] = None,
     dwell: Annotated[
-        opt.Text, opt.value("SECONDS", "Time at each level of a staircase.")
+        Text, option("SECONDS", "Time at each level of a staircase.")
     ] = None,
     duration: Annotated[
-        opt.Text,
-        opt.value("SECONDS", "Of a spiral, sine or triangle; default one cycle."),
+        Text, option("SECONDS", "Of a spiral, sine or triangle; default one cycle.")
     ] = None,
     loop: Annotated[
-        bool,
-        opt.flag("--loop", "One closed period, for compensate --periodic."),
+        bool, flag("--loop", "One closed period, for compensate --periodic.")
     ] = False,
     bandwidth: Annotated[
-        opt.Text, opt.value("HZ", "Round corners, start and stop to this bandwidth.")
+        Text, option("HZ", "Round corners, start and stop to this bandwidth.")
     ] = None,
     model: Annotated[
         list[str] | None,
-        opt.value("MODEL", "Require its range, round to its bandwidth; twice: x, y."),
+        option("MODEL", "Require its range, round to its bandwidth; twice: x, y."),
     ] = None,
 ) -> None:
     """Write a move: raster, spiral, staircase, sine or triangle.

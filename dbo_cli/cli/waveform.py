@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated
 
-from typer import Argument
-
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.check import limits_in, read_drive
+from dbo_cli.cli.check import limits_in, read_drive, step_of
+from dbo_cli.cli.options import Text, option
 from dbo_cli.cli.say import detail, say, say_output
 from dbo_cli.errors import InputError
 
@@ -17,29 +16,27 @@ if TYPE_CHECKING:
 
 @opt.reads_logs
 def waveform(
-    drive: Annotated[str, Argument(metavar="DRIVE", help="The drive; - is stdin.")],
+    drive: opt.DriveFile,
     reading: Reading,
     to: Annotated[
-        str, opt.value("FORMAT", "npy, wav, int16, uint16, keysight-arb or pi-gcs.")
+        str, option("FORMAT", "npy, wav, int16, uint16, keysight-arb or pi-gcs.")
     ],
     output: opt.Output = "-",
-    gain: Annotated[float, opt.value("FACTOR", "Amplifier gain, divided out.")] = 1.0,
+    gain: Annotated[float, option("FACTOR", "Amplifier gain, divided out.")] = 1.0,
     rate: Annotated[
-        opt.Text, opt.value("HZ", "Points per second; default: the drive's.")
+        Text, option("HZ", "Points per second; default: the drive's.")
     ] = None,
     points: Annotated[
-        int | None, opt.value("N", "Points, over the same time.", least=0)
+        int | None, option("N", "Points, over the same time.", least=0)
     ] = None,
     codes: Annotated[
-        opt.Text, opt.value("LOW:HIGH", "Range of codes; default: the format's.")
+        Text, option("LOW:HIGH", "Range of codes; default: the format's.")
     ] = None,
     volts: Annotated[
-        opt.Text,
-        opt.value("LOW:HIGH", "Output voltage of the codes; default: the drive's."),
+        Text, option("LOW:HIGH", "Output voltage of the codes; default: the drive's.")
     ] = None,
     max_rounding: Annotated[
-        float,
-        opt.value("PERCENT", "Allowed rounding, % of range; more: exit 3."),
+        float, option("PERCENT", "Allowed rounding, % of range; more: exit 3.")
     ] = 1.0,
     v_min: opt.VMin = None,
     v_max: opt.VMax = None,
@@ -56,14 +53,15 @@ def waveform(
     from dbo_cli.logs.write import write_bytes
     from dbo_cli.moves import waveform as make
 
-    signal = read_drive(drive, reading, {"time": time, "voltage": voltage}, "V")
-    if signal.step is None:
+    signal, log = read_drive(drive, reading, {"time": time, "voltage": voltage}, "V")
+    step = step_of(signal)
+    if step is None:
         raise InputError(
             f"{drive}: needs an even clock: add `resample` HZ, or `sample_rate` HZ if it has none"
         )
     made = make(
-        signal.voltage,
-        1.0 / signal.step,
+        signal["voltage"],
+        1.0 / step,
         to,
         limits_in("V", v_min, v_max, max_slew),
         name=drive,
@@ -73,9 +71,9 @@ def waveform(
         codes=None if codes is None else opt.span("codes", codes, None),
         volts=None if volts is None else opt.span("volts", volts, "V"),
         max_rounding=max_rounding,
-        doubts=signal.doubts,
+        doubts=log.doubtful,
     )
     write_bytes(output, made.data)
-    detail(*signal.doubts)
+    detail(*log.doubtful)
     say_output(output, made.line)
     say(made.codes)

@@ -67,9 +67,11 @@ class Recording:
             )
         if float(np.ptp(self.displacement)) == 0.0:
             raise FitError(f"{self.name}: displacement never changes; check the sensor")
-        if self.time is None:
-            return
-        steps = np.diff(self.time)
+        if self.time is not None:
+            self._require_forward(np.diff(self.time))
+
+    def _require_forward(self, steps: Floats) -> None:
+        """Refuse (InputError) times that go backwards or mostly stand."""
         if float(steps.min()) < 0.0:
             row = int(np.argmin(steps)) + 2
             raise InputError(
