@@ -45,7 +45,7 @@ def test_gears_with_memory_are_the_papers(seed: int) -> None:
     reference_voltage = 0.0
     if gears.relaxation is not None:
         gain, reference_voltage = gears.relaxation.gain, gears.relaxation.reference
-        decay = gears.relaxation.decay(steps)
+        decay = np.exp(-steps[:, None] / np.asarray(gears.relaxation.tau))
     paper = reference.Relaxed(
         reference.Backlash(
             gears.table[:, 0].tolist(), gears.table[:, 1].tolist(), gears.x0, gears.y0
