@@ -6,9 +6,10 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 from dbo_cli.cli import say
 from dbo_cli.cli.app import COMMANDS, main
-from tests.each import each
 
 PROGRAM = [sys.executable, "-m", "dbo_cli"]
 
@@ -22,7 +23,7 @@ def shown(*words: str, seed: str = "0") -> str:
     return done.stdout
 
 
-@each("command", COMMANDS)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_help_of_a_command_is_one_screen(command, capsys):
     assert main([command, "-h"]) == 0
     page = capsys.readouterr().out
@@ -37,7 +38,7 @@ def test_help_lists_each_command_on_one_line():
     assert shown("-h", seed="1") == shown("-h", seed="2")
 
 
-@each(
+@pytest.mark.parametrize(
     ("line", "words"),
     [
         ("simulate m.json a.csv --outsid hold", "did you mean --outside"),

@@ -11,7 +11,6 @@ from dbo_cli.compare.fitting import RIVALS, Design
 from dbo_cli.compare.plays import Plays
 from dbo_cli.errors import FitError
 from dbo_cli.identification import Recording
-from tests.each import each
 
 RIVAL = {rival.name: rival for rival in RIVALS}
 
@@ -81,7 +80,7 @@ def test_falling_slopes_and_falling_displacement():
     assert error(model, log) < 2e-3 * np.ptp(log.displacement)
 
 
-@each("delay", [3.0, 1.5])
+@pytest.mark.parametrize("delay", [3.0, 1.5])
 def test_a_delay_is_found(delay):
     log = recording(growing(), delay=delay, noise=1e-5)
     _, design, _ = fitted("pi", log)
@@ -98,7 +97,7 @@ def test_one_sided_plays_find_their_own():
     assert error(model, log) < 1e-3 * np.ptp(log.displacement)
 
 
-@each("name", [name for name in RIVAL if name != "rate"])
+@pytest.mark.parametrize("name", [name for name in RIVAL if name != "rate"])
 def test_inverse_after_forward(name):
     log = recording(growing(), bend=0.3, noise=1e-4)
     model, _, _ = fitted(name, log)

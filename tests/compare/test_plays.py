@@ -7,7 +7,6 @@ import pytest
 
 from dbo_cli.compare.plays import NOTHING, Plays
 from dbo_cli.errors import FitError
-from tests.each import each
 
 KINDS = ("plays", "rate", "singular", "one-sided")
 
@@ -60,7 +59,7 @@ def slow(op, x, share):
     return np.array(y)
 
 
-@each("kind", KINDS)
+@pytest.mark.parametrize("kind", KINDS)
 def test_run_is_the_definition(kind):
     op = operator(kind)
     x = drive(op, 300)
@@ -68,12 +67,12 @@ def test_run_is_the_definition(kind):
     assert np.abs(op.run(x, share) - slow(op, x, share)).max() < 1e-13
 
 
-@each("kind", KINDS)
-@each("n", [1, 12, 50])
-@each("seed", range(3))
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("n", [1, 12, 50])
+@pytest.mark.parametrize("seed", range(3))
 def test_forward_after_inverse(kind, n, seed):
     if n == 1 and kind == "singular":
-        return  # its only slope is not above 0
+        pytest.skip("its only slope is not above 0")
     op = operator(kind, n, seed)
     x = drive(op, seed=seed + 10)
     share = share_of(op, x)
@@ -84,8 +83,8 @@ def test_forward_after_inverse(kind, n, seed):
         assert np.abs(found - x).max() < 1e-10
 
 
-@each("falling", [False, True])
-@each("first", ["low", "middle", "high"])
+@pytest.mark.parametrize("falling", [False, True])
+@pytest.mark.parametrize("first", ["low", "middle", "high"])
 def test_closed_form_is_the_general_one(falling, first):
     op = operator("plays", 25, falling=falling)
     x = drive(op)
@@ -116,7 +115,9 @@ def test_settled_start():
     assert np.abs(end - op.start(0.2)).max() < 0.01
 
 
-@each("weights", [[-0.1, 0.3, 0.1], [0.5, -0.6, 0.3], [0.0, 0.1, 0.1]])
+@pytest.mark.parametrize(
+    "weights", [[-0.1, 0.3, 0.1], [0.5, -0.6, 0.3], [0.0, 0.1, 0.1]]
+)
 def test_no_inverse_is_refused(weights):
     with pytest.raises(FitError, match="no inverse"):
         Plays("plays", np.arange(3) / 3.0, np.array(weights))

@@ -9,7 +9,6 @@ import pytest
 from dbo_cli.drive import Limits
 from dbo_cli.drive.check import check_drive, check_played, lag_of, noise_of
 from dbo_cli.errors import InputError, LimitError
-from tests.each import each
 
 STEP = 1e-3
 
@@ -39,8 +38,8 @@ def test_figures_and_a_pass():
     assert json.loads(checked.json())["passed"] is True
 
 
-@each("row", [0, 1, 250, 499])
-@each("value", [100.0000001, -1e-9, math.nan, math.inf])
+@pytest.mark.parametrize("row", [0, 1, 250, 499])
+@pytest.mark.parametrize("value", [100.0000001, -1e-9, math.nan, math.inf])
 def test_a_row_outside_is_named(row, value):
     time, voltage = drive()
     voltage[row] = value
@@ -102,7 +101,7 @@ def test_odd_clocks_are_problems():
     ]
 
 
-@each("late", [0, 37, -20])
+@pytest.mark.parametrize("late", [0, 37, -20])
 def test_a_recording_that_is_late_or_early(late):
     _, voltage = drive()
     recorded = (

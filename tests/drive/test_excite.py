@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from dbo_cli.drive.excite import excite
 from dbo_cli.errors import LimitError, UsageError
-from tests.each import each
 
 
 @settings(max_examples=60, derandomize=True, deadline=None)
@@ -45,7 +44,7 @@ def test_a_sweep_follows_in_the_middle():
     assert np.abs(inner - 50).max() <= 1.0
 
 
-@each(
+@pytest.mark.parametrize(
     "words",
     [
         {"v_max": -1.0},

@@ -12,7 +12,6 @@ from dbo_cli.drive.lead import Around
 from dbo_cli.drive.swings import swings
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.model import Lag, Model, Resonance
-from tests.each import each
 
 from .actuators import actuator, actuators, ripple
 
@@ -75,8 +74,8 @@ def test_way_in_uses_the_rating() -> None:
         plan(model, wanted, DT, limits_of(model), start=0.0, approach="auto")
 
 
-@each("periodic", [False, True])
-@each("slew", [None, 2000.0, 1e6])
+@pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize("slew", [None, 2000.0, 1e6])
 def test_auto_takes_a_tenth_of_a_second(periodic: bool, slew: float | None) -> None:
     model = actuator()
     wanted = ripple(model, 1000, 0.6, cycles=1.0)
@@ -155,8 +154,8 @@ def test_sweep_stays_in_the_moves_range() -> None:
     assert (typed.voltage.min(), typed.voltage.max()) == (5.0, 80.0)
 
 
-@each("start", [0.15, 0.5, 0.8])
-@each("slew", [None, 600.0])
+@pytest.mark.parametrize("start", [0.15, 0.5, 0.8])
+@pytest.mark.parametrize("slew", [None, 600.0])
 def test_sweep_joins_the_move(start: float, slew: float | None) -> None:
     model = actuator(
         tau=(0.01, 0.3, 4.0),

@@ -15,7 +15,6 @@ from dbo_cli.drive.learning import (
 from dbo_cli.drive.lowpass import low_pass
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.model import Model, Resonance
-from tests.each import each
 
 from .actuators import actuator
 
@@ -59,7 +58,7 @@ def learned(model: Model, plant: Model, passes: int, noise: float = 0.0) -> list
     return errors
 
 
-@each(
+@pytest.mark.parametrize(
     ("frequency", "damping"),
     [(760.0, 0.02), (700.0, 0.005), (600.0, 0.01), (900.0, 0.005)],
 )

@@ -9,7 +9,6 @@ from dbo_cli.drive.gate import Gate, GateError
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.model import Quantity
-from tests.each import each
 
 RANGE = Quantity("voltage", "V", 0.236, 3.424)
 
@@ -25,7 +24,7 @@ def test_two_ranges() -> None:
     assert wide.move == wide.rating == (-1.0, 5.0)
 
 
-@each(
+@pytest.mark.parametrize(
     ("v_min", "v_max", "slew"),
     [
         (4, None, None),
@@ -63,7 +62,7 @@ def test_units_of_limits() -> None:
     assert Limits.within(bar, 0, 5, 2).slew == 2.0
 
 
-@each("voltage", [1000.0, -0.001, 5.001, math.nan, math.inf])
+@pytest.mark.parametrize("voltage", [1000.0, -0.001, 5.001, math.nan, math.inf])
 def test_start_outside_the_rating(voltage: float) -> None:
     with pytest.raises(LimitError):
         Limits.within(RANGE, 0, 5).require_start(voltage)

@@ -12,7 +12,6 @@ from dbo_cli.drive import Limits, plan
 from dbo_cli.drive.live import Controller
 from dbo_cli.errors import InputError, LimitError, ModelError, UsageError
 from dbo_cli.model import Lag, Resonance
-from tests.each import each
 
 from .actuators import actuator, ripple
 
@@ -24,7 +23,7 @@ def stepped(live: Controller, wanted: np.ndarray) -> np.ndarray:
     return np.array([live.step(x) for x in wanted])
 
 
-@each(
+@pytest.mark.parametrize(
     "parts",
     [
         {},
@@ -84,7 +83,7 @@ def test_a_state_without_a_voltage_takes_the_typed_one():
     np.testing.assert_allclose(stepped(live, wanted), whole.voltage, atol=1e-9)
 
 
-@each(
+@pytest.mark.parametrize(
     "parts",
     [
         {"delay": 0.0035},
@@ -160,7 +159,9 @@ def test_an_applied_voltage_outside_walks_inwards():
     np.testing.assert_allclose(inwards, [81.5, 80.5, 80.0, 79.0], rtol=0, atol=1e-12)
 
 
-@each("wrong", [math.nan, math.inf, "3", True, None, 1e99, [1.0, 2.0]])
+@pytest.mark.parametrize(
+    "wrong", [math.nan, math.inf, "3", True, None, 1e99, [1.0, 2.0]]
+)
 def test_what_is_no_number_leaves_nothing_to_commit(wrong):
     live = Controller(actuator(), RATE)
     live.plan(3.0)

@@ -14,7 +14,6 @@ from dbo_cli.drive import Limits, plan, stream
 from dbo_cli.drive.gate import GateError
 from dbo_cli.errors import DboError, InputError, LimitError, ModelError, UsageError
 from dbo_cli.model import Model
-from tests.each import each
 
 from .actuators import actuators, blocks_of
 
@@ -189,7 +188,7 @@ def test_a_stream_keeps_limits_row_by_row(data: st.DataObject, rows: int) -> Non
         require_kept(voltage, nothing, limits, clock, options["start"])
 
 
-@each("start", [1000.0, -20.1, 120.1, np.nan])
+@pytest.mark.parametrize("start", [1000.0, -20.1, 120.1, np.nan])
 def test_a_typing_error_in_start_writes_nothing(start: float) -> None:
     from .actuators import actuator, ripple
 

@@ -20,7 +20,6 @@ from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.export import export_model
 from dbo_cli.export.plan import with_fewer_gears
 from dbo_cli.model import read_model
-from tests.each import each
 
 pytestmark = pytest.mark.skipif(NO_COMPILER, reason="needs a C compiler")
 LIMITS = {"free": {}, "limited": {"v_min": 12.0, "v_max": 93.0, "max_slew": 1500.0}}
@@ -59,7 +58,7 @@ def test_the_bits_of_the_library(name, kept, tmp_path):
     assert firmware.self_test()[0] == 0
 
 
-@each("memory", [None, "soft"])
+@pytest.mark.parametrize("memory", [None, "soft"])
 def test_gears_beyond_the_range(memory, tmp_path):
     from firmware import SOFT
 
@@ -73,7 +72,7 @@ def test_gears_beyond_the_range(memory, tmp_path):
     assert firmware.self_test()[0] == 0
 
 
-@each("name", ["bent, falling", "negative gains", "dynamics"])
+@pytest.mark.parametrize("name", ["bent, falling", "negative gains", "dynamics"])
 def test_after_a_reset_the_state_is_that_of_a_settled_actuator(name, tmp_path):
     model = MODELS[name]
     limits = limits_of(model)
@@ -87,14 +86,14 @@ def test_after_a_reset_the_state_is_that_of_a_settled_actuator(name, tmp_path):
     assert same_bits(found, expected[1 : 1 + found.size])
 
 
-@each("flags", [["-DDBO_SMALL"], ["-DDBO_PLACE=uint16_t"]])
+@pytest.mark.parametrize("flags", [["-DDBO_SMALL"], ["-DDBO_PLACE=uint16_t"]])
 def test_less_code_and_less_memory_change_no_bit(flags, tmp_path):
     model = MODELS["many"]
     firmware = exported(model, tmp_path, flags=flags)
     assert same_bits(*compared(model, firmware, limits_of(model)))
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "kept"),
     [
         ("bent, falling", "limited"),
@@ -161,7 +160,7 @@ def test_fewer_gears_of_a_model_that_goes_on_beyond_its_range():
     np.testing.assert_allclose(coarse, full, atol=1e-12)
 
 
-@each("gears", [0, 65])
+@pytest.mark.parametrize("gears", [0, 65])
 def test_more_gears_than_there_are_are_refused(gears):
     with pytest.raises(UsageError, match="`gears`"):
         with_fewer_gears(MODELS["creep"], gears)
@@ -170,7 +169,9 @@ def test_more_gears_than_there_are_are_refused(gears):
 # ---- refusals and texts
 
 
-@each("name", ["int", "9lives", "a-b", "", "dbo_x", "x" * 41, "Main"])
+@pytest.mark.parametrize(
+    "name", ["int", "9lives", "a-b", "", "dbo_x", "x" * 41, "Main"]
+)
 def test_names_that_c_does_not_take(name):
     with pytest.raises(UsageError, match="`name`"):
         export_model(MODELS["gears"], limits_of(MODELS["gears"]), name=name)

@@ -10,7 +10,6 @@ import pytest
 
 from dbo_cli.errors import OutputError
 from dbo_cli.export import write_folder
-from tests.each import each
 
 FILES = {"a.c": "int a;\n", "README.md": "# a\n"}
 
@@ -39,7 +38,7 @@ def test_an_export_is_replaced_whole_with_what_a_compiler_made_of_it(tmp_path):
     assert content(folder)["a.c"] == "int b;\n"
 
 
-@each("name", ["mine.txt", "src/mine.c"])
+@pytest.mark.parametrize("name", ["mine.txt", "src/mine.c"])
 def test_a_folder_with_anything_else_is_not_overwritten(tmp_path, name):
     folder = tmp_path / "fw"
     write_folder(str(folder), FILES, {"name": "a"})

@@ -23,7 +23,6 @@ from firmware import (
 from dbo_cli.errors import ModelError, UsageError
 from dbo_cli.export import export_model
 from dbo_cli.model import Delay, Relaxation, Scale
-from tests.each import each
 
 pytestmark = pytest.mark.skipif(NO_COMPILER, reason="needs a C compiler")
 REFUSED = ("negative gains", "dynamics")
@@ -107,7 +106,7 @@ def test_the_bound_holds_for_random_gears_and_memories(seed, tmp_path):
     assert off.max() <= firmware.export.figures["bounds"]["close"]
 
 
-@each("name", ["creep", "bent, falling"])
+@pytest.mark.parametrize("name", ["creep", "bent, falling"])
 def test_after_a_reset_the_state_is_that_of_a_settled_actuator(name, tmp_path):
     model = MODELS[name]
     limits = limits_of(model)
@@ -141,7 +140,7 @@ def test_a_damaged_table_fails_the_self_test(tmp_path):
     assert code == 1 and "samples differ" in said
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "named"),
     [("negative gains", "relaxation.gain"), ("dynamics", "dynamics")],
 )

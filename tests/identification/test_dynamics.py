@@ -21,7 +21,6 @@ from dbo_cli.model import (
     Resonance,
     Scale,
 )
-from tests.each import each
 
 RATE = 2_000.0
 
@@ -83,7 +82,7 @@ def test_a_log_ten_times_as_fast_is_a_fast_one() -> None:
     assert part.band == pytest.approx((30.0, 30.0), rel=0.1)
 
 
-@each(
+@pytest.mark.parametrize(
     ("frequency", "damping", "lag"),
     [(60.0, 0.02, 5e-4), (110.0, 0.005, 2e-3), (35.0, 0.3, 1e-3)],
 )

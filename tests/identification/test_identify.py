@@ -15,7 +15,6 @@ from dbo_cli.identification.clean import clean, spiked_rows
 from dbo_cli.identification.identify import identify
 from dbo_cli.model import Model, dumps_model
 from dbo_cli.model.expect import expected_error, longest_rest, move_warnings
-from tests.each import each
 
 Floats = NDArray[np.float64]
 NOISE = 0.005 * np.random.default_rng(7).normal(size=len(TIME))
@@ -123,7 +122,7 @@ def test_skip_needs_a_clock() -> None:
         clean([Recording("log", DRIVE, hysteresis(DRIVE))], Options(skip=1.0))
 
 
-@each(
+@pytest.mark.parametrize(
     ("options", "word"),
     [
         ({"gears": 0}, "gears"),

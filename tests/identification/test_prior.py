@@ -19,7 +19,6 @@ from dbo_cli.model import (
     Relaxation,
     Scale,
 )
-from tests.each import each
 
 RATE = 500.0
 NOISE = 0.005
@@ -82,9 +81,9 @@ def test_gain_offset_and_delay_come_back() -> None:
     assert refreshed.output.span == pytest.approx(10.7, rel=0.005)
 
 
-@each("seed", range(6))
-@each("shape", ["sine", "triangle"])
-@each("ends", [(0.0, 100.0), (40.0, 60.0), (75.0, 95.0)])
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("shape", ["sine", "triangle"])
+@pytest.mark.parametrize("ends", [(0.0, 100.0), (40.0, 60.0), (75.0, 95.0)])
 def test_an_unchanged_actuator_keeps_its_numbers(
     ends: tuple[float, float], shape: str, seed: int
 ) -> None:

@@ -31,7 +31,6 @@ from dbo_cli.identification.solve import (
     travelled,
 )
 from dbo_cli.identification.stages import model_of
-from tests.each import each
 
 TIME = np.arange(4000) / 200.0
 DRIVE = 50.0 - 50.0 * np.cos(2.0 * np.pi * 0.5 * TIME) * np.exp(-TIME / 15.0)
@@ -122,8 +121,8 @@ def test_time_constants_reach_half_the_log() -> None:
     assert taus[0] == pytest.approx(0.01) and taus[-1] == pytest.approx(19.995)
 
 
-@each("slopes", ["growing", "falling", "free"])
-@each("memories", ["", "t", "tr"])
+@pytest.mark.parametrize("slopes", ["growing", "falling", "free"])
+@pytest.mark.parametrize("memories", ["", "t", "tr"])
 def test_model_is_what_was_fitted(slopes: str, memories: str) -> None:
     lagging = hysteresis(DRIVE) + 0.3 * np.sin(TIME)
     log = Recording("log", DRIVE, lagging, TIME)

@@ -10,7 +10,6 @@ import pytest
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.logs import Block, Log, Reading, open_log
 from dbo_cli.logs.headers import stated_rate
-from tests.each import each
 
 VOLTAGE: dict[str, str | None] = {"voltage": None}
 
@@ -54,7 +53,7 @@ def test_uneven_time_gives_each_step(tmp_path: Path) -> None:
     assert "2 gaps" in texts[1] and "row 3" in texts[1] and "0.016 s" in texts[1]
 
 
-@each(
+@pytest.mark.parametrize(
     ("header", "factor"),
     [("t_ms", 1e-3), ("Time (us)", 1e-6), ("time [min]", 60.0), ("Zeit/Sekunden", 1.0), ("millis", 1e-3)],
 )  # fmt: skip
@@ -78,7 +77,7 @@ def test_the_unit_is_given(tmp_path: Path) -> None:
         read(path, time_unit="furlongs")
 
 
-@each("times", [["1.7e12", "1.7000000001e12"], ["0", "3600"]])
+@pytest.mark.parametrize("times", [["1.7e12", "1.7000000001e12"], ["0", "3600"]])
 def test_figures_without_a_unit_that_can_hardly_be_seconds(
     times: list[str], tmp_path: Path
 ) -> None:
@@ -92,7 +91,7 @@ def test_time_s_that_may_count_milliseconds_is_asked_about(tmp_path: Path) -> No
     read(write(tmp_path, [str(n) for n in range(7200)]), time_unit="s")
 
 
-@each("header", ["time_ticks", "time (samples)", "Time [furlong]"])
+@pytest.mark.parametrize("header", ["time_ticks", "time (samples)", "Time [furlong]"])
 def test_what_is_no_unit_of_time_is_refused(header: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="`time_unit`"):
         read(write(tmp_path, ["0", "0.1", "0.2"], header))
@@ -111,7 +110,7 @@ def test_repeated_stamps_of_too_few_digits_are_warned_of(tmp_path: Path) -> None
         read(write(tmp_path, [f"{n / 1000:.2f}" for n in range(100)]))
 
 
-@each(
+@pytest.mark.parametrize(
     "stamps",
     [
         ["2026-01-02T03:04:05.000", "2026-01-02T03:04:05.500", "2026-01-02T03:04:06.000"],

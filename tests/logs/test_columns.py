@@ -12,7 +12,6 @@ from dbo_cli.logs import Reading, columns_of, columns_of_names, open_log
 from dbo_cli.logs.columns import candidates, role_of
 from dbo_cli.logs.source import Column
 from dbo_cli.units import split_header
-from tests.each import each
 
 BOTH: dict[str, str | None] = {"voltage": None, "displacement": None}
 
@@ -38,7 +37,7 @@ def write(folder: Path, header: str, rows: int = 3) -> str:
     return str(path)
 
 
-@each(
+@pytest.mark.parametrize(
     ("role", "headers", "numbers"),
     [
         ("voltage", ["time_s", "voltage_V", "displacement_um"], [2]),
@@ -84,7 +83,7 @@ def test_the_question_lists_columns_and_complete_options(tmp_path: Path) -> None
         assert log.read()["displacement"].tolist() == [2.0, 2.001, 2.002]
 
 
-@each(
+@pytest.mark.parametrize(
     "selector", ["2", "voltage_V", "VOLTAGE_v", "voltage", "number=2", "name=voltage_V"]
 )
 def test_a_column_is_named(selector: str, tmp_path: Path) -> None:
@@ -94,7 +93,7 @@ def test_a_column_is_named(selector: str, tmp_path: Path) -> None:
         assert log.read()["voltage"].tolist() == [1.0, 1.001, 1.002]
 
 
-@each("selector", ["4", "0", "-1", "volts", "u", "number=9"])
+@pytest.mark.parametrize("selector", ["4", "0", "-1", "volts", "u", "number=9"])
 def test_no_such_column(selector: str, tmp_path: Path) -> None:
     path = write(tmp_path, "time_s,u,u")
     with pytest.raises((InputError, UsageError), match="`voltage`"):

@@ -19,7 +19,6 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs import formats
 from dbo_cli.logs.formats import reader_of
 from dbo_cli.logs.source import Reading, Source
-from tests.each import each
 
 T = (0.0, 0.001, 0.002, 0.003)
 V = (0.0, 1.5, -2.5, 4.0)
@@ -121,7 +120,7 @@ WRITTEN: dict[str, tuple[str, Callable[[Path], None]]] = {
 }
 
 
-@each("name", WRITTEN)
+@pytest.mark.parametrize("name", WRITTEN)
 def test_values_and_units_come_back(name: str, tmp_path: Path) -> None:
     suffix, write = WRITTEN[name]
     path = tmp_path / f"run{suffix}"
@@ -138,8 +137,8 @@ def test_values_and_units_come_back(name: str, tmp_path: Path) -> None:
         assert values.dtype == np.float64
 
 
-@each("order", ["C", "F"])
-@each("turned", [False, True])
+@pytest.mark.parametrize("order", ["C", "F"])
+@pytest.mark.parametrize("turned", [False, True])
 def test_a_matrix_is_read_along_its_longer_axis(
     tmp_path: Path, order: Any, turned: bool
 ) -> None:
@@ -204,7 +203,7 @@ def stamped_tdms(path: Path) -> None:
         file.write_segment(channels)
 
 
-@each(
+@pytest.mark.parametrize(
     ("suffix", "write"),
     [
         (".parquet", stamped_parquet),
@@ -317,7 +316,7 @@ def test_pickles_are_never_loaded(tmp_path: Path) -> None:
     assert not (tmp_path / "exploded").exists()
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "content", "words"),
     [
         ("a.h5", b"time,voltage\n", "no HDF5"),
@@ -371,7 +370,9 @@ def test_a_reader_of_another_package_joins(
     assert reader_of("run.abc", b"anything") is None
 
 
-@each("name", [name for name in WRITTEN if name != "TDMS by another name"])
+@pytest.mark.parametrize(
+    "name", [name for name in WRITTEN if name != "TDMS by another name"]
+)
 def test_damaged_files_end_in_one_line(name: str, tmp_path: Path) -> None:
     suffix, write = WRITTEN[name]
     path = tmp_path / f"run{suffix}"

@@ -15,7 +15,6 @@ from dbo_cli.errors import DboWarning, InputError
 from dbo_cli.logs.hdf5 import open_hdf5
 from dbo_cli.logs.source import Reading, Source
 from dbo_cli.logs.write import create
-from tests.each import each
 
 T = np.arange(200.0) / 1000.0
 V = np.sin(40.0 * T)
@@ -127,7 +126,7 @@ def soft_links(file: Any) -> None:
     file["store/up"] = file["/"]  # a circle of hard links
 
 
-@each(
+@pytest.mark.parametrize(
     "fill",
     [plain, matrix, wide, compound, column_vectors, compressed, deeper, soft_links],
 )
@@ -185,7 +184,7 @@ def test_several_groups_are_told_apart_by_their_paths(tmp_path: Path) -> None:
     source.close()
 
 
-@each(
+@pytest.mark.parametrize(
     ("attributes", "rate", "problem"),
     [
         ({"sample_rate": 2.0, "sample_rate_units": "kHz"}, 2000.0, ""),
@@ -282,7 +281,7 @@ def external_storage(file: Any, other: Path) -> None:
     )
 
 
-@each(
+@pytest.mark.parametrize(
     "fill",
     [external_link, external_group, soft_into_external, virtual, external_storage],
 )
@@ -307,7 +306,7 @@ def test_no_other_file_is_read(
         raise AssertionError("not refused")
 
 
-@each("part", ["run", "run/voltage", "/run/voltage"])
+@pytest.mark.parametrize("part", ["run", "run/voltage", "/run/voltage"])
 def test_a_part_behind_an_external_link_is_refused(tmp_path: Path, part: str) -> None:
     path = made(
         tmp_path / "run.h5", lambda file: external_group(file, secret(tmp_path))

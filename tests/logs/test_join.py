@@ -17,7 +17,6 @@ from dbo_cli.logs import clock_offset
 from dbo_cli.logs.clock_offset import Fit
 from dbo_cli.logs.log import Log, open_log
 from dbo_cli.logs.source import Block, FloatArray, Reading
-from tests.each import each
 
 ROLES = {"voltage": None, "displacement": None}
 
@@ -168,7 +167,7 @@ def split_sample(folder: Path, offset: float, noise: float = 0.0) -> tuple[Path,
     return seen, write(folder / "drive.csv", "time_s,voltage_V", sent - offset, volts)
 
 
-@each(("offset", "noise"), [(0.37, 0.0), (-0.37, 0.02)])
+@pytest.mark.parametrize(("offset", "noise"), [(0.37, 0.0), (-0.37, 0.02)])
 def test_the_sample_in_two_files(offset: float, noise: float, tmp_path: Path) -> None:
     """It begins at its lower end; a lag of 2.8 ms and creep are part of the offset."""
     log, _ = read(*split_sample(tmp_path, offset, noise), Reading(clock_offset="auto"))
@@ -177,7 +176,7 @@ def test_the_sample_in_two_files(offset: float, noise: float, tmp_path: Path) ->
     assert log.clock_offset.uncertainty < 0.0008
 
 
-@each("offset", [0.37, -0.37, 0.02, 0.0])
+@pytest.mark.parametrize("offset", [0.37, -0.37, 0.02, 0.0])
 def test_the_sample_is_told_of_unless_it_lines_up(
     offset: float, tmp_path: Path
 ) -> None:
@@ -225,7 +224,7 @@ def test_a_loop_is_no_delay() -> None:
     assert found.deviation < 2.5e-4
 
 
-@each("scale", [1.0, -0.4])
+@pytest.mark.parametrize("scale", [1.0, -0.4])
 def test_units_sign_and_drift_do_not_matter(scale: float) -> None:
     time = np.arange(0.0, 12.0, 2e-3)
     moved = scale * sensor(time, 0.7) + 0.01 * time

@@ -17,7 +17,6 @@ import pytest
 
 from dbo_cli.errors import DboError
 from dbo_cli.logs import Reading, open_log
-from tests.each import each
 
 SHAPES = Path(__file__).resolve().parent.parent / "shapes" / "text.json"
 CASES = json.loads(SHAPES.read_text(encoding="utf-8"))
@@ -32,7 +31,7 @@ def write(case: dict[str, Any], folder: Path) -> str:
     return str(path) + case.get("part", "")
 
 
-@each("case", CASES)
+@pytest.mark.parametrize("case", CASES, ids=[case["name"] for case in CASES])
 @pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 def test_a_shape_is_right_or_refused(case: dict[str, Any], tmp_path: Path) -> None:
     path = write(case, tmp_path)

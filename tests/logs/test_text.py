@@ -14,7 +14,6 @@ import pytest
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs import Block, Log, Reading, open_log, text
 from dbo_cli.logs.cells import split_cells, to_number
-from tests.each import each
 
 BOTH: dict[str, str | None] = {"voltage": None, "displacement": None}
 HEAD = "time_s,voltage_V,displacement_um\n"
@@ -39,8 +38,8 @@ def large(
 # --- blocks ---
 
 
-@each("block", [100, 4096, 1 << 22])
-@each("small", [0, 1 << 30])
+@pytest.mark.parametrize("block", [100, 4096, 1 << 22])
+@pytest.mark.parametrize("small", [0, 1 << 30])
 def test_blocks_and_ways_of_reading_give_the_same(
     block: int, small: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -61,7 +60,7 @@ def test_blocks_and_ways_of_reading_give_the_same(
     assert log.line().endswith("4,000 rows, 4 s at 1 kHz; voltage_V, displacement_um")
 
 
-@each(
+@pytest.mark.parametrize(
     "change",
     [
         lambda s: s,
@@ -86,7 +85,7 @@ def test_large_files_of_many_ways(change: Callable[[str], str], tmp_path: Path) 
 
 
 @pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
-@each(
+@pytest.mark.parametrize(
     ("damage", "line", "what"),
     [
         ("20.000,20000.00", 20002, "2 cells where"),
@@ -138,7 +137,7 @@ def test_points_are_refused_beside_stamps_as_well(tmp_path: Path) -> None:
         read(path)
 
 
-@each("rows", [20, 30_000])
+@pytest.mark.parametrize("rows", [20, 30_000])
 def test_rows_of_statistics_are_no_rows(rows: int, tmp_path: Path) -> None:
     table = "".join(f"{k};{k % 97}.5;{k % 89}.25\n" for k in range(rows))
     path = tmp_path / "run.csv"
@@ -221,7 +220,7 @@ def test_packed_and_encoded_files(tmp_path: Path) -> None:
         read(plain, encoding="klingon")
 
 
-@each("name", ["missing.csv", "."])
+@pytest.mark.parametrize("name", ["missing.csv", "."])
 def test_what_is_no_file(name: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no such file|folder"):
         read(tmp_path / name)

@@ -16,10 +16,9 @@ from dbo_cli.units import (
     split_header,
     time_unit,
 )
-from tests.each import each
 
 
-@each(
+@pytest.mark.parametrize(
     ("header", "name", "unit"),
     [
         ("voltage_V", "voltage", "V"),

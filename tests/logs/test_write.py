@@ -25,7 +25,6 @@ from dbo_cli.logs.write import (
     write_bytes,
     write_text,
 )
-from tests.each import each
 
 COLUMNS = [("time", "s"), ("desired", "um"), ("voltage", "V")]
 
@@ -50,7 +49,9 @@ def run(
     return subprocess.run(command, capture_output=True, timeout=60, **options)  # type: ignore[call-overload]
 
 
-@each("name", ["a.csv", "a.tsv", "a.csv.gz", "a", "a.dat", "a.h5", "a.hdf5"])
+@pytest.mark.parametrize(
+    "name", ["a.csv", "a.tsv", "a.csv.gz", "a", "a.dat", "a.h5", "a.hdf5"]
+)
 def test_numbers_read_back_to_the_bit_from_any_blocks(
     tmp_path: Path, name: str
 ) -> None:
@@ -74,7 +75,7 @@ def test_numbers_read_back_to_the_bit_from_any_blocks(
     assert only(tmp_path) == [name]
 
 
-@each("name", ["a.csv", "a.csv.gz", "a.h5"])
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.h5"])
 def test_the_same_numbers_give_the_same_bytes(tmp_path: Path, name: str) -> None:
     for folder in ("one", "two"):
         (tmp_path / folder).mkdir()
@@ -95,7 +96,7 @@ def test_a_few_rows_read_back_without_polars(
     assert [float(line) for line in lines[1:]] == values.tolist()
 
 
-@each(
+@pytest.mark.parametrize(
     ("name", "unit"),
     [
         ("voltage", "V"),
@@ -273,7 +274,7 @@ FULL = """
 """
 
 
-@each("name", ["a.csv", "a.h5"])
+@pytest.mark.parametrize("name", ["a.csv", "a.h5"])
 def test_a_full_disk_leaves_the_old_file(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     path.write_text("before")
@@ -311,7 +312,7 @@ PIPED = """
 """
 
 
-@each("path", ["-", "/dev/stdout", "/dev/fd/1"])
+@pytest.mark.parametrize("path", ["-", "/dev/stdout", "/dev/fd/1"])
 def test_a_pipe_gets_each_block_at_once(path: str) -> None:
     command = [sys.executable, "-c", textwrap.dedent(PIPED), path]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.PIPE)

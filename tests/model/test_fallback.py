@@ -20,7 +20,6 @@ from dbo_cli.model import (
     kernel,
 )
 from dbo_cli.model.stepper import Stepper
-from tests.each import each
 from tests.model.random_models import (
     DT,
     Floats,
@@ -53,7 +52,7 @@ def everything(seed: int) -> list[Floats]:
     return [y, uneven, u, driven.y, counts, inverse]
 
 
-@each("seed", range(12))
+@pytest.mark.parametrize("seed", range(12))
 def test_the_fallback_is_the_kernel(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     compiled = everything(seed)
     monkeypatch.setattr(kernel, "extension", None)
@@ -77,7 +76,7 @@ def test_what_needs_the_compiled_part_says_so(monkeypatch: pytest.MonkeyPatch) -
         Delay(0.0015).run(np.arange(9.0), np.full(9, 1e-3))
 
 
-@each("seed", range(30))
+@pytest.mark.parametrize("seed", range(30))
 def test_steps_are_those_of_blocks(seed: int) -> None:
     rng = np.random.default_rng(seed)
     inverse = random_gears(rng).inverse()
@@ -98,7 +97,7 @@ def test_steps_are_those_of_blocks(seed: int) -> None:
     assert live.committed() == (whole.bits, whole.memory)
 
 
-@each("seed", range(20))
+@pytest.mark.parametrize("seed", range(20))
 def test_another_voltage_that_was_applied_is_followed(seed: int) -> None:
     """``commit(applied)``: the state is that of the forward gears driven by what was applied."""
     rng = np.random.default_rng(seed)

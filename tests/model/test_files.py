@@ -37,7 +37,6 @@ from dbo_cli.model import (
     read_state,
 )
 from dbo_cli.model.file import parse_model
-from tests.each import each
 from tests.model.random_models import random_model
 
 DT = 1e-4
@@ -85,8 +84,8 @@ def written(tmp_path: Path, text: str, name: str = "model.json") -> str:
 
 def test_a_model_comes_back(tmp_path: Path) -> None:
     model = full_model()
-    for direction in (model, model.inverse()):
-        text = dumps_model(direction)
+    for each in (model, model.inverse()):
+        text = dumps_model(each)
         back = read_model(written(tmp_path, text))
         assert dumps_model(back) == text
         assert back.digest == model.digest
@@ -99,7 +98,7 @@ def test_a_model_comes_back(tmp_path: Path) -> None:
     assert len(dumps_model(model).splitlines()) < 120
 
 
-@each("seed", range(20))
+@pytest.mark.parametrize("seed", range(20))
 def test_random_models_come_back(seed: int, tmp_path: Path) -> None:
     model = random_model(np.random.default_rng(seed))
     text = dumps_model(model)
@@ -171,7 +170,7 @@ BROKEN: list[tuple[Change, str, bool]] = [
 ]  # fmt: skip
 
 
-@each(("change", "place", "in_schema"), BROKEN)
+@pytest.mark.parametrize(("change", "place", "in_schema"), BROKEN)
 def test_what_is_wrong_is_named(change: Change, place: str, in_schema: bool) -> None:
     values = copy.deepcopy(json.loads(dumps_model(full_model())))
     change(values)
@@ -182,7 +181,7 @@ def test_what_is_wrong_is_named(change: Change, place: str, in_schema: bool) -> 
     assert SCHEMA.is_valid(values) is not in_schema
 
 
-@each(
+@pytest.mark.parametrize(
     ("text", "said"),
     [
         ("", "not a model file"),
@@ -255,7 +254,7 @@ def test_a_state_comes_back_and_serves_the_inverse(tmp_path: Path) -> None:
     )
 
 
-@each(
+@pytest.mark.parametrize(
     ("change", "place"),
     [
         (

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import Gears, Relaxation, Window
 from tests import reference
-from tests.each import each
 from tests.model.random_models import random_drive, random_gears, random_points
 
 ROWS = 40  # exact rationals grow with every sample of a memory
@@ -34,7 +33,7 @@ def test_gears_are_the_papers(dx: list[float], signal: list[float], state: int) 
     np.testing.assert_allclose(done.y, expected, rtol=0, atol=1e-9)
 
 
-@each("seed", range(12))
+@pytest.mark.parametrize("seed", range(12))
 def test_gears_with_memory_are_the_papers(seed: int) -> None:
     rng = np.random.default_rng(seed)
     gears = random_gears(rng)
@@ -63,7 +62,7 @@ def test_gears_with_memory_are_the_papers(seed: int) -> None:
     assert done.bits == paper.gears.state
 
 
-@each("seed", range(20))
+@pytest.mark.parametrize("seed", range(20))
 def test_points_are_the_papers(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points = random_points(rng, -1.0, 3.0)
@@ -76,7 +75,7 @@ def test_points_are_the_papers(seed: int) -> None:
     np.testing.assert_allclose(points.inverse().run(got), signal, rtol=0, atol=1e-13)
 
 
-@each("seed", range(60))
+@pytest.mark.parametrize("seed", range(60))
 def test_blocks_change_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)
     gears = random_gears(rng)
@@ -137,7 +136,7 @@ def test_lags_are_those_of_the_model() -> None:
     assert memory == pytest.approx(done.memory)
 
 
-@each(
+@pytest.mark.parametrize(
     ("dx", "dy", "text"),
     [
         ([], [], "dx: is empty"),

@@ -29,7 +29,6 @@ from dbo_cli.model import (
     read_ahead,
     steps_of,
 )
-from tests.each import each
 from tests.model.random_models import DT, Floats, random_drive, random_model
 
 VOLTAGE = Quantity("voltage", "V", 0.0, 10.0)
@@ -64,7 +63,7 @@ def round_trip_error(rng: np.random.Generator, model: Model) -> float:
     return float(np.abs(back - drive)[:-25].max()) / (high - low)
 
 
-@each("seed", range(40))
+@pytest.mark.parametrize("seed", range(40))
 def test_the_inverse_is_exact_on_any_clock(seed: int) -> None:
     rng = np.random.default_rng(seed)
     model = random_model(rng, delays=False, negative=True)
@@ -83,7 +82,7 @@ def in_blocks(rng: np.random.Generator, x: Floats) -> list[Floats]:
     return np.split(x, edges)
 
 
-@each("seed", range(30))
+@pytest.mark.parametrize("seed", range(30))
 def test_blocks_change_nothing(seed: int) -> None:
     rng = np.random.default_rng(seed)
     sections = (
@@ -104,7 +103,7 @@ def test_blocks_change_nothing(seed: int) -> None:
     assert state == after
 
 
-@each("seed", range(30))
+@pytest.mark.parametrize("seed", range(30))
 def test_a_drive_in_blocks_is_the_drive(seed: int) -> None:
     rng = np.random.default_rng(seed)
     seconds = float(rng.choice([0.0, 3e-3, 0.4e-3, 1.5e-3, 17.7e-3]))
@@ -141,7 +140,7 @@ def smooth_move(model: Model, rows: int) -> Floats:
     return np.asarray(lowest + 7.0 * grown * (1.0 - np.cos(2.0 * np.pi * k * 4.0 * DT)))
 
 
-@each("seconds", [0.2e-3, 1.2e-3, 2.2e-3, 9.7e-3])
+@pytest.mark.parametrize("seconds", [0.2e-3, 1.2e-3, 2.2e-3, 9.7e-3])
 def test_one_row_at_a_time_is_read_ahead_as_all(seconds: float) -> None:
     model = plant(Delay(seconds))
     wanted = np.cumsum(np.random.default_rng(2).normal(size=60))
@@ -153,8 +152,8 @@ def test_one_row_at_a_time_is_read_ahead_as_all(seconds: float) -> None:
         assert value == pytest.approx([whole[row]], abs=1e-12)
 
 
-@each("seconds", [0.0, 2e-3, 1.37e-3])
-@each("damping", [0.02, 0.3])
+@pytest.mark.parametrize("seconds", [0.0, 2e-3, 1.37e-3])
+@pytest.mark.parametrize("damping", [0.02, 0.3])
 def test_dynamics_and_delay_are_undone(seconds: float, damping: float) -> None:
     """A smooth move from the lower end comes out as wanted; a part of a sample leaves interpolation."""
     model = plant(Dynamics((Resonance(60.0, damping), Lag(2e-3))), Delay(seconds))
@@ -168,7 +167,7 @@ def test_dynamics_and_delay_are_undone(seconds: float, damping: float) -> None:
     assert error < (1e-12 if seconds != 1.37e-3 else 2e-6) * 8.0
 
 
-@each("seconds", [0.4e-3, 1.5e-3, 2.5e-3, 9.7e-3])
+@pytest.mark.parametrize("seconds", [0.4e-3, 1.5e-3, 2.5e-3, 9.7e-3])
 def test_a_delay_is_the_same_by_count_and_by_time(seconds: float) -> None:
     """Before the first sample the first value holds, however the clock is given."""
     x = np.cumsum(np.random.default_rng(1).normal(size=40))
@@ -293,7 +292,7 @@ def test_starts() -> None:
     assert model.start_drive(5.0, "full", 0.0, 9.0).drive == 9.0
 
 
-@each("wanted", np.linspace(-3.0, 22.0, 21))
+@pytest.mark.parametrize("wanted", np.linspace(-3.0, 22.0, 21))
 def test_a_drive_starts_as_the_model_driven_by_it(wanted: float) -> None:
     model = plant()
     begun = model.start_drive(float(wanted), "auto", 0.0, 10.0)
@@ -374,7 +373,7 @@ def test_signs_and_digests() -> None:
         falling.require("inverse")
 
 
-@each(
+@pytest.mark.parametrize(
     ("stages", "place"),
     [
         ((Scale(1.0, 0.0),), "stages: "),

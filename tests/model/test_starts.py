@@ -18,7 +18,6 @@ from dbo_cli.model import (
     dumps_state,
     read_state,
 )
-from tests.each import each
 from tests.model.random_models import DT, Floats, random_drive
 
 WIDTH = 0.125
@@ -52,8 +51,8 @@ def plain_and_spare(seed: int) -> tuple[Model, Model]:
     )
 
 
-@each("start", STARTS)
-@each("seed", range(12))
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("seed", range(12))
 def test_inside_the_range_spare_gears_play_no_part(seed: int, start: str) -> None:
     plain, spare = plain_and_spare(seed)
     rng = np.random.default_rng(seed)

@@ -8,7 +8,6 @@ import pytest
 from dbo_cli.errors import UsageError
 from dbo_cli.model import Dynamics, Gears, Model, Quantity, Resonance, Scale
 from dbo_cli.moves import check_reach, trajectory, trusted_frequency
-from tests.each import each
 
 RATE = 1000.0
 ENDS = (2.0, 8.0)
@@ -33,8 +32,8 @@ def cornered(axis):
     return np.abs(np.diff(axis, 2)).max() / np.abs(np.diff(axis)).max()
 
 
-@each("shape", MOVES)
-@each("bandwidth", [None, 40.0])
+@pytest.mark.parametrize("shape", MOVES)
+@pytest.mark.parametrize("bandwidth", [None, 40.0])
 def test_every_move_stays_in_its_range_and_has_an_even_clock(shape, bandwidth):
     made = trajectory(shape, rate=RATE, range=ENDS, bandwidth=bandwidth, **MOVES[shape])
     assert len(made.axes) == (2 if shape in ("raster", "spiral") else 1)
@@ -49,7 +48,7 @@ def test_every_move_stays_in_its_range_and_has_an_even_clock(shape, bandwidth):
         assert np.ptp(axis) >= 5.5
 
 
-@each("shape", MOVES)
+@pytest.mark.parametrize("shape", MOVES)
 def test_a_rounded_move_starts_and_stops_softly(shape):
     made = trajectory(shape, rate=RATE, range=ENDS, bandwidth=40.0, **MOVES[shape])
     for axis in made.axes:
@@ -64,8 +63,8 @@ def test_corners_are_sharp_without_a_bandwidth():
     assert cornered(made.axes[0]) == pytest.approx(2.0)
 
 
-@each("shape", ["raster", "sine", "triangle"])
-@each("bandwidth", [None, 40.0])
+@pytest.mark.parametrize("shape", ["raster", "sine", "triangle"])
+@pytest.mark.parametrize("bandwidth", [None, 40.0])
 def test_a_loop_closes_like_any_other_step(shape, bandwidth):
     options = {key: value for key, value in MOVES[shape].items() if key != "duration"}
     made = trajectory(
@@ -123,7 +122,7 @@ def test_a_move_is_trusted_to_a_third_of_the_lowest_resonance():
     assert trusted_frequency([actuator()]) is None
 
 
-@each("ends", [(2.0, 9.9), (0.1, 9.0), (-4.0, 30.0), (20.0, 30.0)])
+@pytest.mark.parametrize("ends", [(2.0, 9.9), (0.1, 9.0), (-4.0, 30.0), (20.0, 30.0)])
 def test_the_range_that_a_refusal_proposes_fits(ends):
     options = {"rate": RATE, "frequency": 4.0, "lines": 3, "bandwidth": 12.0}
     made = trajectory("raster", range=ends, **options)
@@ -144,7 +143,7 @@ def test_each_axis_has_its_own_model():
         check_reach(made, ENDS, [actuator(), actuator(3.0, 9.0)])
 
 
-@each(
+@pytest.mark.parametrize(
     ("shape", "options", "named"),
     [
         ("circle", {}, "circle"),
@@ -164,7 +163,7 @@ def test_refusals_name_the_option_and_the_number_that_fits(shape, options, named
         trajectory(shape, rate=RATE, range=ENDS, **options)
 
 
-@each(("shape", "largest"), [("triangle", 19.23), ("raster", 35.7)])
+@pytest.mark.parametrize(("shape", "largest"), [("triangle", 19.23), ("raster", 35.7)])
 def test_the_frequency_that_a_refusal_proposes_fits(shape, largest):
     more = {"lines": 4} if shape == "raster" else {}
     trajectory(shape, rate=RATE, range=ENDS, bandwidth=40.0, frequency=largest, **more)

@@ -11,7 +11,6 @@ from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.moves import waveform
 from dbo_cli.moves.generators import FORMATS
-from tests.each import each
 
 RATE = 1000.0
 TIME = np.arange(1000) / RATE
@@ -28,7 +27,7 @@ def made(to, drive=DRIVE, limits=None, **options):
     return waveform(drive, RATE, to, limits or within(), **options)
 
 
-@each("to", FORMATS)
+@pytest.mark.parametrize("to", FORMATS)
 def test_a_file_says_the_drive_to_half_a_code(to):
     written = made(to, gain=20.0)
     step = 0.0
@@ -39,8 +38,8 @@ def test_a_file_says_the_drive_to_half_a_code(to):
     assert written.volts.size == 1000
 
 
-@each("gain", [20.0, -3.0])
-@each("to", ["npy", "wav", "keysight-arb", "pi-gcs"])
+@pytest.mark.parametrize("gain", [20.0, -3.0])
+@pytest.mark.parametrize("to", ["npy", "wav", "keysight-arb", "pi-gcs"])
 def test_no_code_lies_outside_the_limits(to, gain):
     low, high = float(DRIVE.min()), float(DRIVE.max())
     slew = float(np.abs(np.diff(DRIVE)).max()) * RATE * (1.0 + 1e-12)
@@ -57,13 +56,17 @@ def test_a_limit_between_two_codes_is_kept():
     assert written.volts.max() > 89.999 - 100.0 / 255.0
 
 
-@each("limits", [within(high=89.0), within(low=11.0), within(slew=900.0)])
+@pytest.mark.parametrize(
+    "limits", [within(high=89.0), within(low=11.0), within(slew=900.0)]
+)
 def test_a_drive_beyond_its_limits_is_refused(limits):
     with pytest.raises(LimitError):
         made("npy", limits=limits)
 
 
-@each("options", [{"points": 500}, {"rate": 700.0}, {"points": 4001}])
+@pytest.mark.parametrize(
+    "options", [{"points": 500}, {"rate": 700.0}, {"points": 4001}]
+)
 def test_other_points_play_the_same_time(options):
     written = made("npy", **options)
     seconds = (written.volts.size - 1) / written.rate
@@ -93,7 +96,7 @@ def test_a_row_that_a_reader_doubts_is_refused():
         made("npy", doubts=["row 7 holds no number"])
 
 
-@each(
+@pytest.mark.parametrize(
     ("to", "options", "named"),
     [
         ("mp3", {}, "`to`"),

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from dbo_cli.reports.merits import directions, lag_left, loop_width, merits, noise_of
-from tests.each import each
 
 
 def test_values_by_hand():
@@ -50,7 +49,7 @@ def test_one_row():
     assert (figures.samples, figures.rmse, figures.loop_width) == (1, 2.0, None)
 
 
-@each("scale", [1e-12, 1.0, 1e160])
+@pytest.mark.parametrize("scale", [1e-12, 1.0, 1e160])
 def test_scale_does_not_matter(scale):
     rng = np.random.default_rng(3)
     desired, error = rng.standard_normal((2, 500))
@@ -85,7 +84,7 @@ def test_directions_with_noise_and_rests():
     assert (np.sign(slope[known]) == ways[known]).mean() > 0.97
 
 
-@each("width", [0.2, -0.3])
+@pytest.mark.parametrize("width", [0.2, -0.3])
 def test_loop_width_is_falling_less_rising(width):
     desired = triangle(4, 200)
     rising = np.gradient(desired) > 0.0
@@ -100,7 +99,7 @@ def test_loop_width_averages_noise():
     assert abs(loop_width(desired, error)) < 0.02
 
 
-@each("lag", [-3.4, 0.0, 0.25, 12.0])
+@pytest.mark.parametrize("lag", [-3.4, 0.0, 0.25, 12.0])
 def test_lag_of_a_sine_is_exact(lag):
     rows = np.arange(3000.0)
     desired = 5.0 + np.sin(2.0 * np.pi * rows / 300.0)

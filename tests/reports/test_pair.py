@@ -7,7 +7,6 @@ import pytest
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.reports import Expected, Pair, Report, match
-from tests.each import each
 
 RATE = 1000.0
 
@@ -52,7 +51,7 @@ def test_lag_takes_measured_later():
         rmse(pair, lag=1.5)
 
 
-@each("rows", [(41, 60), (None, 60), (41, None)])
+@pytest.mark.parametrize("rows", [(41, 60), (None, 60), (41, None)])
 def test_rows_are_those_of_desired(rows):
     error = np.arange(1.0, 101.0)
     report = Report.of([Pair("run", np.zeros(100), error, rows=rows)])
@@ -145,9 +144,9 @@ def test_match_by_time_interpolates():
     assert any("3 rows outside" in note for note in pair.notes)
 
 
-@each("ahead", [0.3, -0.3, 1.7])
-@each("rate", [1000.0, 777.0, 500.0])
-@each("loop", [0.0, 0.18])
+@pytest.mark.parametrize("ahead", [0.3, -0.3, 1.7])
+@pytest.mark.parametrize("rate", [1000.0, 777.0, 500.0])
+@pytest.mark.parametrize("loop", [0.0, 0.18])
 def test_another_start_of_the_clock_is_found(ahead, rate, loop):
     """A recorder that was started 0.3 s early read as 29 % of error."""
     rng = np.random.default_rng(17)
@@ -170,7 +169,7 @@ def test_another_start_of_the_clock_is_found(ahead, rate, loop):
     assert rmse(as_it_is) > 5.0
 
 
-@each("lag", [0.0, 0.002, 0.03])
+@pytest.mark.parametrize("lag", [0.0, 0.002, 0.03])
 def test_a_lag_of_the_actuator_stays(lag):
     drive_time = np.arange(-2000, 12000) / RATE
     pair = match("run", move(drive_time - lag), move(drive_time),
