@@ -19,9 +19,10 @@ from dbo_cli.logs.source import Column, FloatArray
 from dbo_cli.units import multiplied
 
 _DAY = 86400 * 10**9  # ns
-# s; whoever logs a hysteresis loop at one sample a second or slower states the unit
+# s; without a unit, figures this far apart or more are hardly seconds
 _LONG_STEP = 1.0
-_SHORT_STEP = 1e-5  # s; nor does he sample it faster without one: these are days
+# s; without a unit, figures closer together than this are hardly seconds: days are
+_SHORT_STEP = 1e-5
 _SAME = 0.01  # of a step
 _LONG_LOG = 3600.0  # s
 _LATEST = 1e8  # s, three years; a clock that counts a run never gets there
