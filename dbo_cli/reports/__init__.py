@@ -2,19 +2,14 @@
 
 from dbo_cli.reports.expected import Expected, expected_in
 from dbo_cli.reports.matching import match
-from dbo_cli.reports.merits import Merits
 from dbo_cli.reports.pair import Pair, predict
-from dbo_cli.reports.report import LogReport, Report, Verdict, report
-from dbo_cli.reports.show import Shown, show_model
+from dbo_cli.reports.report import Report, report
+from dbo_cli.reports.show import show_model
 
 __all__ = [
     "Expected",
-    "LogReport",
-    "Merits",
     "Pair",
     "Report",
-    "Shown",
-    "Verdict",
     "expected_in",
     "match",
     "predict",
