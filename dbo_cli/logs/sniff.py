@@ -390,10 +390,8 @@ def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int
 def _refuse_other_rows(
     name: str, layout: Layout, lines: Sequence[str], rows: Sequence[int]
 ) -> None:
-    """Refuse lines of numbers above the rows: they may be rows of another width."""
-    for n in rows:
-        if n >= layout.first:
-            return
+    """Refuse lines of numbers above the rows, by the last: they may be rows of another width."""
+    for n in reversed([n for n in rows if n < layout.first]):
         cells = [cell for cell in layout.cells(lines[n]) if cell]
         if cells and all(is_number(cell, layout.decimal) for cell in cells):
             raise InputError(

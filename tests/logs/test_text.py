@@ -277,8 +277,9 @@ def test_how_a_text_is_written_can_be_said(tmp_path: Path) -> None:
 def test_rows_above_the_table_are_not_passed_over(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("1,2\n3,4\nvoltage_V,position_um,flag\n1,2,0\n3,4,0\n")
-    with pytest.raises(InputError, match="`skip_lines` 1"):
+    with pytest.raises(InputError, match="`skip_lines` 2"):
         read(path)
+    assert read(path, skip_lines=2)[0]["voltage"].tolist() == [1.0, 3.0]
 
 
 def test_cells() -> None:
