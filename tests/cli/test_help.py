@@ -57,6 +57,7 @@ def test_a_wrong_word_is_named(line, words, capsys):
 
 
 def test_a_default_line_has_at_most_120_characters(capsys, monkeypatch):
+    monkeypatch.setattr(say.Level, "quiet", False)
     monkeypatch.setattr(say.Level, "verbose", False)
     monkeypatch.setattr(say.Level, "quiet", False)
     say.say("x" * 300)
@@ -83,6 +84,7 @@ class Log:
 
 
 def test_many_logs_are_one_line(capsys, monkeypatch):
+    monkeypatch.setattr(say.Level, "quiet", False)
     monkeypatch.setattr(say.Level, "verbose", False)
     say.say_logs([Log("a"), Log("b")], 200, " (rising)")
     assert capsys.readouterr().err.count("\n") == 2
