@@ -23,10 +23,9 @@ Columns = dict[str, str | None]
 Units = dict[str, str]
 
 
-@opt.reads_logs
 def report(
     logs: opt.LogFiles,
-    reading: Reading,
+    reading: opt.Reading,
     output: opt.Output = "-",
     form: Annotated[
         Literal["text", "json", "csv", "html"] | None,
@@ -66,7 +65,7 @@ def report(
         Text, option("PERCENT", "Largest RMS error, in % of the move.", BOUNDS)
     ] = None,
 ) -> None:
-    """Report how well a measured displacement follows the desired one.
+    """Report how well a displacement follows the desired one.
 
     Several logs are put side by side.
 
@@ -79,8 +78,8 @@ def report(
 
     if model is not None and trajectory is not None:
         raise UsageError("give either `model` or `trajectory`")
-    opt.require("model", model, state=state != "auto")
-    opt.require("trajectory", trajectory, match=match != "auto")
+    opt.require("model", model, {"state": state != "auto"})
+    opt.require("trajectory", trajectory, {"match": match != "auto"})
     opt.quantity("max_rmse", max_rmse, None)  # a wrong word is refused before any work
     most_percent = opt.number("max_nrmse_percent", max_nrmse_percent)
     actuator = None if model is None else read_model(model)
