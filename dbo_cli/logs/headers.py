@@ -65,14 +65,9 @@ def plain_key(key: str) -> str:
     return re.sub(r"[\s_\-.]+", "", key).lower()
 
 
-def is_clock_key(key: str) -> bool:
-    """Return whether a key, with or without a unit, states a rate or a step."""
-    return _kind_of(key)[0] != ""
-
-
 def is_clock_setting(key: str) -> bool:
     """Return whether a key states a rate, a step or the time of the first row."""
-    return is_clock_key(key) or plain_key(key) in STARTS
+    return _kind_of(key)[0] != "" or plain_key(key) in STARTS
 
 
 def is_channel_key(key: str) -> bool:
@@ -222,18 +217,12 @@ def read_settings(lines: Sequence[str], delimiter: str) -> dict[str, list[str]]:
             if match and match[2] == "=":
                 settings.setdefault(match[1].strip(), [match[3].strip()])
         match = _KEYED.fullmatch(line)
-        if match and match[3].strip() and not _is_scan(match[1], match[3]):
+        is_scan = match and plain_key(match[1]) == "increment"  # of what it steps
+        if match and match[3].strip() and not is_scan:
             values = _values(match[3], match[2], delimiter)
             settings.setdefault(match[1].strip(), values)
         before = cells
     return settings
-
-
-def _is_scan(key: str, text: str) -> bool:
-    """Return whether a setting may be a scan's: an increment without a unit, which no table holds."""
-    return plain_key(key) == "increment" and is_number(
-        text.strip().replace(",", "."), "."
-    )
 
 
 def _values(text: str, mark: str, delimiter: str) -> list[str]:
