@@ -161,9 +161,9 @@ class Outputs:
                 for file in self._files:
                     file.rename()
         finally:
-            for part in (*self._writers, *self._files):
+            for writer in self._writers:
                 with contextlib.suppress(Exception):
-                    part.close()
+                    writer.close()
             for file in self._files:
                 file.remove()
 
@@ -234,7 +234,9 @@ class Output:
                 os.replace(self.temporary, self.target)
 
     def remove(self) -> None:
-        """Remove what was written and has not got its name."""
+        """Close the stream, and remove what has not got its name."""
+        with contextlib.suppress(OSError, ValueError):
+            self.close()
         if self.temporary is not None:
             with contextlib.suppress(OSError):
                 os.unlink(self.temporary)
