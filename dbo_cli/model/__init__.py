@@ -6,10 +6,12 @@ from dbo_cli.model.dynamics import Dynamics, Lag, Mode, Resonance, Section
 from dbo_cli.model.file import (
     dumps_model,
     dumps_set,
+    dumps_state,
     is_set,
     model_values,
     read_model,
     read_models,
+    read_state,
 )
 from dbo_cli.model.gears import Gears, Window
 from dbo_cli.model.model import Candidate, Model, Outside
@@ -23,7 +25,6 @@ from dbo_cli.model.state import (
     steps_behind,
     steps_of,
 )
-from dbo_cli.model.state_file import dumps_state, read_state
 from dbo_cli.model.undoing import Undoing, read_ahead
 
 __all__ = [
