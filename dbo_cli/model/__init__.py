@@ -13,7 +13,7 @@ from dbo_cli.model.file import (
     read_models,
     read_state,
 )
-from dbo_cli.model.gears import Gears, Window
+from dbo_cli.model.gears import Gears
 from dbo_cli.model.model import Candidate, Model, Outside
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
@@ -22,10 +22,11 @@ from dbo_cli.model.state import (
     Run,
     State,
     Steps,
+    Undoing,
     steps_behind,
     steps_of,
 )
-from dbo_cli.model.undoing import Undoing, read_ahead
+from dbo_cli.model.undoing import read_ahead
 
 __all__ = [
     "Candidate",
@@ -47,7 +48,6 @@ __all__ = [
     "State",
     "Steps",
     "Undoing",
-    "Window",
     "dumps_model",
     "dumps_set",
     "dumps_state",

@@ -16,14 +16,14 @@ from typing import Any
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import fields
 from dbo_cli.model.cascade import Stage
-from dbo_cli.model.delay import Delay, Held
+from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics, Lag, Mode, Resonance, Section
 from dbo_cli.model.fields import VERSION, Json, build, number, numbers
 from dbo_cli.model.gears import Axis, Gears
 from dbo_cli.model.model import Candidate, Model
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
-from dbo_cli.model.state import Quantity, State
+from dbo_cli.model.state import Held, Quantity, State
 
 MODEL_FORMAT = "dbo-model"
 SET_FORMAT = "dbo-model-set"
@@ -296,7 +296,7 @@ def dumps_state(state: State, model: Model) -> str:
     if state.sections is not None:
         sections = list(chain.from_iterable(state.sections))
     if state.delay is not None:
-        held = state.delay._asdict()
+        held = {"times": state.delay[0], "values": state.delay[1]}
     values: Json = {
         "format": STATE_FORMAT,
         "version": VERSION,
@@ -372,11 +372,10 @@ def _state(values: Json, model: Model) -> State:
 
 def _held(values: Any, path: str) -> Held:
     """Return what a delay held back."""
-    held: Held = build(Held, values, path, times=numbers, values=numbers)
-    if len(held.times) != len(held.values) or not held.times:
-        raise ModelError(
-            f"{path}.values: has {len(held.values)} entries, not {len(held.times)}"
-        )
-    if any(later < earlier for earlier, later in pairwise(held.times)):
+    held = build(dict, values, path, times=numbers, values=numbers)
+    times, past = held["times"], held["values"]
+    if len(times) != len(past) or not times:
+        raise ModelError(f"{path}.values: has {len(past)} entries, not {len(times)}")
+    if any(later < earlier for earlier, later in pairwise(times)):
         raise ModelError(f"{path}.times: goes backwards")
-    return held
+    return times, past
