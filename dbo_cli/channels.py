@@ -164,9 +164,9 @@ def compensate(
     return _write(output, table.time, results, len(channels))
 
 
-def refuse(pieces: Mapping[str, object] | None = None, **others: object) -> None:
+def refuse(options: Mapping[str, object]) -> None:
     """Refuse what gives channels drives of different lengths, or is of one model."""
-    for option, value in {**(pieces or {}), **others}.items():
+    for option, value in options.items():
         if value:
             raise UsageError(
                 f"`{option}` needs a single channel: give SET::NAME and its columns"

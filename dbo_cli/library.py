@@ -430,33 +430,75 @@ def columns_by_role(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str | 
 
 
 def report(
-    desired: Any, measured: Any = None, time: Any = None, **options: Any
+    desired: Any,
+    measured: Any,
+    time: Any = None,
+    *,
+    sample_rate: float | None = None,
+    model: Model | None = None,
+    state: str | room.State = "auto",
+    rows: tuple[int | None, int | None] | None = None,
+    voltage: Any = None,
+    expected: Any = None,
+    unit: str | None = None,
+    name: str = "log",
+    **options: Any,
 ) -> Report:
-    """Report how well a measured displacement follows a wanted one.
+    """Report how well a measured displacement follows a desired one, or what a model predicts.
 
     Parameters
     ----------
     desired, measured : array_like
-        Both displacements in one unit; with ``model=`` the first is the drive.
-    time
-        Time in s; the time index of a Series counts.
+        Both displacements in one unit; with ``model`` the first is the drive.
+    time, sample_rate
+        Time in s, or a rate in Hz; the time index of a Series counts.
+    model, state
+        A forward model, and what was before the first row.
+    rows : (first, last), optional
+        The rows that count, from 1, both ends included.
+    voltage : array_like, optional
+        The drive, for the figures.
+    expected : mapping, optional
+        The summary of the drive, ``drive.summary()``: the error that was to be expected.
+    unit, name : str
+        Of both signals, and of the log.
     **options
-        ``sample_rate, model, state, rows, lag, remove_offset, unit, name, expected,
-        max_rmse, max_nrmse_percent``.
+        ``lag, remove_offset, max_rmse, max_nrmse_percent``.
 
     Returns
     -------
     Report
         With ``rmse``, ``to_frame()``, ``to_html()``, ``figures(folder)``.
-    """
-    from dbo_cli.reports import report as compared
 
-    values = floats(desired, "desired")
-    if "sample_rate" not in options:
-        time = clock_of(desired, time, None, len(values))
-    if isinstance(options.get("model"), Model):
-        options["model"] = options["model"].actuator
-    return compared(values, floats(measured, "measured"), time, **options)
+    Raises
+    ------
+    InputError
+        Lengths differ, or there is nothing to compare.
+    """
+    from dbo_cli.reports import Pair, Report, expected_of, predict
+
+    values, moved = floats(desired, "desired"), floats(measured, "measured")
+    clock = clock_of(desired, time, sample_rate, len(values))
+    if isinstance(clock, float):
+        clock = clock * np.arange(float(len(values)))
+    if expected is not None:
+        options["expected"] = expected_of(expected, unit)
+    if model is None:
+        drive = None if voltage is None else floats(voltage, "voltage")
+        pair = Pair(name, values, moved, clock, drive, rows)
+        return Report.of([pair], unit=unit, **options)
+    actuator, start = model.actuator, model._state(state)
+    pair = predict(
+        actuator, values, moved, name=name, time=clock, state=start, rows=rows
+    )
+    return Report.of(
+        [pair],
+        unit=actuator.output.unit,
+        voltage_unit=actuator.input.unit,
+        labels=("model", "measured"),
+        model=actuator,
+        **options,
+    )
 
 
 # --- arrays ---

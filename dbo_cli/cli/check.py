@@ -15,10 +15,9 @@ if TYPE_CHECKING:
     from dbo_cli.logs import Block, Log, Reading
 
 
-@opt.reads_logs
 def check(
     drive: opt.DriveFile,
-    reading: Reading,
+    reading: opt.Reading,
     output: opt.Output = "-",
     form: opt.TextOrJson = None,
     v_min: opt.VMin = None,
@@ -51,7 +50,7 @@ def check(
 
     if not math.isfinite(gain) or not gain or (gain != 1.0 and against is None):
         raise UsageError(f"`gain` {gain:g}: give a factor, together with `against`")
-    opt.require("against", against, tolerance=tolerance)
+    opt.require("against", against, {"tolerance": tolerance})
     columns = {"time": time, "voltage": voltage}
     signal, log = read_drive(drive, reading, columns, None)
     unit = log.columns["voltage"].unit

@@ -9,13 +9,12 @@ from dbo_cli.cli.options import option
 from dbo_cli.cli.say import say_logs, working
 
 if TYPE_CHECKING:
-    from dbo_cli.logs import Reading
+    pass
 
 
-@opt.reads_logs
 def compare(
     logs: opt.LogFiles,
-    reading: Reading,
+    reading: opt.Reading,
     output: opt.Output = "-",
     form: opt.TextOrJson = None,
     time: opt.Time = None,

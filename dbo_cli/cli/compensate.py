@@ -11,22 +11,21 @@ from typer import Argument
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import LIMITS, MOVE, OUTPUT, READING, Text, flag, option, rare
-from dbo_cli.cli.say import present, progress, say, say_log, say_output
+from dbo_cli.cli.say import progress, say, say_log, say_output
 
 if TYPE_CHECKING:
     from dbo_cli.drive import Drive, Limits
     from dbo_cli.drive.learning import PassRecord, Tracked
-    from dbo_cli.logs import Log, Outputs, Reading
+    from dbo_cli.logs import Log, Outputs
     from dbo_cli.model import Model
 
 
-@opt.reads_logs
 def compensate(
     model: opt.ModelFile,
     trajectory: Annotated[
         str, Argument(metavar="TRAJECTORY", help="Desired displacement; - is stdin.")
     ],
-    reading: Reading,
+    reading: opt.Reading,
     output: opt.Output = "-",
     summary: opt.Summary = None,
     v_min: opt.VMin = None,
@@ -61,7 +60,7 @@ def compensate(
         bool, flag("--periodic", "The trajectory is one period of a loop.", MOVE)
     ] = False,
     passes: Annotated[
-        int, rare("N", "With --periodic: passes before it.", MOVE, least=0)
+        int, rare("N", "With --periodic: passes before it.", MOVE, min=0)
     ] = 0,
     tracked: Annotated[
         list[str] | None, option("LOG", "Learn from recordings of the last pass.", MOVE)
@@ -98,28 +97,22 @@ def compensate(
 
     columns = {"time": time, "displacement": displacement}
     ranges = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
+    around = {"from": start, "approach": approach, "condition": condition, "lead": lead}
+    learning = {"tracked": tracked, "history": history, "absolute": absolute}
+    whole = {"bandwidth": bandwidth, "periodic": periodic, "passes": passes, **learning}
     if channels.is_pattern(columns):
-        channels.refuse(
-            {"from": start, "approach": approach, "lead": lead, "return": return_to},
-            condition=condition,
-            periodic=periodic,
-            passes=passes,
-            tracked=tracked,
-            history=history,
-            absolute=absolute,
-            bandwidth=bandwidth,
-            summary=summary,
-            save_state=save_state,
-        )
+        files = {"return": return_to, "summary": summary, "save_state": save_state}
+        channels.refuse({**around, **whole, **files})
         limits_of = {**ranges, "extrapolate": extrapolate}
         text = channels.compensate(
             model, trajectory, output, reading, columns, limits_of, on_limit, state
         )
         say_output(output, text)
         return
-    opt.require("tracked", tracked, history=history, absolute=absolute)
-    opt.require("tracked", tracked, voltage=voltage, measured=measured)
-    opt.require("periodic", periodic, passes=passes)
+    opt.require(
+        "tracked", tracked, {**learning, "voltage": voltage, "measured": measured}
+    )
+    opt.require("periodic", periodic, {"passes": passes})
     actuator = read_model(model)
     actuator.require("forward", model)
     limits = Limits.within(actuator.input, **ranges, extrapolate=extrapolate)
@@ -135,7 +128,7 @@ def compensate(
         options["start"] = voltage_in("from", start, actuator.input)
     if return_to is not None:
         options["return_to"] = voltage_in("return", return_to, actuator.input)
-    if bandwidth or periodic or passes or tracked:
+    if any(whole.values()):
         roles = {"time": time, "voltage": voltage, "measured": measured}
         options |= {
             "bandwidth": opt.quantity("bandwidth", bandwidth, "Hz"),
@@ -145,15 +138,13 @@ def compensate(
             "tracked": read_tracked(tracked or [], reading, roles, actuator),
             "history": read_history(history),
         }
-    check_outputs(*present(output, summary, save_state, history))
+    write = write_whole if any(whole.values()) else write_blocks
+    check_outputs(*opt.present(output, summary, save_state, history))
     units = opt.units_of(displacement=actuator.output)
     with open_log(trajectory, columns, reading, units) as wanted, Outputs() as outputs:
-        drive = write_drive(actuator, wanted, limits, outputs, output, options)
+        drive = write(actuator, wanted, limits, outputs, output, options)
         if summary is not None:
-            figures = {**drive.summary(), "trajectory": wanted.name}
-            if wanted.provided("time"):
-                figures["move_time"] = [wanted.clock.first, wanted.clock.last]
-            outputs.write_text(summary, json.dumps(figures, indent=2) + "\n")
+            outputs.write_text(summary, summary_of(drive, wanted))
         if save_state is not None and drive.state is not None:
             outputs.write_text(save_state, dumps_state(drive.state, actuator))
         if history is not None:
@@ -165,7 +156,7 @@ def compensate(
     say(drive.expected_line())
 
 
-def write_drive(
+def write_whole(
     actuator: Model,
     wanted: Log,
     limits: Limits,
@@ -173,16 +164,28 @@ def write_drive(
     output: str,
     options: dict[str, Any],
 ) -> Drive:
-    """Drive a trajectory and write it: block by block, or as a whole where ``plan`` needs that."""
-    from dbo_cli.drive import plan, stream
+    """Drive a trajectory that has to be known whole, and write the drive."""
+    from dbo_cli.drive import plan
 
-    if "periodic" in options:
-        read = wanted.read()
-        clock = read.dt if isinstance(read.dt, float) else read.time
-        drive = plan(actuator, read["displacement"], clock, limits, **options)
-        table = outputs.create(output, *table_of(actuator, limits, read.time))
-        table.write(*present(drive.time, drive.desired, drive.voltage))
-        return drive
+    read = wanted.read()
+    clock = read.dt if isinstance(read.dt, float) else read.time
+    drive = plan(actuator, read["displacement"], clock, limits, **options)
+    table = outputs.create(output, *table_of(actuator, limits, read.time))
+    table.write(*opt.present(drive.time, drive.desired, drive.voltage))
+    return drive
+
+
+def write_blocks(
+    actuator: Model,
+    wanted: Log,
+    limits: Limits,
+    outputs: Outputs,
+    output: str,
+    options: dict[str, Any],
+) -> Drive:
+    """Drive a trajectory block by block, and write the rows as they come."""
+    from dbo_cli.drive import stream
+
     if output == "-" and options["on_limit"] == "auto":
         options = {**options, "on_limit": "clip"}  # rows that were sent stay sent
     blocks = progress(wanted.blocks(), "driven")
@@ -191,7 +194,7 @@ def write_drive(
     rows = stream(actuator, moves, limits, **options)
     table = outputs.create(output, *table_of(actuator, limits, first.time))
     for time, desired, voltage in rows:
-        table.write(*present(time, desired, voltage))
+        table.write(*opt.present(time, desired, voltage))
     assert rows.drive is not None
     return rows.drive
 
@@ -204,9 +207,17 @@ def table_of(actuator: Model, limits: Limits, time: Any) -> tuple[Any, Any]:
     return columns, {"model": actuator.digest, "limits": json.dumps(limits.as_dict())}
 
 
+def summary_of(drive: Drive, wanted: Log) -> str:
+    """Return the figures of a drive and its trajectory as JSON."""
+    figures = {**drive.summary(), "trajectory": wanted.name}
+    if wanted.provided("time"):
+        figures["move_time"] = [wanted.clock.first, wanted.clock.last]
+    return json.dumps(figures, indent=2) + "\n"
+
+
 def read_tracked(
     paths: list[str],
-    reading: Reading,
+    reading: opt.Reading,
     columns: dict[str, str | None],
     actuator: Model,
 ) -> list[Tracked]:

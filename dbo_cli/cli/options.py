@@ -1,8 +1,8 @@
 """The options that several commands share, each with its help in one place.
 
-A command is a typer function. ``@reads_logs`` appends the options that say how a log is
-read, and hands them on as one argument ``reading``; ``@speaks`` appends those that say
-how much is printed.
+A command is a typer function. ``with_shared_options`` appends the options that say how
+much is printed; a parameter ``reading`` stands for the options that say how a log is
+read.
 """
 
 from __future__ import annotations
@@ -11,12 +11,17 @@ import functools
 import inspect
 import os
 from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from typer import Argument, Option
 
 from dbo_cli.cli.say import Level
 from dbo_cli.errors import UsageError
+
+if TYPE_CHECKING:
+    from dbo_cli.logs import Reading as Reading
+else:
+    Reading = Any  # the help imports no log
 
 Text = str | None
 LIMITS, MOVE, READING, OUTPUT = "Limits", "Move", "Log", "Output"
@@ -25,23 +30,11 @@ START_NAMES = ("auto", "empty", "full", "settled")
 
 
 def option(
-    metavar: str | None,
-    text: str,
-    panel: str | None = None,
-    *names: str,
-    least: int | None = None,
-    hidden: bool = False,
+    metavar: str | None, text: str, panel: str | None = None, *names: str, **more: Any
 ) -> Any:
     """Return an option under a heading of the help."""
-    return Option(
-        *names,
-        metavar=metavar,
-        help=text,
-        hidden=hidden,
-        rich_help_panel=panel,
-        show_default=False,
-        min=least,
-    )
+    more |= {"metavar": metavar, "help": text, "rich_help_panel": panel}
+    return Option(*names, show_default=False, **more)
 
 
 rare = functools.partial(option, hidden=True)
@@ -140,7 +133,7 @@ def read_as(
     ] = None,
     decimal: Annotated[Text, rare("point|comma", "Decimal sign.", READING)] = None,
     skip_lines: Annotated[
-        int | None, rare("N", "Lines before the header.", READING, least=0)
+        int | None, rare("N", "Lines before the header.", READING, min=0)
     ] = None,
     encoding: Annotated[
         Text, rare("NAME", "Text encoding, if not UTF-8.", READING)
@@ -153,7 +146,7 @@ def read_as(
             READING,
         ),
     ] = None,
-) -> Any:
+) -> Reading:
     """Return how a log is to be read."""
     from dbo_cli.logs import Reading
 
@@ -197,47 +190,40 @@ def speak(
     Level.quiet, Level.verbose, Level.debug = quiet, verbose, debug
 
 
-def reads_logs(command: Callable[..., None]) -> Callable[..., None]:
-    """Append the options of ``read_as``; the command takes its result as ``reading``."""
-    return _appended(command, read_as, "reading")
-
-
-def speaks(command: Callable[..., None]) -> Callable[..., None]:
-    """Append the options of ``speak``."""
-    return _appended(command, speak, "")
-
-
-def _appended(
-    command: Callable[..., None], options: Callable[..., Any], argument: str
-) -> Callable[..., None]:
-    """Return a command with the options of another function, whose result is one argument of it."""
-    command.__annotations__.pop(argument, None)  # a type that help does not import
-    parameters = dict(inspect.signature(command, eval_str=True).parameters)
-    parameters.pop(argument, None)
-    more = inspect.signature(options, eval_str=True).parameters
+def with_shared_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command with the options of ``speak``, and those of ``read_as`` for a ``reading``."""
+    named = dict(inspect.signature(command, eval_str=True).parameters)
+    spoken = inspect.signature(speak, eval_str=True).parameters
+    read = dict(inspect.signature(read_as, eval_str=True).parameters)
+    if named.pop("reading", None) is None:
+        read.clear()
 
     @functools.wraps(command)
     def run(**values: Any) -> None:
-        result = options(**{name: values.pop(name) for name in more})
-        if argument:
-            values[argument] = result
+        speak(**{name: values.pop(name) for name in spoken})
+        if read:
+            values["reading"] = read_as(**{name: values.pop(name) for name in read})
         command(**values)
 
     signature = []
-    for parameter in [*parameters.values(), *more.values()]:
+    for parameter in [*named.values(), *read.values(), *spoken.values()]:
         signature.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
     run.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
-    run.__annotations__ = {entry.name: entry.annotation for entry in signature}
     return run
 
 
 # --- values ---
 
 
-def require(partner: str, typed: object, **options: object) -> None:
+def present(*values: Any) -> list[Any]:
+    """Return the values that are not None."""
+    return [value for value in values if value is not None]
+
+
+def require(partner: str, typed: object, options: dict[str, Any]) -> None:
     """Refuse options that say nothing without another one."""
-    for name, value_of in options.items():
-        if value_of and not typed:
+    for name, value in options.items():
+        if value and not typed:
             raise UsageError(f"`{name}` needs `{partner}`")
 
 

@@ -28,9 +28,9 @@ def trajectory(
     frequency: Annotated[
         Text, option("HZ", "Lines, turns or cycles per second.")
     ] = None,
-    lines: Annotated[int | None, option("N", "Lines of a raster.", least=0)] = None,
+    lines: Annotated[int | None, option("N", "Lines of a raster.", min=0)] = None,
     steps: Annotated[
-        int | None, option("N", "Steps of a staircase: up, then down.", least=0)
+        int | None, option("N", "Steps of a staircase: up, then down.", min=0)
     ] = None,
     dwell: Annotated[
         Text, option("SECONDS", "Time at each level of a staircase.")

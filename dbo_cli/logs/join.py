@@ -10,7 +10,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs.clock_offset import Pair, apart, find_offset
-from dbo_cli.logs.log import Log
+from dbo_cli.logs.log import Log, TableLog
 from dbo_cli.logs.source import Block, FloatArray
 
 SENSORS = ("displacement", "measured")  # the rows are those of their file
@@ -89,7 +89,7 @@ def joined(logs: Sequence[Log], clock_offset: float | str | None) -> Log:
     assert rows.time is not None
     first, last = float(rows.time[0]), float(rows.time[-1])
     clock = replace(base.clock, first=first, last=last, rows=rows.rows)
-    log = Log.of_table(logs[0].name, columns, rows, clock, remarks)
+    log = TableLog(logs[0].name, columns, rows, clock, remarks)
     log.clock_offset = offset
     return log
 

@@ -26,6 +26,7 @@ COMMENTS = "#%"
 """A line that begins with one of these is a comment."""
 
 _SAMPLE = 40  # rows from which the dialect is found
+_JUDGED = 400  # rows in which the decimal sign must be clear
 _BLANKS = 0.9
 _FADING = 0.7  # a line counts so much less than the one below it
 DELIMITERS = {
@@ -87,17 +88,6 @@ class Layout:
             return False
         return all(STAMPS[form].fullmatch(cells[n]) for n, form in self.stamps.items())
 
-    def is_labelled(self, cells: Sequence[str]) -> bool:
-        """Return whether a row begins with a text where the rows begin with something else."""
-        first = "".join(cells[:1])
-        if first.lower() in MISSING or first[0] in COMMENTS:
-            return False
-        if is_number(first, self.decimal):
-            return False
-        if 0 in self.stamps:
-            return not STAMPS[self.stamps[0]].fullmatch(first)
-        return 0 in self.numeric
-
     def partly_fits(self, cells: Sequence[str]) -> bool:
         """Return whether half of the numbers stand where the rows have theirs."""
         places = [n for n in self.numeric if n < len(cells)]
@@ -105,20 +95,11 @@ class Layout:
         return bool(numbers) and 2 * len(numbers) >= len(self.numeric)
 
 
-def is_comment(line: str) -> bool:
-    """Return whether a line is blank or a comment."""
-    plain = line.strip()
-    return not plain or plain[0] in COMMENTS or plain == "EOF"  # TwinCAT's end
-
-
-def is_blank_row(line: str) -> bool:
-    """Return whether a line holds delimiters only, as spreadsheets end a table."""
-    return not line.strip("\t ;,|")
-
-
 def is_no_row(line: str) -> bool:
-    """Return whether a line below the first row is a comment, and no row that begins with ``#N/A``."""
-    return is_comment(line) and not re.match(ERROR, line)
+    """Return whether a line is blank or a comment, and no row that begins with ``#N/A``."""
+    plain = line.strip()
+    is_comment = not plain or plain[0] in COMMENTS or plain == "EOF"  # TwinCAT's end
+    return is_comment and not re.match(ERROR, plain)
 
 
 def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
@@ -141,8 +122,8 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     skipped = reading.skip_lines or 0
     if not any(line.strip() for line in lines):
         raise InputError(f"{name}: the file is empty")
-    rows = [n for n in range(skipped, len(lines)) if not is_comment(lines[n])]
-    while rows and is_blank_row(lines[rows[-1]]):
+    rows = [n for n in range(skipped, len(lines)) if not is_no_row(lines[n])]
+    while rows and not lines[rows[-1]].strip("\t ;,|"):
         rows.pop()
     sample = [lines[n] for n in rows[-_SAMPLE:]]
     layout = _best_layout(sample, reading)
@@ -153,8 +134,9 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     if reading.delimiter is None:
         _refuse_other_delimiter(name, layout)
     if reading.decimal is None:
-        layout.decimal = _shown_decimal(layout, [lines[n] for n in rows])
-        _refuse_thousands(name, layout, [layout.cells(lines[n]) for n in rows])
+        table = [layout.cells(lines[n]) for n in rows[-_JUDGED:]]
+        layout.decimal = _shown_decimal(layout, table)
+        _refuse_thousands(name, layout, table)
     _decide_first_column(layout, sample)
     layout.first = _first_row(layout, lines, rows)
     _refuse_other_rows(name, layout, lines, rows)
@@ -282,10 +264,9 @@ def _best_layout(sample: Sequence[str], reading: Reading) -> Layout | None:
     return layout
 
 
-def _shown_decimal(layout: Layout, lines: Sequence[str]) -> str:
+def _shown_decimal(layout: Layout, table: Sequence[Sequence[str]]) -> str:
     """Return the decimal sign that the last number with one has; that of the layout where none has."""
-    for line in reversed(lines):
-        cells = layout.cells(line)
+    for cells in reversed(table):
         for cell in (cells[n] for n in sorted(layout.numeric) if n < len(cells)):
             for sign in ".,":
                 if sign in cell and is_number(cell, sign):
@@ -382,8 +363,6 @@ def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int
         place = next(partly, 0)
     while place > 0 and layout.partly_fits(layout.cells(lines[rows[place - 1]])):
         place -= 1
-    if lines[rows[min(place + 1, len(rows) - 1)]].rstrip().endswith(":"):
-        place = min(place + 2, len(rows) - 1)  # figures above "data:" are no row
     return rows[place]
 
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from dbo_cli.errors import OutputError
 from dbo_cli.reports.merits import Floats
-from dbo_cli.reports.render import digits, short_name, shown_unit
+from dbo_cli.reports.render import digits, shown_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,13 +38,10 @@ SCHEME = {
     "#d5d9df": "rule",
     "#00508f": "first",
     "#e0751a": "second",
-    "#1b7f5c": "third",
-    "#9c4697": "fourth",
-    "#8a6d00": "fifth",
     "#7fa8cc": "fill",
 }
 """Every colour, and the variable of ``page.css`` that stands for it in a page."""
-INK, MUTED, RULE, FIRST, SECOND, THIRD, FOURTH, FIFTH, FILL = SCHEME
+INK, MUTED, RULE, FIRST, SECOND, FILL = SCHEME
 
 SOLID: dict[str, Any] = {"color": FIRST, "linewidth": 1.3}
 DASHED: dict[str, Any] = {
@@ -54,7 +51,6 @@ DASHED: dict[str, Any] = {
 }
 THIN: dict[str, Any] = {"color": INK, "linewidth": 0.9}
 DOTTED: dict[str, Any] = {"color": MUTED, "linestyle": (0, (1, 1.6)), "linewidth": 0.9}
-SEVERAL = (SECOND, FIRST, THIRD, FOURTH, FIFTH, INK)
 WIDE = (5.0, 2.8)  # inches: two side by side fill a page in print, one a phone
 TALL = (5.0, 4.0)  # inches: as wide as those; for loops
 COLUMNS = 1000  # of a figure; a curve keeps the least and the greatest value in each
@@ -182,13 +178,8 @@ def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:
 
 
 def sections_of_report(report: Report) -> list[tuple[str, list[Plot]]]:
-    """Return the figures of a report with their headings: all logs, then each log's own, then the model's."""
+    """Return the figures of a report with their headings: each log's, then the model's."""
     sections = []
-    if len(report.logs) > 1:
-        paint = partial(_paint_errors, report)
-        sections.append(
-            ("All logs", [Plot("errors", "Error of each log", WIDE, paint)])
-        )
     stems = file_stems([log.name for log in report.logs])
     for log, stem in zip(report.logs, stems, strict=True):
         sections.append((log.name, plots_of_log(report, log, stem)))
@@ -226,17 +217,12 @@ def plots_of_log(report: Report, log: LogReport, stem: str) -> list[Plot]:
 
 
 def file_stems(names: Sequence[str]) -> list[str]:
-    """Return a stem for the files of every log, all different."""
-    stems: list[str] = []
-    for name in names:
-        base = name.replace("::", "-").replace("\\", "/").rsplit("/", 1)[-1]
-        base = re.sub(r"\.(csv|tsv|txt|dat|lvm|h5|hdf5)(\.gz)?(?=-|$)", "", base)
-        stem = re.sub(r"[^\w.-]+", "_", base).strip("._-")[:80] or "log"
-        unique, count = stem, 2
-        while unique in stems:
-            unique = f"{stem}-{count}"
-            count += 1
-        stems.append(unique)
+    """Return a stem for the files of every log, numbered where there are several."""
+    stems = []
+    for number, name in enumerate(names, 1):
+        base = name.replace("\\", "/").rsplit("/", 1)[-1].partition(".")[0]
+        stem = re.sub(r"\W+", "_", base) or "log"
+        stems.append(stem if len(names) == 1 else f"{number}-{stem}")
     return stems
 
 
@@ -252,8 +238,7 @@ def _clock_of(log: LogReport) -> tuple[Floats, str]:
     pair = log.pair
     if pair.time is not None:
         return pair.time, "Time (s)"
-    assert pair.numbers is not None
-    return pair.numbers, "Row"
+    return pair.first_row + np.arange(float(len(pair))), "Row"
 
 
 def envelope(x: Floats, y: Floats) -> tuple[Floats, Floats]:
@@ -288,17 +273,6 @@ def _paint_error(report: Report, log: LogReport, axes: Axes) -> None:
     axes.plot(*envelope(time, _error_of(log)), **THIN)
     name = "Residual" if report.labels[0] == "model" else "Error"
     axes.set(xlabel=clock, ylabel=axis_label(name, report.unit))
-
-
-def _paint_errors(report: Report, axes: Axes) -> None:
-    names = set()
-    for log, color in zip(report.logs, SEVERAL, strict=False):
-        time, clock = _clock_of(log)
-        names.add(clock)
-        curve = envelope(time - time[0], _error_of(log))
-        axes.plot(*curve, color=color, linewidth=1.0, label=short_name(log.name))
-    clock = names.pop() if len(names) == 1 else "Row, or time (s)"
-    axes.set(xlabel=clock, ylabel=axis_label("Error", report.unit))
 
 
 def _paint_loop(report: Report, log: LogReport, axes: Axes) -> None:
