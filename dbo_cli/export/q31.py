@@ -92,7 +92,8 @@ def _check(plan: Plan) -> None:
         )
     if np.any(plan.gain < 0.0):
         raise ModelError(
-            "relaxation.gain: negative gains are not possible in q31: use `arithmetic` double"
+            "relaxation.gain: q31 has no proven bound for negative gains: use `arithmetic` double, or "
+            "identify with `relaxation` 0"
         )
     if np.any(1.0 - plan.decay < SLOWEST_REST):
         raise ModelError(
