@@ -67,6 +67,14 @@ def test_units_of_time(header: str, factor: float, tmp_path: Path) -> None:
     )
 
 
+def test_an_assumed_unit_is_told(tmp_path: Path) -> None:
+    _, log = read(write(tmp_path, ["0", "0.1", "0.2"], "t"))
+    assert "'t' has no unit" in log.clock.assumption
+    assert log.line().endswith("(no unit stated); voltage_V")
+    _, log = read(write(tmp_path, ["0", "0.1", "0.2"], "t_s"))
+    assert log.clock.assumption == ""
+
+
 def test_the_unit_is_given(tmp_path: Path) -> None:
     path = write(tmp_path, ["0", "1", "2"], "t")
     with pytest.raises(InputError, match="`time_unit`"):
