@@ -42,6 +42,6 @@ def compare(
     say_logs(opened[: len(logs)], sum(len(log.voltage) for log in recordings))
     working("fitting")
     seconds = opt.quantity("skip", skip, "s") or 0.0
-    result = compare_operators(recordings, tests, options={"skip": seconds})
+    result = compare_operators(recordings, tests, seconds)
     is_json = opt.form_of(form, output) == "json"
     write_text(output, result.json() if is_json else result.text())

@@ -88,7 +88,7 @@ def trajectory(
     if len(models) > len(made.axes):
         raise UsageError(f"`model`: a {shape} has one axis; give one model")
     if models:
-        check_reach(made, ends, models)
+        check_reach(made, models)
     names = ("displacement",) if len(made.axes) == 1 else ("x", "y")
     columns = [("time", "s"), *((name, unit) for name in names)]
     with create(output, columns) as table:

@@ -119,7 +119,7 @@ def test_senseless_options_are_refused(to, options, named):
 
 
 def test_a_constant_drive_needs_volts():
-    with pytest.raises(UsageError, match="constant"):
+    with pytest.raises(UsageError, match="`volts` 3:3"):
         made("wav", np.full(5, 3.0))
     written = made("wav", np.full(5, 3.0), volts=(0.0, 6.0))
     assert written.volts == pytest.approx(3.0, abs=1e-4)
