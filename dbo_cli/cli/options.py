@@ -26,7 +26,6 @@ else:
 Text = str | None
 LIMITS, MOVE, READING, OUTPUT = "Limits", "Move", "Log", "Output"
 FORMS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
-START_NAMES = ("auto", "empty", "full", "settled")
 
 
 def option(
@@ -279,6 +278,7 @@ def unit_behind(text: str) -> str:
 def state_of(text: str, model: Any) -> Any:
     """Return a start: its name, or the state of a file."""
     from dbo_cli.model import read_state
+    from dbo_cli.model.state import START_NAMES
 
     return text if text in START_NAMES else read_state(text, model)
 
