@@ -20,7 +20,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.model import Gears, Relaxation
+from dbo_cli.model import Gears, Relaxation, State
 
 Floats = NDArray[np.float64]
 SIZES = (25, 100, 400, 1600, 6400)
@@ -75,13 +75,14 @@ def costs(gears: Gears, inputs: dict[str, Floats]) -> list[float]:
         memory = None
         if relaxation is not None:
             memory = relaxation.lags(x[:1], DT)[1]
-        y = gears.run(x, 0, memory, DT).y
+        state = State(0, memory)
+        y = gears.run(x, state, DT).y
 
-        def forward(x: Floats = x, memory: tuple[float, ...] | None = memory) -> object:
-            return gears.run(x, 0, memory, DT)
+        def forward(x: Floats = x, state: State = state) -> object:
+            return gears.run(x, state, DT)
 
-        def inverse(y: Floats = y, memory: tuple[float, ...] | None = memory) -> object:
-            return back.run(y, 0, memory, DT)
+        def inverse(y: Floats = y, state: State = state) -> object:
+            return back.run(y, state, DT)
 
         found.append(1e9 * best(forward) / x.size)
         found.append(1e9 * best(inverse) / x.size)

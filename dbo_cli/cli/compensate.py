@@ -191,12 +191,11 @@ def write_blocks(
     blocks = progress(wanted.blocks(), "driven")
     first = next(blocks)
     moves = ((b.time, b.dt, b.values["displacement"]) for b in chain([first], blocks))
-    rows = stream(actuator, moves, limits, **options)
+    drive, rows = stream(actuator, moves, limits, **options)
     table = outputs.create(output, *table_of(actuator, limits, first.time))
     for time, desired, voltage in rows:
         table.write(*opt.present(time, desired, voltage))
-    assert rows.drive is not None
-    return rows.drive
+    return drive
 
 
 def table_of(actuator: Model, limits: Limits, time: Any) -> tuple[Any, Any]:

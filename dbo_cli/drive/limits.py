@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.model import Quantity, Window
+from dbo_cli.model import Quantity
+from dbo_cli.model.gears import largest_step
 from dbo_cli.units import parse_quantity, parse_unit
 
 Floats = NDArray[np.float64]
@@ -122,11 +123,6 @@ class Limits:
         """The unit behind a blank, for messages."""
         return f" {self.unit}" if self.unit else ""
 
-    @property
-    def window(self) -> Window:
-        """What the rows of a move may do, as a model takes it."""
-        return Window(*self.move, self.slew)
-
     def range_of(self, part: str) -> tuple[float, float]:
         """Return the range of a part of a drive: ``move``, or another one, which may use the rating."""
         return self.move if part == "move" else self.rating
@@ -143,7 +139,8 @@ class Limits:
             raise InputError(
                 "`max_slew` needs a clock: a time column, or `sample_rate` HZ"
             )
-        return self.window.largest_step(dt)
+        step: float | Floats | None = largest_step(self.slew, dt)
+        return step
 
     def require_start(self, voltage: float, name: str = "`from`") -> None:
         """Refuse an amplifier that stands outside the rating.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from dbo_cli.drive.limits import Figure, Limits, voltage_in
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.model import Model, State, Undoing
 from dbo_cli.model.points import value_through
-from dbo_cli.model.stepper import Stepper
 
 Floats = NDArray[np.float64]
 
@@ -124,7 +123,7 @@ class Controller:
         self._last = self.limits.standing(typed, left_at, "`from_`")
         if self._last is not None:
             self._begin = self._stood_at(self._last)
-        self._stepper: Stepper | None = None
+        self._stepper: Any = None
         self._pending: Pending | None = None
         self._inverter = model.inverter(self._dt)
         self.lookahead = self._samples_ahead(lookahead)
@@ -168,8 +167,8 @@ class Controller:
         """The state after the last sample committed, of gears and memories; None before the first."""
         if self._stepper is None:
             return self._begin if isinstance(self._begin, State) else None
-        bits, memory = self._stepper.committed()
-        return State(bits, memory, drive=self._last, undoing=self._undoing)
+        after = self._model.inverse().gears.committed(self._stepper)
+        return dataclasses.replace(after, drive=self._last, undoing=self._undoing)
 
     def plan(self, wanted: float) -> float:
         """Return the voltage for what is wanted now (or ``lookahead`` later); nothing has changed yet.
@@ -251,23 +250,21 @@ class Controller:
         """Return the voltage of the first row, and whether a limit held it back."""
         if self._last is not None and self._is_outside(self._last):
             return self._inwards(self._last), True
-        done = self._model.drive(np.array([u]), begun, self._dt, self.limits.window)
+        done = self._model.drive(
+            np.array([u]), begun, self._dt, self.limits.move, self.limits.slew
+        )
         return float(done.y[0]), bool(done.clipped)
 
-    def _stepper_after(self, begun: State, voltage: float) -> Stepper:
+    def _stepper_after(self, begun: State, voltage: float) -> Any:
         """Return the stepper behind the first row."""
         start = dataclasses.replace(begun, first=None)
         moved = self._model.static.run(np.array([voltage]), start, self._dt).state
-        return Stepper(
-            self._model.inverse().gears,
-            moved.bits,
-            moved.memory,
-            value_through(self._back_to_gears, voltage),
-            self._dt,
-            self._model.inner_window(self.limits.window),
-        )
+        at_gears = value_through(self._back_to_gears, voltage)
+        moved = dataclasses.replace(moved, drive=at_gears)
+        window, slew = self._model.inner_limits(self.limits.move, self.limits.slew)
+        return self._model.inverse().gears.stepper(moved, self._dt, window, slew)
 
-    def _planned(self, u: float, stepper: Stepper) -> tuple[float, bool]:
+    def _planned(self, u: float, stepper: Any) -> tuple[float, bool]:
         """Return the voltage of a row behind another one, and whether a limit held it back."""
         assert self._last is not None
         if self._is_outside(self._last):
@@ -278,7 +275,7 @@ class Controller:
         if self._from_gears:
             low, high = self.limits.move
             voltage = min(max(value_through(self._from_gears, voltage), low), high)
-        return voltage, stepper.clipped
+        return voltage, bool(stepper.clipped)
 
     def _is_outside(self, voltage: float) -> bool:
         """Tell whether a voltage lies outside the range of a move."""

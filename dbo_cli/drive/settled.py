@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.model import Model, Run, State, Window
+from dbo_cli.drive.limits import Limits
+from dbo_cli.model import Model, Run, State
 
 Floats = NDArray[np.float64]
 
@@ -34,7 +35,7 @@ class Settled(NamedTuple):
 
 
 def settled_drive(
-    model: Model, undone: Floats, dt: float, state: State, window: Window
+    model: Model, undone: Floats, dt: float, state: State, limits: Limits
 ) -> Settled:
     """Return the drive of one period whose end is its own beginning.
 
@@ -48,14 +49,14 @@ def settled_drive(
         Seconds a row.
     state
         Before the first pass ever: gears that the loop does not reach keep it.
-    window
+    limits
         What the drive may do.
     """
-    static = model.static
-    done = static.drive(undone, state, dt, window)
+    static, move, slew = model.static, limits.move, limits.slew
+    done = static.drive(undone, state, dt, move, slew)
     for _ in range(MOST_PASSES):
         before = looped_state(model, done.y, dt, state)
-        again = static.drive(undone, before, dt, window)
+        again = static.drive(undone, before, dt, move, slew)
         away = apart(again.y, done.y)
         done = again
         if away <= SETTLED * model.input.span:

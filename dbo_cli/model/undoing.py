@@ -13,7 +13,7 @@ import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +26,9 @@ from dbo_cli.model.dynamics import (
     Lag,
     Resonance,
     Section,
-    SectionStates,
     repeated,
 )
-
-if TYPE_CHECKING:
-    from dbo_cli.model.state import State
+from dbo_cli.model.state import SectionStates, State, Undoing
 
 Floats = NDArray[np.float64]
 Payload = TypeVar("Payload")
@@ -153,22 +150,6 @@ def _unresolved(section: Resonance, dt: float) -> InputError:
     )
 
 
-class Undoing(NamedTuple):
-    """What undoing dynamics and delay remembers between blocks, on an even clock of ``dt`` (s).
-
-    Attributes
-    ----------
-    sections : tuple
-        (y, a, b) of each section.
-    past : tuple of float
-        The last two values wanted before the block, for the delay.
-    """
-
-    dt: float
-    sections: SectionStates
-    past: tuple[float, ...] = ()
-
-
 class Inverter:
     """Undoes dynamics and a delay on an even clock of ``dt`` (s), reading ahead by ``ahead`` samples.
 
@@ -204,8 +185,8 @@ class Inverter:
             return wanted, None
         memory: SectionStates = ()
         past: tuple[float, ...] = ()
-        if undoing is not None and undoing.dt == self.dt:
-            memory, past = undoing.sections, undoing.past
+        if undoing is not None and undoing[0] == self.dt:
+            _, memory, past = undoing
         signal = wanted
         if self.delay is not None:
             signal = self.delay.read_ahead(wanted, self.dt, past)
@@ -215,11 +196,11 @@ class Inverter:
         if self.parts:
             rest = ((float(signal[0]), 0.0, 0.0),) * len(self.parts)
             signal, memory = self._undone(signal, memory or rest)
-        return signal, Undoing(self.dt, memory, past)
+        return signal, (self.dt, memory, past)
 
     def behind(self, state: State) -> Undoing | None:
         """Return what ``run`` goes on from behind a state; None where nothing is known of it."""
-        if state.undoing is not None and state.undoing.dt == self.dt:
+        if state.undoing is not None and state.undoing[0] == self.dt:
             return state.undoing
         if not self.parts or state.sections is None:
             return None
@@ -230,7 +211,7 @@ class Inverter:
             by_lead, by_q = section.output
             a, b = (part.from_state @ np.array([u - p, q])).tolist()
             memories.append((p + (by_lead * (u - p) + by_q * q), a, b))
-        return Undoing(self.dt, tuple(memories))
+        return self.dt, tuple(memories), ()
 
     def _undone(self, y: Floats, memory: SectionStates) -> tuple[Floats, SectionStates]:
         """Return the input of all sections but for what they read ahead, and the memory after it."""
