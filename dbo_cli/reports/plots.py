@@ -295,11 +295,11 @@ def _paint_loop(report: Report, log: LogReport, axes: Axes) -> None:
 def spectrum_of(log: LogReport) -> tuple[Floats, Floats] | None:
     """Return frequencies (Hz) and the amplitude density of the error (unit/sqrt(Hz)).
 
-    By Welch's method, the mean of each piece taken off. None without an even clock or
-    with fewer than 64 rows.
+    By Welch's method, the mean of each piece taken off. None without an even clock, with
+    fewer than 64 rows, or where the error is constant.
     """
     step, error = log.pair.step(), _error_of(log)
-    if step is None or len(error) < 64:
+    if step is None or len(error) < 64 or not np.ptp(error):
         return None
     time = log.pair.time
     if time is not None and np.ptp(np.diff(time)) > 0.01 * step:
