@@ -199,17 +199,12 @@ def _read_header(name: str, layout: Layout, lines: Sequence[str], skipped: int) 
             f"{name}: each channel has an X column: export with X_Columns One or No"
         )
     layout.clock = clock_of_settings(settings, layout.decimal)
-    rows = lines[layout.first : layout.first + 2]
-    first_row, second_row = rows[0], rows[-1]
-    starts = [split_cells(row, layout.delimiter)[0] for row in (first_row, second_row)]
-    counts = starts[0] in ("0", "1") and starts[1].isdigit()
+    first_row = split_cells(lines[layout.first], layout.delimiter)
+    second_row = split_cells("".join(lines[layout.first + 1 :][:1]), layout.delimiter)
+    first, second = first_row[0], "".join(second_row[:1])
+    counts = first in ("0", "1") and second.isdigit() and int(second) > int(first)
     table = Table(
-        delimiter=layout.delimiter,
-        numeric=layout.numeric,
-        width=layout.width,
-        first_row=split_cells(first_row, layout.delimiter),
-        first=layout.first,
-        counts=counts and int(starts[1]) > int(starts[0]),
+        layout.delimiter, layout.numeric, layout.width, first_row, layout.first, counts
     )
     layout.names = find_names(name, above, settings, table)
 

@@ -21,7 +21,7 @@ from dbo_cli.logs.source import Column, Reading, Source
 from dbo_cli.logs.stream import ByteStream
 
 _HEAD = 1 << 16  # bytes from which the layout is found; longer than any header
-_BLOCK = 1 << 21  # bytes of text at a time; of 1 to 8 MB the fastest
+_BLOCK = 1 << 22  # bytes of text at a time; of 1 to 8 MB the fastest
 _LONGEST_LINE = 1 << 24  # what is longer has no line ends
 _SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
 _TINY = 1 << 12  # bytes that are read faster in Python than by polars
@@ -126,7 +126,7 @@ class TextSource(Source):
         while not self._ended:
             end = _last_row_end(data, data.rfind(b"\n") + 1)
             if end:
-                yield b"".join((tail, memoryview(data)[:end]))
+                yield data[:end] if not tail else tail + data[:end]
                 tail = b""
             tail += data[end:]
             if len(tail) > _LONGEST_LINE:
@@ -250,11 +250,17 @@ def _find_encoding(name: str, head: bytes, typed: str | None) -> str:
         return "utf-8"
     if typed is not None:
         try:
-            return codecs.lookup(typed).name
-        except LookupError:
+            head[:4].decode(typed, "replace")
+        except (LookupError, UnicodeError):
             raise UsageError(
                 f"`encoding` {typed}: there is no such text encoding"
             ) from None
+        named = codecs.lookup(typed).name
+        if named in ("utf-16", "utf-32"):
+            raise InputError(
+                f"{name}: no byte-order mark: `encoding` {named}-le or -be"
+            )
+        return named
     if b"\0" in head[:200]:
         raise InputError(
             f"{name}: no text: export it as CSV or HDF5; if it is one, type `encoding` utf-16-le, utf-16-be "
