@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import split_cells, to_number
-from dbo_cli.logs.sniff import describe_columns, is_no_row, sniff
+from dbo_cli.logs.names import describe_columns
+from dbo_cli.logs.sniff import is_no_row, sniff
 from dbo_cli.logs.source import Column, Reading, Source
 from dbo_cli.logs.stream import ByteStream
 
