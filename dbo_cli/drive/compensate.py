@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.drive.drive import Drive, OnLimit
 from dbo_cli.drive.lead import Lead, Seconds, standing_at
 from dbo_cli.drive.limits import Limits
-from dbo_cli.drive.stream import Block, Rows, drive_blocks
+from dbo_cli.drive.stream import Block, Rows, drive_blocks, require_numbers
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import Model, State, Steps, steps_of
 
@@ -102,6 +102,7 @@ def plan(
     if history and not tracked:
         raise UsageError("`history` needs `tracked` LOG")
     values = np.ascontiguousarray(desired, dtype=np.float64).reshape(-1)
+    require_numbers(name, values)
     time, dt = _clock(clock, values.size, name)
     request, lesson = values, None
     if tracked or periodic or bandwidth is not None:

@@ -21,7 +21,6 @@ from dbo_cli.drive.settled import (
     settled_drive,
     settled_run,
 )
-from dbo_cli.drive.stream import require_numbers
 from dbo_cli.drive.swings import soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 from dbo_cli.model import State
@@ -255,7 +254,6 @@ def require_closed(name: str, period: Floats) -> None:
         raise InputError(
             f"{name}: {period.size} rows are too few for a loop; give {FEWEST_ROWS} or more"
         )
-    require_numbers(name, period)
     seam = apart(period[:1], period[-1:])
     inside = apart(period[1:], period[:-1])
     if seam > SEAM * inside:

@@ -114,12 +114,12 @@ def require_numbers(name: str, values: Floats, before: int = 0) -> None:
     if not bad.any():
         return
     row = int(np.argmax(bad))
-    what = "holds no number"
+    where = f"{name}: row {before + row + 1:,}"
     if np.isfinite(values[row]):
-        what = f"{values[row]:g} is no displacement"
-    raise InputError(
-        f"{name}: row {before + row + 1:,}: {what} (`skip_bad` drops such rows)"
-    )
+        raise InputError(
+            f"{where}: {values[row]:g} is no displacement: check column and unit"
+        )
+    raise InputError(f"{where} holds no number (`skip_bad` drops such rows)")
 
 
 def _usual_step(drive: Drive, dt: Steps, timed: bool) -> float:
