@@ -33,9 +33,8 @@ Block = tuple[Floats | None, Steps, Floats, Floats]
 Rows = tuple[Floats | None, Floats, Floats]
 
 LARGEST = 1e60  # of a displacement, as of the numbers of a model
-PAUSE = (
-    1e-6  # of a step: so much later than a step behind a state, its voltage was held
-)
+PAUSE = 1e-6
+"""Of a step: so much later than a step behind a state, its voltage was held."""
 
 
 def drive_blocks(
