@@ -272,13 +272,16 @@ def read_log(
         Names or numbers of the columns; found by name and unit where not given.
     **reading
         ``sample_rate, time_unit, scale, rows, skip_bad, resample, delimiter, decimal,
-        skip_lines, encoding``.
+        skip_lines, encoding, clock_offset``; a column of a second file is
+        ``FILE::COLUMN``.
 
     Returns
     -------
     DataFrame
         The columns ``time`` (s), ``voltage``, ``displacement``, as far as there are
-        any; ``attrs["units"]`` holds their units, ``attrs["notes"]`` what is odd.
+        any; ``attrs["units"]`` holds their units, ``attrs["notes"]`` what is odd, and
+        ``attrs["holds_delay"]`` whether the actuator's delay is in a clock offset that was
+        found.
 
     Raises
     ------
@@ -308,6 +311,7 @@ def read_log(
     for role in known:
         frame[role], units[role] = table[role], log.columns[role].unit
     frame.attrs.update(name=str(path), units=units, notes=list(log.remarks))
+    frame.attrs["holds_delay"] = log.has_found_offset
     return frame
 
 
@@ -358,6 +362,10 @@ def identify(
 
     if displacement is None:
         recordings = _recordings(data, time, sample_rate)
+        frames = data if isinstance(data, list) else [data]
+        holds_delay = any(getattr(f, "attrs", {}).get("holds_delay") for f in frames)
+        if holds_delay and options.get("delay", "auto") == "auto":
+            options["delay"] = 0.0
     else:
         units = {"voltage": voltage_unit, "displacement": displacement_unit}
         clock = clock_of(data, time, sample_rate, len(data))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, flag, option, rare
 from dbo_cli.cli.say import detail
-from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.errors import InputError, LimitError, UsageError, warn
 
 if TYPE_CHECKING:
     from dbo_cli.drive.limits import Limits
@@ -53,6 +53,8 @@ def check(
     opt.require("against", against, {"tolerance": tolerance})
     columns = {"time": time, "voltage": voltage}
     signal, log = read_drive(drive, reading, columns, None)
+    if max_slew is not None and log.clock.assumption:
+        warn(f"{drive}: {log.clock.assumption}")
     unit = log.columns["voltage"].unit
     limits = limits_in(unit, v_min, v_max, max_slew)
     position = None if start is None else figure_in("from", start, unit)

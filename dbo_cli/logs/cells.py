@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Sequence
 
@@ -47,28 +48,18 @@ def split_cells(line: str, delimiter: str) -> list[str]:
     Quotes around a cell are taken off; inside them the delimiter is a character like
     any other.
     """
-    if '"' in line:
-        return _split_quoted(line, delimiter)
-    if delimiter == " ":
-        return re.findall(r"[^ \t\r]+", line)  # no-break blanks stand between thousands
-    return [cell.strip() for cell in line.split(delimiter)]
-
-
-def _split_quoted(line: str, delimiter: str) -> list[str]:
-    """Split a line in which cells may stand in quotes; a quote anywhere else is a letter of its cell."""
-    if delimiter == " ":
-        cells = re.findall(r'"([^"]*)"(?=\s|$)|(\S+)', line)
-        return [inner or plain for inner, plain in cells]
-    mark = re.escape(delimiter)
-    pattern = re.compile(rf'\s*"([^"]*)"\s*(?={mark}|$)|([^{mark}]*)')
-    cells, place = [], 0
-    while place <= len(line):
-        match = pattern.match(line, place)
-        if match is None:
-            break
-        cells.append((match[2] if match[1] is None else match[1]).strip())
-        place = match.end() + 1
-    return cells
+    if delimiter == " ":  # no-break blanks stand between thousands
+        return [word.strip('"') for word in re.findall(r'"[^"]*"|[^ \t\r]+', line)]
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(delimiter)]
+    # blanks may stand in front of a quote
+    reader = csv.reader(
+        [line.strip(" \r")], delimiter=delimiter, skipinitialspace=True, strict=True
+    )
+    try:
+        return [cell.strip() for cell in next(reader)]
+    except csv.Error:  # a quote without its end
+        return [line]
 
 
 def is_number(cell: str, decimal: str) -> bool:

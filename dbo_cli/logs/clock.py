@@ -109,9 +109,11 @@ class Clock:
         return self.kind in ("column", "stamps")
 
     @property
-    def is_assumed(self) -> bool:
-        """Whether nothing states the unit of the time column."""
-        return self.kind == "column" and self.unit is None
+    def assumption(self) -> str:
+        """What is assumed of a unit that nothing states; empty where all is stated."""
+        if self.kind == "column" and self.unit is None and self.column is not None:
+            return f"the time {self.column.label} has no unit: s is assumed"
+        return next((text for text in self.remarks if "assumed" in text), "")
 
     def read(
         self, numbers: NDArray[np.int64], stored: NDArray[Any]
@@ -222,7 +224,7 @@ class Clock:
 
     def _require_seconds(self, reach: float) -> None:
         """Refuse figures without a unit that can hardly be seconds."""
-        if not self.is_assumed:
+        if self.kind != "column" or self.unit is not None:
             return
         is_epoch = _EPOCH[0] < self.first < _EPOCH[1]
         beside = self.usual_step * (self.rate_beside or 0.0)
@@ -272,9 +274,7 @@ class Clock:
             return "no span of time"
         about = "" if self.step else "about "
         text = f"{self.last - self.first + step:.4g} s at {about}{hertz(1.0 / step)}"
-        if self.is_assumed or any("assumed" in remark for remark in self.remarks):
-            text += " (no unit stated)"
-        return text
+        return f"{text} (no unit stated)" if self.assumption else text
 
 
 def hertz(rate: float) -> str:

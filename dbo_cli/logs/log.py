@@ -340,21 +340,20 @@ def open_log(
 def _with_columns_of(
     log: Log, elsewhere: Mapping[str, str], reading: Reading, units: Mapping[str, str]
 ) -> Log:
-    """Join columns of other files to a log."""
+    """Join columns ``FILE::COLUMN`` of a second file to a log."""
     from dbo_cli.logs.join import joined
 
-    by_file: dict[str, dict[str, str | None]] = {}
-    for role, text in elsewhere.items():
-        file, _, column = text.rpartition("::")
-        by_file.setdefault(file, {})[role] = column
-    logs = [log]
-    try:
-        for file, roles in by_file.items():
-            logs.append(_open_file(file, roles, replace(reading, rows=None), units, ()))
-        return joined(logs, reading.clock_offset)
-    finally:
-        for part in logs:
-            part.close()
+    with log:
+        files = {text.rpartition("::")[0] for text in elsewhere.values()}
+        if len(files) > 1:
+            listed = ", ".join(sorted(files))
+            raise UsageError(
+                f"{log.name}: one more file, not {listed}: join them first"
+            )
+        roles = {role: text.rpartition("::")[2] for role, text in elsewhere.items()}
+        whole = replace(reading, rows=None)
+        with _open_file(files.pop(), roles, whole, units, ()) as second:
+            return joined(log, second, reading.clock_offset)
 
 
 def _open_file(

@@ -78,23 +78,16 @@ def find_names(
     """
     names = Names([""] * table.width, [""] * table.width)
     headers = _header_lines(above, table)
-    units = next((k for k, cells in enumerate(headers) if _are_units(cells)), None)
-    if units is None:
-        units = _mostly_units(headers)
-    only_units = units is not None and len(headers) == 1
+    units = _units_line(headers)
     if units is not None:
         names.units = headers[units]
-        if units + 1 < len(headers):
-            names.names = headers[units + 1]
-        else:
-            names.names = list(headers[0])  # units in the place of names, or below them
+        names.names = headers[units + 1] if units + 1 < len(headers) else headers[0][:]
     elif headers:
         names.names = headers[0]
     else:
         _refuse_unclear(name, above, table)
-    _fill_from_settings(
-        names, settings, sorted(table.numeric), bool(headers) and not only_units
-    )
+    has_names = bool(headers) and (units is None or len(headers) > 1)
+    _fill_from_settings(names, settings, sorted(table.numeric), has_names)
     return names
 
 
@@ -133,8 +126,6 @@ def _as_header(line: str, table: Table, above_units: bool) -> list[str] | None:
     label = _LABEL.match(line)
     if label:
         line = line[label.end() :]
-    elif re.fullmatch(r"[\w ]+:[\s,;]*", line):
-        return None  # "Data:"
     elif is_comment and re.match(r"[\w .]+=", line):
         return None  # a setting
     for cells in _ways_to_split(line, table.delimiter, is_comment):
@@ -155,8 +146,6 @@ def _ways_to_split(line: str, delimiter: str, is_comment: bool) -> list[list[str
         ways = [split_cells(line, mark) for mark in ";," if mark in line] + ways
         ways.append([cell.strip() for cell in re.split(r"\s{2,}|\t", line)])
         ways.append(re.findall(r"[^\s(\[]+(?:\s*[(\[][^)\]]*[)\]])?", line))
-    if is_comment:
-        ways.append(line.split())
     return ways
 
 
@@ -165,10 +154,6 @@ def _fitted(cells: list[str], table: Table) -> list[str]:
     are_units = _are_units(cells[: table.width])
     while len(cells) > table.width and _is_beside(cells[-1], are_units):
         cells.pop()
-    for n, cell in enumerate(cells[: table.width]):
-        is_key = "=" in cell or not "".join(table.first_row[n : n + 1])
-        if is_key and is_clock_setting(cell.split("=")[0]):
-            cells[n] = ""
     if len(cells) == table.width - 1 and cells:
         if not table.first_row[-1]:
             return [*cells, ""]  # the rows end in a delimiter
@@ -184,6 +169,20 @@ def _is_beside(cell: str, beside_units: bool) -> bool:
     return beside_units and is_number(cell, ".")
 
 
+def _units_line(headers: Sequence[Sequence[str]]) -> int | None:
+    """Return which line holds units: units alone, or for the most part below names (``s;mV;nm;nm/s``)."""
+    for k, cells in enumerate(headers):
+        if _are_units(cells):
+            return k
+    for k, cells in enumerate(headers[:-1]):
+        filled = [cell for cell in cells if cell.strip("()[]- ")]
+        known = [cell for cell in filled if parse_unit(cell) or time_unit(cell)]
+        is_long = any(len(spell(cell) or "") > 1 for cell in known)
+        if 2 * len(known) > len(filled) and is_long:
+            return k
+    return None
+
+
 def _are_units(cells: Sequence[str]) -> bool:
     """Return whether every filled cell is a known unit (a label in front and numbers aside)."""
     filled = [cell for cell in cells if cell.strip("()[]- ")]
@@ -193,39 +192,25 @@ def _are_units(cells: Sequence[str]) -> bool:
     return bool(words) and all(parse_unit(cell) or time_unit(cell) for cell in words)
 
 
-def _mostly_units(found: Sequence[Sequence[str]]) -> int | None:
-    """Return which line below another holds units for the most part: ``s;mV;nm;nm/s``."""
-    for k, cells in enumerate(found[:-1]):
-        filled = [cell for cell in cells if cell.strip("()[]- ")]
-        known = [cell for cell in filled if parse_unit(cell) or time_unit(cell)]
-        if 2 * len(known) > len(filled) and any(
-            len(spell(cell) or "") > 1 for cell in known
-        ):
-            return k
-    return None
-
-
 def _is_figure(cell: str) -> bool:
     return is_number(cell, ".") or is_number(cell, ",")
 
 
 def _refuse_unclear(name: str, above: Sequence[str], table: Table) -> None:
     """Refuse a last line above the rows that may be names for other columns, or a torn row."""
-    blank = 0
-    while blank < len(above) and not above[-1 - blank].strip():
-        blank += 1
-    if blank == len(above) or above[-1 - blank].strip()[0] in "#%":
+    filled = [n for n, line in enumerate(above) if line.strip()]
+    if not filled or above[filled[-1]].strip()[0] in "#%":
         return
-    cells = split_cells(above[-1 - blank], table.delimiter)
-    while cells and not cells[-1]:
-        cells.pop()
-    if len(cells) < 2 or is_setting(cells[0]) or cells[0].endswith((":", "=")):
+    last = filled[-1]
+    cells = split_cells(above[last].rstrip(f" {table.delimiter}"), table.delimiter)
+    if len(cells) < 2 or is_setting(cells[0]):
         return
     figures = any(_is_figure(cell) for cell in cells)
-    if (figures and not blank) or (not figures and len(cells) != table.width):
+    is_near = last == len(above) - 1
+    if (figures and is_near) or (not figures and len(cells) != table.width):
         raise InputError(
-            f"{name}:{table.first - blank}: {len(cells)} names above rows of {table.width} cells: "
-            f"type `skip_lines` {table.first}, `delimiter` or `decimal`"
+            f"{name}:{table.first - len(above) + last + 1}: {len(cells)} names above rows of "
+            f"{table.width} cells: type `skip_lines` {table.first}, `delimiter` or `decimal`"
         )
 
 

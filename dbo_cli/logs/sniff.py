@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import MISSING, STAMPS, is_number, split_cells, stamp_format
 from dbo_cli.logs.headers import (
+    clock_of_settings,
     is_setting,
     read_settings,
-    stated_clock,
 )
 from dbo_cli.logs.names import Names, Table, find_names
 from dbo_cli.logs.source import Column, Reading, StatedClock
@@ -74,12 +74,9 @@ class Layout:
     names: Names = field(default_factory=lambda: Names([], []))
     clock: StatedClock = field(default_factory=StatedClock)
 
-    def cells(self, line: str) -> list[str]:
-        """Split a line."""
-        return split_cells(line, self.delimiter)
-
-    def fits(self, cells: Sequence[str]) -> bool:
-        """Return whether cells are written as those of the rows."""
+    def fits(self, line: str) -> bool:
+        """Return whether a line is written as the rows are."""
+        cells = split_cells(line, self.delimiter)
         if len(cells) != self.width or any(cells[n] for n in self.empty):
             return False
         if 0 not in self.numeric and is_setting(cells[0]):
@@ -88,8 +85,9 @@ class Layout:
             return False
         return all(STAMPS[form].fullmatch(cells[n]) for n, form in self.stamps.items())
 
-    def partly_fits(self, cells: Sequence[str]) -> bool:
+    def partly_fits(self, line: str) -> bool:
         """Return whether half of the numbers stand where the rows have theirs."""
+        cells = split_cells(line, self.delimiter)
         places = [n for n in self.numeric if n < len(cells)]
         numbers = [n for n in places if is_number(cells[n], self.decimal)]
         return bool(numbers) and 2 * len(numbers) >= len(self.numeric)
@@ -134,7 +132,7 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     if reading.delimiter is None:
         _refuse_other_delimiter(name, layout)
     if reading.decimal is None:
-        table = [layout.cells(lines[n]) for n in rows[-_JUDGED:]]
+        table = [split_cells(lines[n], layout.delimiter) for n in rows[-_JUDGED:]]
         layout.decimal = _shown_decimal(layout, table)
         _refuse_thousands(name, layout, table)
     _decide_first_column(layout, sample)
@@ -162,7 +160,9 @@ def _refuse_other_delimiter(name: str, layout: Layout) -> None:
 
 def _refuse_numbers_as_names(name: str, layout: Layout, lines: Sequence[str]) -> None:
     """Refuse a first row 0, 1, 2 above rows with decimals: it may be the names of a frame."""
-    cells = [cell for cell in layout.cells(lines[layout.first]) if cell]
+    cells = [
+        cell for cell in split_cells(lines[layout.first], layout.delimiter) if cell
+    ]
     below = lines[layout.first + 1 : layout.first + 3]
     is_counted = len(cells) > 1 and cells[0] in ("0", "1")
     for number, cell in enumerate(cells, start=int(is_counted and cells[0] == "1")):
@@ -186,30 +186,32 @@ def _refuse_two_readings(name: str, layout: Layout, sample: Sequence[str]) -> No
 
 def _read_header(name: str, layout: Layout, lines: Sequence[str], skipped: int) -> None:
     """Read what stands above the rows."""
-    above = list(lines[skipped : layout.first])
-    beside = _beside_rows(lines[layout.first : layout.first + _SAMPLE], layout)
+    above = lines[skipped : layout.first]
+    beside = [
+        layout.delimiter.join(
+            split_cells(line, layout.delimiter)[: min(layout.numeric)]
+        )
+        for line in lines[layout.first : layout.first + _SAMPLE]
+    ]  # where Tektronix has its settings
     settings = read_settings([*above, *beside], layout.delimiter)
     if settings.get("X_Columns", [""])[0].lower() == "multi":
         raise InputError(
             f"{name}: each channel has an X column: export with X_Columns One or No"
         )
-    layout.clock = stated_clock(settings, layout.decimal)
-    first_row = layout.cells(lines[layout.first])
-    below = layout.cells(lines[min(layout.first + 1, len(lines) - 1)])
-    first, second = "".join(first_row[:1]), "".join(below[:1])
-    counts = first in ("0", "1") and second.isdigit() and int(second) > int(first)
+    layout.clock = clock_of_settings(settings, layout.decimal)
+    rows = lines[layout.first : layout.first + 2]
+    first_row, second_row = rows[0], rows[-1]
+    starts = [split_cells(row, layout.delimiter)[0] for row in (first_row, second_row)]
+    counts = starts[0] in ("0", "1") and starts[1].isdigit()
     table = Table(
-        layout.delimiter, layout.numeric, layout.width, first_row, layout.first, counts
+        delimiter=layout.delimiter,
+        numeric=layout.numeric,
+        width=layout.width,
+        first_row=split_cells(first_row, layout.delimiter),
+        first=layout.first,
+        counts=counts and int(starts[1]) > int(starts[0]),
     )
     layout.names = find_names(name, above, settings, table)
-
-
-def _beside_rows(rows: Sequence[str], layout: Layout) -> list[str]:
-    """Return the settings that stand left of the first rows (Tektronix)."""
-    place = min(layout.numeric)
-    if place < 2 or layout.delimiter == " ":
-        return []
-    return [layout.delimiter.join(layout.cells(row)[:place]) for row in rows]
 
 
 def delimiter_of(text: str) -> str:
@@ -313,7 +315,7 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
 
 def _decide_first_column(layout: Layout, sample: Sequence[str]) -> None:
     """Let the first column be what it is in most rows, where the last ones begin with a label."""
-    first = ["".join(layout.cells(line)[:1]) for line in sample]
+    first = ["".join(split_cells(line, layout.delimiter)[:1]) for line in sample]
     numbers = [cell for cell in first if is_number(cell, layout.decimal)]
     form = stamp_format([(cell, 1.0) for cell in first])
     if 2 * len(numbers) > len(first):
@@ -354,14 +356,12 @@ def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int
     Lines right above it with numbers in their places are rows, too: they are to be
     refused, not passed over.
     """
-    fitting = (k for k, n in enumerate(rows) if layout.fits(layout.cells(lines[n])))
+    fitting = (k for k, n in enumerate(rows) if layout.fits(lines[n]))
     place = next(fitting, None)
     if place is None:
-        partly = (
-            k for k, n in enumerate(rows) if layout.partly_fits(layout.cells(lines[n]))
-        )
+        partly = (k for k, n in enumerate(rows) if layout.partly_fits(lines[n]))
         place = next(partly, 0)
-    while place > 0 and layout.partly_fits(layout.cells(lines[rows[place - 1]])):
+    while place > 0 and layout.partly_fits(lines[rows[place - 1]]):
         place -= 1
     return rows[place]
 
@@ -371,7 +371,7 @@ def _refuse_other_rows(
 ) -> None:
     """Refuse lines of numbers above the rows, by the last: they may be rows of another width."""
     for n in reversed([n for n in rows if n < layout.first]):
-        cells = [cell for cell in layout.cells(lines[n]) if cell]
+        cells = [cell for cell in split_cells(lines[n], layout.delimiter) if cell]
         if cells and all(is_number(cell, layout.decimal) for cell in cells):
             raise InputError(
                 f"{name}:{n + 1}: numbers above the {layout.width} columns that begin in line "

@@ -250,11 +250,16 @@ def _find_encoding(name: str, head: bytes, typed: str | None) -> str:
         return "utf-8"
     if typed is not None:
         try:
-            return codecs.lookup(typed).name
+            encoding = codecs.lookup(typed).name
         except LookupError:
             raise UsageError(
                 f"`encoding` {typed}: there is no such text encoding"
             ) from None
+        if encoding in ("utf-16", "utf-32"):
+            raise InputError(
+                f"{name}: has no byte order mark: type `encoding` {encoding}-le or {encoding}-be"
+            )
+        return encoding
     if b"\0" in head[:200]:
         raise InputError(
             f"{name}: no text: export it as CSV or HDF5; if it is one, type `encoding` utf-16-le, utf-16-be "
