@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dbo_cli import model as room
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.model.state import START_NAMES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Clock = float | Floats | None
 """Seconds a sample, or the time of each sample (s)."""
-STARTS = ("auto", "empty", "full", "settled")
 SHOWN = "direction input output stages fit sign provenance digest"
 """What a model shows of its actuator."""
 
@@ -220,7 +220,7 @@ class Model:
 
     def _state(self, state: str | room.State | Path) -> Any:
         """Return a state, or the name of a start."""
-        if isinstance(state, room.State) or state in STARTS:
+        if isinstance(state, room.State) or state in START_NAMES:
             return state
         return room.read_state(str(state), self.actuator)
 
@@ -395,23 +395,11 @@ def _recording(
     name: str, v: Any, x: Any, clock: Clock, units: Mapping[str, str | None]
 ) -> Recording:
     """Return two signals as a recording."""
-    from dbo_cli.identification import Recording
-    from dbo_cli.units import quantity_name
+    from dbo_cli.recordings import recording_of
 
     voltage = floats(v, "voltage")
-    time = clock
-    if isinstance(time, float):
-        time = time * np.arange(float(len(voltage)))
-    quantities: dict[str, Any] = {}
-    for role, unit in units.items():
-        quantities[role] = quantity_name(role, unit), unit
-    return Recording(
-        name,
-        voltage,
-        floats(x, "displacement"),
-        time,
-        input=quantities["voltage"],
-        output=quantities["displacement"],
+    return recording_of(
+        name, voltage, floats(x, "displacement"), _times(clock, len(voltage)), units
     )
 
 
@@ -486,9 +474,7 @@ def report(
     from dbo_cli.reports import Pair, Report, expected_of, predict
 
     values, moved = floats(desired, "desired"), floats(measured, "measured")
-    clock = clock_of(desired, time, sample_rate, len(values))
-    if isinstance(clock, float):
-        clock = clock * np.arange(float(len(values)))
+    clock = _times(clock_of(desired, time, sample_rate, len(values)), len(values))
     if expected is not None:
         options["expected"] = expected_of(expected, unit)
     if model is None:
@@ -564,6 +550,11 @@ def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Cloc
             f"`time`[{back[0] + 1}]: {seconds[back[0] + 1]:.9g} s goes backwards"
         )
     return seconds
+
+
+def _times(clock: Clock, rows: int) -> Floats | None:
+    """Return the time of each row (s), of an even clock too."""
+    return clock * np.arange(float(rows)) if isinstance(clock, float) else clock
 
 
 def _seconds(time: Any) -> Floats:

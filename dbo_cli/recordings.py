@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from dbo_cli.errors import warn
 from dbo_cli.logs import Reading, open_log
@@ -14,6 +17,9 @@ from dbo_cli.version import __version__
 if TYPE_CHECKING:
     from dbo_cli.identification import Recording
     from dbo_cli.logs import Log
+
+Floats = NDArray[np.float64]
+Units = Mapping[str, str | None]
 
 
 def read_recordings(
@@ -40,32 +46,39 @@ def read_recordings(
     InputError
         A log cannot be read, or it is not clear which column is which.
     """
-    from dbo_cli.identification import Recording
-
     recordings, logs = [], []
-    units: dict[str, str] = {}
+    units: Units = {}
     for path in paths:
-        with open_log(path, columns, reading, units) as log:
+        wanted = {role: unit for role, unit in units.items() if unit}
+        with open_log(path, columns, reading, wanted) as log:
             table = log.read()
-        quantities: dict[str, Any] = {}
-        for role in ("voltage", "displacement"):
-            unit = log.columns[role].unit
-            quantities[role] = quantity_name(role, unit), unit
-            if unit:
-                units[role] = unit
-        recording = Recording(
-            short_name(log.name),
-            table["voltage"],
-            table["displacement"],
-            table.time,
-            input=quantities["voltage"],
-            output=quantities["displacement"],
-        )
+        units = {role: log.columns[role].unit for role in ("voltage", "displacement")}
+        name, signals = short_name(log.name), (table["voltage"], table["displacement"])
+        recording = recording_of(name, *signals, table.time, units)
         for doubt in log.doubtful:
             warn(f"{path}: {doubt}")
         recordings.append(recording)
         logs.append(log)
     return recordings, logs
+
+
+def recording_of(
+    name: str, voltage: Floats, displacement: Floats, time: Floats | None, units: Units
+) -> Recording:
+    """Return two signals as a recording, with what their units measure."""
+    from dbo_cli.identification import Recording
+
+    quantities: dict[str, Any] = {}
+    for role, unit in units.items():
+        quantities[role] = quantity_name(role, unit), unit
+    return Recording(
+        name,
+        voltage,
+        displacement,
+        time,
+        input=quantities["voltage"],
+        output=quantities["displacement"],
+    )
 
 
 def short_name(name: str) -> str:

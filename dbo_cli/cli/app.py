@@ -154,7 +154,7 @@ def _outcome(words: list[str]) -> tuple[int, str]:
     except typer.Exit as leaving:
         return int(leaving.exit_code), ""
     except BrokenPipeError:
-        _abandon_stdout()
+        pass  # the reader has had enough
     except KeyboardInterrupt:
         return INTERRUPTED, "interrupted"
     except SystemExit:
@@ -214,7 +214,7 @@ def run() -> None:
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, _end)
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, _interrupt)
     code = main(sys.argv[1:])
     try:
         sys.stdout.flush()
@@ -224,14 +224,12 @@ def run() -> None:
     os._exit(code)  # taking the interpreter apart takes a tenth of a second
 
 
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt once: polars may have raised it already for the same Ctrl-C."""
+    if not isinstance(sys.exc_info()[1], KeyboardInterrupt):
+        raise KeyboardInterrupt
+
+
 def _end(number: int, frame: FrameType | None) -> None:
     """Unwind the stack, so that nothing half written is left."""
     raise SystemExit(128 + number)
-
-
-def _abandon_stdout() -> None:
-    """Point stdout at nothing, so that the last flush does not complain about the closed pipe."""
-    try:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (OSError, ValueError):
-        pass

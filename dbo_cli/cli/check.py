@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING, Annotated
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.options import Text, flag, option, rare
+from dbo_cli.cli.options import Text, column, flag, option, rare
 from dbo_cli.cli.say import detail
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 
@@ -35,7 +35,7 @@ def check(
         Text, option("VOLT", "With --against: largest difference; 0.1 % of the range.")
     ] = None,
     time: opt.Time = None,
-    voltage: opt.Voltage = None,
+    voltage: Annotated[Text, column("The drive voltage: name or number.")] = None,
 ) -> None:
     """Check a drive against the limits of an amplifier.
 
@@ -93,16 +93,9 @@ def read_drive(
     ------
     LimitError
         A row holds no number: an amplifier cannot play it.
-    UsageError
-        The drive is in another file than its time.
     """
     from dbo_cli.logs import open_log
 
-    file, _, name = (columns["voltage"] or "").rpartition("::")
-    if file:
-        raise UsageError(
-            f"`voltage` {columns['voltage']}: type dbo check {file} --voltage {name}"
-        )
     units = {} if unit is None else {"voltage": unit}
     with open_log(path, columns, reading, units) as log:
         try:

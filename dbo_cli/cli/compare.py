@@ -41,7 +41,7 @@ def compare(
     recordings, tests = every[: len(logs)], every[len(logs) :]
     say_logs(opened[: len(logs)], sum(len(log.voltage) for log in recordings))
     working("fitting")
-    seconds = opt.quantity("skip", skip, "s") or 0.0
+    seconds = opt.quantity("skip", skip, "s")
     result = compare_operators(recordings, tests, seconds)
     is_json = opt.form_of(form, output) == "json"
     write_text(output, result.json() if is_json else result.text())

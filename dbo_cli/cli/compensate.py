@@ -117,9 +117,9 @@ def compensate(
     actuator.require("forward", model)
     limits = Limits.within(actuator.input, **ranges, extrapolate=extrapolate)
     options: dict[str, Any] = {
-        "approach": opt.seconds_or_auto("approach", approach),
+        "approach": opt.quantity("approach", approach, "s", "auto"),
         "condition": condition,
-        "lead": opt.seconds_or_auto("lead", lead),
+        "lead": opt.quantity("lead", lead, "s", "auto"),
         "on_limit": on_limit,
         "state": opt.state_of(state, actuator),
         "name": trajectory,

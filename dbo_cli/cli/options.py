@@ -26,7 +26,6 @@ else:
 Text = str | None
 LIMITS, MOVE, READING, OUTPUT = "Limits", "Move", "Log", "Output"
 FORMS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
-START_NAMES = ("auto", "empty", "full", "settled")
 
 
 def option(
@@ -161,7 +160,7 @@ def read_as(
         decimal=decimal,
         skip_lines=skip_lines,
         encoding=encoding,
-        clock_offset=number("clock_offset", clock_offset, "auto"),
+        clock_offset=quantity("clock_offset", clock_offset, "s", "auto"),
     )
 
 
@@ -227,36 +226,24 @@ def require(partner: str, typed: object, options: dict[str, Any]) -> None:
             raise UsageError(f"`{name}` needs `{partner}`")
 
 
-def number(name: str, text: str | None, *words: str) -> Any:
-    """Return the number of an option, or one of its words; UsageError where it is neither."""
+def number(name: str, text: str | None, kind: type, *words: str) -> Any:
+    """Return the number (int or float) of an option, or one of its words; UsageError otherwise."""
     if text is None or text in words:
         return text
     try:
-        return float(text)
+        return kind(text)
     except ValueError:
-        wanted = ", ".join([*words, "a number"])
+        wanted = ", ".join([*words, "a whole number" if kind is int else "a number"])
         raise UsageError(f"`{name}` {text}: give {wanted}") from None
 
 
-def quantity(name: str, text: str | None, unit: str | None) -> float | None:
-    """Return a typed quantity in ``unit``: a plain number, or one with a unit (``2kHz``)."""
+def quantity(name: str, text: str | None, unit: str | None, *words: str) -> Any:
+    """Return a typed quantity in ``unit``, as a plain number or with a unit (``2kHz``), or a word."""
     from dbo_cli.units import parse_quantity
 
-    return None if text is None else parse_quantity(text, unit, name)
-
-
-def seconds_or_auto(name: str, text: str | None) -> Any:
-    """Return seconds (``5ms`` as well), or ``auto``."""
-    return "auto" if text == "auto" else quantity(name, text, "s")
-
-
-def count_or_auto(name: str, text: str) -> int | Literal["auto"]:
-    """Return a whole number of at least 0, or ``auto``."""
-    if text == "auto":
-        return "auto"
-    if not text.isdigit():
-        raise UsageError(f"`{name}` {text}: give auto or a whole number from 0")
-    return int(text)
+    if text is None or text in words:
+        return text
+    return parse_quantity(text, unit, name)
 
 
 def span(name: str, text: str, unit: str | None) -> tuple[float, float]:
@@ -279,6 +266,7 @@ def unit_behind(text: str) -> str:
 def state_of(text: str, model: Any) -> Any:
     """Return a start: its name, or the state of a file."""
     from dbo_cli.model import read_state
+    from dbo_cli.model.state import START_NAMES
 
     return text if text in START_NAMES else read_state(text, model)
 

@@ -81,7 +81,7 @@ def report(
     opt.require("model", model, {"state": state != "auto"})
     opt.require("trajectory", trajectory, {"match": match != "auto"})
     opt.quantity("max_rmse", max_rmse, None)  # a wrong word is refused before any work
-    most_percent = opt.number("max_nrmse_percent", max_nrmse_percent)
+    most_percent = opt.number("max_nrmse_percent", max_nrmse_percent, float)
     # a lag, a model and a match by rows need the rows around those that count
     rows = None if reading.rows is None else parse_rows(reading.rows)
     reading = dataclasses.replace(reading, rows=None)

@@ -40,7 +40,7 @@ def simulate(
     from dbo_cli import channels
     from dbo_cli.drive.simulate import Simulation, simulate_blocks
     from dbo_cli.logs import Outputs, check_outputs, open_log
-    from dbo_cli.model import dumps_state, read_model, read_state
+    from dbo_cli.model import State, dumps_state, read_model
 
     columns = {"time": time, "input": input}
     if channels.is_pattern(columns):
@@ -49,10 +49,9 @@ def simulate(
         say_output(output, text)
         return
     actuator = read_model(model)
-    run = Simulation()
-    if state not in opt.START_NAMES:
-        run.state = read_state(state, actuator)
-        state = "auto"
+    run, start = Simulation(), opt.state_of(state, actuator)
+    if isinstance(start, State):
+        run.state, start = start, "auto"
     check_outputs(*opt.present(output, save_state))
     units = opt.units_of(input=actuator.input)
     with open_log(log, columns, reading, units) as signal, Outputs() as outputs:
@@ -61,7 +60,7 @@ def simulate(
         clocked = first.time is not None
         if actuator.needs_time and not clocked:
             raise ModelError(
-                f"{signal.name}: no clock, which this model needs: add `time` COLUMN or `sample_rate` HZ"
+                f"{signal.name}: this model needs a clock: add `time` COLUMN or `sample_rate` HZ"
             )
         names: list[tuple[str, str | None]] = [("time", "s")] if clocked else []
         names.append((actuator.input.quantity, signal.columns["input"].unit))
@@ -70,7 +69,7 @@ def simulate(
         last_time = None
         fed = feed(first, blocks, run)
         name = signal.name
-        for block, y in simulate_blocks(actuator, fed, run, state, outside, name):
+        for block, y in simulate_blocks(actuator, fed, run, start, outside, name):
             table.write(*opt.present(block.time, block.values["input"], y))
             last_time = None if block.time is None else float(block.time[-1])
         if save_state is not None and run.state is not None:

@@ -75,7 +75,7 @@ def trajectory(
         limit = trusted_frequency(models)
     made = make(
         shape,
-        rate=opt.quantity("rate", rate, "Hz") or 0.0,
+        rate=opt.quantity("rate", rate, "Hz"),
         range=ends,
         frequency=opt.quantity("frequency", frequency, "Hz"),
         lines=lines,

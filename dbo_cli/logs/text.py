@@ -256,12 +256,12 @@ def _find_encoding(name: str, head: bytes, typed: str | None) -> str:
             raise UsageError(
                 f"`encoding` {typed}: there is no such text encoding"
             ) from None
-        named = codecs.lookup(typed).name
-        if named in ("utf-16", "utf-32"):
+        encoding = codecs.lookup(typed).name
+        if encoding in ("utf-16", "utf-32"):
             raise InputError(
-                f"{name}: no byte-order mark: `encoding` {named}-le or -be"
+                f"{name}: has no byte order mark: type `encoding` {encoding}-le or {encoding}-be"
             )
-        return named
+        return encoding
     if b"\0" in head[:200]:
         raise InputError(
             f"{name}: no text: export it as CSV or HDF5; if it is one, type `encoding` utf-16-le, utf-16-be "

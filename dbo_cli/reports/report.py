@@ -60,10 +60,10 @@ class LogReport:
         """Row of the largest error in the file."""
         return self.pair.first_row + self.merits.max_abs_place
 
-    def seconds(self, samples: float | None) -> float | None:
-        """Return a number of samples in seconds; None where no clock is known."""
+    def seconds(self, samples: float | None, scale: float = 1.0) -> float | None:
+        """Return a number of samples in seconds times ``scale``; None where no clock is known."""
         step = self.pair.step()
-        return None if samples is None or step is None else samples * step
+        return None if samples is None or step is None else scale * samples * step
 
     def record(self) -> dict[str, Any]:
         """Return the figures as plain values under the keys of the JSON form."""
