@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.drive.drive import Drive, OnLimit
 from dbo_cli.drive.lead import Lead, Seconds, standing_at
 from dbo_cli.drive.limits import Limits
-from dbo_cli.drive.stream import Block, Rows, drive_blocks
+from dbo_cli.drive.stream import Block, Rows, drive_blocks, require_numbers
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import Model, State, Steps, steps_of
 
@@ -101,23 +101,23 @@ def plan(
         raise UsageError("`passes` needs `periodic`")
     if history and not tracked:
         raise UsageError("`history` needs `tracked` LOG")
+    drive = Drive(model, limits, on_limit, name)
+    drive.gate.last = standing_at(limits, before)
     values = np.ascontiguousarray(desired, dtype=np.float64).reshape(-1)
+    require_numbers(name, values)
     time, dt = _clock(clock, values.size, name)
-    request, lesson = values, None
+    request = values
     if tracked or periodic or bandwidth is not None:
         seconds, step = _even(time, dt, name)
     if tracked:
         from dbo_cli.drive.learning import RepeatedMove
 
-        move = RepeatedMove(model, values, seconds, step, state, periodic, absolute)
-        lesson = move.lesson(tracked, history, bandwidth)
-        request = lesson.request
+        move = RepeatedMove(drive, values, seconds, step, state, periodic, absolute)
+        request = move.lesson(tracked, history, bandwidth)
     elif bandwidth is not None:
         from dbo_cli.drive.lowpass import low_pass
 
         request = low_pass(values, bandwidth, step, periodic)
-    drive = Drive(model, limits, on_limit, name)
-    drive.gate.last = standing_at(limits, before)
     if periodic:
         from dbo_cli.drive.loops import plan_loop
 
@@ -129,16 +129,12 @@ def plan(
     else:
         blocks = _blocks(time, dt, values, request)
         parts = list(drive_blocks(drive, blocks, before, return_to))
-        times, desireds, voltages = zip(*parts, strict=True)
         if time is not None:
-            drive.time = np.concatenate(times)
-        drive.desired = np.concatenate(desireds)
-        drive.voltage = np.concatenate(voltages)
+            drive.time = np.concatenate([stamps for stamps, _, _ in parts])
+        drive.desired = np.concatenate([rows for _, rows, _ in parts])
+        drive.voltage = np.concatenate([rows for _, _, rows in parts])
         drive.move = slice(drive.lead_rows, drive.lead_rows + drive.move_rows)
-    if lesson is not None:
-        drive.history = lesson.history
-        drive.notes = (*lesson.notes, *drive.notes)
-        drive.warnings = (*lesson.warnings, *drive.warnings)
+    if tracked:  # the model's own error is what was learned
         drive.expected_error = drive.expected_known = None
     return drive
 

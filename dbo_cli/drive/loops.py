@@ -21,7 +21,6 @@ from dbo_cli.drive.settled import (
     settled_drive,
     settled_run,
 )
-from dbo_cli.drive.stream import require_numbers
 from dbo_cli.drive.swings import soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 from dbo_cli.model import State
@@ -89,7 +88,7 @@ def plan_loop(
     done, state = settled.run, settled.before
     drive.clip(desired, undone, done, state, dt)
     drive.require_reached(dt * desired.size)
-    warnings = loop.doubts(settled, begun, before)
+    loop.require_settled(settled, begun, before)
     first = float(before[0]) if before.size else float(voltage[0])
     drive.gate.require_reachable(first, first, dt)
     drive.admit(before, dt, "lead")
@@ -108,8 +107,7 @@ def plan_loop(
     away = float(np.sqrt(np.mean((run.y[count:] - settled_y) ** 2)))
     unit = model.output.suffix
     note = f"the first pass is {away:.3g}{unit} off the settled one (RMS)"
-    drive.notes = (f"{drive.name}: {note}",)
-    drive.warnings = (*warnings, *drive.warnings)
+    drive.notes += (f"{drive.name}: {note}",)
 
 
 @dataclass(frozen=True)
@@ -225,7 +223,7 @@ class Loop:
             last = values[k] = min(max(value, last - most), last + most)
         return np.array(values)
 
-    def doubts(self, settled: Settled, begun: State, before: Floats) -> tuple[str, ...]:
+    def require_settled(self, settled: Settled, begun: State, before: Floats) -> None:
         """Warn of a loop that the model does not repeat, or refuse it where it costs too much."""
         drive, dt = self.drive, self.dt
         model, static, period = drive.model, drive.model.static, settled.run.y
@@ -235,7 +233,7 @@ class Loop:
         aim = static.run(period, settled.before, dt).y
         away = apart(static.run(period, looped, dt).y, aim)
         if settled.converged and away <= LOOP_ERROR * size:
-            return ()
+            return
         text = (
             f"{drive.name}: the loop does not settle: however often it is repeated, it ends {away:.3g}"
             f"{model.output.suffix} off (`passes` 1 or `state` empty fixes the start)"
@@ -246,7 +244,7 @@ class Loop:
         if costs or drive.on_limit == "error":
             raise LimitError(f"{text}; `on_limit` clip writes it anyway")
         warn(text)
-        return (text,)
+        drive.warnings += (text,)
 
 
 def require_closed(name: str, period: Floats) -> None:
@@ -255,7 +253,6 @@ def require_closed(name: str, period: Floats) -> None:
         raise InputError(
             f"{name}: {period.size} rows are too few for a loop; give {FEWEST_ROWS} or more"
         )
-    require_numbers(name, period)
     seam = apart(period[:1], period[-1:])
     inside = apart(period[1:], period[:-1])
     if seam > SEAM * inside:

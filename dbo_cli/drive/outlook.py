@@ -32,9 +32,9 @@ def conclude(drive: Drive) -> None:
     warnings = [*_start_warnings(drive), *beyond]
     warnings += _move_warnings(drive, voltage, dt)
     warnings += _creeping_hold(drive)
-    drive.warnings = tuple(f"{drive.name}: {text}" for text in warnings)
-    for text in drive.warnings:
-        warn(text)
+    for text in warnings:
+        warn(f"{drive.name}: {text}")
+        drive.warnings += (f"{drive.name}: {text}",)
 
 
 def _first_rows(drive: Drive) -> tuple[Floats, Steps]:

@@ -33,9 +33,8 @@ Block = tuple[Floats | None, Steps, Floats, Floats]
 Rows = tuple[Floats | None, Floats, Floats]
 
 LARGEST = 1e60  # of a displacement, as of the numbers of a model
-PAUSE = (
-    1e-6  # of a step: so much later than a step behind a state, its voltage was held
-)
+PAUSE = 1e-6
+"""Of a step: so much later than a step behind a state, its voltage was held."""
 
 
 def drive_blocks(
@@ -114,12 +113,12 @@ def require_numbers(name: str, values: Floats, before: int = 0) -> None:
     if not bad.any():
         return
     row = int(np.argmax(bad))
-    what = "holds no number"
+    where = f"{name}: row {before + row + 1:,}"
     if np.isfinite(values[row]):
-        what = f"{values[row]:g} is no displacement"
-    raise InputError(
-        f"{name}: row {before + row + 1:,}: {what} (`skip_bad` drops such rows)"
-    )
+        raise InputError(
+            f"{where}: {values[row]:g} is no displacement: check column and unit"
+        )
+    raise InputError(f"{where} holds no number (`skip_bad` drops such rows)")
 
 
 def _usual_step(drive: Drive, dt: Steps, timed: bool) -> float:

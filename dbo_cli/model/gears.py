@@ -68,6 +68,11 @@ class Gears:
         Which of the two signals is the voltage: the input of forward gears, the output
         of inverse ones.
 
+    Attributes
+    ----------
+    x_range, y_range : (float, float)
+        Input and output at B = 0 and at B = 2^n - 1, after a rest.
+
     Raises
     ------
     ModelError
@@ -109,6 +114,15 @@ class Gears:
         elif relaxation is not None:
             relaxation.require_slopes(widths / heights, self.width / self.height)
         self.table = gear_table(widths, heights, self._rounding(widths, heights))
+        low, high = self.x0, self.x0 + self.width
+        bottom, top = self.y0, self.y0 + self.height
+        if relaxation is not None and on == "input":
+            bottom += relaxation.at_rest(low)
+            top += relaxation.at_rest(high)
+        elif relaxation is not None:
+            low += relaxation.at_rest(bottom)
+            high += relaxation.at_rest(top)
+        self.x_range, self.y_range = (low, high), (bottom, top)
         for key, (low, high) in (("x0", self.x_range), ("y0", self.y_range)):
             if not low < high:
                 raise ModelError(
@@ -134,24 +148,6 @@ class Gears:
         with np.errstate(over="ignore", divide="ignore"):
             rounding: Floats = np.maximum(scale_x / apart_x, scale_y / apart_y)
         return rounding
-
-    @property
-    def x_range(self) -> tuple[float, float]:
-        """The input at B = 0 and at B = 2^n - 1, after a rest."""
-        low, high = self.x0, self.x0 + self.width
-        if self.relaxation is not None and self.on == "output":
-            low += self.relaxation.at_rest(self.y0)
-            high += self.relaxation.at_rest(self.y0 + self.height)
-        return low, high
-
-    @property
-    def y_range(self) -> tuple[float, float]:
-        """The output at B = 0 and at B = 2^n - 1, after a rest."""
-        low, high = self.y0, self.y0 + self.height
-        if self.relaxation is not None and self.on == "input":
-            low += self.relaxation.at_rest(self.x0)
-            high += self.relaxation.at_rest(self.x0 + self.width)
-        return low, high
 
     def inverse(self) -> Gears:
         """Return the inverse (17)-(18): dX and dY exchanged in every gear, and the origins."""

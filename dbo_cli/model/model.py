@@ -23,7 +23,7 @@ from dbo_cli.model.cascade import Direction, Stage, check_order, digest_of
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics
 from dbo_cli.model.gears import NEGLIGIBLE, Gears, Window
-from dbo_cli.model.points import Curves, Points, Scale, through, value_through
+from dbo_cli.model.points import Curves, Scale, through, value_through
 from dbo_cli.model.state import START_NAMES, Quantity, Run, State, Steps, steps_of
 from dbo_cli.model.undoing import Inverter
 from dbo_cli.model.widths import CROSSING_TOLERANCE
@@ -33,6 +33,7 @@ Outside = Literal["extend", "hold", "error"]
 Sign = Literal["rising", "falling"]
 
 MOST_CANDIDATES = 5
+_EVEN = 0.01  # of a step: what the steps of an even clock differ by at most
 _TIME_IS_NEEDED = "this model needs a clock: add `time` COLUMN or `sample_rate` HZ"
 
 
@@ -52,9 +53,9 @@ class Candidate:
         check_order(self.stages, "forward")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Model:
-    """A cascade of stages from voltage to displacement (forward) or back (inverse).
+    """A cascade of stages from voltage to displacement (forward) or back (inverse); never changed.
 
     Parameters
     ----------
@@ -72,6 +73,22 @@ class Model:
     provenance : mapping
         Where the model comes from; carried along.
 
+    Attributes
+    ----------
+    is_forward : bool
+        Whether the voltage goes in, and the displacement comes out.
+    gears : Gears
+        The gears as they stand in this model.
+    head, tail : tuple of Points or Scale
+        What stands before and behind the gears.
+    dynamics : Dynamics, or None
+        The dynamics.
+    delay : Delay, or None
+        The delay as it stands in this model; None where it is 0.
+    delay_seconds : float
+        Seconds by which the output lags; an inverse model must read its input that far
+        ahead.
+
     Raises
     ------
     ModelError
@@ -85,61 +102,34 @@ class Model:
     fit: Mapping[str, Any] = field(default_factory=dict)
     candidates: tuple[Candidate, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    is_forward: bool = field(init=False)
+    gears: Gears = field(init=False)
+    head: Curves = field(init=False, default=())
+    tail: Curves = field(init=False, default=())
+    dynamics: Dynamics | None = field(init=False, default=None)
+    delay: Delay | None = field(init=False, default=None)
+    delay_seconds: float = field(init=False, default=0.0)
+    _inverse: Model | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
-        """Check the cascade."""
+        """Check the cascade, and name its parts."""
         check_order(self.stages, self.direction)
+        self.is_forward = self.direction == "forward"
+        for stage in self.stages:
+            if isinstance(stage, Gears):
+                self.gears, self.head, self.tail = stage, self.tail, ()
+            elif isinstance(stage, Dynamics):
+                self.dynamics = stage
+            elif not isinstance(stage, Delay):
+                self.tail = (*self.tail, stage)
+            elif stage.seconds != 0.0:
+                self.delay, self.delay_seconds = stage, abs(stage.seconds)
         if len(self.candidates) > MOST_CANDIDATES:
             raise ModelError(
                 f"candidates: {len(self.candidates)} are more than {MOST_CANDIDATES}"
             )
 
-    # ---- what it is made of ----
-
-    @property
-    def is_forward(self) -> bool:
-        """Whether the voltage goes in, and the displacement comes out."""
-        return self.direction == "forward"
-
-    @functools.cached_property
-    def gears(self) -> Gears:
-        """The gears as they stand in this model."""
-        return next(stage for stage in self.stages if isinstance(stage, Gears))
-
-    @functools.cached_property
-    def head(self) -> Curves:
-        """The points and scales before the gears."""
-        before = self.stages[: self.stages.index(self.gears)]
-        return tuple(stage for stage in before if isinstance(stage, Points | Scale))
-
-    @functools.cached_property
-    def tail(self) -> Curves:
-        """The points and scales behind the gears."""
-        behind = self.stages[self.stages.index(self.gears) :]
-        return tuple(stage for stage in behind if isinstance(stage, Points | Scale))
-
-    @functools.cached_property
-    def dynamics(self) -> Dynamics | None:
-        """The dynamics, where there are any."""
-        for stage in self.stages:
-            if isinstance(stage, Dynamics):
-                return stage
-        return None
-
-    @functools.cached_property
-    def delay(self) -> Delay | None:
-        """The delay as it stands in this model; None where it is 0."""
-        for stage in self.stages:
-            if isinstance(stage, Delay) and stage.seconds != 0.0:
-                return stage
-        return None
-
-    @property
-    def delay_seconds(self) -> float:
-        """Seconds by which the output lags; an inverse model must read its input that far ahead."""
-        if self.delay is None:
-            return 0.0
-        return abs(self.delay.seconds)
+    # ---- what it is ----
 
     @property
     def sign(self) -> Sign:
@@ -176,20 +166,14 @@ class Model:
 
     def inverse(self) -> Model:
         """Return the inverse model (17)-(18): every stage inverted, the order reversed."""
+        if self._inverse is None:
+            direction: Direction = "inverse" if self.is_forward else "forward"
+            stages = tuple(stage.inverse() for stage in reversed(self.stages))
+            ends = self.output, self.input
+            self._inverse = Model(
+                direction, *ends, stages, self.fit, provenance=self.provenance
+            )
         return self._inverse
-
-    @functools.cached_property
-    def _inverse(self) -> Model:
-        direction: Direction = "inverse" if self.is_forward else "forward"
-        stages = tuple(stage.inverse() for stage in reversed(self.stages))
-        return Model(
-            direction,
-            self.output,
-            self.input,
-            stages,
-            self.fit,
-            provenance=self.provenance,
-        )
 
     def forward(self) -> Model:
         """Return the forward model: itself, or its inverse."""
@@ -496,6 +480,11 @@ class Model:
         if dt is None:
             raise ModelError(_TIME_IS_NEEDED)
         if isinstance(dt, np.ndarray):
+            if dt.size > 1 and np.ptp(dt[1:]) < _EVEN * dt[1] < dt[0]:
+                raise InputError(
+                    f"row 1 comes {dt[0]:.6g} s after the state: dynamics and a delay are not undone over a "
+                    "pause; leave `state` out"
+                )
             raise InputError(
                 "the model's delay and dynamics need an even clock: add `resample` HZ"
             )

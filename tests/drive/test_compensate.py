@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import tracemalloc
 import warnings
 from typing import Any
@@ -319,3 +320,16 @@ def test_warnings_are_dbo_warnings() -> None:
     model = actuator()
     with pytest.warns(DboWarning, match="clipped"):
         plan(model, ripple(model, 500), DT, limits_of(model, 0, 60), on_limit="clip")
+
+
+@pytest.mark.parametrize("value", [1e308, -1e61, math.inf, math.nan])
+def test_a_row_that_is_no_displacement_is_named(value: float) -> None:
+    model = actuator()
+    wanted = ripple(model, 100, 0.5)
+    wanted[41] = value
+    for options in ({}, {"bandwidth": 50.0}, {"periodic": True}):
+        with pytest.raises(InputError, match="row 42"):
+            plan(model, wanted, DT, limits_of(model), **options)  # type: ignore[arg-type]
+    _, rows = stream(model, blocks_of(wanted, DT, 30), limits_of(model))
+    with pytest.raises(InputError, match="row 42"):
+        list(rows)

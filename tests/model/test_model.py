@@ -349,6 +349,9 @@ def test_time_is_asked_for() -> None:
     uneven = np.array([0.0, 1e-3, 3e-3])
     with pytest.raises(InputError, match="resample"):
         plant(Delay(1e-3)).inverse().simulate([1.0, 2.0, 3.0], time=uneven)
+    pause = np.array([0.7, DT, DT, DT])  # behind a state
+    with pytest.raises(InputError, match=r"0\.7 s after the state"):
+        plant(Delay(1e-3)).inverse().simulate(np.ones(4), dt=pause, state=State(0))
 
 
 def test_clocks() -> None:
