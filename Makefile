@@ -124,7 +124,7 @@ labs: $(VENV)/installed-test
 	examples/try_in_labs $(PYTHON)
 
 bench: $(VENV)/installed-test
-	for name in kernel_speed live_speed streams exactness; do $(BIN)/python benchmarks/$$name.py || exit 1; done
+	for name in speed streams exactness; do $(BIN)/python benchmarks/$$name.py || exit 1; done
 
 attack: $(VENV)/installed-test
 	for name in attack_drives attack_live attack_files; do $(BIN)/python benchmarks/$$name.py || exit 1; done

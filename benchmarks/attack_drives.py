@@ -131,8 +131,8 @@ def in_blocks(
     ]
     sent = []
     try:
-        for part in stream(model, blocks, limits, **options):
-            sent.append(part.voltage)
+        for _, _, voltage in stream(model, blocks, limits, **options)[1]:
+            sent.append(voltage)
     except GateError:
         raise
     except DboError:

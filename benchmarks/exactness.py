@@ -1,13 +1,11 @@
-"""What a model and its inverse leave of each other, as three tables.
+"""What a model and its inverse leave of each other, as two tables.
 
     python benchmarks/exactness.py [MODELS]                  1,000 of the first kind
 
 ``static``: random gears, points, relaxation and whole-sample delays: inverse after
 forward and forward after inverse, worst error of any sample over the range; exit 1
-above 1e-12. ``delay``: a sine through delays between samples, there and back, and
-against a plant whose delay is analytic (RMS, % of peak to peak). ``dynamics``: random
-actuators with lags and resonances, a move between two rests through the inverse and
-back through the model; exit 1 above 1e-9 of the range.
+above 1e-12. ``dynamics``: random actuators with lags and resonances, a move between two
+rests through the inverse and back through the model; exit 1 above 1e-9 of the range.
 """
 
 from __future__ import annotations
@@ -20,13 +18,11 @@ import numpy as np
 from random_actuators import Floats, Random, random_actuator
 from random_models import DT, random_drive, random_model
 
-from dbo_cli.model import Delay, Gears, Model, Quantity
+from dbo_cli.model import Model
 
 ROWS = 300
 REST = 25  # rows at either end, longer than any delay here
 STATIC_BOUND, DYNAMIC_BOUND = 1e-12, 1e-9
-WHOLE = (0, 1, 3)  # samples of a delay, and a half more
-PERIODS = (5, 10, 20, 50, 100)  # samples
 
 
 def static(count: int) -> float:
@@ -60,46 +56,6 @@ def round_trip(rng: Random, model: Model) -> tuple[float, float]:
     return float(there), float(np.abs(again - displacement)[:-REST].max() / span)
 
 
-def delayed(delay: float) -> Model:
-    """Return an actuator of 100 V and 10 um with a delay (s)."""
-    slopes = np.linspace(0.5, 1.5, 120)
-    gears = Gears(np.full(120, 100.0 / 120), slopes / 12.0)
-    stages = (gears, Delay(delay)) if delay else (gears,)
-    voltage = Quantity("voltage", "V", 0.0, 100.0)
-    return Model("forward", voltage, Quantity("displacement", "um", 0.0, 10.0), stages)
-
-
-def delays() -> None:
-    """Print what a delay between samples leaves."""
-    print("\ndelay of so many samples and a half; RMS, % of peak to peak")
-    print(f"{'samples a period':>22}" + "".join(f"{period:>10}" for period in PERIODS))
-    for whole in WHOLE:
-        left, beside = [], []
-        for period in PERIODS:
-            delay = (whole + 0.5) * DT
-            clock = np.arange(40 * period) * DT
-            wanted = sine(clock, period)
-            used = slice(5 * period, -5 * period)
-            drive = driven(delayed(delay), wanted)
-            back, _ = delayed(delay).simulate(drive, dt=DT)
-            left.append(percent((back - wanted)[used]))
-            # Gears reach now what is wanted a delay later: there the plant shows it.
-            bare, _ = delayed(0.0).simulate(drive, dt=DT)
-            beside.append(percent((bare - sine(clock + delay, period))[used]))
-        print(f"{whole + 0.5:5} there and back  " + "".join(f"{x:10.1e}" for x in left))
-        print(f"{'':6}analytic plant  " + "".join(f"{x:10.1e}" for x in beside))
-
-
-def sine(clock: Floats, period: int) -> Floats:
-    """Return a move of 6 um peak to peak."""
-    return np.asarray(5.0 - 3.0 * np.cos(2.0 * np.pi * clock / (period * DT)))
-
-
-def percent(error: Floats) -> float:
-    """Return an error of that move, RMS, in percent of peak to peak."""
-    return 100.0 * float(np.sqrt(np.mean(error**2))) / 6.0
-
-
 def driven(model: Model, wanted: Floats, state: str = "auto") -> Floats:
     """Return the drive of a whole move without limits; the last value is held."""
     ahead = np.full(model.inverter(DT).ahead, wanted[-1])
@@ -117,7 +73,7 @@ def dynamics(count: int) -> float:
         rng = np.random.default_rng([seed, 2])
         model = random_actuator(rng, DT)
         if model.dynamics is None or model.delay_seconds % DT > 1e-9:
-            continue  # what a delay between samples leaves stands in the table above
+            continue  # a delay between samples is not undone exactly
         wanted = between_rests(rng, model)
         drive = driven(model, wanted, "empty")
         came, _ = model.simulate(drive, dt=DT, state="empty")
@@ -145,7 +101,6 @@ def main() -> int:
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
     begun = time.perf_counter()
     worst = static(count)
-    delays()
     moving = dynamics(max(count // 5, 10))
     print(f"\n{time.perf_counter() - begun:.0f} s")
     return int(worst > STATIC_BOUND or moving > DYNAMIC_BOUND)

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.drive.lowpass import low_pass
 from dbo_cli.identification import Options, Recording, identify
-from dbo_cli.model import Model, Window
+from dbo_cli.model import Model
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "sample_data"))
 from virtual_positioner import PRESETS, PositionerParameters, VirtualPositioner
@@ -82,7 +82,7 @@ def compensated(model: Model, wanted: Floats) -> Floats:
     undone, _ = model.inverter(dt).run(np.concatenate([wanted, ahead]))
     low, high = model.input.min, model.input.max
     state = model.start_drive(undone[0], "empty", low, high)
-    return np.asarray(model.drive(undone, state, dt, Window(low, high)).y)
+    return np.asarray(model.drive(undone, state, dt, (low, high)).y)
 
 
 def models_of(p: PositionerParameters, seconds: float) -> tuple[Model, Model]:

@@ -1,6 +1,6 @@
 """Development table of identification: error, what was stated of it, and seconds, case by case.
 
-    python benchmarks/identification.py RECORDINGS [--before FILE|PROGRAM] [--save FILE] [CASE...]
+    python benchmarks/identification.py RECORDINGS [--before FILE] [--save FILE] [CASE...]
 
 RECORDINGS holds a folder a case (``case.json``, logs as CSV); the authors' logs are
 looked for in ``../paper`` beside it; invented plants come from ``plants.py``. Columns:
@@ -9,8 +9,7 @@ their bounds), and over that of the state before; the error over the one stated 
 ``fit.expected_rmse``, and over that for this very move; seconds. A refusal counts as
 four times, or as one where no rival is better than a line.
 
-``--before`` is a table saved by ``--save``, or a program whose ``identify`` and
-``simulate`` are measured first (and saved as ``--save-before``). ``--set
+``--before`` is a table saved by ``--save``, by another state of the package. ``--set
 search.PRICE=0`` switches a rule off: another value for a constant of
 ``dbo_cli.identification``. ``--copies`` identifies again from each log rounded to five
 digits, with 1 % noise, and without its last 5 %, and prints how far the test error
@@ -23,12 +22,10 @@ import argparse
 import importlib
 import json
 import math
-import subprocess
 import sys
-import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -179,14 +176,13 @@ def copied(case: Case, kind: str) -> Case:
     return replace(case, logs=logs)
 
 
-# --- the two ways ---
+# --- identification ---
 
 Predicted = tuple[list[Any], dict[str, Any], float, list[float | None]]
-Way = Callable[[Case], Predicted]
 
 
-def by_library(case: Case) -> Predicted:
-    """Identify and predict with this package."""
+def predicted(case: Case) -> Predicted:
+    """Identify and predict."""
     from dbo_cli.identification import Options, Recording, identify
     from dbo_cli.model.expect import expected_error
 
@@ -209,46 +205,6 @@ def by_library(case: Case) -> Predicted:
     return predictions, dict(model.fit), seconds, stated
 
 
-def by_program(program: str) -> Way:
-    """Identify and predict with a program's command line."""
-
-    def run(*words: object) -> None:
-        done = subprocess.run(
-            [program, *map(str, words)], capture_output=True, text=True
-        )
-        if done.returncode:
-            raise RuntimeError(done.stderr.strip().splitlines()[-1])
-
-    def way(case: Case) -> Predicted:
-        options = ["--skip", case.skip] if case.skip else []
-        if case.delay is not None:
-            options += ["--delay", case.delay]
-        with tempfile.TemporaryDirectory() as folder:
-            model, output = Path(folder, "model.json"), Path(folder, "predicted.csv")
-            logs = [_written(log, folder, k) for k, log in enumerate(case.logs)]
-            begun = time.perf_counter()
-            run("identify", *logs, *options, "-q", "-o", model)
-            seconds = time.perf_counter() - begun
-            fit = json.loads(model.read_text())["fit"]
-            predictions = []
-            for test in case.tests:
-                path = _written(test.log, folder, "test")
-                run("simulate", model, path, "--state", case.state, "-q", "-o", output)
-                table = np.genfromtxt(output, delimiter=",", skip_header=1)
-                predictions.append(table[:, -1])
-        return predictions, fit, seconds, [None for _ in case.tests]
-
-    return way
-
-
-def _written(log: Log, folder: str, name: object) -> Path:
-    path = Path(folder, f"log-{name}.csv")
-    table = np.column_stack([log.time, log.voltage, log.displacement])
-    header = "time_s,voltage_V,displacement_um"
-    np.savetxt(path, table, "%.10g", ",", header=header, comments="")
-    return path
-
-
 def error_of(case: Case, predictions: Sequence[Any]) -> float:
     """RMS error of the rows that count."""
     squares = count = 0.0
@@ -264,14 +220,14 @@ def error_of(case: Case, predictions: Sequence[Any]) -> float:
     return math.sqrt(squares / count)
 
 
-def measured(case: Case, way: Way) -> Result:
-    """Return what a way makes of a case; a refusal is a result, too."""
+def measured(case: Case) -> Result:
+    """Return what identification makes of a case; a refusal is a result, too."""
     result = Result(case.name, case.group, case.source, None, noise=case.noise)
     begun = time.perf_counter()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            predictions, fit, seconds, stated = way(case)
+            predictions, fit, seconds, stated = predicted(case)
     except Exception as problem:  # one case must not hide the others
         text = f"{type(problem).__name__}: {problem}"
         return replace(result, refused=text, seconds=time.perf_counter() - begun)
@@ -368,12 +324,12 @@ def summary(results: Sequence[Result]) -> Iterator[str]:
     yield f"seconds: {sum(one.seconds for one in results):.0f}"
 
 
-def table(cases: Sequence[Case], way: Way, before: dict[str, Result]) -> list[Result]:
+def table(cases: Sequence[Case], before: dict[str, Result]) -> list[Result]:
     """Measure and print all cases."""
     print(HEAD)
     results = []
     for case in cases:
-        result = compared(case, measured(case, way), before)
+        result = compared(case, measured(case), before)
         results.append(result)
         print(row(result), flush=True)
     for line in summary(results):
@@ -381,12 +337,12 @@ def table(cases: Sequence[Case], way: Way, before: dict[str, Result]) -> list[Re
     return results
 
 
-def copies(cases: Sequence[Case], way: Way) -> None:
+def copies(cases: Sequence[Case]) -> None:
     """Print how far the test error moves where the logs are copied."""
     print(f"{'copies':50}{'rmse':>10}" + "".join(f"{kind:>14}" for kind in COPIES))
     moved = []
     for case in cases:
-        errors = [measured(one, way).rmse for one in
+        errors = [measured(one).rmse for one in
                   (case, *(copied(case, kind) for kind in COPIES))]  # fmt: skip
         if errors[0] is None:
             continue
@@ -401,10 +357,6 @@ def copies(cases: Sequence[Case], way: Way) -> None:
     small = np.mean(np.array(moved) < math.log(1.2))
     print(f"moved by less than 20 %: {100.0 * small:.0f} % of {len(moved)} copies; "
           f"mean of |ln| {np.mean(moved):.3f}, 90 % {np.percentile(moved, 90):.3f}")  # fmt: skip
-
-
-def saved(results: Sequence[Result]) -> str:
-    return json.dumps([asdict(result) for result in results], indent=1) + "\n"
 
 
 def loaded(path: str) -> dict[str, Result]:
@@ -429,37 +381,22 @@ def main() -> int:
     parser.add_argument("recordings", type=Path)
     parser.add_argument("cases", nargs="*", help="only cases whose names hold this")
     parser.add_argument("--paper", type=Path, help="folder of the authors' logs")
-    parser.add_argument("--before", help="a saved table, or a program to measure first")
+    parser.add_argument("--before", help="a saved table")
     parser.add_argument("--save", type=Path, help="keep this table as JSON")
-    parser.add_argument("--save-before", type=Path, help="keep the program's table")
-    parser.add_argument("--only-before", action="store_true")
     parser.add_argument("--set", action="append", default=[], help="module.NAME=VALUE")
     parser.add_argument("--copies", action="store_true")
     asked = parser.parse_intermixed_args()
     paper = asked.paper or asked.recordings.parent / "paper"
     cases = all_cases(asked.recordings, paper, asked.cases)
-    way, before = by_library, {}
-    if asked.before and asked.before.endswith(".json"):
-        before = loaded(asked.before)
-    elif asked.before:
-        program = by_program(asked.before)
-        if asked.copies and asked.only_before:
-            copies(cases, program)
-            return 0
-        results = table(cases, program, {})
-        before = {result.name: result for result in results}
-        if asked.save_before:
-            asked.save_before.write_text(saved(results))
-    if asked.only_before:
-        return 0
     for text in asked.set:
         set_constant(text)
     if asked.copies:
-        copies(cases, way)
+        copies(cases)
         return 0
-    results = table(cases, way, before)
+    results = table(cases, loaded(asked.before) if asked.before else {})
     if asked.save:
-        asked.save.write_text(saved(results))
+        rows = [asdict(result) for result in results]
+        asked.save.write_text(json.dumps(rows, indent=1) + "\n")
     return 0
 
 

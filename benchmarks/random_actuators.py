@@ -16,13 +16,11 @@ from dbo_cli.model import (
     Model,
     Quantity,
     Resonance,
-    Scale,
     Section,
-    Stage,
 )
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests" / "model"))
-from random_models import random_gears, random_points
+from random_models import random_model
 
 Floats = NDArray[np.float64]
 Random = np.random.Generator
@@ -30,33 +28,19 @@ MOVES = ("sine", "walk", "jumps", "rest", "beyond", "ramp")
 
 
 def random_actuator(rng: Random, dt: float) -> Model:
-    """Return a model of gears and perhaps points, a scale, dynamics, a delay; ``dt`` (s) is its step."""
+    """Return a random model, perhaps with dynamics and a delay; ``dt`` (s) is its step."""
     while True:
         try:
-            return _attempt(rng, dt)
+            static = random_model(rng, delays=False)
+            stages = list(static.stages)
+            if rng.random() < 0.3:
+                stages.append(Dynamics(random_sections(rng, dt)))
+            if rng.random() < 0.3:
+                stages.append(Delay(float(rng.choice([1.0, 1.23, 7.0])) * dt))
+            reached = reach_of(static)
+            return Model("forward", static.input, reached, tuple(stages))
         except ModelError:  # stages that do not fit together
             continue
-
-
-def _attempt(rng: Random, dt: float) -> Model:
-    """Return such a model, or raise ModelError."""
-    gears = random_gears(rng)
-    low, high = gears.x_range
-    stages: list[Stage] = []
-    if rng.random() < 0.3:
-        stages.append(random_points(rng, low, high))
-    stages.append(gears)
-    if rng.random() < 0.3:
-        stages.append(random_points(rng, *gears.y_range))
-    if rng.random() < 0.5:
-        gain = float(rng.choice([-3.0, 0.01, 12.5]))
-        stages.append(Scale(gain, gain * float(rng.normal())))
-    static = _reaching(stages, low, high)
-    if rng.random() < 0.3:
-        stages.append(Dynamics(random_sections(rng, dt)))
-    if rng.random() < 0.3:
-        stages.append(Delay(float(rng.choice([1.0, 1.23, 7.0])) * dt))
-    return Model("forward", static.input, static.output, tuple(stages))
 
 
 def random_sections(rng: Random, dt: float) -> tuple[Section, ...]:
@@ -68,17 +52,13 @@ def random_sections(rng: Random, dt: float) -> tuple[Section, ...]:
     return choices[int(rng.integers(3))]
 
 
-def _reaching(stages: list[Stage], low: float, high: float) -> Model:
-    """Return a static model whose output range is what it reaches at rest."""
-    voltage = Quantity("voltage", "V", low, high)
-    guess = Quantity("displacement", "um", -1e12, 1e12)
-    model = Model("forward", voltage, guess, tuple(stages))
+def reach_of(static: Model) -> Quantity:
+    """Return the output range that a static model reaches at rest."""
     ends = []
-    for end, start in ((low, "empty"), (high, "full")):
-        run = model.run(np.array([end]), model.start(end, start), 1.0)  # type: ignore[arg-type]
+    for end, start in ((static.input.min, "empty"), (static.input.max, "full")):
+        run = static.run(np.array([end]), static.start(end, start), 1.0)
         ends.append(float(run.y[0]))
-    reached = Quantity("displacement", "um", min(ends), max(ends))
-    return Model("forward", voltage, reached, tuple(stages))
+    return Quantity("displacement", "um", min(ends), max(ends))
 
 
 def random_move(rng: Random, model: Model, rows: int) -> Floats:

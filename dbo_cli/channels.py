@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, InputError, ModelError, UsageError
+from dbo_cli.model.state import START_NAMES
 from dbo_cli.units import split_header
 
 if TYPE_CHECKING:
@@ -60,22 +61,19 @@ def names(
     if path == "-":
         raise UsageError("-: channels need a file, not a pipe")
     headers = [column.name for column in columns_of(path, reading)]
-    found: dict[str, list[str]] = {}
+    channels: list[str] = []
     for role, typed in columns.items():
-        if typed is not None and PLACE in typed:
-            found[role] = _matches(typed, headers)
-            if not found[role]:
-                raise InputError(
-                    f"{path}: no column matches `{role}` {typed}; columns: {', '.join(headers)}"
-                )
-    first, *others = found.items()
-    for role, channels in others:
-        odd = sorted(set(channels) ^ set(first[1]))
-        if odd:
+        if typed is None or PLACE not in typed:
+            continue
+        matches = _matches(typed, headers)
+        channels = channels or matches
+        odd = sorted(set(channels) ^ set(matches))
+        if odd or not matches:
+            lacking = f"not for channel {odd[0]}" if odd else "no column"
             raise InputError(
-                f"{path}: channel {odd[0]} has no column for both `{first[0]}` and `{role}`"
+                f"{path}: `{role}` {typed}: {lacking}; columns: {', '.join(headers)}"
             )
-    return first[1]
+    return channels
 
 
 def _matches(pattern: str, headers: Sequence[str]) -> list[str]:
@@ -116,7 +114,7 @@ def simulate(
     outside: Any,
 ) -> str:
     """Run the model of each channel over its input, write all side by side; return what to say of it."""
-    _require_start(state)
+    refuse({"state": state not in START_NAMES})
     channels = names([log_path], reading, columns)
     results: list[Result] = []
     for name, model in models_of(model_path, channels).items():
@@ -143,7 +141,7 @@ def compensate(
     """Drive each channel along its own displacement, write all drives side by side; return what to say."""
     from dbo_cli.drive import Limits, plan
 
-    _require_start(state)
+    refuse({"state": state not in START_NAMES})
     channels = names([log_path], reading, columns)
     results: list[Result] = []
     for name, model in models_of(model_path, channels).items():
@@ -153,32 +151,22 @@ def compensate(
         table = _read(log_path, reading, chosen, "displacement", moved.unit)
         clock = table.dt if isinstance(table.dt, float) else table.time
         wanted = table["displacement"]
+        options = {"on_limit": on_limit, "state": state, "name": f"channel {name}"}
         with _naming(name):
             allowed = Limits.within(drive, **limits)
-        label = f"channel {name}"
-        done = plan(
-            model, wanted, clock, allowed, on_limit=on_limit, state=state, name=label
-        )
+            done = plan(model, wanted, clock, allowed, **options)
         results.append((f"desired_{name}", moved.unit, done.desired))
         results.append((f"{drive.quantity}_{name}", drive.unit, done.voltage))
     return _write(output, table.time, results, len(channels))
 
 
-def refuse(pieces: Mapping[str, object] | None = None, **others: object) -> None:
+def refuse(options: Mapping[str, object]) -> None:
     """Refuse what gives channels drives of different lengths, or is of one model."""
-    for option, value in {**(pieces or {}), **others}.items():
+    for option, value in options.items():
         if value:
             raise UsageError(
                 f"`{option}` needs a single channel: give SET::NAME and its columns"
             )
-
-
-def _require_start(state: str) -> None:
-    """Refuse a state file, which belongs to one model."""
-    if state not in ("auto", "empty", "full", "settled"):
-        raise UsageError(
-            f"`state` {state}: a state file belongs to one channel: use SET::NAME"
-        )
 
 
 def _read(
@@ -199,13 +187,11 @@ def _read(
 @contextmanager
 def _naming(channel: str) -> Iterator[None]:
     """Name the channel in an error."""
+    place = f"channel {channel}: "
     try:
         yield
     except DboError as problem:
-        place = f"channel {channel}: "
-        named = DboError(place + str(problem).removeprefix(place))
-        named.exit_code = problem.exit_code
-        raise named from problem
+        raise type(problem)(place + str(problem).removeprefix(place)) from problem
 
 
 def _write(

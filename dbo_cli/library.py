@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dbo_cli import model as room
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.model.state import START_NAMES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Clock = float | Floats | None
 """Seconds a sample, or the time of each sample (s)."""
-STARTS = ("auto", "empty", "full", "settled")
 SHOWN = "direction input output stages fit sign provenance digest"
 """What a model shows of its actuator."""
 
@@ -220,7 +220,7 @@ class Model:
 
     def _state(self, state: str | room.State | Path) -> Any:
         """Return a state, or the name of a start."""
-        if isinstance(state, room.State) or state in STARTS:
+        if isinstance(state, room.State) or state in START_NAMES:
             return state
         return room.read_state(str(state), self.actuator)
 
@@ -272,13 +272,16 @@ def read_log(
         Names or numbers of the columns; found by name and unit where not given.
     **reading
         ``sample_rate, time_unit, scale, rows, skip_bad, resample, delimiter, decimal,
-        skip_lines, encoding``.
+        skip_lines, encoding, clock_offset``; a column of a second file is
+        ``FILE::COLUMN``.
 
     Returns
     -------
     DataFrame
         The columns ``time`` (s), ``voltage``, ``displacement``, as far as there are
-        any; ``attrs["units"]`` holds their units, ``attrs["notes"]`` what is odd.
+        any; ``attrs["units"]`` holds their units, ``attrs["notes"]`` what is odd, and
+        ``attrs["holds_delay"]`` whether the actuator's delay is in a clock offset that was
+        found.
 
     Raises
     ------
@@ -308,6 +311,7 @@ def read_log(
     for role in known:
         frame[role], units[role] = table[role], log.columns[role].unit
     frame.attrs.update(name=str(path), units=units, notes=list(log.remarks))
+    frame.attrs["holds_delay"] = log.has_found_offset
     return frame
 
 
@@ -358,6 +362,10 @@ def identify(
 
     if displacement is None:
         recordings = _recordings(data, time, sample_rate)
+        frames = data if isinstance(data, list) else [data]
+        holds_delay = any(getattr(f, "attrs", {}).get("holds_delay") for f in frames)
+        if holds_delay and options.get("delay", "auto") == "auto":
+            options["delay"] = 0.0
     else:
         units = {"voltage": voltage_unit, "displacement": displacement_unit}
         clock = clock_of(data, time, sample_rate, len(data))
@@ -387,23 +395,11 @@ def _recording(
     name: str, v: Any, x: Any, clock: Clock, units: Mapping[str, str | None]
 ) -> Recording:
     """Return two signals as a recording."""
-    from dbo_cli.identification import Recording
-    from dbo_cli.units import quantity_name
+    from dbo_cli.recordings import recording_of
 
     voltage = floats(v, "voltage")
-    time = clock
-    if isinstance(time, float):
-        time = time * np.arange(float(len(voltage)))
-    quantities: dict[str, Any] = {}
-    for role, unit in units.items():
-        quantities[role] = quantity_name(role, unit), unit
-    return Recording(
-        name,
-        voltage,
-        floats(x, "displacement"),
-        time,
-        input=quantities["voltage"],
-        output=quantities["displacement"],
+    return recording_of(
+        name, voltage, floats(x, "displacement"), _times(clock, len(voltage)), units
     )
 
 
@@ -430,33 +426,73 @@ def columns_by_role(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str | 
 
 
 def report(
-    desired: Any, measured: Any = None, time: Any = None, **options: Any
+    desired: Any,
+    measured: Any,
+    time: Any = None,
+    *,
+    sample_rate: float | None = None,
+    model: Model | None = None,
+    state: str | room.State = "auto",
+    rows: tuple[int | None, int | None] | None = None,
+    voltage: Any = None,
+    expected: Any = None,
+    unit: str | None = None,
+    name: str = "log",
+    **options: Any,
 ) -> Report:
-    """Report how well a measured displacement follows a wanted one.
+    """Report how well a measured displacement follows a desired one, or what a model predicts.
 
     Parameters
     ----------
     desired, measured : array_like
-        Both displacements in one unit; with ``model=`` the first is the drive.
-    time
-        Time in s; the time index of a Series counts.
+        Both displacements in one unit; with ``model`` the first is the drive.
+    time, sample_rate
+        Time in s, or a rate in Hz; the time index of a Series counts.
+    model, state
+        A forward model, and what was before the first row.
+    rows : (first, last), optional
+        The rows that count, from 1, both ends included.
+    voltage : array_like, optional
+        The drive, for the figures.
+    expected : mapping, optional
+        The summary of the drive, ``drive.summary()``: the error that was to be expected.
+    unit, name : str
+        Of both signals, and of the log.
     **options
-        ``sample_rate, model, state, rows, lag, remove_offset, unit, name, expected,
-        max_rmse, max_nrmse_percent``.
+        ``lag, remove_offset, max_rmse, max_nrmse_percent``.
 
     Returns
     -------
     Report
         With ``rmse``, ``to_frame()``, ``to_html()``, ``figures(folder)``.
-    """
-    from dbo_cli.reports import report as compared
 
-    values = floats(desired, "desired")
-    if "sample_rate" not in options:
-        time = clock_of(desired, time, None, len(values))
-    if isinstance(options.get("model"), Model):
-        options["model"] = options["model"].actuator
-    return compared(values, floats(measured, "measured"), time, **options)
+    Raises
+    ------
+    InputError
+        Lengths differ, or there is nothing to compare.
+    """
+    from dbo_cli.reports import Pair, Report, expected_of, predict
+
+    values, moved = floats(desired, "desired"), floats(measured, "measured")
+    clock = _times(clock_of(desired, time, sample_rate, len(values)), len(values))
+    if expected is not None:
+        options["expected"] = expected_of(expected, unit)
+    if model is None:
+        drive = None if voltage is None else floats(voltage, "voltage")
+        pair = Pair(name, values, moved, clock, drive, rows)
+        return Report.of([pair], unit=unit, **options)
+    actuator, start = model.actuator, model._state(state)
+    pair = predict(
+        actuator, values, moved, name=name, time=clock, state=start, rows=rows
+    )
+    return Report.of(
+        [pair],
+        unit=actuator.output.unit,
+        voltage_unit=actuator.input.unit,
+        labels=("model", "measured"),
+        model=actuator,
+        **options,
+    )
 
 
 # --- arrays ---
@@ -493,7 +529,7 @@ def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Cloc
     UsageError
         Both are given, or the rate is not above 0.
     InputError
-        The time has another length, or does not increase.
+        The time has another length.
     """
     if time is not None and sample_rate is not None:
         raise UsageError("`time` and `sample_rate` are both given: give one of them")
@@ -508,12 +544,12 @@ def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Cloc
     seconds = _seconds(time)
     if len(seconds) != rows:
         raise InputError(f"`time`: {len(seconds)} times for {rows} samples")
-    back = np.flatnonzero(np.diff(seconds) < 0.0)
-    if back.size:
-        raise InputError(
-            f"`time`[{back[0] + 1}]: {seconds[back[0] + 1]:.9g} s goes backwards"
-        )
     return seconds
+
+
+def _times(clock: Clock, rows: int) -> Floats | None:
+    """Return the time of each row (s), of an even clock too."""
+    return clock * np.arange(float(rows)) if isinstance(clock, float) else clock
 
 
 def _seconds(time: Any) -> Floats:

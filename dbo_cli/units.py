@@ -98,29 +98,18 @@ _TIME_WORDS = _by_word(_TIME_SPELLINGS)
 
 _MICRO = re.compile(r"[µμ](?=[^\W\d])")  # before a unit, nowhere else
 _BRACKETED = re.compile(r"(?P<name>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]")
-_BEHIND = re.compile(r"(?P<name>.*?)\s*(?:/|\bin\b|,)\s*(?P<unit>\S{1,30})")
-_SUFFIX = re.compile(r"(?P<name>.+)[_ ](?P<unit>[^_ ]+)")
-_PREFIX_WORD = re.compile(
-    r"(?P<name>.+?)[_ /-]+(?P<prefix>milli|micro|nano|pico|kilo)", re.IGNORECASE
-)
+# voltage_V, Weg/nm, CH1 in V, "Drive voltage, V", field_kA/m
+_SUFFIX = re.compile(r"(?P<name>.+?)[\s_,/]+(?:in\s+)?(?P<unit>[^\s_,]+)")
+# "milli volts" is "millivolts"
+_PREFIX_WORD = re.compile(r"(milli|micro|nano|pico|kilo)[\s_-]+(?=\w)", re.IGNORECASE)
 # data[2], x(1), Voltage (CH1), Position (raw): no units
 _REMARK = re.compile(
     r"[-+]?\d+([.:,]\s*\d+)*|ch(an(nel)?)?[ _]?\w|:|raw|measured|actual|filtered|calibrated|corrected|"
     r"desired|target|setpoint|command(ed)?|sensor|feedback|monitor|smoothed|mean|avg|average|drive|piezo|pzt|stage"
 )
 _NODE = re.compile(r"[A-SU-Za-su-z]\([^()]*\)")  # V(drive), as simulators write it
-_LETTERED = (
-    "",
-    "channel",
-    "ch",
-    "chan",
-    "kanal",
-    "canal",
-    "canale",
-    "voie",
-    "input",
-    "probe",
-)  # Channel A: no amperes
+_LETTERED = frozenset("channel ch chan kanal canal canale voie input probe".split())
+"""Words in front of a letter that is no unit: Channel A counts no amperes."""
 _NUMBER = r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _QUANTITY = re.compile(
     rf"\s*(?P<number>{_NUMBER})\s*(?P<unit>[^\s\d./][^\s\d]*)?\s*", re.ASCII
@@ -213,7 +202,7 @@ def time_unit(text: str | None) -> str | None:
     """
     plain = (text or "").strip().strip("[](){}<>").strip().rstrip(".")
     plain = plain.replace("µ", "u").replace("μ", "u").lower()
-    plain = plain.replace("milli ", "milli").replace("micro ", "micro")
+    plain = _PREFIX_WORD.sub(r"\1", plain)
     unit = _TIME_WORDS.get(plain) or _WORDS.get(plain)
     if unit is not None and _SIZES[unit][0] == "time":
         return unit
@@ -227,7 +216,7 @@ def split_header(text: str) -> tuple[str, str | None]:
     counts unless it is an index or a word such as ``raw``. Where the name ends in no
     known unit, the one that stands in it counts: ``Voltage [mV] (CH1)``.
     """
-    plain = " ".join(text.split())
+    plain = _PREFIX_WORD.sub(r"\1", " ".join(text.split()))
     name, unit = _split_at_end(plain)
     if unit and (parse_unit(unit) or time_unit(unit) or "/" in unit):
         return name, unit
@@ -249,38 +238,20 @@ def units_in(name: str) -> set[str]:
 
 def _split_at_end(plain: str) -> tuple[str, str | None]:
     """Split a header at the unit at its end."""
+    is_torn = any(plain.count(a) != plain.count(b) for a, b in ("()", "[]", "{}"))
     match = _BRACKETED.fullmatch(plain)
-    if match and match["name"] and not has_torn_bracket(plain):
+    if match and match["name"] and not is_torn:
         inner = match["unit"].strip()
         is_node = _NODE.fullmatch(plain) and parse_unit(inner) is None
         if is_node or _REMARK.fullmatch(inner.lower()):
             return plain, None
         return match["name"].strip().rstrip("_,"), spell(inner)
     match = _SUFFIX.fullmatch(plain)
-    if match and "/" in match["unit"] and parse_unit(match["unit"]):
-        return match["name"], spell(match["unit"])  # field_kA/m
-    for pattern in (_BEHIND, _SUFFIX):
-        match = pattern.fullmatch(plain)
-        if match is None:
-            continue
-        name, unit = match["name"].strip(), match["unit"]
-        apart = _PREFIX_WORD.fullmatch(name)
-        if apart:  # milli volts
-            name, unit = apart["name"].rstrip(" /"), apart["prefix"] + unit
-            name = name.removesuffix(" in")
-        is_bare = unit.strip("[](){}<>") == unit
-        if is_bare and name.lower() not in _LETTERED and parse_unit(unit):
-            return name, spell(unit)
-        if is_bare and pattern is _BEHIND and not name and parse_unit(unit):
-            return plain, spell(unit)  # "in s": a unit in the place of a name
+    if match and match["name"].lower() not in _LETTERED:
+        is_bare = match["unit"].strip("[](){}<>") == match["unit"]
+        if is_bare and parse_unit(match["unit"]):
+            return match["name"].strip(), spell(match["unit"])
     return plain, None
-
-
-def has_torn_bracket(text: str) -> bool:
-    """Return whether brackets do not fit, so that a unit may be torn."""
-    return any(
-        text.count(left) != text.count(right) for left, right in ("()", "[]", "{}")
-    )
 
 
 def parse_quantity(figure: str | float, unit: str | None, name: str = "value") -> float:

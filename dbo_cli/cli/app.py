@@ -7,6 +7,8 @@ import importlib
 import os
 import signal
 import sys
+import traceback
+import warnings
 from collections.abc import Callable, Sequence
 from types import FrameType
 from typing import Any
@@ -14,9 +16,9 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from dbo_cli.cli.options import OUTPUT, speaks
-from dbo_cli.cli.say import Level, hear_warnings, print_line, say_warnings
-from dbo_cli.errors import DboError
+from dbo_cli.cli.options import OUTPUT, with_shared_options
+from dbo_cli.cli.say import Level, print_line
+from dbo_cli.errors import DboError, DboWarning
 
 INTERRUPTED = 130  # 128 and the number of SIGINT, as shells report it
 WRONG_COMMAND_LINE = 2
@@ -33,28 +35,23 @@ class Command(TyperCommand):
     """A command whose ``-h`` is one screen, grouped; ``--help-all`` shows every option."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the arguments, and the options under their headings."""
-        write_options(self, ctx, formatter)
-
-
-def write_options(command: Any, ctx: Any, formatter: Any) -> None:
-    """Write arguments and options, each under its heading, those of the output last."""
-    groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
-    for parameter in command.get_params(ctx):
-        record = parameter.get_help_record(ctx)
-        if record is None:
-            continue  # hidden
-        panel = getattr(parameter, "rich_help_panel", None) or "Options"
-        if parameter.param_type_name == "argument":
-            panel, record = "Arguments", (str(parameter.metavar), parameter.help or "")
-        elif "--help" in parameter.opts:
-            panel, record = (OUTPUT if OUTPUT in groups else "Options"), HELP
-        groups.setdefault(panel, []).append(record)
-    groups[OUTPUT] = groups.pop(OUTPUT, [])
-    for heading, records in groups.items():
-        if records:
-            with formatter.section(heading):
-                formatter.write_dl(records, col_max=30)
+        """Write the arguments, and the options under their headings, those of the output last."""
+        groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        parameters: list[Any] = list(self.params)
+        for parameter in parameters:
+            if "--help-all" in sys.argv:
+                parameter.hidden = False
+            record = parameter.get_help_record(ctx)
+            panel = getattr(parameter, "rich_help_panel", None) or "Options"
+            if parameter.param_type_name == "argument":
+                panel, record = "Arguments", (parameter.metavar, parameter.help)
+            if record is not None:
+                groups.setdefault(panel, []).append(record)
+        groups[OUTPUT] = [*groups.pop(OUTPUT, []), HELP]
+        for heading, records in groups.items():
+            if records:
+                with formatter.section(heading):
+                    formatter.write_dl(records, col_max=30)
 
 
 class Commands(TyperGroup):
@@ -68,29 +65,21 @@ class Commands(TyperGroup):
         """Return the command of a name, or None."""
         if cmd_name in COMMANDS:
             module = importlib.import_module(f"dbo_cli.cli.{cmd_name}")
-            return _built(cmd_name, getattr(module, cmd_name))
-        foreign = _foreign().get(cmd_name)
-        return None if foreign is None else _built(cmd_name, foreign.load())
+            function = getattr(module, cmd_name)
+        elif cmd_name in _foreign():
+            function = _foreign()[cmd_name].load()
+        else:
+            return None
+        return _built(cmd_name, function)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that the first word names."""
-        word = args[0]
-        if word not in COMMANDS and not word.startswith("-"):
+        if args[0] not in COMMANDS:
             names = self.list_commands(ctx)
-            near = difflib.get_close_matches(word, names, 1)
-            if word not in names:
-                hint = f"did you mean {near[0]}?" if near else f"try {', '.join(names)}"
-                ctx.fail(f"no such command: {word}; {hint}")
+            if args[0] not in names and not args[0].startswith("-"):
+                hint = _nearest(args[0], names) or f"; try {', '.join(names)}"
+                ctx.fail(f"no such command: {args[0]}{hint}")
         return super().resolve_command(ctx, args)
-
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the options, and each command with the first line of its documentation."""
-        write_options(self, ctx, formatter)
-        rows = []
-        for name in self.list_commands(ctx):
-            rows.append((name, self.get_command(ctx, name).get_short_help_str(100)))
-        with formatter.section("Commands"):
-            formatter.write_dl(rows)
 
 
 def _foreign() -> dict[str, Any]:
@@ -103,25 +92,19 @@ def _foreign() -> dict[str, Any]:
 def _built(name: str, function: Callable[..., None]) -> Any:
     """Make a typer command of a function."""
     app = _typer()
-    app.command(name, cls=Command)(speaks(function))
-    command = typer.main.get_command(app)
-    if "--help-all" in sys.argv:
-        for parameter in command.params:
-            parameter.hidden = False  # type: ignore[attr-defined]
-    return command
+    app.command(name, cls=Command)(with_shared_options(function))
+    return typer.main.get_command(app)
 
 
-def _typer(completion: bool = False, **settings: Any) -> typer.Typer:
+def _typer(completion: bool = False) -> typer.Typer:
     """Return a typer application that speaks plain text."""
     return typer.Typer(
         add_completion=completion,
         rich_markup_mode=None,
-        pretty_exceptions_enable=False,
         context_settings={
             "help_option_names": ["-h", "--help", "--help-all"],
             "max_content_width": 100,
         },
-        **settings,
     )
 
 
@@ -140,78 +123,81 @@ def _root(
 
 def program() -> Any:
     """Return the group ``dbo``, ready to parse a command line."""
-    app = _typer(completion=True, cls=Commands, invoke_without_command=True)
-    app.callback(invoke_without_command=True)(_root)
+    app = _typer(completion=True)
+    app.callback(cls=Commands, invoke_without_command=True)(_root)
     return typer.main.get_command(app)
 
 
 def main(words: Sequence[str]) -> int:
-    """Run one command line and return its exit code."""
-    hear_warnings()
+    """Run one command line, print what it warns of and why it failed, and return its exit code."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")  # libraries warn programmers
+        warnings.simplefilter("always", DboWarning)
+        code, failure = _outcome(list(words))
+    if not Level.quiet:
+        for text in dict.fromkeys(str(entry.message) for entry in caught):
+            print_line(f"warning: {text}")
+    if failure:
+        print_line(failure)
+    return code
+
+
+def _outcome(words: list[str]) -> tuple[int, str]:
+    """Run one command line; return its exit code, and the line that says why it failed."""
     try:
-        _run(list(words))
-        say_warnings()
+        root = program()
+        if "_DBO_COMPLETE" in os.environ:
+            root.main(words, prog_name="dbo")
+        with root.make_context("dbo", words) as context:
+            root.invoke(context)
         sys.stdout.flush()
-        return 0
     except typer.Exit as leaving:
-        return int(leaving.exit_code)
+        return int(leaving.exit_code), ""
     except BrokenPipeError:
-        _abandon_stdout()
-        return 0
+        pass  # the reader has had enough
     except KeyboardInterrupt:
-        print_line("interrupted")
-        return INTERRUPTED
+        return INTERRUPTED, "interrupted"
     except SystemExit:
         raise
     except BaseException as problem:  # a panic of polars is no Exception
         if Level.debug:
-            import traceback
-
             traceback.print_exc()
-        say_warnings()
-        text, code = _explained(problem, words)
-        print_line(f"error: {text}")
-        return code
+        code, text = _explained(problem, words)
+        return code, f"error: {text}"
+    return 0, ""
 
 
-def _run(words: list[str]) -> None:
-    """Parse a command line and run the command it names; every exception comes through."""
-    root = program()
-    if "_DBO_COMPLETE" in os.environ:
-        root.main(words, prog_name="dbo")
-    with root.make_context("dbo", words) as context:
-        root.invoke(context)
-
-
-def _explained(problem: BaseException, words: Sequence[str]) -> tuple[str, int]:
-    """Return what went wrong in one line, and the exit code that belongs to it."""
+def _explained(problem: BaseException, words: Sequence[str]) -> tuple[int, str]:
+    """Return the exit code that belongs to an exception, and the exception in one line."""
     if isinstance(problem, DboError):
-        return str(problem), problem.exit_code
+        return problem.exit_code, str(problem)
     if hasattr(problem, "format_message"):  # the command line, refused by typer
-        command = words[0] if words and words[0] in COMMANDS else ""
-        listing = f"dbo {command} --help-all" if command else "dbo --help"
-        return f"{_refused(problem)} ({listing})", WRONG_COMMAND_LINE
+        command = (
+            f"{words[0]} --help-all" if words and words[0] in COMMANDS else "--help"
+        )
+        return WRONG_COMMAND_LINE, f"{_refused(problem)} (dbo {command})"
     if isinstance(problem, OSError):
         place = f"{problem.filename}: " if problem.filename else ""
-        return f"{place}{problem.strerror or problem}", 1
+        return 1, f"{place}{problem.strerror or problem}"
     if isinstance(problem, MemoryError):
-        return "out of memory: take a part of the log with `rows` A:B", 1
+        return 1, "out of memory: take a part of the log with `rows` A:B"
     kind = type(problem).__name__
-    return f"internal error: {kind}: {problem} (please report it with `debug`)", 1
+    return 1, f"internal error: {kind}: {problem} (please report it with `debug`)"
 
 
 def _refused(problem: Any) -> str:
     """Return why typer refused the command line, with the option that is most like an unknown one."""
     if hasattr(problem, "possibilities"):
-        unknown = problem.option_name
-        near = difflib.get_close_matches(unknown, problem.possibilities or [], 1, 0.7)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        return f"no such option: {unknown}{hint}"
-    text: str = problem.format_message()
-    for words in ("Invalid value for ", "Value error, ", "Input "):
-        text = text.replace(words, "")
-    text = text.partition(", unable to parse")[0].rstrip(".")
-    return text[:1].lower() + text[1:]
+        near = _nearest(problem.option_name, problem.possibilities or [])
+        return f"no such option: {problem.option_name}{near}"
+    text: str = problem.format_message().replace("Value error, ", "")
+    return text[:1].lower() + text[1:].rstrip(".")
+
+
+def _nearest(word: str, names: Sequence[str]) -> str:
+    """Return a question for the name that is most like a word; empty where none is."""
+    near = difflib.get_close_matches(word, names, 1, 0.7)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 # --- what belongs to the process ---
@@ -228,7 +214,7 @@ def run() -> None:
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, _end)
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, _interrupt)
     code = main(sys.argv[1:])
     try:
         sys.stdout.flush()
@@ -238,14 +224,12 @@ def run() -> None:
     os._exit(code)  # taking the interpreter apart takes a tenth of a second
 
 
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt once: polars may have raised it already for the same Ctrl-C."""
+    if not isinstance(sys.exc_info()[1], KeyboardInterrupt):
+        raise KeyboardInterrupt
+
+
 def _end(number: int, frame: FrameType | None) -> None:
     """Unwind the stack, so that nothing half written is left."""
     raise SystemExit(128 + number)
-
-
-def _abandon_stdout() -> None:
-    """Point stdout at nothing, so that the last flush does not complain about the closed pipe."""
-    try:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (OSError, ValueError):
-        pass

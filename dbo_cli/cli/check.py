@@ -6,19 +6,18 @@ import math
 from typing import TYPE_CHECKING, Annotated
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.options import Text, flag, option, rare
+from dbo_cli.cli.options import Text, column, flag, option, rare
 from dbo_cli.cli.say import detail
-from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.errors import InputError, LimitError, UsageError, warn
 
 if TYPE_CHECKING:
     from dbo_cli.drive.limits import Limits
     from dbo_cli.logs import Block, Log, Reading
 
 
-@opt.reads_logs
 def check(
     drive: opt.DriveFile,
-    reading: Reading,
+    reading: opt.Reading,
     output: opt.Output = "-",
     form: opt.TextOrJson = None,
     v_min: opt.VMin = None,
@@ -36,7 +35,7 @@ def check(
         Text, option("VOLT", "With --against: largest difference; 0.1 % of the range.")
     ] = None,
     time: opt.Time = None,
-    voltage: opt.Voltage = None,
+    voltage: Annotated[Text, column("The drive voltage: name or number.")] = None,
 ) -> None:
     """Check a drive against the limits of an amplifier.
 
@@ -51,9 +50,11 @@ def check(
 
     if not math.isfinite(gain) or not gain or (gain != 1.0 and against is None):
         raise UsageError(f"`gain` {gain:g}: give a factor, together with `against`")
-    opt.require("against", against, tolerance=tolerance)
+    opt.require("against", against, {"tolerance": tolerance})
     columns = {"time": time, "voltage": voltage}
     signal, log = read_drive(drive, reading, columns, None)
+    if max_slew is not None and log.clock.assumption:
+        warn(f"{drive}: {log.clock.assumption}")
     unit = log.columns["voltage"].unit
     limits = limits_in(unit, v_min, v_max, max_slew)
     position = None if start is None else figure_in("from", start, unit)
@@ -92,16 +93,9 @@ def read_drive(
     ------
     LimitError
         A row holds no number: an amplifier cannot play it.
-    UsageError
-        The drive is in another file than its time.
     """
     from dbo_cli.logs import open_log
 
-    file, _, name = (columns["voltage"] or "").rpartition("::")
-    if file:
-        raise UsageError(
-            f"`voltage` {columns['voltage']}: type dbo check {file} --voltage {name}"
-        )
     units = {} if unit is None else {"voltage": unit}
     with open_log(path, columns, reading, units) as log:
         try:

@@ -9,13 +9,12 @@ from dbo_cli.cli.options import option
 from dbo_cli.cli.say import say_logs, working
 
 if TYPE_CHECKING:
-    from dbo_cli.logs import Reading
+    pass
 
 
-@opt.reads_logs
 def compare(
     logs: opt.LogFiles,
-    reading: Reading,
+    reading: opt.Reading,
     output: opt.Output = "-",
     form: opt.TextOrJson = None,
     time: opt.Time = None,
@@ -42,7 +41,7 @@ def compare(
     recordings, tests = every[: len(logs)], every[len(logs) :]
     say_logs(opened[: len(logs)], sum(len(log.voltage) for log in recordings))
     working("fitting")
-    seconds = opt.quantity("skip", skip, "s") or 0.0
-    result = compare_operators(recordings, tests, options={"skip": seconds})
+    seconds = opt.quantity("skip", skip, "s")
+    result = compare_operators(recordings, tests, seconds)
     is_json = opt.form_of(form, output) == "json"
     write_text(output, result.json() if is_json else result.text())

@@ -11,22 +11,21 @@ from typer import Argument
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import LIMITS, MOVE, OUTPUT, READING, Text, flag, option, rare
-from dbo_cli.cli.say import present, progress, say, say_log, say_output
+from dbo_cli.cli.say import progress, say, say_log, say_output
 
 if TYPE_CHECKING:
     from dbo_cli.drive import Drive, Limits
     from dbo_cli.drive.learning import PassRecord, Tracked
-    from dbo_cli.logs import Log, Outputs, Reading
+    from dbo_cli.logs import Log, Outputs
     from dbo_cli.model import Model
 
 
-@opt.reads_logs
 def compensate(
     model: opt.ModelFile,
     trajectory: Annotated[
         str, Argument(metavar="TRAJECTORY", help="Desired displacement; - is stdin.")
     ],
-    reading: Reading,
+    reading: opt.Reading,
     output: opt.Output = "-",
     summary: opt.Summary = None,
     v_min: opt.VMin = None,
@@ -61,7 +60,7 @@ def compensate(
         bool, flag("--periodic", "The trajectory is one period of a loop.", MOVE)
     ] = False,
     passes: Annotated[
-        int, rare("N", "With --periodic: passes before it.", MOVE, least=0)
+        int, rare("N", "With --periodic: passes before it.", MOVE, min=0)
     ] = 0,
     tracked: Annotated[
         list[str] | None, option("LOG", "Learn from recordings of the last pass.", MOVE)
@@ -98,44 +97,36 @@ def compensate(
 
     columns = {"time": time, "displacement": displacement}
     ranges = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
+    around = {"from": start, "approach": approach, "condition": condition, "lead": lead}
+    learning = {"tracked": tracked, "history": history, "absolute": absolute}
+    whole = {"bandwidth": bandwidth, "periodic": periodic, "passes": passes, **learning}
     if channels.is_pattern(columns):
-        channels.refuse(
-            {"from": start, "approach": approach, "lead": lead, "return": return_to},
-            condition=condition,
-            periodic=periodic,
-            passes=passes,
-            tracked=tracked,
-            history=history,
-            absolute=absolute,
-            bandwidth=bandwidth,
-            summary=summary,
-            save_state=save_state,
-        )
+        files = {"return": return_to, "summary": summary, "save_state": save_state}
+        channels.refuse({**around, **whole, **files})
         limits_of = {**ranges, "extrapolate": extrapolate}
         text = channels.compensate(
             model, trajectory, output, reading, columns, limits_of, on_limit, state
         )
         say_output(output, text)
         return
-    opt.require("tracked", tracked, history=history, absolute=absolute)
-    opt.require("tracked", tracked, voltage=voltage, measured=measured)
-    opt.require("periodic", periodic, passes=passes)
+    opt.require(
+        "tracked", tracked, {**learning, "voltage": voltage, "measured": measured}
+    )
+    opt.require("periodic", periodic, {"passes": passes})
     actuator = read_model(model)
     actuator.require("forward", model)
     limits = Limits.within(actuator.input, **ranges, extrapolate=extrapolate)
     options: dict[str, Any] = {
-        "approach": opt.seconds_or_auto("approach", approach),
+        "approach": opt.quantity("approach", approach, "s", "auto"),
         "condition": condition,
-        "lead": opt.seconds_or_auto("lead", lead),
+        "lead": opt.quantity("lead", lead, "s", "auto"),
         "on_limit": on_limit,
         "state": opt.state_of(state, actuator),
         "name": trajectory,
+        "start": start and voltage_in("from", start, actuator.input),
+        "return_to": return_to and voltage_in("return", return_to, actuator.input),
     }
-    if start is not None:
-        options["start"] = voltage_in("from", start, actuator.input)
-    if return_to is not None:
-        options["return_to"] = voltage_in("return", return_to, actuator.input)
-    if bandwidth or periodic or passes or tracked:
+    if any(whole.values()):
         roles = {"time": time, "voltage": voltage, "measured": measured}
         options |= {
             "bandwidth": opt.quantity("bandwidth", bandwidth, "Hz"),
@@ -145,15 +136,12 @@ def compensate(
             "tracked": read_tracked(tracked or [], reading, roles, actuator),
             "history": read_history(history),
         }
-    check_outputs(*present(output, summary, save_state, history))
+    check_outputs(*opt.present(output, summary, save_state, history))
     units = opt.units_of(displacement=actuator.output)
     with open_log(trajectory, columns, reading, units) as wanted, Outputs() as outputs:
         drive = write_drive(actuator, wanted, limits, outputs, output, options)
         if summary is not None:
-            figures = {**drive.summary(), "trajectory": wanted.name}
-            if wanted.provided("time"):
-                figures["move_time"] = [wanted.clock.first, wanted.clock.last]
-            outputs.write_text(summary, json.dumps(figures, indent=2) + "\n")
+            outputs.write_text(summary, summary_of(drive, wanted))
         if save_state is not None and drive.state is not None:
             outputs.write_text(save_state, dumps_state(drive.state, actuator))
         if history is not None:
@@ -173,7 +161,7 @@ def write_drive(
     output: str,
     options: dict[str, Any],
 ) -> Drive:
-    """Drive a trajectory and write it: block by block, or as a whole where ``plan`` needs that."""
+    """Drive a trajectory and write it: as a whole where loops or learning need that, else by blocks."""
     from dbo_cli.drive import plan, stream
 
     if "periodic" in options:
@@ -181,19 +169,18 @@ def write_drive(
         clock = read.dt if isinstance(read.dt, float) else read.time
         drive = plan(actuator, read["displacement"], clock, limits, **options)
         table = outputs.create(output, *table_of(actuator, limits, read.time))
-        table.write(*present(drive.time, drive.desired, drive.voltage))
+        table.write(*opt.present(drive.time, drive.desired, drive.voltage))
         return drive
     if output == "-" and options["on_limit"] == "auto":
         options = {**options, "on_limit": "clip"}  # rows that were sent stay sent
     blocks = progress(wanted.blocks(), "driven")
     first = next(blocks)
     moves = ((b.time, b.dt, b.values["displacement"]) for b in chain([first], blocks))
-    rows = stream(actuator, moves, limits, **options)
+    drive, rows = stream(actuator, moves, limits, **options)
     table = outputs.create(output, *table_of(actuator, limits, first.time))
     for time, desired, voltage in rows:
-        table.write(*present(time, desired, voltage))
-    assert rows.drive is not None
-    return rows.drive
+        table.write(*opt.present(time, desired, voltage))
+    return drive
 
 
 def table_of(actuator: Model, limits: Limits, time: Any) -> tuple[Any, Any]:
@@ -204,9 +191,17 @@ def table_of(actuator: Model, limits: Limits, time: Any) -> tuple[Any, Any]:
     return columns, {"model": actuator.digest, "limits": json.dumps(limits.as_dict())}
 
 
+def summary_of(drive: Drive, wanted: Log) -> str:
+    """Return the figures of a drive and its trajectory as JSON."""
+    figures = {**drive.summary(), "trajectory": wanted.name}
+    if wanted.provided("time"):
+        figures["move_time"] = [wanted.clock.first, wanted.clock.last]
+    return json.dumps(figures, indent=2) + "\n"
+
+
 def read_tracked(
     paths: list[str],
-    reading: Reading,
+    reading: opt.Reading,
     columns: dict[str, str | None],
     actuator: Model,
 ) -> list[Tracked]:

@@ -33,18 +33,17 @@ def excite(
 
     Example: dbo excite --v-max 100 --max-slew 2000 --sample-rate 5000 -o excite.csv
     """
-    from dbo_cli.drive.excite import SAMPLE_RATE
     from dbo_cli.drive.excite import excite as make
     from dbo_cli.logs import create
     from dbo_cli.units import drive_unit, quantity_name
 
     unit = drive_unit(v_max)
-    low = opt.quantity("v_min", v_min, unit) or 0.0
-    high = opt.quantity("v_max", v_max, unit) or 0.0
+    low = opt.quantity("v_min", v_min, unit)
+    high = opt.quantity("v_max", v_max, unit)
     time, voltage = make(
         low,
         high,
-        sample_rate=opt.quantity("sample_rate", sample_rate, "Hz") or SAMPLE_RATE,
+        sample_rate=opt.quantity("sample_rate", sample_rate, "Hz"),
         duration=opt.quantity("duration", duration, "s"),
         max_slew=opt.quantity("max_slew", max_slew, f"{unit}/s"),
         sweep_to=opt.quantity("sweep_to", sweep_to, "Hz"),

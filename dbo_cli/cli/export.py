@@ -24,7 +24,7 @@ def export(
         Text, option("HZ", "Steps per second, for a model that needs time.")
     ] = None,
     gears: Annotated[
-        int | None, option("N", "Fewer gears than the model has.", least=0)
+        int | None, option("N", "Fewer gears than the model has.", min=0)
     ] = None,
     lookup: Annotated[
         bool, flag("--lookup", "Table of all states; at most 12 gears.")

@@ -13,21 +13,15 @@ from dbo_cli.errors import UsageError
 
 if TYPE_CHECKING:
     from dbo_cli.identification import Options
-    from dbo_cli.logs import Reading
+    from dbo_cli.logs import Log
     from dbo_cli.model import Model
 
 STRUCTURE = "Structure of the model"
 
 
-def structure(metavar: str | None, text: str) -> Any:
-    """Return an option that few need."""
-    return rare(metavar, text, STRUCTURE)
-
-
-@opt.reads_logs
 def identify(
     logs: opt.LogFiles,
-    reading: Reading,
+    reading: opt.Reading,
     output: opt.Output = "-",
     summary: opt.Summary = None,
     time: opt.Time = None,
@@ -50,26 +44,27 @@ def identify(
     sensor_delay: Annotated[
         str, rare("SECONDS", "Delay of the sensor, taken off.", READING)
     ] = "0",
-    gears: Annotated[str, structure("N|auto", "Number of gears.")] = "auto",
+    gears: Annotated[str, rare("N|auto", "Number of gears.", STRUCTURE)] = "auto",
     points: Annotated[
-        str, structure("M|auto", "Segments of the asymmetry; 0 for none.")
+        str, rare("M|auto", "Segments of the asymmetry; 0 for none.", STRUCTURE)
     ] = "auto",
     relaxation: Annotated[
-        str, structure("auto|0|T1,T2,...", "Time constants of creep in s; 0 for none.")
+        str,
+        rare("auto|0|T1,T2,...", "Creep's time constants in s; 0: none.", STRUCTURE),
     ] = "auto",
     delay: Annotated[
-        str, structure("SECONDS|auto", "Delay behind the drive.")
+        str, rare("SECONDS|auto", "Delay behind the drive.", STRUCTURE)
     ] = "auto",
     dynamics: Annotated[
-        str, structure("auto|0|1|2", "Resonances; needs a sweep in the log.")
+        str, rare("auto|0|1|2", "Resonances; needs a sweep in the log.", STRUCTURE)
     ] = "auto",
     slopes: Annotated[
         Literal["auto", "growing", "falling", "free"],
-        structure(None, "Slopes of the gears."),
+        rare(None, "Slopes of the gears.", STRUCTURE),
     ] = "auto",
     method: Annotated[
         Literal["least-squares", "paper"],
-        structure(None, "paper: the procedure of the 2018 paper."),
+        rare(None, "paper: the procedure of the 2018 paper.", STRUCTURE),
     ] = "least-squares",
     force: Annotated[
         bool, flag("--force", "Keep a model no better than a straight line.")
@@ -86,72 +81,66 @@ def identify(
     from dbo_cli.identification import Options, describe
     from dbo_cli.logs import Outputs, check_outputs, write_text
     from dbo_cli.model import dumps_model, dumps_set, read_model
+    from dbo_cli.reports import show_model
 
-    check_outputs(*[path for path in (output, summary) if path is not None])
+    check_outputs(*opt.present(output, summary))
     options = Options(
         prior=None if prior is None else read_model(prior),
         sign=sign,
-        skip=opt.quantity("skip", skip, "s") or 0.0,
-        zero=opt.number("zero", zero, "none", "mean", "first"),
-        sensor_delay=opt.quantity("sensor_delay", sensor_delay, "s") or 0.0,
-        gears=opt.count_or_auto("gears", gears),
-        points=opt.count_or_auto("points", points),
+        skip=opt.quantity("skip", skip, "s"),
+        zero=opt.number("zero", zero, float, "none", "mean", "first"),
+        sensor_delay=opt.quantity("sensor_delay", sensor_delay, "s"),
+        gears=opt.number("gears", gears, int, "auto"),
+        points=opt.number("points", points, int, "auto"),
         relaxation=relaxation_of(relaxation),
-        delay=opt.seconds_or_auto("delay", delay),
-        dynamics=opt.count_or_auto("dynamics", dynamics),
+        delay=opt.quantity("delay", delay, "s", "auto"),
+        dynamics=opt.number("dynamics", dynamics, int, "auto"),
         slopes=slopes,
         method=method,
         force=force,
     )
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
-    if not channels.is_pattern(columns):
-        model = identified(logs, validate or [], reading, columns, options)
-        with Outputs() as outputs:
-            outputs.write_text(output, dumps_model(model))
-            if summary is not None:
-                outputs.write_text(summary, summary_of(model))
-        say_output(output, describe(model))
+    tests = validate or []
+    if channels.is_pattern(columns):
+        channels.refuse({"summary": summary})
+        models = {}
+        for name in channels.names(logs, reading, columns):
+            chosen = channels.filled(columns, name)
+            models[name], _ = identified(logs, tests, reading, chosen, options)
+            detail(f"{name}: {describe(models[name])}")
+        write_text(output, dumps_set(models))
+        say_output(output, f"{len(models)} models")
         return
-    channels.refuse({"summary": summary})
-    models = {}
-    for name in channels.names(logs, reading, columns):
-        chosen = channels.filled(columns, name)
-        models[name] = identified(
-            logs, validate or [], reading, chosen, options, quiet=True
-        )
-    write_text(output, dumps_set(models))
-    say_output(output, f"{len(models)} models")
-    for name, model in models.items():
-        detail(f"{name}: {describe(model)}")
+    model, read = identified(logs, tests, reading, columns, options)
+    with Outputs() as outputs:
+        outputs.write_text(output, dumps_model(model))
+        if summary is not None:
+            outputs.write_text(summary, summary_of(model))
+    rows = sum(log["rows"] for log in model.provenance["logs"])
+    say_logs(read, rows, f" ({model.sign})")
+    detail(*show_model(model).text().splitlines()[1:])
+    say_output(output, describe(model))
 
 
 def identified(
     paths: list[str],
     validate: list[str],
-    reading: Reading,
+    reading: opt.Reading,
     columns: dict[str, str | None],
     options: Options,
-    quiet: bool = False,
-) -> Model:
-    """Identify one actuator, and print what was read."""
+) -> tuple[Model, list[Log]]:
+    """Return the model of one actuator, and the logs that it was identified from."""
     from dbo_cli.identification import identify as fit
-    from dbo_cli.recordings import read_recordings, require_sign, with_provenance
-    from dbo_cli.reports import show_model
+    from dbo_cli.recordings import provenance, read_recordings
 
-    every, logs = read_recordings([*paths, *validate], reading, columns)
-    recordings, tests = every[: len(paths)], every[len(paths) :]
-    require_sign(recordings, options.sign)
+    recordings, logs = read_recordings([*paths, *validate], reading, columns)
+    count = len(paths)
     if options.delay == "auto" and any(log.has_found_offset for log in logs):
         options = replace(options, delay=0.0)  # the offset between the clocks holds it
     working("identifying")
-    model = fit(recordings, options, tests)
-    logs = logs[: len(paths)]
-    if not quiet:
-        rows = sum(len(log.voltage) for log in recordings)
-        say_logs(logs, rows, f" ({model.sign})")
-    model = with_provenance(model, recordings, logs)
-    detail(*show_model(model).text().splitlines()[1:])
-    return model
+    model = fit(recordings[:count], options, recordings[count:])
+    source = provenance(recordings[:count], logs[:count])
+    return replace(model, provenance=source), logs[:count]
 
 
 def summary_of(model: Model) -> str:

@@ -1,8 +1,8 @@
 """The options that several commands share, each with its help in one place.
 
-A command is a typer function. ``@reads_logs`` appends the options that say how a log is
-read, and hands them on as one argument ``reading``; ``@speaks`` appends those that say
-how much is printed.
+A command is a typer function. ``with_shared_options`` appends the options that say how
+much is printed; a parameter ``reading`` stands for the options that say how a log is
+read.
 """
 
 from __future__ import annotations
@@ -11,37 +11,29 @@ import functools
 import inspect
 import os
 from collections.abc import Callable
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from typer import Argument, Option
 
 from dbo_cli.cli.say import Level
 from dbo_cli.errors import UsageError
 
+if TYPE_CHECKING:
+    from dbo_cli.logs import Reading as Reading
+else:
+    Reading = Any  # the help imports no log
+
 Text = str | None
 LIMITS, MOVE, READING, OUTPUT = "Limits", "Move", "Log", "Output"
 FORMS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
-START_NAMES = ("auto", "empty", "full", "settled")
 
 
 def option(
-    metavar: str | None,
-    text: str,
-    panel: str | None = None,
-    *names: str,
-    least: int | None = None,
-    hidden: bool = False,
+    metavar: str | None, text: str, panel: str | None = None, *names: str, **more: Any
 ) -> Any:
     """Return an option under a heading of the help."""
-    return Option(
-        *names,
-        metavar=metavar,
-        help=text,
-        hidden=hidden,
-        rich_help_panel=panel,
-        show_default=False,
-        min=least,
-    )
+    more |= {"metavar": metavar, "help": text, "rich_help_panel": panel}
+    return Option(*names, show_default=False, **more)
 
 
 rare = functools.partial(option, hidden=True)
@@ -140,7 +132,7 @@ def read_as(
     ] = None,
     decimal: Annotated[Text, rare("point|comma", "Decimal sign.", READING)] = None,
     skip_lines: Annotated[
-        int | None, rare("N", "Lines before the header.", READING, least=0)
+        int | None, rare("N", "Lines before the header.", READING, min=0)
     ] = None,
     encoding: Annotated[
         Text, rare("NAME", "Text encoding, if not UTF-8.", READING)
@@ -153,7 +145,7 @@ def read_as(
             READING,
         ),
     ] = None,
-) -> Any:
+) -> Reading:
     """Return how a log is to be read."""
     from dbo_cli.logs import Reading
 
@@ -168,7 +160,7 @@ def read_as(
         decimal=decimal,
         skip_lines=skip_lines,
         encoding=encoding,
-        clock_offset=number("clock_offset", clock_offset, "auto"),
+        clock_offset=quantity("clock_offset", clock_offset, "s", "auto"),
     )
 
 
@@ -197,80 +189,61 @@ def speak(
     Level.quiet, Level.verbose, Level.debug = quiet, verbose, debug
 
 
-def reads_logs(command: Callable[..., None]) -> Callable[..., None]:
-    """Append the options of ``read_as``; the command takes its result as ``reading``."""
-    return _appended(command, read_as, "reading")
-
-
-def speaks(command: Callable[..., None]) -> Callable[..., None]:
-    """Append the options of ``speak``."""
-    return _appended(command, speak, "")
-
-
-def _appended(
-    command: Callable[..., None], options: Callable[..., Any], argument: str
-) -> Callable[..., None]:
-    """Return a command with the options of another function, whose result is one argument of it."""
-    command.__annotations__.pop(argument, None)  # a type that help does not import
-    parameters = dict(inspect.signature(command, eval_str=True).parameters)
-    parameters.pop(argument, None)
-    more = inspect.signature(options, eval_str=True).parameters
+def with_shared_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Return a command with the options of ``speak``, and those of ``read_as`` for a ``reading``."""
+    named = dict(inspect.signature(command, eval_str=True).parameters)
+    spoken = inspect.signature(speak, eval_str=True).parameters
+    read = dict(inspect.signature(read_as, eval_str=True).parameters)
+    if named.pop("reading", None) is None:
+        read.clear()
 
     @functools.wraps(command)
     def run(**values: Any) -> None:
-        result = options(**{name: values.pop(name) for name in more})
-        if argument:
-            values[argument] = result
+        speak(**{name: values.pop(name) for name in spoken})
+        if read:
+            values["reading"] = read_as(**{name: values.pop(name) for name in read})
         command(**values)
 
     signature = []
-    for parameter in [*parameters.values(), *more.values()]:
+    for parameter in [*named.values(), *read.values(), *spoken.values()]:
         signature.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
     run.__signature__ = inspect.Signature(signature)  # type: ignore[attr-defined]
-    run.__annotations__ = {entry.name: entry.annotation for entry in signature}
     return run
 
 
 # --- values ---
 
 
-def require(partner: str, typed: object, **options: object) -> None:
+def present(*values: Any) -> list[Any]:
+    """Return the values that are not None."""
+    return [value for value in values if value is not None]
+
+
+def require(partner: str, typed: object, options: dict[str, Any]) -> None:
     """Refuse options that say nothing without another one."""
-    for name, value_of in options.items():
-        if value_of and not typed:
+    for name, value in options.items():
+        if value and not typed:
             raise UsageError(f"`{name}` needs `{partner}`")
 
 
-def number(name: str, text: str | None, *words: str) -> Any:
-    """Return the number of an option, or one of its words; UsageError where it is neither."""
+def number(name: str, text: str | None, kind: type, *words: str) -> Any:
+    """Return the number (int or float) of an option, or one of its words; UsageError otherwise."""
     if text is None or text in words:
         return text
     try:
-        return float(text)
+        return kind(text)
     except ValueError:
-        wanted = ", ".join([*words, "a number"])
+        wanted = ", ".join([*words, "a whole number" if kind is int else "a number"])
         raise UsageError(f"`{name}` {text}: give {wanted}") from None
 
 
-def quantity(name: str, text: str | None, unit: str | None) -> float | None:
-    """Return a typed quantity in ``unit``: a plain number, or one with a unit (``2kHz``)."""
+def quantity(name: str, text: str | None, unit: str | None, *words: str) -> Any:
+    """Return a typed quantity in ``unit``, as a plain number or with a unit (``2kHz``), or a word."""
     from dbo_cli.units import parse_quantity
 
-    return None if text is None else parse_quantity(text, unit, name)
-
-
-def seconds_or_auto(name: str, text: str | None) -> Any:
-    """Return seconds (``5ms`` as well), or ``auto``."""
-    return "auto" if text == "auto" else quantity(name, text, "s")
-
-
-def count_or_auto(name: str, text: str) -> int | Literal["auto"]:
-    """Return a whole number of at least 0, or ``auto``."""
-    if text == "auto":
-        return "auto"
-    if not text.isdigit():
-        raise UsageError(f"`{name}` {text}: give auto or a whole number from 0")
-    return int(text)
+    if text is None or text in words:
+        return text
+    return parse_quantity(text, unit, name)
 
 
 def span(name: str, text: str, unit: str | None) -> tuple[float, float]:
@@ -293,6 +266,7 @@ def unit_behind(text: str) -> str:
 def state_of(text: str, model: Any) -> Any:
     """Return a start: its name, or the state of a file."""
     from dbo_cli.model import read_state
+    from dbo_cli.model.state import START_NAMES
 
     return text if text in START_NAMES else read_state(text, model)
 

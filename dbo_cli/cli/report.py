@@ -6,7 +6,7 @@ import dataclasses
 import os
 import shlex
 import sys
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import OUTPUT, Text, column, flag, option, rare
@@ -14,7 +14,7 @@ from dbo_cli.cli.say import detail, say
 from dbo_cli.errors import InputError, UsageError, warn
 
 if TYPE_CHECKING:
-    from dbo_cli.logs import Block, Reading
+    from dbo_cli.logs import Block
     from dbo_cli.model import Model
     from dbo_cli.reports import Pair
 
@@ -23,10 +23,9 @@ Columns = dict[str, str | None]
 Units = dict[str, str]
 
 
-@opt.reads_logs
 def report(
     logs: opt.LogFiles,
-    reading: Reading,
+    reading: opt.Reading,
     output: opt.Output = "-",
     form: Annotated[
         Literal["text", "json", "csv", "html"] | None,
@@ -66,7 +65,7 @@ def report(
         Text, option("PERCENT", "Largest RMS error, in % of the move.", BOUNDS)
     ] = None,
 ) -> None:
-    """Report how well a measured displacement follows the desired one.
+    """Report how well a displacement follows the desired one.
 
     Several logs are put side by side.
 
@@ -79,28 +78,28 @@ def report(
 
     if model is not None and trajectory is not None:
         raise UsageError("give either `model` or `trajectory`")
-    opt.require("model", model, state=state != "auto")
-    opt.require("trajectory", trajectory, match=match != "auto")
+    opt.require("model", model, {"state": state != "auto"})
+    opt.require("trajectory", trajectory, {"match": match != "auto"})
     opt.quantity("max_rmse", max_rmse, None)  # a wrong word is refused before any work
-    most_percent = opt.number("max_nrmse_percent", max_nrmse_percent)
-    actuator = None if model is None else read_model(model)
-    roles = {"time": time, "measured": measured, "voltage": voltage}
+    most_percent = opt.number("max_nrmse_percent", max_nrmse_percent, float)
     # a lag, a model and a match by rows need the rows around those that count
     rows = None if reading.rows is None else parse_rows(reading.rows)
     reading = dataclasses.replace(reading, rows=None)
-    pairs: list[Pair] = []
-    units: Units = {}
-    for log in logs:
-        if actuator is not None and model is not None:
-            pair, read = predicted(log, reading, roles, actuator, model, state)
-        elif trajectory is not None:
-            roles["desired"] = desired
-            pair, read = followed(log, reading, roles, trajectory, match, units)
-        else:
-            roles["desired"] = desired
-            pair, read = side_by_side(log, reading, roles, units)
-        units = units or read
-        pairs.append(dataclasses.replace(pair, name=short_name(log, logs), rows=rows))
+    roles = {"time": time, "measured": measured, "voltage": voltage}
+    actuator = None
+    if model is not None:
+        actuator = read_model(model)
+        actuator.require("forward", model)
+        start = opt.state_of(state, actuator)
+        pairs, units = predicted(logs, reading, roles, actuator, start, model)
+    elif trajectory is not None:
+        pairs, units = followed(logs, reading, roles, trajectory, desired, match)
+    else:
+        roles["desired"] = desired
+        pairs, units = side_by_side(logs, reading, roles)
+    for number, pair in enumerate(pairs):
+        name = short_name(pair.name, logs)
+        pairs[number] = dataclasses.replace(pair, name=name, rows=rows)
     unit = units.get("measured")
     result = Report.of(
         pairs,
@@ -127,7 +126,7 @@ def report(
 
 
 def read(
-    path: str, reading: Reading, roles: Columns, units: Units, *optional: str
+    path: str, reading: opt.Reading, roles: Columns, units: Units, *optional: str
 ) -> tuple[Block, Units]:
     """Return a whole log, and the units of its columns."""
     from dbo_cli.logs import open_log
@@ -141,86 +140,93 @@ def read(
     return table, opt.units_of(**columns)
 
 
-def side_by_side(
-    path: str, reading: Reading, roles: Columns, units: Units
-) -> tuple[Pair, Units]:
-    """Read desired and measured displacement of one log, in the unit of the desired one."""
-    from dbo_cli.reports import Pair
-    from dbo_cli.units import conversion
+def predicted(
+    logs: list[str],
+    reading: opt.Reading,
+    roles: Columns,
+    actuator: Model,
+    state: Any,
+    name: str,
+) -> tuple[list[Pair], Units]:
+    """Read logs of drive and displacement, and run the model over the drive."""
+    from dbo_cli.reports import predict
 
-    table, read_units = read(path, reading, roles, units, "voltage")
-    unit = read_units.get("desired", read_units.get("measured"))
-    try:
-        factor = conversion(read_units.get("measured"), unit)
-    except InputError as problem:
-        raise InputError(
-            f"{path}: measured and desired: {problem}: choose `measured` and `desired`"
-        ) from None
-    if unit is not None:
-        read_units["measured"] = unit
-    measured = table["measured"] * factor
-    voltage = table.values.get("voltage")
-    return Pair(path, table["desired"], measured, table.time, voltage), read_units
+    units = opt.units_of(voltage=actuator.input, measured=actuator.output)
+    pairs = []
+    for log in logs:
+        table, _ = read(log, reading, roles, units)
+        pair = predict(
+            actuator,
+            table["voltage"],
+            table["measured"],
+            name=log,
+            time=table.time,
+            state=state,
+            model_name=name,
+        )
+        pairs.append(pair)
+    return pairs, units
 
 
 def followed(
-    path: str,
-    reading: Reading,
+    logs: list[str],
+    reading: opt.Reading,
     roles: Columns,
     trajectory: str,
+    desired: str | None,
     match_by: str,
-    units: Units,
-) -> tuple[Pair, Units]:
-    """Read a measured log and the trajectory that it should have followed."""
+) -> tuple[list[Pair], Units]:
+    """Read measured logs and the trajectory that they should have followed."""
+    from dbo_cli.logs import Reading
     from dbo_cli.reports import match
 
-    roles, scale = dict(roles), dict(reading.scale)
-    wanted_roles: Columns = {"time": None, "trajectory": roles.pop("desired")}
-    wanted_scale = {"trajectory": scale.pop("desired")} if "desired" in scale else {}
-    measured_reading = dataclasses.replace(reading, scale=scale)
-    wanted_reading = dataclasses.replace(reading, scale=wanted_scale, sample_rate=None)
-    table, read_units = read(path, measured_reading, roles, units, "voltage")
-    wanted_units = {}
-    if "measured" in read_units:
-        wanted_units["trajectory"] = read_units["measured"]
-    wanted, _ = read(trajectory, wanted_reading, wanted_roles, wanted_units)
-    pair = match(
-        path,
-        table["measured"],
-        wanted["trajectory"],
-        measured_time=table.time,
-        desired_time=wanted.time,
-        match=match_by,
-        trajectory_name=trajectory,
-        voltage=table.values.get("voltage"),
-    )
-    return pair, read_units
+    wish = {"time": None, "trajectory": desired}
+    wanted, wish_units = read(trajectory, Reading(), wish, {})
+    units = {}
+    if "trajectory" in wish_units:
+        units["measured"] = wish_units["trajectory"]
+    pairs = []
+    for log in logs:
+        table, log_units = read(log, reading, roles, units, "voltage")
+        units = log_units
+        pair = match(
+            log,
+            table["measured"],
+            wanted["trajectory"],
+            measured_time=table.time,
+            desired_time=wanted.time,
+            match=match_by,
+            trajectory_name=trajectory,
+            voltage=table.values.get("voltage"),
+        )
+        pairs.append(pair)
+    return pairs, units
 
 
-def predicted(
-    path: str,
-    reading: Reading,
-    roles: Columns,
-    actuator: Model,
-    model_name: str,
-    state: str,
-) -> tuple[Pair, Units]:
-    """Read a log of drive and displacement, and run the model over the drive."""
-    from dbo_cli.reports import predict
+def side_by_side(
+    logs: list[str], reading: opt.Reading, roles: Columns
+) -> tuple[list[Pair], Units]:
+    """Read logs of desired and measured displacement, in the unit of the first desired one."""
+    from dbo_cli.reports import Pair
+    from dbo_cli.units import conversion
 
-    actuator.require("forward", model_name)
-    units = opt.units_of(voltage=actuator.input, measured=actuator.output)
-    table, read_units = read(path, reading, roles, units)
-    pair = predict(
-        actuator,
-        table["voltage"],
-        table["measured"],
-        name=path,
-        time=table.time,
-        state=opt.state_of(state, actuator),
-        model_name=model_name,
-    )
-    return pair, read_units
+    units: Units = {}
+    pairs = []
+    for log in logs:
+        table, log_units = read(log, reading, roles, units, "voltage")
+        unit = log_units.get("desired", log_units.get("measured"))
+        try:
+            factor = conversion(log_units.get("measured"), unit)
+        except InputError as problem:
+            raise InputError(
+                f"{log}: measured and desired: {problem}: choose `measured` and `desired`"
+            ) from None
+        if unit is not None:
+            log_units["measured"] = unit
+        units = units or log_units
+        moved, drive = factor * table["measured"], table.values.get("voltage")
+        pairs.append(Pair(log, table["desired"], moved, table.time, drive))
+    return pairs, units
 
 
 def short_name(log: str, logs: list[str]) -> str:

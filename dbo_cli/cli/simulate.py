@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, column, option
-from dbo_cli.cli.say import present, progress, say_log, say_output
+from dbo_cli.cli.say import progress, say_log, say_output
 from dbo_cli.errors import ModelError, warn
 
 if TYPE_CHECKING:
     from dbo_cli.drive.simulate import Simulation
-    from dbo_cli.logs import Block, Reading
+    from dbo_cli.logs import Block
 
 
-@opt.reads_logs
 def simulate(
     model: opt.ModelFile,
     log: opt.LogFile,
-    reading: Reading,
+    reading: opt.Reading,
     output: opt.Output = "-",
     time: opt.Time = None,
     input: Annotated[Text, column("Input of the model.")] = None,
@@ -41,20 +40,19 @@ def simulate(
     from dbo_cli import channels
     from dbo_cli.drive.simulate import Simulation, simulate_blocks
     from dbo_cli.logs import Outputs, check_outputs, open_log
-    from dbo_cli.model import dumps_state, read_model, read_state
+    from dbo_cli.model import State, dumps_state, read_model
 
     columns = {"time": time, "input": input}
     if channels.is_pattern(columns):
-        channels.refuse(save_state=save_state)
+        channels.refuse({"save_state": save_state})
         text = channels.simulate(model, log, output, reading, columns, state, outside)
         say_output(output, text)
         return
     actuator = read_model(model)
-    run = Simulation()
-    if state not in opt.START_NAMES:
-        run.state = read_state(state, actuator)
-        state = "auto"
-    check_outputs(*present(output, save_state))
+    run, start = Simulation(), opt.state_of(state, actuator)
+    if isinstance(start, State):
+        run.state, start = start, "auto"
+    check_outputs(*opt.present(output, save_state))
     units = opt.units_of(input=actuator.input)
     with open_log(log, columns, reading, units) as signal, Outputs() as outputs:
         blocks = progress(signal.blocks(), "simulated")
@@ -62,7 +60,7 @@ def simulate(
         clocked = first.time is not None
         if actuator.needs_time and not clocked:
             raise ModelError(
-                f"{signal.name}: no clock, which this model needs: add `time` COLUMN or `sample_rate` HZ"
+                f"{signal.name}: this model needs a clock: add `time` COLUMN or `sample_rate` HZ"
             )
         names: list[tuple[str, str | None]] = [("time", "s")] if clocked else []
         names.append((actuator.input.quantity, signal.columns["input"].unit))
@@ -71,8 +69,8 @@ def simulate(
         last_time = None
         fed = feed(first, blocks, run)
         name = signal.name
-        for block, y in simulate_blocks(actuator, fed, run, state, outside, name):
-            table.write(*present(block.time, block.values["input"], y))
+        for block, y in simulate_blocks(actuator, fed, run, start, outside, name):
+            table.write(*opt.present(block.time, block.values["input"], y))
             last_time = None if block.time is None else float(block.time[-1])
         if save_state is not None and run.state is not None:
             after = dataclasses.replace(run.state, time=last_time)

@@ -28,9 +28,9 @@ def trajectory(
     frequency: Annotated[
         Text, option("HZ", "Lines, turns or cycles per second.")
     ] = None,
-    lines: Annotated[int | None, option("N", "Lines of a raster.", least=0)] = None,
+    lines: Annotated[int | None, option("N", "Lines of a raster.", min=0)] = None,
     steps: Annotated[
-        int | None, option("N", "Steps of a staircase: up, then down.", least=0)
+        int | None, option("N", "Steps of a staircase: up, then down.", min=0)
     ] = None,
     dwell: Annotated[
         Text, option("SECONDS", "Time at each level of a staircase.")
@@ -75,7 +75,7 @@ def trajectory(
         limit = trusted_frequency(models)
     made = make(
         shape,
-        rate=opt.quantity("rate", rate, "Hz") or 0.0,
+        rate=opt.quantity("rate", rate, "Hz"),
         range=ends,
         frequency=opt.quantity("frequency", frequency, "Hz"),
         lines=lines,
@@ -88,7 +88,7 @@ def trajectory(
     if len(models) > len(made.axes):
         raise UsageError(f"`model`: a {shape} has one axis; give one model")
     if models:
-        check_reach(made, ends, models)
+        check_reach(made, models)
     names = ("displacement",) if len(made.axes) == 1 else ("x", "y")
     columns = [("time", "s"), *((name, unit) for name in names)]
     with create(output, columns) as table:

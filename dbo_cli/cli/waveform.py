@@ -11,13 +11,12 @@ from dbo_cli.cli.say import detail, say, say_output
 from dbo_cli.errors import InputError
 
 if TYPE_CHECKING:
-    from dbo_cli.logs import Reading
+    pass
 
 
-@opt.reads_logs
 def waveform(
     drive: opt.DriveFile,
-    reading: Reading,
+    reading: opt.Reading,
     to: Annotated[
         str, option("FORMAT", "npy, wav, int16, uint16, keysight-arb or pi-gcs.")
     ],
@@ -27,7 +26,7 @@ def waveform(
         Text, option("HZ", "Points per second; default: the drive's.")
     ] = None,
     points: Annotated[
-        int | None, option("N", "Points, over the same time.", least=0)
+        int | None, option("N", "Points, over the same time.", min=0)
     ] = None,
     codes: Annotated[
         Text, option("LOW:HIGH", "Range of codes; default: the format's.")

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from dbo_cli.compare import fitting
-from dbo_cli.compare.fitting import RIVALS, Design, Problem, Rival, Solution
-from dbo_cli.compare.plays import NOTHING, Floats, Plays
+from dbo_cli.compare.fitting import (
+    RIVALS,
+    Design,
+    PlayModel,
+    Problem,
+    counted,
+    fit,
+    prepare,
+)
+from dbo_cli.compare.plays import Floats
 from dbo_cli.errors import DboError
 from dbo_cli.identification import Options, Recording, identify
 from dbo_cli.model import Model, Points, kernel
 from dbo_cli.reports.render import digits, json_text, text_table
 
 JSON_VERSION = 1  # of the form dbo-compare
+HEAD = "operator,fit,expected,validated,numbers,ns forward,ns inverse".split(",")
 TIMED_SAMPLES = 100_000  # milliseconds, which a clock resolves
 TIMED_RUNS = 5  # the fastest counts: what else the machine does can only add
 
@@ -54,127 +60,49 @@ class Row:
 
 
 @dataclass(frozen=True)
-class PlayModel:
-    """A rival with its numbers: scaled drive, plays, dead zones, scale, delay.
-
-    Attributes
-    ----------
-    plays, knots
-        The operator, and the corners of S^-1.
-    origin
-        What is added to the plays' output.
-    design, problem
-        What it was fitted as, and to.
-    """
-
-    plays: Plays
-    knots: Floats
-    origin: float
-    design: Design
-    problem: Problem
-
-    @classmethod
-    def of(cls, design: Design, solution: Solution, problem: Problem) -> PlayModel:
-        """Return the model of a solution; its offset is the first log's."""
-        plays = fitting.operator_of(design, solution.weights)
-        return cls(plays, solution.knots, float(solution.drift[0]), design, problem)
-
-    def scaled(self, voltage: Floats) -> Floats:
-        """Return the drive in the operator's range."""
-        problem = self.problem
-        share: Floats = (voltage - problem.low) / (problem.high - problem.low)
-        if self.plays.low < 0.0:
-            return 2.0 * share - 1.0
-        return share
-
-    def share(self, x: Floats, clock: Floats | None) -> Floats:
-        """Return how much of the second set of weights counts, a sample; of [7] alone."""
-        if not self.plays.by_rate.size:
-            return NOTHING
-        return np.minimum(fitting.rates_of(x, clock) / self.plays.fastest, 1.0)
-
-    def simulate(self, voltage: Floats, clock: Floats | None = None) -> Floats:
-        """Return the displacement for a voltage, without the delay."""
-        x = self.scaled(voltage)
-        u = self.plays.run(x, self.share(x, clock)) + self.origin
-        if len(self.knots) > 2:
-            u = fitting.curve(u, self.knots)
-        return self.problem.offset + self.problem.scale * u
-
-    def invert(
-        self, wanted: Floats, first: float, clock: Floats | None = None
-    ) -> Floats:
-        """Return the voltage for a displacement; it stands at ``first`` (V) before.
-
-        Of [7] the drive's rate is taken from that of what is wanted.
-        """
-        u = (wanted - self.problem.offset) / self.problem.scale
-        if len(self.knots) > 2:
-            u = fitting.curve_inverse(u, self.knots)
-        u = u - self.origin
-        begin = float(self.scaled(np.array([first]))[0])
-        if self.plays.kind == "plays":
-            x = self.plays.closed_inverse(u, begin)
-        else:
-            about = u / float(self.plays.weights.sum() or 1.0)
-            x = self.plays.solve(u, begin, self.share(about, clock))
-        low, high = self.problem.low, self.problem.high
-        place = (x - self.plays.low) / (1.0 - self.plays.low)
-        voltage: Floats = low + place * (high - low)
-        return voltage
-
-    def predict(self, log: Recording) -> Floats:
-        """Return the displacement that a log's drive leads to, the delay included."""
-        y = self.simulate(log.voltage, log.time)
-        rows = np.arange(float(len(y)))
-        return np.interp(rows - self.design.delay, rows, y)
-
-
-@dataclass(frozen=True)
 class DboModel:
-    """The DBO with the same three functions as a rival."""
+    """The DBO with the functions of a rival."""
 
     model: Model
 
     def _dt(self, clock: Floats | None) -> float | None:
         if not self.model.needs_time:
             return None
-        if clock is None or len(clock) < 2:
+        if clock is None:
             return 1.0
         return float(np.median(np.diff(clock)))
 
     def simulate(self, voltage: Floats, clock: Floats | None = None) -> Floats:
         """Return the displacement for a voltage, without delay and dynamics."""
-        y, _ = self.model.static.simulate(voltage, dt=self._dt(clock))
-        return y
+        return self.model.static.simulate(voltage, dt=self._dt(clock))[0]
 
     def invert(
         self, wanted: Floats, first: float, clock: Floats | None = None
     ) -> Floats:
         """Return the voltage for a displacement, from the state that ``first`` (V) starts in."""
-        still = self.model.static
-        state = still.start(first)
-        driven = still.drive(wanted, state, self._dt(clock))
-        return driven.y
+        static = self.model.static
+        return static.drive(wanted, static.start(first), self._dt(clock)).y
 
     def predict(self, log: Recording) -> Floats:
         """Return the displacement that a log's drive leads to."""
-        y, _ = self.model.simulate(log.voltage, time=log.time)
-        return y
+        return self.model.simulate(log.voltage, time=log.time)[0]
+
+    def expected(self, rmse: float) -> float | None:
+        """Return the error on new moves, as the model states it."""
+        return self.model.fit.get("expected_rmse")
 
     @property
     def parameters(self) -> int:
         """How many numbers were fitted: different slopes, knots, memories, an offset, dynamics, delay."""
         gears = self.model.gears
-        slopes = np.unique(
-            np.round(gears.dy / gears.dx / np.mean(gears.dy / gears.dx), 9)
-        )
+        slopes = gears.dy / gears.dx
+        slopes = np.unique(np.round(slopes / np.mean(slopes), 9))
         count = len(slopes) + 1 + int(self.model.delay_seconds > 0.0)
         if gears.relaxation is not None:
             count += len(gears.relaxation.tau)
         for stage in self.model.stages:
             if isinstance(stage, Points):
-                count += stage.dx.size - 1
+                count += stage.m - 1
         if self.model.dynamics is not None:
             for section in self.model.dynamics.sections:
                 count += sum(value is not None for value in vars(section).values())
@@ -188,7 +116,7 @@ class Comparison:
     rows: tuple[Row, ...]
     unit: str | None
     logs: tuple[str, ...]
-    validation: tuple[str, ...] = field(default=())
+    validation: tuple[str, ...] = ()
 
     def json(self) -> str:
         """Return the JSON form, ``dbo-compare`` version 1."""
@@ -209,46 +137,32 @@ class Comparison:
             heading += f"; validated on {', '.join(self.validation)}"
         if self.unit:
             heading += f"; errors (RMS) in {self.unit}"
-        head = ["operator", "fit", "expected", "validated", "numbers"]
-        head += ["ns forward", "ns inverse"]
-        cells, remarks = [], []
+        cells, about, notes = [], [], []
         for row in self.rows:
             if row.refused is not None:
-                remarks.append(f"{row.name}: {row.refused}")
+                notes.append(f"note: {row.name}: {row.refused}")
                 continue
-            cells.append(_cells(row))
-        lines = [heading, "", text_table(head, cells), ""]
-        lines += [f"{row.name}: {row.words}" for row in self.rows if not row.refused]
-        lines += [f"note: {remark}" for remark in remarks]
+            errors = [row.rmse, row.expected_rmse, row.validation_rmse]
+            costs = [row.forward_ns, row.inverse_ns]
+            numbers = [*map(digits, errors), str(row.parameters)]
+            numbers += [digits(cost, 3) for cost in costs]
+            cells.append([row.name, *numbers])
+            about.append(f"{row.name}: {row.words}")
+        lines = [heading, "", text_table(HEAD, cells), "", *about, *notes]
         return "\n".join(lines) + "\n"
 
 
-def _cells(row: Row) -> list[str]:
-    return [
-        row.name,
-        digits(row.rmse),
-        digits(row.expected_rmse),
-        digits(row.validation_rmse),
-        str(row.parameters),
-        digits(row.forward_ns, 3),
-        digits(row.inverse_ns, 3),
-    ]
-
-
 def compare(
-    recordings: Recording | Sequence[Recording],
-    validation: Recording | Sequence[Recording] = (),
-    *,
-    options: Mapping[str, Any] | None = None,
+    logs: Sequence[Recording], validation: Sequence[Recording] = (), skip: float = 0.0
 ) -> Comparison:
     """Fit the DBO and its relatives to the same logs, and judge them alike.
 
     Parameters
     ----------
-    recordings, validation
+    logs, validation
         Logs to fit, and logs that take no part.
-    options
-        Of ``identify`` (fields of ``Options``), for the DBO; ``skip`` is everyone's.
+    skip
+        Seconds at the beginning of each log that do not count.
 
     Raises
     ------
@@ -258,110 +172,78 @@ def compare(
         The compiled part is missing.
     """
     kernel.require("compare")
-    logs = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    checks = [validation] if isinstance(validation, Recording) else list(validation)
-    # a DBO that is no better than a line is compared, too
-    chosen = Options(**{"force": True, **(options or {})})
-    problem = fitting.prepare(logs, chosen.skip)
-    judge = _Judge(logs, checks, problem, chosen)
-    rows = [judge.dbo()]
-    for rival in RIVALS:
-        rows.append(judge.rival(rival))
-    unit = logs[0].output[1] or None
-    names = tuple(log.name for log in logs)
-    return Comparison(tuple(rows), unit, names, tuple(log.name for log in checks))
-
-
-@dataclass(frozen=True)
-class _Judge:
-    """Judges every operator in the same way."""
-
-    logs: Sequence[Recording]
-    validation: Sequence[Recording]
-    problem: Problem
-    options: Options
-
-    def dbo(self) -> Row:
-        """Return the row of the DBO, or of why there is none."""
-        name, words = "dbo", "Discrete Backlash Operator"
+    problem = prepare(logs, skip)
+    rows = []
+    for rival in (Design("dbo", "Discrete Backlash Operator"), *RIVALS):
+        model: PlayModel | DboModel
         try:
-            dbo = DboModel(identify(self.logs, self.options))
-        except DboError as problem:
-            return Row(name, words, refused=str(problem))
-        expected = dbo.model.fit.get("expected_rmse")
-        return self._row(name, words, dbo, expected, dbo.parameters)
-
-    def rival(self, rival: Rival) -> Row:
-        """Return the row of a rival, or of why there is none."""
-        try:
-            design, solution, ratio = fitting.fit(rival, self.problem)
-            model = PlayModel.of(design, solution, self.problem)
-        except (DboError, np.linalg.LinAlgError) as problem:
-            return Row(rival.name, rival.words, refused=str(problem))
-        expected = ratio * self._fitted(model)
-        return self._row(rival.name, rival.words, model, expected, design.parameters)
-
-    def _row(
-        self,
-        name: str,
-        words: str,
-        model: PlayModel | DboModel,
-        expected: float | None,
-        parameters: int,
-    ) -> Row:
-        forward, inverse = self._times(model)
-        return Row(
-            name,
-            words,
-            rmse=self._fitted(model),
-            expected_rmse=expected,
-            validation_rmse=self._validated(model),
-            parameters=parameters,
-            forward_ns=forward,
-            inverse_ns=inverse,
+            if rival.name == "dbo":  # also where it is no better than a line
+                model = DboModel(identify(logs, Options(skip=skip, force=True)))
+            else:
+                model = fit(rival, problem)
+        except DboError as reason:
+            rows.append(Row(rival.name, rival.words, refused=str(reason)))
+            continue
+        rmse = fitted_error(model, problem)
+        forward, inverse = costs_of(model, logs[0])
+        rows.append(
+            Row(
+                rival.name,
+                rival.words,
+                rmse=rmse,
+                expected_rmse=model.expected(rmse),
+                validation_rmse=validation_error(model, validation, skip),
+                parameters=model.parameters,
+                forward_ns=forward,
+                inverse_ns=inverse,
+            )
         )
-
-    def _fitted(self, model: PlayModel | DboModel) -> float:
-        """Return the error on the fitted rows, each log's offset and drift taken off."""
-        squares, count = 0.0, 0
-        for log, prepared in zip(self.logs, self.problem.logs, strict=True):
-            error = (log.displacement - model.predict(log))[prepared.rows]
-            drift = np.linalg.lstsq(prepared.drift, error, rcond=None)[0]
-            squares += float(np.sum((error - prepared.drift @ drift) ** 2))
-            count += len(error)
-        return math.sqrt(squares / count)
-
-    def _validated(self, model: PlayModel | DboModel) -> float | None:
-        """Return the error on the other logs, each one's mean taken off."""
-        squares, count = 0.0, 0
-        for log in self.validation:
-            counted = fitting.counted(log, self.options.skip)
-            error = (log.displacement - model.predict(log))[counted]
-            squares += float(np.sum((error - np.mean(error)) ** 2))
-            count += len(error)
-        if not count:
-            return None
-        return math.sqrt(squares / count)
-
-    def _times(self, model: PlayModel | DboModel) -> tuple[float, float]:
-        """Return nanoseconds a sample, forward and inverse, on the first log's own drive."""
-        log = self.logs[0]
-        voltage = np.resize(log.voltage, TIMED_SAMPLES)
-        clock = None
-        if log.dt is not None:
-            clock = log.dt * np.arange(float(TIMED_SAMPLES))
-        wanted = model.simulate(voltage, clock)
-        first = float(voltage[0])
-        forward = _fastest(lambda: model.simulate(voltage, clock))
-        inverse = _fastest(lambda: model.invert(wanted, first, clock))
-        return forward / TIMED_SAMPLES, inverse / TIMED_SAMPLES
+    names = tuple(log.name for log in logs)
+    tests = tuple(log.name for log in validation)
+    return Comparison(tuple(rows), logs[0].output[1] or None, names, tests)
 
 
-def _fastest(run: Callable[[], Any]) -> float:
+def fitted_error(model: PlayModel | DboModel, problem: Problem) -> float:
+    """Return the error on the fitted rows, each log's offset and drift taken off."""
+    errors = []
+    for log, rows in zip(problem.logs, problem.rows, strict=True):
+        errors.append((log.displacement - model.predict(log))[rows])
+    error = np.concatenate(errors)
+    drift = np.linalg.lstsq(problem.drift, error, rcond=None)[0]
+    return float(np.sqrt(np.mean((error - problem.drift @ drift) ** 2)))
+
+
+def validation_error(
+    model: PlayModel | DboModel, logs: Sequence[Recording], skip: float
+) -> float | None:
+    """Return the error on other logs, each one's mean taken off; None without any."""
+    errors = []
+    for log in logs:
+        error = (log.displacement - model.predict(log))[counted(log, skip)]
+        errors.append(error - np.mean(error))
+    if not errors:
+        return None
+    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+
+
+def costs_of(model: PlayModel | DboModel, log: Recording) -> tuple[float, float]:
+    """Return nanoseconds a sample, forward and inverse, on a log's own drive."""
+    voltage = np.resize(log.voltage, TIMED_SAMPLES)
+    clock = None
+    if log.dt is not None:
+        clock = log.dt * np.arange(float(TIMED_SAMPLES))
+    wanted = model.simulate(voltage, clock)
+    first = float(voltage[0])
+    forward = fastest(lambda: model.simulate(voltage, clock))
+    inverse = fastest(lambda: model.invert(wanted, first, clock))
+    return forward / TIMED_SAMPLES, inverse / TIMED_SAMPLES
+
+
+def fastest(run: Callable[[], object]) -> float:
     """Return the processor's time (ns) of the fastest of several runs."""
-    fastest = math.inf
+    times = []
     for _ in range(TIMED_RUNS):
         begun = time.thread_time_ns()
         run()
-        fastest = min(fastest, time.thread_time_ns() - begun)
-    return fastest
+        times.append(time.thread_time_ns() - begun)
+    return float(min(times))

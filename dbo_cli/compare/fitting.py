@@ -8,14 +8,20 @@ G(v) - S^-1(y) = 0, which is linear in all unknowns.
 
 from __future__ import annotations
 
+import functools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
+from scipy.optimize import nnls
 
-from dbo_cli.compare.plays import NOTHING, Floats, Integers, Kind, Plays
+from dbo_cli.compare.plays import NOTHING, Floats, Integers, Plays, places
 from dbo_cli.errors import FitError
 from dbo_cli.identification.recording import Booleans, Recording, Swings
+from dbo_cli.model import Points, Scale
+from dbo_cli.model.points import Curves, through
 
 FIT_ROWS = 3000  # of all logs together; 7,000 changed no error by more than 1 %
 PLAYS = (12, 25, 50)  # to choose from; 25 is what the paper takes
@@ -30,320 +36,276 @@ WORTH = 0.02  # by which more plays or segments must lower the error on what is 
 DELAYS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # rows, to choose from
 FINEST_DELAY = 0.125  # of a row
 LONGEST_DELAY = 0.1  # of a swing
-FASTEST_SHARE = (
-    0.999  # of the rows are slower than the rate of the second set of weights
-)
-
-
-@dataclass(frozen=True)
-class Rival:
-    """One operator to compare with: its name, what it is, and what is chosen from."""
-
-    name: str
-    words: str
-    kind: Kind
-    plays: tuple[int, ...] = PLAYS
-    segments: tuple[int, ...] = (1,)
-
-
-RIVALS = (
-    Rival("line", "straight line", "plays", plays=(1,)),
-    Rival("pi", "Prandtl-Ishlinskii, plays [6]", "plays"),
-    Rival("modified", "plays and dead zones [6]", "plays", segments=SEGMENTS),
-    Rival("rate", "rate-dependent, dead zones [7]", "rate", segments=SEGMENTS),
-    Rival(
-        "extended", "singularity-free, dead zones [8]", "singular", segments=SEGMENTS
-    ),
-    Rival("asymmetric", "one-sided plays and a cubic [9]", "one-sided"),
-)
+FASTEST_SHARE = 0.999  # of the rows are slower than the second set of weights of [7]
 
 
 @dataclass(frozen=True)
 class Design:
-    """What is fixed before the least-squares problem is solved.
+    """An operator to compare with, and what is fixed before the least-squares problem is solved.
 
     Attributes
     ----------
-    kind, plays, segments
-        Of the operator; radii are spread evenly.
+    name, words
+        What it is called, and what it is.
+    plays, segments
+        Of the operator, and of the dead zones' curve; 1: no choice.
     delay
         Of the output, in rows.
     falling
-        Whether slopes fall from play to play (loops that soften after a turn).
-    fastest
-        Of [7]: the rate (1/s, scaled drive) of the second set of weights.
+        Whether slopes fall from play to play: loops that soften after a turn.
+    by_rate, free_first, one_sided
+        What [7], [8] and [9] have: two sets of weights, a first weight without a bound,
+        one-sided plays and a cubic.
     """
 
-    kind: Kind
-    plays: int
+    name: str
+    words: str
+    plays: int = PLAYS[1]
     segments: int = 1
     delay: float = 0.0
     falling: bool = False
-    fastest: float = 0.0
+    by_rate: bool = False
+    free_first: bool = False
+    one_sided: bool = False
 
     @property
     def radii(self) -> Floats:
-        """The radii on the scaled drive: below half of its range, or of one-sided plays the whole."""
-        return np.arange(self.plays) / self.plays
-
-    @property
-    def bare(self) -> Plays:
-        """Plays of weight 1, for their places."""
-        one_sided = self.kind == "one-sided"
-        return Plays(
-            "one-sided" if one_sided else "plays", self.radii, np.ones(self.plays)
-        )
+        """The radii, spread evenly: below half of the range, or of one-sided plays the whole."""
+        even = np.arange(self.plays) / self.plays
+        return even if self.one_sided else 0.5 * even
 
     @property
     def parameters(self) -> int:
         """How many numbers are fitted, the offset and the delay among them."""
-        counts = {"rate": 2 * self.plays, "one-sided": self.plays + 1}
-        count = counts.get(self.kind, self.plays)
-        return count + self.segments - 1 + 1 + int(self.delay > 0.0)
+        weights = self.plays * (1 + self.by_rate) + self.one_sided
+        return weights + self.segments - 1 + 1 + (self.delay > 0.0)
 
 
-@dataclass(frozen=True)
-class FitLog:
-    """One log in units of the fit.
-
-    Attributes
-    ----------
-    drive : array of shape (samples,)
-        Voltage, scaled to 0..1.
-    output : array of shape (samples,)
-        Displacement, scaled to 0..1, rising with the drive.
-    rate : array of shape (samples,)
-        |change of the drive| a second; 0 without a clock.
-    rows : array of int
-        The rows that are fitted.
-    drift : array of shape (rows, 1 or 2)
-        An offset, and a line in time where the log has swings enough.
-    """
-
-    drive: Floats
-    output: Floats
-    rate: Floats
-    rows: Integers
-    drift: Floats
+RIVALS = (
+    Design("line", "straight line", plays=1),
+    Design("pi", "Prandtl-Ishlinskii, plays [6]"),
+    Design("modified", "plays and dead zones [6]", segments=8),
+    Design("rate", "rate-dependent, dead zones [7]", segments=8, by_rate=True),
+    Design("extended", "singularity-free, dead zones [8]", segments=8, free_first=True),
+    Design("asymmetric", "one-sided plays and a cubic [9]", one_sided=True),
+)
 
 
 @dataclass(frozen=True)
 class Problem:
-    """All logs, and what brings them to units of the fit."""
+    """All logs in units of the fit.
 
-    logs: tuple[FitLog, ...]
+    Attributes
+    ----------
+    logs : list of Recording
+    rows : list of array of int
+        The rows of each log that are fitted.
+    output : array of shape (rows,)
+        Displacement of all fitted rows, scaled to 0..1, rising with the drive.
+    drift : array of shape (rows, unknowns)
+        For each log an offset, and a line in time where it has swings enough.
+    fold : array of int
+        The block of time of each row.
+    low, high : float
+        The ends of the drive.
+    scale : Scale
+        From the output of the fit to the displacement.
+    longest_delay : float
+        In rows.
+    fastest : float
+        Of [7]: the rate (1/s, scaled drive) of the second set of weights; 0 without a
+        clock.
+    """
+
+    logs: Sequence[Recording]
+    rows: list[Integers]
+    output: Floats
+    drift: Floats
+    fold: Integers
     low: float
     high: float
-    scale: float
-    offset: float
+    scale: Scale
     longest_delay: float
-    has_clock: bool
+    fastest: float
+
+    def scaled(self, voltage: Floats) -> Floats:
+        """Return a drive, scaled to 0..1."""
+        return (voltage - self.low) / (self.high - self.low)
 
 
-def prepare(recordings: Sequence[Recording], skip: float = 0.0) -> Problem:
-    """Return recordings in units of the fit; ``skip`` seconds of each are not fitted."""
-    low = min(float(log.voltage.min()) for log in recordings)
-    high = max(float(log.voltage.max()) for log in recordings)
-    bottom = min(float(log.displacement.min()) for log in recordings)
-    top = max(float(log.displacement.max()) for log in recordings)
-    together = 0.0
-    for log in recordings:
-        together += float(np.cov(log.voltage, log.displacement)[0, 1]) * len(
-            log.voltage
-        )
-    scale, offset = top - bottom, bottom
-    if together < 0.0:
-        scale, offset = -scale, top
-    total = sum(len(log.voltage) for log in recordings)
-    stride = -(-total // FIT_ROWS)
-    logs, swing_rows = [], []
-    for log in recordings:
-        drive = (log.voltage - low) / (high - low)
-        swings = Swings.of(log.voltage)
-        swing_rows.append(swings.usual_rows)
-        rows = np.flatnonzero(counted(log, skip))[::stride]
-        if len(rows) < FOLDS:
-            raise FitError(f"{log.name}: only {len(rows)} rows left: reduce `skip`")
-        drift = [np.ones(len(rows))]
-        if len(swings.sizes) >= SWINGS_FOR_DRIFT:
-            drift.append(np.linspace(-1.0, 1.0, len(rows)))
-        output = (log.displacement - offset) / scale
-        rate = rates_of(drive, log.time)
-        logs.append(FitLog(drive, output, rate, rows, np.column_stack(drift)))
-    longest = LONGEST_DELAY * min(swing_rows)
-    clock = all(log.time is not None for log in recordings)
-    return Problem(tuple(logs), low, high, scale, offset, longest, clock)
+def late(signal: Floats, delay: float) -> Floats:
+    """Return a signal some rows later; its first value stands before it."""
+    row = np.arange(float(len(signal)))
+    return np.interp(row - delay, row, signal)
 
 
 def counted(log: Recording, skip: float) -> Booleans:
-    """Return which rows of a recording count."""
+    """Return which rows of a recording count: ``skip`` seconds of each do not."""
     usable = log.usable.copy()
     if skip and log.time is not None:
         usable &= log.time - log.time[0] >= skip
     return usable
 
 
-def rates_of(drive: Floats, time: Floats | None) -> Floats:
-    """Return |change of the drive| a second since the sample before; 0 first, and without a clock."""
-    rates = np.zeros(len(drive))
-    if time is None or len(drive) < 2:
-        return rates
+def rates_of(drive: Floats, time: Floats) -> Floats:
+    """Return |change of the drive| a second since the sample before; 0 first."""
     steps = np.diff(time)
     usual = float(np.median(steps[steps > 0.0]))
-    rates[1:] = np.abs(np.diff(drive)) / np.maximum(steps, 0.01 * usual)
-    return rates
+    rates: Floats = np.abs(np.diff(drive)) / np.maximum(steps, 0.01 * usual)
+    return np.concatenate([[0.0], rates])
+
+
+def prepare(logs: Sequence[Recording], skip: float = 0.0) -> Problem:
+    """Return recordings in units of the fit; ``skip`` seconds of each are not fitted."""
+    low = min(float(log.voltage.min()) for log in logs)
+    high = max(float(log.voltage.max()) for log in logs)
+    bottom = min(float(log.displacement.min()) for log in logs)
+    top = max(float(log.displacement.max()) for log in logs)
+    stride = -(-sum(len(log.voltage) for log in logs) // FIT_ROWS)
+    together, longest = 0.0, math.inf
+    rows, drifts, rates = [], [], [np.zeros(1)]
+    for log in logs:
+        covariance = np.cov(log.voltage, log.displacement)[0, 1]
+        together += float(covariance) * len(log.voltage)
+        swings = Swings.of(log.voltage)
+        longest = min(longest, LONGEST_DELAY * swings.usual_rows)
+        fitted = np.flatnonzero(counted(log, skip))[::stride]
+        if len(fitted) < FOLDS:
+            raise FitError(f"{log.name}: only {len(fitted)} rows left: reduce `skip`")
+        rows.append(fitted)
+        drifts.append(np.ones((len(fitted), 1)))
+        if len(swings.sizes) >= SWINGS_FOR_DRIFT:
+            line = np.linspace(-1.0, 1.0, len(fitted))
+            drifts[-1] = np.column_stack([drifts[-1], line])
+        if log.time is not None:
+            rates.append(rates_of(log.voltage, log.time) / (high - low))
+    scale = Scale(top - bottom, bottom)
+    if together < 0.0:
+        scale = Scale(bottom - top, top)
+    outputs, folds = [], []
+    for log, fitted in zip(logs, rows, strict=True):
+        outputs.append(scale.inverse().run(log.displacement[fitted]))
+        folds.append(np.arange(len(fitted)) * FOLDS // len(fitted))
+    fastest = 0.0
+    if all(log.time is not None for log in logs):
+        fastest = float(np.quantile(np.concatenate(rates), FASTEST_SHARE))
+    return Problem(
+        logs,
+        rows,
+        np.concatenate(outputs),
+        block_diag(*drifts),
+        np.concatenate(folds),
+        low,
+        high,
+        scale,
+        longest,
+        fastest,
+    )
 
 
 @dataclass(frozen=True)
 class Equations:
-    """The rows of a least-squares problem: columns of the weights, drift of each log, and the output.
+    """The least-squares problem of one design.
 
     Attributes
     ----------
     columns : array of shape (rows, weights)
-    drift : array of shape (rows, unknowns of drift)
-    output : array of shape (rows,)
-    fold : array of int
-        The block of time of each row.
-    least : array of shape (weights,)
-        Lower bounds.
-    segments
-        Of the dead zones' curve.
+        Of the unknown weights: z_i, or where slopes fall z_0 - z_i behind the first; of
+        [7] once at rest and once at the fastest rate; of [9] behind two columns of the
+        cubic, whose unknowns are its slopes at both ends.
     """
 
+    design: Design
+    problem: Problem
     columns: Floats
-    drift: Floats
-    output: Floats
-    fold: Integers
-    least: Floats
-    segments: int
+
+    @classmethod
+    def of(cls, design: Design, problem: Problem) -> Equations:
+        """Return the rows of all logs."""
+        tables = []
+        for log, rows in zip(problem.logs, problem.rows, strict=True):
+            drive = problem.scaled(late(log.voltage, design.delay))
+            z = places(design.radii, design.one_sided, drive, rows)
+            if design.one_sided:
+                cube = z[:, :1] ** 3 / 3.0
+                tables.append(np.hstack([z[:, :1] - cube, cube, z[:, 1:]]))
+                continue
+            if design.falling:
+                z[:, 1:] = z[:, :1] - z[:, 1:]
+            if design.by_rate:
+                share = shares(drive, log.time, problem.fastest)[rows, None]
+                z = np.hstack([(1.0 - share) * z, share * z])
+            tables.append(z)
+        return cls(design, problem, np.concatenate(tables))
 
     @property
-    def ramps(self) -> Floats:
-        """The output's part in each segment of the curve, shape (rows, segments)."""
-        places = np.arange(self.segments)
-        inside = np.clip(self.output[:, None] * self.segments - places, 0.0, 1.0)
-        ramps: Floats = inside / self.segments
-        return ramps
+    def least(self) -> Floats:
+        """The lower bounds of the unknown weights: 0, and of the first the flattest slope."""
+        least = np.zeros(self.columns.shape[1])
+        least[0] = SLOPE_FLOOR
+        if self.design.by_rate:
+            least[self.design.plays] = SLOPE_FLOOR
+        if self.design.one_sided:
+            least[1] = SLOPE_FLOOR
+        if self.design.free_first:
+            least[0] = -np.inf
+        return least
 
+    def solve(self, taken: Booleans | slice = slice(None)) -> Solution:
+        """Return the bounded least-squares solution for some of the rows."""
+        columns, output = self.columns[taken], self.problem.output[taken]
+        drift, segments = self.problem.drift[taken], self.design.segments
+        begins = np.arange(segments) / segments
+        ramps = np.clip(output[:, None] - begins, 0.0, 1.0 / segments)
+        # scale: one more row says that the curve's slopes have the mean 1
+        weight = NORMALISING * math.sqrt(len(output))
+        fixing = np.zeros(columns.shape[1] + segments)
+        fixing[columns.shape[1] :] = weight / segments
+        matrix = np.vstack([np.hstack([columns, -ramps]), fixing])
+        right = np.append(np.zeros(len(output)), weight)
+        drift = np.vstack([drift, np.zeros(drift.shape[1])])
+        least = np.append(self.least, np.full(segments, 1.0 / STEEPEST))
+        bounded, free = bounded_minimum(matrix, drift, right, least)
+        weights, slopes = np.split(bounded, [columns.shape[1]])
+        curve = Points(slopes / segments, np.full(segments, 1.0 / segments))
+        return Solution(weights, curve, free)
 
-def equations(problem: Problem, design: Design) -> Equations:
-    """Return the rows of all logs for a design."""
-    columns, outputs, folds = [], [], []
-    width = sum(log.drift.shape[1] for log in problem.logs)
-    drifts = []
-    place = 0
-    for log in problem.logs:
-        table, least = weight_columns(log, design)
-        columns.append(table)
-        outputs.append(log.output[log.rows])
-        folds.append(np.arange(len(log.rows)) * FOLDS // len(log.rows))
-        drift = np.zeros((len(log.rows), width))
-        drift[:, place : place + log.drift.shape[1]] = log.drift
-        place += log.drift.shape[1]
-        drifts.append(drift)
-    return Equations(
-        np.concatenate(columns),
-        np.concatenate(drifts),
-        np.concatenate(outputs),
-        np.concatenate(folds),
-        least,
-        design.segments,
-    )
+    def error(self, solution: Solution) -> Floats:
+        """Return the error of the output in each row."""
+        bare = self.columns @ solution.weights + self.problem.drift @ solution.drift
+        return solution.curve.run(bare) - self.problem.output
 
+    @functools.cached_property
+    def fit_error(self) -> float:
+        """The RMS error on all rows."""
+        return float(np.sqrt(np.mean(self.error(self.solve()) ** 2)))
 
-def weight_columns(log: FitLog, design: Design) -> tuple[Floats, Floats]:
-    """Return the columns of the unknown weights in the fitted rows, and their lower bounds.
-
-    Growing slopes: z_i, at least 0. Falling ones: z_0 - z_i, at least 0, and z_0. The
-    first is at least the flattest slope, of [8] it is free.
-    """
-    one_sided = design.kind == "one-sided"
-    drive = log.drive if one_sided else 2.0 * log.drive - 1.0
-    floor = SLOPE_FLOOR if one_sided else 0.5 * SLOPE_FLOOR
-    before, part = delayed(log.rows, design.delay)
-    needed = np.unique(np.concatenate([before, before + 1]))
-    needed = needed[needed < len(drive)]
-    places = design.bare.at(drive, needed)
-    first = np.searchsorted(needed, before)
-    second = np.minimum(first + 1, len(needed) - 1)
-    z = (1.0 - part)[:, None] * places[first] + part[:, None] * places[second]
-    x = z[:, 0]
-    least = np.zeros(design.plays)
-    if one_sided:
-        cube = x**3 / 3.0
-        table = np.column_stack([x - cube, cube, z[:, 1:]])
-        return table, np.concatenate([[floor, floor], least[1:]])
-    least[0] = -np.inf if design.kind == "singular" else floor
-    if design.falling:
-        z = np.column_stack([x, x[:, None] - z[:, 1:]])
-    if design.kind == "rate":
-        share = np.minimum(2.0 * log.rate[before] / design.fastest, 1.0)[:, None]
-        return np.hstack([(1.0 - share) * z, share * z]), np.tile(least, 2)
-    return z, least
-
-
-def delayed(rows: Integers, delay: float) -> tuple[Integers, Floats]:
-    """Return the row at or before ``delay`` rows earlier, and the part of the one after it."""
-    at = np.maximum(rows - delay, 0.0)
-    before = np.floor(at).astype(np.int64)
-    return before, at - before
+    @functools.cached_property
+    def left_out_error(self) -> float:
+        """The RMS error on blocks of time that are left out in turn."""
+        squares = 0.0
+        for fold in range(FOLDS):
+            left_out = self.problem.fold == fold
+            error = self.error(self.solve(~left_out))
+            squares += float(np.sum(error[left_out] ** 2))
+        return math.sqrt(squares / len(self.problem.output))
 
 
 @dataclass(frozen=True)
 class Solution:
-    """The unknowns: weights, knots of the curve S^-1 (0 first), and drift."""
+    """The unknowns: weights, the curve S of the dead zones, and drift."""
 
     weights: Floats
-    knots: Floats
+    curve: Points
     drift: Floats
 
-    def output(self, rows: Equations) -> Floats:
-        """Return the output that it gives."""
-        return curve(rows.columns @ self.weights + rows.drift @ self.drift, self.knots)
 
-
-def curve(u: Floats, knots: Floats) -> Floats:
-    """Return S(u): straight pieces of even height, going straight on beyond both ends."""
-    heights = np.linspace(0.0, 1.0, len(knots))
-    return _on_pieces(u, knots, heights)
-
-
-def curve_inverse(y: Floats, knots: Floats) -> Floats:
-    """Return S^-1(y)."""
-    heights = np.linspace(0.0, 1.0, len(knots))
-    return _on_pieces(y, heights, knots)
-
-
-def _on_pieces(x: Floats, corners: Floats, values: Floats) -> Floats:
-    piece = np.clip(np.searchsorted(corners, x, side="right") - 1, 0, len(corners) - 2)
-    slopes = np.diff(values) / np.diff(corners)
-    y: Floats = values[piece] + slopes[piece] * (x - corners[piece])
-    return y
-
-
-def solve(rows: Equations, taken: Booleans | slice = slice(None)) -> Solution:
-    """Return the bounded least-squares solution for some of the rows."""
-    columns, drift = rows.columns[taken], rows.drift[taken]
-    count, weights = len(columns), columns.shape[1]
-    least = rows.least
-    if rows.segments == 1:
-        matrix, right = columns, rows.output[taken]
-    else:
-        # scale: one more row says that the curve's slopes have the mean 1
-        weight = NORMALISING * np.sqrt(count)
-        fixing = np.zeros(weights + rows.segments)
-        fixing[weights:] = weight / rows.segments
-        matrix = np.vstack([np.hstack([columns, -rows.ramps[taken]]), fixing])
-        right = np.append(np.zeros(count), weight)
-        drift = np.vstack([drift, np.zeros(drift.shape[1])])
-        least = np.append(least, np.full(rows.segments, 1.0 / STEEPEST))
-    bounded, free = bounded_minimum(matrix, drift, right, least)
-    slopes = np.ones(1)
-    if rows.segments > 1:
-        slopes = bounded[weights:]
-    knots = np.append(0.0, np.cumsum(slopes) / rows.segments)
-    return Solution(bounded[:weights], knots, free)
+def shares(drive: Floats, time: Floats | None, fastest: float) -> Floats:
+    """Return how much of the second set of weights of [7] counts in each row."""
+    if time is None:
+        raise FitError("the rate needs a clock: give `time` or `sample_rate`")
+    share: Floats = np.minimum(rates_of(drive, time) / fastest, 1.0)
+    return share
 
 
 def bounded_minimum(
@@ -353,133 +315,171 @@ def bounded_minimum(
 
     What is free is projected out, what is left are non-negative least squares.
     """
-    from scipy.optimize import nnls
-
     bound = np.isfinite(least)
-    floor: Floats = np.where(bound, least, 0.0)
+    x: Floats = np.where(bound, least, 0.0)
     free = np.hstack([matrix[:, ~bound], drift])
     base = np.linalg.qr(free).Q
-    table = np.column_stack([matrix[:, bound], right - matrix @ floor])
-    whole = np.linalg.norm(table[:, :-1], axis=0)
-    table = table - base @ (base.T @ table)
-    triangle = np.linalg.qr(table).R
-    scale = np.linalg.norm(triangle[:, :-1], axis=0)
+    table = np.column_stack([matrix[:, bound], right - matrix @ x])
+    whole = np.linalg.norm(table, axis=0)
+    table -= base @ (base.T @ table)
     # a play that does not move in these rows is an offset: nothing tells its weight
-    scale[scale <= RESTING * whole] = np.inf
-    above, _ = nnls(triangle[:, :-1] / scale, triangle[:, -1], maxiter=50 * len(scale))
-    x: Floats = np.array(floor)
-    x[bound] += above / scale
-    missing = right - matrix[:, bound] @ x[bound]
-    rest = np.linalg.lstsq(free, missing, rcond=None)[0].astype(np.float64)
+    table[:, np.linalg.norm(table, axis=0) <= RESTING * whole] = 0.0
+    triangle = np.linalg.qr(table).R
+    x[bound] += nnls(triangle[:, :-1], triangle[:, -1], maxiter=50 * len(x))[0]
+    rest: Floats = np.linalg.pinv(free) @ (right - matrix @ x)
     alone = np.count_nonzero(~bound)
     x[~bound] = rest[:alone]
     return x, rest[alone:]
 
 
-def fit_error(rows: Equations, solution: Solution) -> float:
-    """Return the RMS error of the output on all rows."""
-    return float(np.sqrt(np.mean((solution.output(rows) - rows.output) ** 2)))
+@dataclass(frozen=True)
+class PlayModel:
+    """A rival with its numbers.
+
+    Attributes
+    ----------
+    equations
+        What it was fitted as, and to.
+    plays, offset
+        The operator, and what is added to its output.
+    curves
+        Dead zones and scale, from there to the displacement.
+    """
+
+    equations: Equations
+    plays: Plays
+    offset: float
+    curves: Curves
+
+    @classmethod
+    def of(cls, equations: Equations) -> PlayModel:
+        """Return the fitted model; its offset is the first log's."""
+        design, solution = equations.design, equations.solve()
+        curves: Curves = (equations.problem.scale,)
+        if design.segments > 1:
+            curves = (solution.curve, *curves)
+        plays = operator_of(design, solution.weights)
+        return cls(equations, plays, float(solution.drift[0]), curves)
+
+    def shares(self, drive: Floats, time: Floats | None) -> Floats:
+        """Return how much of the second set of weights counts, a sample; of [7] alone."""
+        if not self.plays.by_rate.size:
+            return NOTHING
+        return shares(drive, time, self.equations.problem.fastest)
+
+    def simulate(self, voltage: Floats, time: Floats | None = None) -> Floats:
+        """Return the displacement for a voltage, without the delay."""
+        x = self.equations.problem.scaled(voltage)
+        bare = self.plays.run(x, self.shares(x, time)) + self.offset
+        return through(self.curves, bare)
+
+    def invert(
+        self, wanted: Floats, first: float, time: Floats | None = None
+    ) -> Floats:
+        """Return the voltage for a displacement; it stands at ``first`` (V) before.
+
+        Of [7] the drive's rate is taken from what is wanted, whose range is the drive's.
+        """
+        problem = self.equations.problem
+        begin = float(problem.scaled(np.array([first]))[0])
+        back = [curve.inverse() for curve in reversed(self.curves)]
+        u = through(back, wanted) - self.offset
+        design = self.design
+        if design.by_rate or design.free_first or design.one_sided:
+            x = self.plays.solve(u, begin, self.shares(u, time))
+        else:
+            x = self.plays.closed_inverse(u, begin)
+        return problem.low + (problem.high - problem.low) * x
+
+    def predict(self, log: Recording) -> Floats:
+        """Return the displacement that a log's drive leads to, the delay included."""
+        return self.simulate(late(log.voltage, self.design.delay), log.time)
+
+    def expected(self, rmse: float) -> float:
+        """Return the error on new moves: what left-out parts add to that of the fit."""
+        left_out = self.equations.left_out_error
+        return rmse * max(left_out / max(self.equations.fit_error, 1e-12), 1.0)
+
+    @property
+    def design(self) -> Design:
+        """Which operator it is."""
+        return self.equations.design
+
+    @property
+    def parameters(self) -> int:
+        """How many numbers were fitted."""
+        return self.design.parameters
 
 
-def left_out_error(rows: Equations) -> float:
-    """Return the RMS error on blocks of time that are left out in turn."""
-    squares = 0.0
-    for fold in range(FOLDS):
-        left_out = rows.fold == fold
-        solution = solve(rows, ~left_out)
-        error = (solution.output(rows) - rows.output)[left_out]
-        squares += float(np.sum(error**2))
-    return float(np.sqrt(squares / len(rows.output)))
+def operator_of(design: Design, weights: Floats) -> Plays:
+    """Return the plays with the weights that were fitted.
+
+    Raises
+    ------
+    FitError
+        The last slope of [8] is not above 0, so that there is no inverse.
+    """
+    if design.one_sided:
+        falling, rising = weights[:2]
+        curve = np.array([(rising - falling) / 3.0, falling])
+        plays = np.concatenate([[0.0], weights[2:]])
+        return Plays(design.radii, plays, True, curve=curve)
+    if not weights.sum() > 0.0:
+        raise FitError("the best fit has no inverse: its last slope is not positive")
+    sets = np.split(weights, 1 + design.by_rate)
+    if design.falling:
+        sets = [np.append(taken.sum(), -taken[1:]) for taken in sets]
+    by_rate = NOTHING
+    if design.by_rate:
+        by_rate = sets[1] - sets[0]
+    return Plays(design.radii, sets[0], by_rate=by_rate)
 
 
-def fit(rival: Rival, problem: Problem) -> tuple[Design, Solution, float]:
-    """Return the design, the unknowns, and the error on what was left out over that of the fit.
+def fit(rival: Design, problem: Problem) -> PlayModel:
+    """Return the model of a rival with the best delay, and with no more plays and dead zones than help.
 
     Raises
     ------
     FitError
         The rival cannot be fitted to these logs; the message says why.
     """
-    usual = rival.plays[min(1, len(rival.plays) - 1)]
-    design = Design(rival.kind, usual, rival.segments[-1])
-    if rival.kind == "rate":
-        design = replace(design, fastest=_fastest(problem))
-    design, error = _with_delay(problem, design)
-    if rival.kind in ("plays", "rate") and usual > 1:
-        falling, again = _with_delay(problem, replace(design, falling=True))
-        if again < error:
-            design = falling
-    design = _simplest(problem, [replace(design, segments=m) for m in rival.segments])
-    design = _simplest(problem, [replace(design, plays=n) for n in rival.plays])
-    rows = equations(problem, design)
-    solution = solve(rows)
-    ratio = left_out_error(rows) / max(fit_error(rows, solution), 1e-12)
-    return design, solution, max(ratio, 1.0)
-
-
-def _fastest(problem: Problem) -> float:
-    """Return the fastest rate of the drive scaled to -1..1 (1/s), the wildest rows aside."""
-    if not problem.has_clock:
+    if rival.by_rate and not problem.fastest > 0.0:
         raise FitError("the rate needs a clock: give `time` or `sample_rate`")
-    rates = np.concatenate([log.rate for log in problem.logs])
-    fastest = 2.0 * float(np.quantile(rates, FASTEST_SHARE))
-    if not fastest > 0.0:
-        raise FitError("the drive is at rest nearly everywhere: no rate to fit")
-    return fastest
+    rows = with_delay(rival, problem)
+    if rival.plays > 1 and not (rival.free_first or rival.one_sided):
+        falling = with_delay(replace(rival, falling=True), problem)
+        if falling.fit_error < rows.fit_error:
+            rows = falling
+    design = rows.design
+    if rival.segments > 1:
+        design = simplest([replace(design, segments=m) for m in SEGMENTS], problem)
+    if rival.plays > 1:
+        design = simplest([replace(design, plays=n) for n in PLAYS], problem)
+    return PlayModel.of(Equations.of(design, problem))
 
 
-def _with_delay(problem: Problem, design: Design) -> tuple[Design, float]:
-    """Return a design with the delay of least error, and that error."""
-    errors: dict[float, float] = {}
+def with_delay(design: Design, problem: Problem) -> Equations:
+    """Return the equations of a design with the delay of least error."""
 
-    def attempt(delay: float) -> None:
-        rows = equations(problem, replace(design, delay=delay))
-        errors[delay] = fit_error(rows, solve(rows))
+    @functools.cache
+    def delayed(delay: float) -> Equations:
+        return Equations.of(replace(design, delay=delay), problem)
 
-    for delay in DELAYS:
-        if delay and delay > problem.longest_delay:
-            break
-        attempt(delay)
-    step = 1.0
-    while step >= FINEST_DELAY and len(errors) > 1:
-        best = min(errors, key=errors.__getitem__)
-        for near in (best - step, best + step):
-            if near >= 0.0 and near not in errors:
-                attempt(near)
-        if min(errors, key=errors.__getitem__) == best:
+    def error(delay: float) -> float:
+        return delayed(delay).fit_error
+
+    best = min((d for d in DELAYS if d <= problem.longest_delay), key=error)
+    step = 1.0 if problem.longest_delay >= 1.0 else 0.0
+    while step >= FINEST_DELAY:
+        near = min((best, max(best - step, 0.0), best + step), key=error)
+        if near == best:
             step *= 0.5
-    best = min(errors, key=errors.__getitem__)
-    return replace(design, delay=best), errors[best]
+        best = near
+    return delayed(best)
 
 
-def _simplest(problem: Problem, designs: Sequence[Design]) -> Design:
+def simplest(designs: Sequence[Design], problem: Problem) -> Design:
     """Return the first design, simplest first, that none of the later ones betters by much."""
-    if len(designs) == 1:
-        return designs[0]
-    errors = [left_out_error(equations(problem, design)) for design in designs]
-    least = min(errors)
-    for design, error in zip(designs, errors, strict=True):
-        if error <= (1.0 + WORTH) * least:
-            return design
-    return designs[-1]
-
-
-def operator_of(design: Design, weights: Floats) -> Plays:
-    """Return the plays with the weights that were found (FitError where they have no inverse)."""
-    if design.kind == "one-sided":
-        falling, rising = float(weights[0]), float(weights[1])
-        plays = np.concatenate([[0.0], weights[2:]])
-        cubic = (rising - falling) / 3.0
-        return Plays("one-sided", design.radii, plays, cubic=cubic, linear=falling)
-    slow = _weights(weights[: design.plays], design.falling)
-    by_rate = NOTHING
-    if design.kind == "rate":
-        by_rate = _weights(weights[design.plays :], design.falling) - slow
-    return Plays(design.kind, design.radii, slow, by_rate, design.fastest)
-
-
-def _weights(unknowns: Floats, falling: bool) -> Floats:
-    """Return w_i from the unknowns; of falling slopes these are what each play takes off."""
-    if not falling:
-        return unknowns
-    return np.concatenate([[unknowns.sum()], -unknowns[1:]])
+    errors = [Equations.of(design, problem).left_out_error for design in designs]
+    worth = [error <= (1.0 + WORTH) * min(errors) for error in errors]
+    return designs[worth.index(True)]

@@ -6,20 +6,18 @@ blocks, in constant memory. Both run the loop of ``drive/stream.py``.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dbo_cli.drive.drive import Drive
-from dbo_cli.drive.lead import Around, Seconds
+from dbo_cli.drive.drive import Drive, OnLimit
+from dbo_cli.drive.lead import Lead, Seconds, standing_at
 from dbo_cli.drive.limits import Limits
-from dbo_cli.drive.loss import OnLimit, Steps
-from dbo_cli.drive.stream import Block, Stream
+from dbo_cli.drive.stream import Block, Rows, drive_blocks, require_numbers
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.model import Model, State, steps_of
+from dbo_cli.model import Model, State, Steps, steps_of
 
 if TYPE_CHECKING:
     from dbo_cli.drive.learning import PassRecord, Tracked
@@ -98,44 +96,47 @@ def plan(
     UsageError
         Options exclude each other.
     """
-    around = Around(state, start, approach, condition, lead, return_to)
+    before = Lead(state, start, approach, condition, lead)
     if passes and not periodic:
         raise UsageError("`passes` needs `periodic`")
     if history and not tracked:
         raise UsageError("`history` needs `tracked` LOG")
+    drive = Drive(model, limits, on_limit, name)
+    drive.gate.last = standing_at(limits, before)
     values = np.ascontiguousarray(desired, dtype=np.float64).reshape(-1)
+    require_numbers(name, values)
     time, dt = _clock(clock, values.size, name)
-    request, lesson = values, None
+    request = values
     if tracked or periodic or bandwidth is not None:
         seconds, step = _even(time, dt, name)
     if tracked:
         from dbo_cli.drive.learning import RepeatedMove
 
-        move = RepeatedMove(model, values, seconds, step, state, periodic, absolute)
-        lesson = move.lesson(tracked, history, bandwidth)
-        request = lesson.request
+        move = RepeatedMove(drive, values, seconds, step, state, periodic, absolute)
+        request = move.lesson(tracked, history, bandwidth)
     elif bandwidth is not None:
         from dbo_cli.drive.lowpass import low_pass
 
         request = low_pass(values, bandwidth, step, periodic)
     if periodic:
-        from dbo_cli.drive.loops import Loop
+        from dbo_cli.drive.loops import plan_loop
 
-        terms = limits, around, on_limit, name
-        drive = Loop(model, values, request, seconds, step, *terms).plan(passes)
+        if return_to is not None:
+            raise UsageError(
+                "`periodic` excludes `condition`, `lead` and `return`: use `passes` N"
+            )
+        plan_loop(drive, values, request, seconds, step, before, passes)
     else:
         blocks = _blocks(time, dt, values, request)
-        drive = _whole(Stream(model, blocks, limits, around, on_limit, name))
-    if lesson is None:
-        return drive
-    return dataclasses.replace(
-        drive,
-        history=lesson.history,
-        notes=(*lesson.notes, *drive.notes),
-        warnings=(*lesson.warnings, *drive.warnings),
-        expected_error=None,
-        expected_known=None,
-    )
+        parts = list(drive_blocks(drive, blocks, before, return_to))
+        if time is not None:
+            drive.time = np.concatenate([stamps for stamps, _, _ in parts])
+        drive.desired = np.concatenate([rows for _, rows, _ in parts])
+        drive.voltage = np.concatenate([rows for _, _, rows in parts])
+        drive.move = slice(drive.lead_rows, drive.lead_rows + drive.move_rows)
+    if tracked:  # the model's own error is what was learned
+        drive.expected_error = drive.expected_known = None
+    return drive
 
 
 def stream(
@@ -151,8 +152,10 @@ def stream(
     return_to: float | None = None,
     on_limit: OnLimit = "auto",
     name: str = "trajectory",
-) -> Stream:
-    """Return the drive of a trajectory that comes in blocks; iterate over it once.
+) -> tuple[Drive, Iterator[Rows]]:
+    """Return the drive of a trajectory that comes in blocks, and its rows: seconds, displacement, voltage.
+
+    The figures of the drive are complete once all rows have been taken.
 
     Parameters
     ----------
@@ -164,9 +167,11 @@ def stream(
     The other parameters are those of ``plan``. With ``on_limit`` auto a move that loses
     more than one percent is refused at the end of the iteration.
     """
-    around = Around(state, start, approach, condition, lead, return_to)
-    moves = (Block(time, dt, desired, desired) for time, dt, desired in blocks)
-    return Stream(model, moves, limits, around, on_limit, name)
+    before = Lead(state, start, approach, condition, lead)
+    drive = Drive(model, limits, on_limit, name)
+    drive.gate.last = standing_at(limits, before)
+    moves = ((time, dt, desired, desired) for time, dt, desired in blocks)
+    return drive, drive_blocks(drive, moves, before, return_to)
 
 
 def _blocks(
@@ -175,30 +180,9 @@ def _blocks(
     """Cut a trajectory into blocks."""
     for begin in range(0, desired.size, BLOCK_ROWS):
         rows = slice(begin, begin + BLOCK_ROWS)
-        yield Block(
-            None if time is None else time[rows],
-            dt[rows] if isinstance(dt, np.ndarray) else dt,
-            desired[rows],
-            request[rows],
-        )
-
-
-def _whole(stream: Stream) -> Drive:
-    """Return all rows of a stream, with its figures."""
-    parts = list(stream)
-    drive = stream.drive
-    assert drive is not None
-    before = drive.lead.rows
-    time = None
-    if parts[0].time is not None:
-        time = np.concatenate([part.time for part in parts])
-    return dataclasses.replace(
-        drive,
-        time=time,
-        desired=np.concatenate([part.desired for part in parts]),
-        voltage=np.concatenate([part.voltage for part in parts]),
-        move=slice(before, before + stream.loss.move.rows),
-    )
+        stamps = None if time is None else time[rows]
+        steps = dt[rows] if isinstance(dt, np.ndarray) else dt
+        yield stamps, steps, desired[rows], request[rows]
 
 
 def _clock(clock: Clock, count: int, name: str) -> tuple[Floats | None, Steps]:

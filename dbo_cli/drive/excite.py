@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 import random
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,26 +25,20 @@ from dbo_cli.drive.swings import swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
 
 Floats = NDArray[np.float64]
-Leg = tuple[
-    float, int
-]  # a turning point as a part of the range, and the rows on the way there
+# a turning point as a part of the range, and the rows on the way there
+Leg = tuple[float, int]
 
 SAMPLE_RATE = 1000.0  # Hz, the default
-FREQUENCY = (
-    1.0  # Hz: swings over the whole range and back; less where the slew is limited
-)
+FREQUENCY = 1.0
+"""Hz: swings over the whole range and back; less where the slew is limited."""
 CYCLES = 30.0  # of that frequency, where no duration is given
-FEWEST_CYCLES = (
-    6  # two swings over the range, the return and the rest leave four for the turns
-)
-ROWS_A_CYCLE = (
-    20  # with fewer, interpolation between rows no longer shows where a swing turns
-)
+FEWEST_CYCLES = 6
+"""Two swings over the range, the return and the rest leave four for the turns."""
+ROWS_A_CYCLE = 20
+"""With fewer, interpolation between rows no longer shows where a swing turns."""
 MOST_ROWS = 100_000_000
-FASTEST, SLOWEST = (
-    -0.9,
-    0.6,
-)  # log10 of a swing's time in that of a swing over the range
+FASTEST, SLOWEST = -0.9, 0.6
+"""log10 of a swing's time in that of a swing over the range."""
 AT_AN_END = 0.12  # chance that a turn lies at an end of the range
 HOLD_CHANCE, HOLD = 0.15, 0.4  # chance that a turn is held, and for how many periods
 REST = 0.5  # periods at rest at the end
@@ -58,23 +51,6 @@ SWEEP_FADED = 0.25  # of that amplitude at its upper end
 SWEEP_ROWS_A_PERIOD = 10.0
 SWEEP_TAPER = 0.05  # of the sweep at either end, over which it rises and falls
 SETTLE = 0.3  # s at rest before and after a sweep
-
-
-@dataclass(frozen=True)
-class Swings:
-    """What the random part is made of: range, rate, duration, frequency, slew."""
-
-    v_min: float
-    v_max: float
-    sample_rate: float
-    duration: float
-    frequency: float
-    max_slew: float | None
-
-    @property
-    def span(self) -> float:
-        """Length of the range."""
-        return self.v_max - self.v_min
 
 
 def excite(
@@ -127,32 +103,30 @@ def excite(
             raise UsageError(f"`{name}` {value:g}: give a number above 0")
     if sweep_amplitude is not None and sweep_to is None:
         raise UsageError("`sweep_amplitude` needs `sweep_to` HZ")
-    plan = _paced(v_min, v_max, sample_rate, duration, max_slew, sweep_to)
-    legs = _legs(plan, round(plan.duration * sample_rate) - 1)
-    part = swings([0.0, *(turn for turn, _ in legs)], [rows for _, rows in legs])
-    voltage = np.clip(v_min + plan.span * part, v_min, v_max)
-    voltage[part == 1.0] = v_max
-    if sweep_to is not None:
-        voltage = np.concatenate([voltage, _sweep(plan, sweep_to, sweep_amplitude)])
-    return np.arange(voltage.size) / sample_rate, voltage
-
-
-def _paced(
-    v_min: float,
-    v_max: float,
-    sample_rate: float,
-    duration: float | None,
-    max_slew: float | None,
-    sweep_to: float | None,
-) -> Swings:
-    """Return the swings with a frequency that rate, slew limit and sweep allow."""
+    span = v_max - v_min
     frequency = min(FREQUENCY, sample_rate / ROWS_A_CYCLE)
     if sweep_to is not None:
         frequency = min(frequency, sweep_to / SWEEP_FASTER)
+    slew = None
     if max_slew is not None:
-        frequency = min(frequency, max_slew / (math.pi * (v_max - v_min)))
-    if duration is None:
-        duration = CYCLES / frequency
+        frequency = min(frequency, max_slew / (math.pi * span))
+        slew = max_slew / span
+    rows = _rows(duration or CYCLES / frequency, frequency, sample_rate)
+    legs = _legs(rows, 1.0 / sample_rate, 1.0 / frequency, slew)
+    part = swings([0.0, *(turn for turn, _ in legs)], [rows for _, rows in legs])
+    voltage = np.clip(v_min + span * part, v_min, v_max)
+    voltage[part == 1.0] = v_max
+    if sweep_to is not None:
+        crest = SWEEP_AMPLITUDE * span if sweep_amplitude is None else sweep_amplitude
+        _check_sweep(span, sample_rate, sweep_to, crest, max_slew)
+        ramp = swing_rows(0.5 * span, 1.0 / sample_rate, SETTLE, max_slew)
+        moved = _sweep(v_min, v_min + 0.5 * span, ramp, sample_rate, sweep_to, crest)
+        voltage = np.concatenate([voltage, moved])
+    return np.arange(voltage.size) / sample_rate, voltage
+
+
+def _rows(duration: float, frequency: float, sample_rate: float) -> int:
+    """Return the rows of the swings (UsageError: too few swings, or too many rows)."""
     if duration * frequency < FEWEST_CYCLES * (1.0 - 1e-9):
         least = math.ceil(FEWEST_CYCLES / frequency)
         raise UsageError(
@@ -163,16 +137,16 @@ def _paced(
         raise UsageError(
             f"`duration` {duration:g} at `sample_rate` {sample_rate:g}: more than {MOST_ROWS:,} rows"
         )
-    return Swings(v_min, v_max, sample_rate, duration, frequency, max_slew)
+    return round(duration * sample_rate) - 1
 
 
-def _legs(plan: Swings, rows: int) -> list[Leg]:
-    """Return two swings over the range, random turns and holds, the return and the rest: ``rows`` in all."""
-    step, period = 1.0 / plan.sample_rate, 1.0 / plan.frequency
-    slew = None if plan.max_slew is None else plan.max_slew / plan.span
-    chance = random.Random(
-        SEED
-    ).random  # the one generator whose numbers Python never changes
+def _legs(rows: int, step: float, period: float, slew: float | None) -> list[Leg]:
+    """Return two swings over the range, random turns and holds, the return and the rest: ``rows`` in all.
+
+    ``step`` and ``period`` in s, ``slew`` in ranges a second.
+    """
+    # the one generator whose numbers Python never changes
+    chance = random.Random(SEED).random
 
     def swing(distance: float, slowness: float = 1.0) -> int:
         count = swing_rows(distance, step, 0.5 * period * distance * slowness, slew)
@@ -207,12 +181,10 @@ def _stretched(legs: list[Leg], rows: int) -> list[Leg]:
     return stretched
 
 
-def _sweep(plan: Swings, sweep_to: float, amplitude: float | None) -> Floats:
-    """Return the way up to the middle, a logarithmic sweep there, and the way back to ``v_min``."""
-    rate, span = plan.sample_rate, plan.span
-    crest = SWEEP_AMPLITUDE * span if amplitude is None else amplitude
-    _check_sweep(plan, sweep_to, crest)
-    middle = plan.v_min + 0.5 * span
+def _sweep(
+    begin: float, middle: float, ramp: int, rate: float, sweep_to: float, crest: float
+) -> Floats:
+    """Return the way to the middle, a logarithmic sweep there, and the way back; ``ramp`` rows each."""
     seconds = max(SWEEP_SECONDS, SWEEP_PERIODS / sweep_to)
     count = round(seconds * rate)
     part = np.arange(count) / count
@@ -220,29 +192,30 @@ def _sweep(plan: Swings, sweep_to: float, amplitude: float | None) -> Floats:
     periods = sweep_to / SWEEP_FROM * seconds / grown * np.expm1(grown * part)
     edge = np.clip(np.minimum(part, 1.0 - part) / SWEEP_TAPER, 0.0, 1.0)
     size = crest * SWEEP_FADED**part * (0.5 - 0.5 * np.cos(np.pi * edge))
-    ramp = swing_rows(0.5 * span, 1.0 / rate, SETTLE, plan.max_slew)
     rest = round(SETTLE * rate)
-    up = swings([plan.v_min, middle, middle], [ramp, rest])
-    down = swings([middle, middle, plan.v_min, plan.v_min], [rest, ramp, rest])
+    up = swings([begin, middle, middle], [ramp, rest])
+    down = swings([middle, middle, begin, begin], [rest, ramp, rest])
     return np.concatenate([up[1:], middle + size * np.sin(2.0 * np.pi * periods), down])
 
 
-def _check_sweep(plan: Swings, sweep_to: float, crest: float) -> None:
+def _check_sweep(
+    span: float, rate: float, sweep_to: float, crest: float, max_slew: float | None
+) -> None:
     """Refuse a sweep that the rate does not resolve, or that range or slew do not allow."""
     if not 0.0 < sweep_to < math.inf:
         raise UsageError(f"`sweep_to` {sweep_to:g}: give a frequency in Hz above 0")
-    if plan.sample_rate < SWEEP_ROWS_A_PERIOD * sweep_to * (1.0 - 1e-9):
+    if rate < SWEEP_ROWS_A_PERIOD * sweep_to * (1.0 - 1e-9):
         raise UsageError(
             f"`sweep_to` {sweep_to:g}: needs `sample_rate` {SWEEP_ROWS_A_PERIOD * sweep_to:g} or "
-            f"more, not {plan.sample_rate:g}"
+            f"more, not {rate:g}"
         )
-    if not 0.0 < crest <= 0.5 * plan.span:
+    if not 0.0 < crest <= 0.5 * span:
         raise UsageError(
-            f"`sweep_amplitude` {crest:g}: give more than 0, at most {0.5 * plan.span:g}"
+            f"`sweep_amplitude` {crest:g}: give more than 0, at most {0.5 * span:g}"
         )
     fastest = 2.0 * math.pi * sweep_to * crest * SWEEP_FADED
-    if plan.max_slew is not None and fastest > plan.max_slew:
+    if max_slew is not None and fastest > max_slew:
         raise LimitError(
             f"`sweep_amplitude` {crest:g}: needs {fastest:.6g}/s at {sweep_to:g} Hz, more than "
-            f"`max_slew` {plan.max_slew:g}; {crest * plan.max_slew / fastest:.3g} fits"
+            f"`max_slew` {max_slew:g}; {crest * max_slew / fastest:.3g} fits"
         )

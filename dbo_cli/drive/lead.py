@@ -1,4 +1,4 @@
-"""What stands before a move, and the return after it.
+"""What stands before a move.
 
 Before a move the voltage swings from where the amplifier stands, perhaps through a
 sweep that makes the past known, to the voltage from which the move goes on, and rests
@@ -9,8 +9,8 @@ first displacement may follow, in which the inverse reads ahead to the move.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.swings import swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
-from dbo_cli.model import Lag, Model, Run, State, Window
+from dbo_cli.model import Lag, Model, State
 
 Floats = NDArray[np.float64]
 Seconds = float | Literal["auto"] | None
@@ -39,9 +39,9 @@ MOST_ROWS = 100_000_000
 NOTHING = np.zeros(0)
 
 
-@dataclass(frozen=True)
-class Around:
-    """What is asked for around a move.
+@dataclass
+class Lead:
+    """What is asked for before a move.
 
     Attributes
     ----------
@@ -53,10 +53,8 @@ class Around:
         Seconds of the way from there to the first value.
     condition : bool
         Sweep the move's range first.
-    lead : float or "auto", optional
+    rest : float or "auto", optional
         Seconds at the first value; auto: as many as dynamics and delay need.
-    return_to : float, optional
-        Voltage to go to after the move.
 
     Raises
     ------
@@ -68,30 +66,16 @@ class Around:
     start: float | None = None
     approach: Seconds = None
     condition: bool = False
-    lead: Seconds = None
-    return_to: float | None = None
+    rest: Seconds = None
 
     def __post_init__(self) -> None:
         """Check every value."""
-        for name, value in (("approach", self.approach), ("lead", self.lead)):
-            if isinstance(value, float | int) and 0.0 < value < math.inf:
-                continue
-            if value not in (None, "auto"):
-                raise UsageError(f"`{name}` {value}: give seconds above 0, or auto")
+        self.approach = _seconds("approach", self.approach)
+        self.rest = _seconds("lead", self.rest)
         if self.condition and self.state != "auto":
             raise UsageError(
                 "`condition` and `state` exclude each other: leave one out"
             )
-
-    @property
-    def moves(self) -> bool:
-        """Whether the voltage moves before the move."""
-        return self.condition or self.approach is not None
-
-    @property
-    def needs_time(self) -> bool:
-        """Whether something is asked for that takes seconds."""
-        return self.moves or self.lead is not None or self.return_to is not None
 
     @property
     def past_known(self) -> bool:
@@ -99,40 +83,19 @@ class Around:
         return self.condition or isinstance(self.state, State)
 
 
-@dataclass(frozen=True)
-class Lead:
-    """The rows before a move.
-
-    Attributes
-    ----------
-    voltage, expected : array
-        Voltages that are played as they are, and the displacement that the model
-        expects of them.
-    desired : array
-        Displacements behind them, which the inverse follows: the first value of the
-        move.
-    state : State or None
-        After the voltages; None where the inverse finds the start itself.
-    chosen : float
-        Seconds of the pieces of which nobody typed how long they take.
-    """
-
-    voltage: Floats = field(default_factory=lambda: NOTHING)
-    expected: Floats = field(default_factory=lambda: NOTHING)
-    desired: Floats = field(default_factory=lambda: NOTHING)
-    state: State | None = None
-    chosen: float = 0.0
-
-    @property
-    def rows(self) -> int:
-        """How many rows stand before the move."""
-        return self.voltage.size + self.desired.size
+def _seconds(name: str, value: Any) -> Seconds:
+    """Return typed seconds as a number; UsageError where they are not above 0, None or auto."""
+    if value is None or value == "auto":
+        return value  # type: ignore[no-any-return]
+    if isinstance(value, int | float | np.number) and 0.0 < value < math.inf:
+        return float(value)
+    raise UsageError(f"`{name}` {value}: give seconds above 0, or auto")
 
 
 def plan_lead(
-    model: Model, first: float, dt: float, limits: Limits, around: Around
-) -> Lead:
-    """Return the rows before a move.
+    model: Model, first: float, dt: float, limits: Limits, lead: Lead
+) -> tuple[State | None, Floats, int, float]:
+    """Return what stands before a move.
 
     Parameters
     ----------
@@ -143,6 +106,17 @@ def plan_lead(
     dt
         Seconds a row.
 
+    Returns
+    -------
+    state : State or None
+        Before the first row; None where the inverse finds the start itself.
+    voltage : array
+        Voltages that are played as they are.
+    rest : int
+        Rows at the first displacement behind them, which the inverse follows.
+    chosen : float
+        Seconds of the rows of which nobody typed how long they take.
+
     Raises
     ------
     LimitError
@@ -151,45 +125,51 @@ def plan_lead(
     UsageError
         The amplifier's voltage is not known, or a piece is too long for any memory.
     """
-    last = standing_at(limits, around)
-    desired = np.full(_rest_rows_at_first(model, dt, around), first)
-    chosen = 0.0
-    if not isinstance(around.lead, float | int):
-        chosen = desired.size * dt
-    if not around.moves:
-        state = None
-        if isinstance(around.state, State):
-            state = replace(around.state, drive=last)
-        elif last is not None:
-            state = _played(model, np.array([last]), dt, around.state).state
-        return Lead(desired=desired, state=state, chosen=chosen)
-    if last is None and not around.condition:
-        raise UsageError("`approach` needs `from` VOLT or a `state` file")
-    begun, seconds = around.state, around.approach
-    before = NOTHING if last is None else np.array([last])
+    last, begun = standing_at(limits, lead), lead.state
+    moves = lead.condition or lead.approach is not None
+    if isinstance(lead.rest, float):
+        rest, chosen = _checked_rows(swing_rows(0.0, dt, lead.rest)), 0.0
+    else:
+        rest = model.inverter(dt).ahead if moves or lead.rest == "auto" else 0
+        chosen = rest * dt
+    before = NOTHING
     if isinstance(begun, State):
         begun = replace(begun, drive=last)
-        before = NOTHING  # where the amplifier stands was played already
-    if around.condition:
-        swept = sweep(model, limits, dt)
-        if last is not None:
-            inwards = ramp("approach", last, float(swept[0]), dt, seconds, limits)
-            before = np.concatenate([before, inwards])
-            swept = swept[1:]
-        before = np.concatenate([before, swept])
-        last, seconds = float(swept[-1]), "auto"
-    run = _played(model, before, dt, begun)
-    path = way(model, run.state, first, dt, seconds, limits)
-    arrived = _played(model, path, dt, run.state)
+    elif last is not None:
+        begun = model.start(last, begun)
+        before = np.array([last])
+    if not moves and isinstance(begun, State):
+        return _played(model, before, dt, begun), NOTHING, rest, chosen
+    if not moves:
+        return None, NOTHING, rest, chosen
+    if lead.condition:
+        before = np.concatenate([before, _conditioning(model, last, dt, limits, lead)])
+    elif last is None:
+        raise UsageError("`approach` needs `from` VOLT or a `state` file")
+    if not isinstance(begun, State):
+        begun = model.start(float(before[0]), begun)
+    arrived = _played(model, before, dt, begun)
+    seconds = "auto" if lead.condition else lead.approach
+    path = way(model, arrived, first, dt, seconds, limits)
     voltage = np.concatenate([before, path])
     chosen += voltage.size * dt
-    if isinstance(around.approach, float | int):
-        chosen -= around.approach
-    expected = np.concatenate([run.y, arrived.y])
-    return Lead(voltage, expected, desired, arrived.state, chosen)
+    if isinstance(lead.approach, float):
+        chosen -= lead.approach
+    return begun, voltage, rest, chosen
 
 
-def standing_at(limits: Limits, around: Around) -> float | None:
+def _conditioning(
+    model: Model, last: float | None, dt: float, limits: Limits, lead: Lead
+) -> Floats:
+    """Return the voltages of a sweep, with the way there from where the amplifier stands."""
+    swept = sweep(model, limits, dt)
+    if last is None:
+        return swept
+    inwards = ramp("approach", last, float(swept[0]), dt, lead.approach, limits)
+    return np.concatenate([inwards, swept[1:]])
+
+
+def standing_at(limits: Limits, lead: Lead) -> float | None:
     """Return the voltage at which the amplifier stands before the first row, None where it is not known.
 
     Raises
@@ -199,24 +179,13 @@ def standing_at(limits: Limits, around: Around) -> float | None:
     UsageError
         A state knows another voltage than the one that was typed.
     """
-    left_at = around.state.drive if isinstance(around.state, State) else None
-    return limits.standing(around.start, left_at)
+    left_at = lead.state.drive if isinstance(lead.state, State) else None
+    return limits.standing(lead.start, left_at)
 
 
-def _rest_rows_at_first(model: Model, dt: float, around: Around) -> int:
-    """Return the rows at the first value: typed seconds, or what delay and dynamics read ahead."""
-    if isinstance(around.lead, float | int):
-        return _checked_rows(swing_rows(0.0, dt, around.lead))
-    if around.lead is None and not around.moves:
-        return 0
-    return model.inverter(dt).ahead
-
-
-def _played(model: Model, voltage: Floats, dt: float, state: str | State) -> Run:
-    """Play voltages from a state, or from a named start at the first of them."""
-    if not isinstance(state, State):
-        state = model.start(float(voltage[0]), state)
-    return model.run(voltage, state, dt if dt > 0.0 else None)
+def _played(model: Model, voltage: Floats, dt: float, state: State) -> State:
+    """Return the state after voltages; without a clock the model does not need one."""
+    return model.run(voltage, state, dt if dt > 0.0 else None).state
 
 
 # --- the pieces ---
@@ -235,13 +204,13 @@ def ramp(
     if begin == end:
         return NOTHING
     least = SHORTEST_SWING
-    if isinstance(seconds, float | int):
+    if isinstance(seconds, float):
         least = float(seconds)
     elif limits.slew is None:
         span = limits.rating[1] - limits.rating[0]
         least = max(SHORTEST_SWING, SWEEP_SECONDS * abs(end - begin) / span)
     count = _rows(end - begin, dt, least, limits)
-    if isinstance(seconds, float | int) and count * dt > seconds + dt:
+    if isinstance(seconds, float) and count * dt > seconds + dt:
         raise LimitError(
             f"`{name}` {seconds:g}: too fast for `max_slew`; give at least {count * dt:.4g} s, or auto"
         )
@@ -288,7 +257,7 @@ def way(
     LimitError
         The typed seconds are too few for the slew limit.
     """
-    static, window = model.static, Window(*limits.move)
+    static = model.static
     assert state.drive is not None
     begin, rest = state.drive, rest_rows(model, dt)
 
@@ -297,7 +266,7 @@ def way(
         return np.concatenate([swing, np.full(rest, end)])
 
     def goes_on(state: State) -> float:
-        return float(static.drive(np.array([first]), state, dt, window).y[0])
+        return float(static.drive(np.array([first]), state, dt, limits.move).y[0])
 
     if model.gears.relaxation is None:
         return way_to(goes_on(state))
@@ -323,31 +292,6 @@ def rest_rows(model: Model, dt: float) -> int:
             fade = 1.0 / (2.0 * math.pi * section.frequency * section.damping)
         slowest = max(slowest, fade)
     return math.ceil(min(QUIET * slowest, LONGEST_REST) / dt)
-
-
-def return_ramp(begin: float, end: float, dt: float, limits: Limits) -> Floats:
-    """Return the voltages from the end of a move to ``end``, which may use the rating.
-
-    Raises
-    ------
-    LimitError
-        It is outside the rating.
-    """
-    limits.require_start(end, "`return`")
-    return ramp("return", begin, end, dt, "auto", limits)
-
-
-def longest_lead(move_seconds: float) -> float:
-    """Return how long the program may drive before a move (s)."""
-    return max(LONGEST_CHOSEN, CHOSEN_MOVES * move_seconds)
-
-
-def too_long(lead: Lead, move_seconds: float) -> LimitError:
-    """Return the refusal of rows before a move that nobody asked for and that are long beside it."""
-    return LimitError(
-        f"{lead.chosen:.4g} s before a move of {move_seconds:.4g} s: more than ten moves and a "
-        "minute; give `approach` SECONDS or more `max_slew`"
-    )
 
 
 def _rows(distance: float, dt: float, seconds: float, limits: Limits) -> int:

@@ -19,11 +19,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.drive.drive import Drive
+from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.lowpass import low_pass
-from dbo_cli.drive.settled import settled_run
 from dbo_cli.drive.swings import soft_rise
 from dbo_cli.errors import InputError, warn
-from dbo_cli.model import Model, Resonance, State
+from dbo_cli.model import Resonance, State
 
 Floats = NDArray[np.float64]
 FORMAT, VERSION = "dbo-history", 1
@@ -77,23 +78,14 @@ class PassRecord(NamedTuple):
     rmse: float
 
 
-class Lesson(NamedTuple):
-    """What to ask for next, the history with this pass, and the notes."""
-
-    request: Floats
-    history: tuple[PassRecord, ...]
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...]
-
-
 @dataclass(frozen=True)
 class RepeatedMove:
     """A trajectory that is played again and again.
 
     Attributes
     ----------
-    model
-        The forward model.
+    drive
+        Its model; takes the history, a note and a warning.
     desired, time, step
         The trajectory, the time of each row and its even step (s).
     state
@@ -102,7 +94,7 @@ class RepeatedMove:
         Whether recordings are of whole periods, and whether the mean is learned.
     """
 
-    model: Model
+    drive: Drive
     desired: Floats
     time: Floats
     step: float
@@ -115,8 +107,8 @@ class RepeatedMove:
         recordings: Sequence[Tracked],
         history: Sequence[PassRecord],
         bandwidth: float | None,
-    ) -> Lesson:
-        """Return what to ask of the model for the next pass.
+    ) -> Floats:
+        """Return what to ask of the model for the next pass; history and notes go to the drive.
 
         Parameters
         ----------
@@ -133,7 +125,7 @@ class RepeatedMove:
         InputError
             A recording is not of this trajectory, or the error grew.
         """
-        name, unit = recordings[0].name, self.model.output.suffix
+        name, unit = recordings[0].name, self.drive.model.output.suffix
         voltage, believed, measured = self._mean_of(recordings)
         self._require_same_move(name, believed)
         error = self.desired - measured
@@ -147,15 +139,16 @@ class RepeatedMove:
         learned = low_pass(change, cutoff, self.step, self.periodic, ORDER)
         if not self.absolute:
             learned = learned - learned.mean()
-        if self.model.dynamics is not None and not self.periodic:
+        if self.drive.model.dynamics is not None and not self.periodic:
             learned = _resting_ends(learned, cutoff * self.step)
         percent = 100.0 * passed.rmse / float(np.ptp(self.desired))
-        note = (
+        self.drive.history = *before, passed
+        self.drive.notes = (
             f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move); "
-            f"learned below {cutoff:.4g} Hz"
+            f"learned below {cutoff:.4g} Hz",
         )
-        warnings = self._start_problem(name, zero)
-        return Lesson(self.desired + learned, (*before, passed), (note,), warnings)
+        self._warn_of_start(name, zero)
+        return self.desired + learned
 
     def _mean_of(self, recordings: Sequence[Tracked]) -> tuple[Floats, Floats, Floats]:
         """Return the drive of the first recording, what the model makes of them, and the mean measured.
@@ -168,7 +161,7 @@ class RepeatedMove:
         passes = [self._rows_of(recording) for recording in recordings]
         voltage = passes[0][0]
         for recording, played in zip(recordings, passes, strict=True):
-            if rms(played[0] - voltage) > SAME_DRIVE * self.model.input.span:
+            if rms(played[0] - voltage) > SAME_DRIVE * self.drive.model.input.span:
                 raise InputError(
                     f"{recording.name}: not the drive of {recordings[0].name}: average recordings of one "
                     "drive only"
@@ -198,16 +191,14 @@ class RepeatedMove:
                 begin += count  # not settled yet
             voltage = voltage[begin:].reshape(-1, count).mean(axis=0)
             measured = measured[begin:].reshape(-1, count).mean(axis=0)
-            begun = self._begun(float(voltage[0]), self.state)
-            believed = settled_run(self.model, voltage, self.step, begun)
+            begun = self.drive.model.start(float(voltage[0]), self.state)
+            believed = settled_run(self.drive.model, voltage, self.step, begun)
             return voltage, believed, measured
-        begun = self._begun(float(voltage[0]), self.state if begin == 0 else "auto")
-        believed = self.model.run(voltage, begun, self.step).y
+        state = self.state if begin == 0 else "auto"
+        begun = self.drive.model.start(float(voltage[0]), state)
+        believed = self.drive.model.run(voltage, begun, self.step).y
         rows_of_move = slice(begin, begin + count)
         return voltage[rows_of_move], believed[rows_of_move], measured[rows_of_move]
-
-    def _begun(self, voltage: float, state: str | State) -> State:
-        return state if isinstance(state, State) else self.model.start(voltage, state)
 
     def _first_row(self, name: str, time: Floats) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead."""
@@ -233,7 +224,7 @@ class RepeatedMove:
             mean = float(believed.mean() - self.desired.mean())
         away = math.hypot(rms(shape - size * wanted), mean)
         if away > ANOTHER_MOVE * rms(wanted):
-            unit = self.model.output.suffix
+            unit = self.drive.model.output.suffix
             raise InputError(
                 f"{name}: its drive belongs to another trajectory, {away:.3g}{unit} from this one (RMS; the "
                 f"move has {rms(wanted):.3g}{unit})"
@@ -249,27 +240,28 @@ class RepeatedMove:
         best = min(errors)
         if passed.rmse <= min(GROWTH * errors[-1], FROM_BEST * best):
             return
-        number, unit = 1 + errors.index(best), self.model.output.suffix
+        number, unit = 1 + errors.index(best), self.drive.model.output.suffix
         raise InputError(
             f"{name}: the error grew from {errors[-1]:.3g} to {passed.rmse:.3g}{unit} RMS: learn from "
             f"pass {number} ({best:.3g}) with a lower `bandwidth`"
         )
 
-    def _start_problem(self, name: str, zero: float) -> tuple[str, ...]:
+    def _warn_of_start(self, name: str, zero: float) -> None:
         """Warn where the mean of the error is too large for a sensor's zero."""
-        expected = self.model.fit.get("expected_rmse")
+        expected = self.drive.model.fit.get("expected_rmse")
         if not isinstance(expected, float) or abs(zero) <= START_PROBLEM * expected:
-            return ()
+            return
+        unit = self.drive.model.output.suffix
         text = (
-            f"{name}: the mean error, {zero:.3g}{self.model.output.suffix}, is {abs(zero) / expected:.2g} "
-            "times the expected error: the drive assumes another start (`condition`, or `absolute` learns it)"
+            f"{name}: the mean error, {zero:.3g}{unit}, is {abs(zero) / expected:.2g} times "
+            "the expected error: the drive assumes another start (`condition`, or `absolute` learns it)"
         )
         warn(text)
-        return (text,)
+        self.drive.warnings = (text,)
 
     def _trusted(self, name: str, believed: Floats, measured: Floats) -> float:
         """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows."""
-        dynamics = self.model.dynamics
+        dynamics = self.drive.model.dynamics
         resonances = () if dynamics is None else dynamics.resonances
         if resonances:
             frequency = resonances[0].frequency / RESONANCE_PART
@@ -373,14 +365,13 @@ def parse_history(text: str | bytes, name: str) -> list[PassRecord]:
     """
     try:
         content = json.loads(text)
-        passes = []
-        for record in content["passes"]:
-            passes.append(
-                PassRecord(str(record["drive_sha256"]), float(record["rmse"]))
-            )
         known = content["format"] == FORMAT and content["version"] == VERSION
+        passes = [
+            PassRecord(str(record["drive_sha256"]), float(record["rmse"]))
+            for record in content["passes"]
+        ]
     except (ValueError, KeyError, TypeError, RecursionError):
-        known = False
+        known, passes = False, []
     if not known or not all(0.0 <= record.rmse < math.inf for record in passes):
         raise InputError(
             f'{name}: not a history ("format": "{FORMAT}", "version": {VERSION}): give a new file'

@@ -9,6 +9,7 @@ in and the return may use the rating; nothing leaves it.
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.model import Quantity, Window
+from dbo_cli.model import Quantity
+from dbo_cli.model.gears import largest_step
 from dbo_cli.units import parse_quantity, parse_unit
 
 Floats = NDArray[np.float64]
@@ -122,11 +124,6 @@ class Limits:
         """The unit behind a blank, for messages."""
         return f" {self.unit}" if self.unit else ""
 
-    @property
-    def window(self) -> Window:
-        """What the rows of a move may do, as a model takes it."""
-        return Window(*self.move, self.slew)
-
     def range_of(self, part: str) -> tuple[float, float]:
         """Return the range of a part of a drive: ``move``, or another one, which may use the rating."""
         return self.move if part == "move" else self.rating
@@ -143,7 +140,8 @@ class Limits:
             raise InputError(
                 "`max_slew` needs a clock: a time column, or `sample_rate` HZ"
             )
-        return self.window.largest_step(dt)
+        step: float | Floats | None = largest_step(self.slew, dt)
+        return step
 
     def require_start(self, voltage: float, name: str = "`from`") -> None:
         """Refuse an amplifier that stands outside the rating.
@@ -247,27 +245,14 @@ def figure_in(
     """Return a figure in a unit; refuse a plain one beyond ``largest`` where the unit has a prefix."""
     whole = None if unit is None else unit + per
     value = parse_quantity(typed, whole, name)
-    base = _without_prefix(unit)
-    if base is None or not _is_plain(typed) or abs(value) <= largest:
+    with_unit = isinstance(typed, str) and re.search("[^\\W\\deE_]", typed)
+    known = parse_unit(unit)
+    if with_unit or known is None or abs(value) <= largest:
+        return value
+    base = known.base
+    if base == known.text or not known.text.endswith(base):  # bar is no prefix of Pa
         return value
     raise UsageError(
         f"`{name}` {typed}: the drive is in {unit}: type the unit, {value:.9g}{base}{per} or "
         f"{value:.9g}{whole}"
     )
-
-
-def _without_prefix(unit: str | None) -> str | None:
-    """Return the base unit of a unit that has a prefix; None of any other."""
-    known = parse_unit(unit)
-    if known is None or known.base == known.text:
-        return None
-    if not known.text.endswith(known.base):  # bar is no prefix of Pa
-        return None
-    return known.base
-
-
-def _is_plain(typed: float | str) -> bool:
-    """Tell whether a figure was typed without a unit."""
-    if not isinstance(typed, str):
-        return True
-    return not any(letter.isalpha() and letter not in "eE" for letter in typed)

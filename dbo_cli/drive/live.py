@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from dbo_cli.drive.limits import Figure, Limits, voltage_in
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.model import Model, State, Undoing
 from dbo_cli.model.points import value_through
-from dbo_cli.model.stepper import Stepper
 
 Floats = NDArray[np.float64]
 
@@ -27,30 +26,6 @@ WANTED_SPANS = 1e12
 """A wanted value so many ranges away is no displacement but a fault of the loop."""
 APPLIED_SPANS = 1e3
 """Likewise of an applied voltage."""
-
-
-class Pending(NamedTuple):
-    """A plan that may be committed.
-
-    Attributes
-    ----------
-    voltage : float
-        What was planned.
-    clipped : bool
-        Whether a limit held it back.
-    wanted : array, or None
-        What is wanted from now on.
-    undoing : Undoing, or None
-        What undoing dynamics and delay remembers after it.
-    begun : State, or None
-        The state before the first row; later ones are in the stepper.
-    """
-
-    voltage: float
-    clipped: bool
-    wanted: Floats | None
-    undoing: Undoing | None
-    begun: State | None = None
 
 
 class Controller:
@@ -79,6 +54,9 @@ class Controller:
         That time in samples.
     limits : Limits
         What the drive may do.
+    last : float or None
+        The voltage at which the amplifier stands; None before the first, if it is not
+        known.
     clipped : int
         Committed samples that a limit held back.
 
@@ -121,11 +99,15 @@ class Controller:
         self._back_to_gears = model.head
         typed = None if from_ is None else voltage_in("from_", from_, model.input)
         left_at = state.drive if isinstance(state, State) else None
-        self._last = self.limits.standing(typed, left_at, "`from_`")
-        if self._last is not None:
-            self._begin = self._stood_at(self._last)
-        self._stepper: Stepper | None = None
-        self._pending: Pending | None = None
+        self.last = self.limits.standing(typed, left_at, "`from_`")
+        if self.last is not None:
+            self._begin = self._stood_at(self.last)
+        self._stepper: Any = None
+        # a plan: its voltage, whether it was clipped, what is wanted from then on, what
+        # undoing remembers, and the state before the first row
+        self._pending: (
+            tuple[float, bool, Floats | None, Undoing | None, State | None] | None
+        ) = None
         self._inverter = model.inverter(self._dt)
         self.lookahead = self._samples_ahead(lookahead)
         self._wanted: Floats | None = None
@@ -159,17 +141,12 @@ class Controller:
         return samples
 
     @property
-    def last(self) -> float | None:
-        """The voltage at which the amplifier stands; None before the first, if it is not known."""
-        return self._last
-
-    @property
     def state(self) -> State | None:
         """The state after the last sample committed, of gears and memories; None before the first."""
         if self._stepper is None:
             return self._begin if isinstance(self._begin, State) else None
-        bits, memory = self._stepper.committed()
-        return State(bits, memory, drive=self._last, undoing=self._undoing)
+        after = self._model.inverse().gears.committed(self._stepper)
+        return dataclasses.replace(after, drive=self.last, undoing=self._undoing)
 
     def plan(self, wanted: float) -> float:
         """Return the voltage for what is wanted now (or ``lookahead`` later); nothing has changed yet.
@@ -180,22 +157,20 @@ class Controller:
             What is wanted is no number, or absurdly far away; nothing is left to commit.
         """
         self._pending = None
-        value = _number(
-            wanted,
-            "wanted",
-            self._model.output.min,
-            self._model.output.max,
-            WANTED_SPANS,
-        )
+        reach = self._model.output
+        value = _number(wanted, "wanted", reach.min, reach.max, WANTED_SPANS)
         u, queue, undoing = self._undone(value)
-        begun = None
+        voltage, clipped, begun = self._way_in(), True, None
         if self._stepper is None:
             begun = self._model.start_drive(u, self._begin, *self.limits.move)
-            voltage, clipped = self._planned_first(u, begun)
+            if voltage is None:
+                voltage, clipped = self._planned_first(u, begun)
+        elif voltage is None:
+            voltage, clipped = self._planned(u)
         else:
-            voltage, clipped = self._planned(u, self._stepper)
+            self._stepper.follow(value_through(self._back_to_gears, voltage))
         self._admit(voltage)
-        self._pending = Pending(voltage, clipped, queue, undoing, begun)
+        self._pending = voltage, clipped, queue, undoing, begun
         return voltage
 
     def commit(self, applied: float | None = None) -> None:
@@ -208,23 +183,20 @@ class Controller:
         InputError
             ``applied`` is no number, or absurdly far away; nothing has moved.
         """
-        pending = self._pending
-        if pending is None:
+        if self._pending is None:
             raise UsageError("`commit`: nothing is planned (`plan` comes first)")
-        voltage = pending.voltage
+        voltage, clipped, queue, undoing, begun = self._pending
         if applied is not None:
-            low, high = self.limits.rating
-            voltage = _number(applied, "applied", low, high, APPLIED_SPANS)
+            voltage = _number(applied, "applied", *self.limits.rating, APPLIED_SPANS)
         if self._stepper is None:
-            assert pending.begun is not None
-            self._stepper = self._stepper_after(pending.begun, voltage)
+            assert begun is not None
+            self._stepper = self._stepper_after(begun, voltage)
         else:
             if applied is not None:
                 self._stepper.follow(value_through(self._back_to_gears, voltage))
             self._stepper.commit()
-        self._last = voltage
-        self._wanted, self._undoing = pending.wanted, pending.undoing
-        self.clipped += pending.clipped
+        self.last, self._wanted, self._undoing = voltage, queue, undoing
+        self.clipped += clipped
         self._pending = None
 
     def step(self, wanted: float) -> float:
@@ -249,45 +221,33 @@ class Controller:
 
     def _planned_first(self, u: float, begun: State) -> tuple[float, bool]:
         """Return the voltage of the first row, and whether a limit held it back."""
-        if self._last is not None and self._is_outside(self._last):
-            return self._inwards(self._last), True
-        done = self._model.drive(np.array([u]), begun, self._dt, self.limits.window)
+        move, slew = self.limits.move, self.limits.slew
+        done = self._model.drive(np.array([u]), begun, self._dt, move, slew)
         return float(done.y[0]), bool(done.clipped)
 
-    def _stepper_after(self, begun: State, voltage: float) -> Stepper:
+    def _stepper_after(self, begun: State, voltage: float) -> Any:
         """Return the stepper behind the first row."""
         start = dataclasses.replace(begun, first=None)
         moved = self._model.static.run(np.array([voltage]), start, self._dt).state
-        return Stepper(
-            self._model.inverse().gears,
-            moved.bits,
-            moved.memory,
-            value_through(self._back_to_gears, voltage),
-            self._dt,
-            self._model.inner_window(self.limits.window),
-        )
+        at_gears = value_through(self._back_to_gears, voltage)
+        moved = dataclasses.replace(moved, drive=at_gears)
+        window, slew = self._model.inner_limits(self.limits.move, self.limits.slew)
+        return self._model.inverse().gears.stepper(moved, self._dt, window, slew)
 
-    def _planned(self, u: float, stepper: Stepper) -> tuple[float, bool]:
+    def _planned(self, u: float) -> tuple[float, bool]:
         """Return the voltage of a row behind another one, and whether a limit held it back."""
-        assert self._last is not None
-        if self._is_outside(self._last):
-            voltage = self._inwards(self._last)
-            stepper.follow(value_through(self._back_to_gears, voltage))
-            return voltage, True
-        voltage = stepper.plan(value_through(self._to_gears, u))
+        voltage = self._stepper.plan(value_through(self._to_gears, u))
         if self._from_gears:
             low, high = self.limits.move
             voltage = min(max(value_through(self._from_gears, voltage), low), high)
-        return voltage, stepper.clipped
+        return voltage, bool(self._stepper.clipped)
 
-    def _is_outside(self, voltage: float) -> bool:
-        """Tell whether a voltage lies outside the range of a move."""
+    def _way_in(self) -> float | None:
+        """Return the next voltage from outside the range of a move; None where the amplifier is inside."""
         low, high = self.limits.move
-        return not low <= voltage <= high
-
-    def _inwards(self, last: float) -> float:
-        """Return the next voltage on the way in from where the amplifier stands."""
-        low, high = self.limits.move
+        last = self.last
+        if last is None or low <= last <= high:
+            return None
         near = low if last < low else high
         if abs(near - last) <= self._step:
             return near
@@ -296,7 +256,7 @@ class Controller:
     def _admit(self, voltage: float) -> None:
         """Let a voltage pass as the gate does: range and slew, or inwards from outside."""
         low, high = self.limits.move
-        last = self._last
+        last = self.last
         inside, slow = low <= voltage <= high, True
         if last is not None:
             digits = ROUNDING * max(abs(voltage), abs(last))

@@ -11,9 +11,8 @@ from dbo_cli.errors import UsageError
 
 Floats = NDArray[np.float64]
 
-REACH = (
-    10.0  # periods of the cut-off, over which what a sample does to others dies away
-)
+REACH = 10.0
+"""Periods of the cut-off, over which what a sample does to others dies away."""
 MOST_ROWS = 100_000_000  # that the ends of a signal are held for
 
 

@@ -85,12 +85,13 @@ def simulate_blocks(
             x, undoing = model.inverter(dt).run(ahead, undoing)
         if run.state is None:
             run.state = model.start(float(x[0]), start)
-        done = model.run(x, run.state, dt, outside)
         if outside == "error":
-            model.require_inside(x, done, run.rows, name)
-        if done.outside and not run.outside:
-            run.first_outside = run.rows + done.first_outside + 1
-        run.outside += done.outside
+            model.require_inside(x, run.rows, name)
+        beyond = model.outside(x)
+        if beyond.any() and not run.outside:
+            run.first_outside = run.rows + int(np.argmax(beyond)) + 1
+        run.outside += int(np.count_nonzero(beyond))
         run.rows += x.size
+        done = model.run(x, run.state, dt, outside)
         run.state = done.state
         yield payload, done.y

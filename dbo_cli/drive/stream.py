@@ -6,285 +6,245 @@ state. Every row passes the gate before it leaves.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import chain
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.drive.drive import Drive
-from dbo_cli.drive.gate import Gate
 from dbo_cli.drive.lead import (
-    Around,
+    CHOSEN_MOVES,
+    LONGEST_CHOSEN,
     Lead,
-    longest_lead,
     plan_lead,
-    return_ramp,
-    standing_at,
-    too_long,
+    ramp,
 )
-from dbo_cli.drive.limits import Limits
-from dbo_cli.drive.loss import Loss, OnLimit, Steps
-from dbo_cli.drive.outlook import Outlook
+from dbo_cli.drive.outlook import conclude
 from dbo_cli.errors import InputError, LimitError
-from dbo_cli.model import Model, State, Undoing, read_ahead
+from dbo_cli.model import Model, State, Steps, Undoing, read_ahead
 
 Floats = NDArray[np.float64]
+# consecutive rows of a trajectory: seconds (None without a clock), seconds since the row
+# before (a number where they are even), what is desired, and what is asked for it
+Block = tuple[Floats | None, Steps, Floats, Floats]
+# of a drive: seconds (None without a clock), displacement, voltage
+Rows = tuple[Floats | None, Floats, Floats]
 
-PAUSE = (
-    1e-6  # of a step: so much later than a step behind a state, its voltage was held
-)
-
-
-class Block(NamedTuple):
-    """Consecutive rows of a trajectory.
-
-    Attributes
-    ----------
-    time : array or None
-        Seconds.
-    dt : float, array or None
-        Seconds since the row before: a number where they are even, None without a clock.
-    desired, wanted : array
-        What is desired, and what is asked of the model for it.
-    part : str
-        ``move``, or ``lead`` for rows before it.
-    """
-
-    time: Floats | None
-    dt: Steps
-    desired: Floats
-    wanted: Floats
-    part: str = "move"
+LARGEST = 1e60  # of a displacement, as of the numbers of a model
+PAUSE = 1e-6
+"""Of a step: so much later than a step behind a state, its voltage was held."""
 
 
-class Rows(NamedTuple):
-    """Rows of a drive: seconds (None without a clock), displacement, voltage."""
-
-    time: Floats | None
-    desired: Floats
-    voltage: Floats
-
-
-class Stream:
-    """The drive of a trajectory that comes in blocks: iterate over it once, then ask for ``drive``.
+def drive_blocks(
+    drive: Drive, blocks: Iterable[Block], lead: Lead, return_to: float | None
+) -> Iterator[Rows]:
+    """Yield the rows of a drive: before the move, of the move, after it.
 
     Parameters
     ----------
-    model
-        A forward model.
+    drive
+        Takes the figures and the state, which are complete at the end.
     blocks
         Of the trajectory.
-    limits, around, on_limit
-        What the drive may do, what stands around the move, and what happens at a limit.
-    name
-        Of the trajectory, for messages.
+    lead, return_to
+        What stands before the move, and the voltage to go to after it.
 
-    Attributes
-    ----------
-    drive : Drive or None
-        Figures of the drive (without rows), once the iteration is over.
+    Raises
+    ------
+    InputError
+        The trajectory is bad, or nothing of it can be reached.
+    LimitError
+        A limit was met, and that is refused; or the drive cannot begin.
+    GateError
+        A row breaks a limit: this program's fault.
     """
+    moves = _checked(blocks, drive.name)
+    first = next(moves, None)
+    if first is None:
+        raise InputError(f"{drive.name}: has no rows")
+    time, dt, desired, wanted = first
+    timed = lead.condition or lead.approach or lead.rest or return_to is not None
+    step = _usual_step(drive, dt, bool(timed))
+    if isinstance(dt, np.ndarray):
+        dt = np.concatenate([[step], dt[1:]])
+    if isinstance(lead.state, State):
+        lead = replace(lead, state=_aged(drive.model, lead.state, time, step))
+    value = float(wanted[0])
+    planned = plan_lead(drive.model, value, step, drive.limits, lead)
+    drive.state, voltage, rest, chosen = planned
+    moves = _read_enough(chain([(time, dt, desired, wanted)], moves), chosen, step)
+    earlier = voltage.size + rest
+    drive.lead_seconds, drive.past_known = earlier * step, lead.past_known
+    begin = 0.0 if time is None else float(time[0])
+    times = begin - step * np.arange(earlier, 0.0, -1.0)
+    if voltage.size:
+        yield _played(drive, times[: voltage.size], voltage, step, "lead")
+    else:
+        drive.gate.require_reachable(*drive.limits.move, dt)
+    at_first = np.full(rest, value)
+    still: Block = (times[voltage.size :], step, at_first, at_first)
+    signal = chain([(still, "lead")], ((block, "move") for block in moves))
+    for block, part in _undone(drive, signal, dt):
+        if drive.state is None:
+            drive.state = _started(drive, lead.state, float(block[3][0]))
+        yield _driven(drive, block, part)
+    _require_longer_than_delay(drive, step)
+    drive.require_reached()
+    if return_to is not None:
+        yield from _return(drive, return_to, step)
+    conclude(drive)
 
-    def __init__(
-        self,
-        model: Model,
-        blocks: Iterable[Block],
-        limits: Limits,
-        around: Around,
-        on_limit: OnLimit = "auto",
-        name: str = "trajectory",
-    ) -> None:
-        model.require("forward")
-        self.model, self.limits, self.around = model, limits, around
-        self.name = name
-        self.drive: Drive | None = None
-        self.loss = Loss(model, limits, on_limit, name)
-        self.outlook = Outlook(self.loss)
-        self._blocks = blocks
-        self._gate = Gate(limits, standing_at(limits, around))
-        self._state: State | None = None
-        self._time: float | None = None
 
-    def __iter__(self) -> Iterator[Rows]:
-        """Yield the rows: before the move, of the move, after it.
+def _checked(blocks: Iterable[Block], name: str) -> Iterator[Block]:
+    """Yield the blocks that hold rows; refuse values that are no displacement (InputError)."""
+    rows = 0
+    for block in blocks:
+        require_numbers(name, block[3], rows)
+        rows += block[3].size
+        if block[3].size:
+            yield block
 
-        Raises
-        ------
-        InputError
-            The trajectory is bad, or nothing of it can be reached.
-        LimitError
-            A limit was met, and that is refused; or the drive cannot begin.
-        GateError
-            A row breaks a limit: this program's fault.
-        """
-        blocks = self._checked(self._blocks)
-        first = next(blocks, None)
-        if first is None:
-            raise InputError(f"{self.name}: has no rows")
-        step = self._usual_step(first)
-        if isinstance(first.dt, np.ndarray):
-            later = first.dt[1:]
-            first = first._replace(dt=np.concatenate([[step or 0.0], later]))
-        lead = self._planned_lead(first, step or 0.0)
-        moves = self._read_enough(chain([first], blocks), lead, step or 0.0)
-        begin = 0.0 if first.time is None else float(first.time[0])
-        times = begin - (step or 0.0) * np.arange(lead.rows, 0.0, -1.0)
-        played = lead.voltage.size
-        if played:
-            self._admit(lead.voltage, step, "lead")
-            yield Rows(times[:played], lead.expected, lead.voltage)
-        if lead.desired.size:
-            rest = Block(times[played:], step, lead.desired, lead.desired, "lead")
-            moves = chain([rest], moves)
-        yield from self._follow(moves, first.dt)
-        seconds = self.loss.move.rows * (step or 0.0)
-        self._require_reached(seconds)
-        yield from self._return(step or 0.0)
-        if self._state is not None:
-            self._state = dataclasses.replace(self._state, time=self._time)
-        known = self.around.past_known
-        self.drive = self.outlook.drive(self._state, lead.rows * (step or 0.0), known)
 
-    def _checked(self, blocks: Iterable[Block]) -> Iterator[Block]:
-        """Yield the blocks that hold rows; refuse values that are not numbers (InputError)."""
-        rows = 0
-        for block in blocks:
-            bad = ~np.isfinite(block.wanted)
-            if bad.any():
-                row = rows + int(np.argmax(bad)) + 1
-                raise InputError(
-                    f"{self.name}: row {row:,} holds no number (`skip_bad` drops such rows)"
-                )
-            rows += block.wanted.size
-            if block.wanted.size:
-                yield block
+def require_numbers(name: str, values: Floats, before: int = 0) -> None:
+    """Refuse a row that is no displacement, with ``before`` rows before it (InputError)."""
+    bad = ~(np.abs(values) <= LARGEST)
+    if not bad.any():
+        return
+    row = int(np.argmax(bad))
+    where = f"{name}: row {before + row + 1:,}"
+    if np.isfinite(values[row]):
+        raise InputError(
+            f"{where}: {values[row]:g} is no displacement: check column and unit"
+        )
+    raise InputError(f"{where} holds no number (`skip_bad` drops such rows)")
 
-    # --- before the move ---
 
-    def _usual_step(self, first: Block) -> float | None:
-        """Return the seconds a row at the beginning; None without a clock.
+def _usual_step(drive: Drive, dt: Steps, timed: bool) -> float:
+    """Return the seconds a row at the beginning; 0 without a clock.
 
-        Raises
-        ------
-        InputError
-            There is none, and something depends on the time.
-        """
-        step = first.dt
-        if isinstance(step, np.ndarray):
-            forward = step[1:][step[1:] > 0.0]
-            step = float(np.median(forward)) if forward.size else None
-        needed = self.model.needs_time or self.around.needs_time
-        if step is None and (needed or self.limits.slew is not None):
-            raise InputError(
-                f"{self.name}: the model or the limits need a clock: a time column that advances, or "
-                "`sample_rate` HZ"
-            )
-        return step
+    Raises
+    ------
+    InputError
+        There is none, and something depends on the time.
+    """
+    step = dt
+    if isinstance(dt, np.ndarray):
+        forward = dt[1:][dt[1:] > 0.0]
+        step = float(np.median(forward)) if forward.size else None
+    if step is not None:
+        return float(step)
+    if timed or drive.model.needs_time or drive.limits.slew is not None:
+        raise InputError(
+            f"{drive.name}: the model or the limits need a clock: a time column that advances, or "
+            "`sample_rate` HZ"
+        )
+    return 0.0
 
-    def _planned_lead(self, first: Block, step: float) -> Lead:
-        """Return what stands before the move, and note the state that it leaves."""
-        around = self.around
-        if isinstance(around.state, State):
-            state = self._aged(around.state, first, step)
-            around = dataclasses.replace(around, state=state)
-        value = float(first.wanted[0])
-        lead = plan_lead(self.model, value, step, self.limits, around)
-        self._state = lead.state
-        if not lead.voltage.size:
-            self._gate.require_reachable(*self.limits.move, first.dt)
-        return lead
 
-    def _read_enough(
-        self, blocks: Iterator[Block], lead: Lead, step: float
-    ) -> Iterator[Block]:
-        """Read so much of the move that what stands before it is known not to be long beside it."""
-        read: list[Block] = []
-        seconds = 0.0
-        for block in blocks:
-            read.append(block)
-            seconds += block.wanted.size * step
-            if lead.chosen <= longest_lead(seconds):
-                return chain(read, blocks)
-        raise too_long(lead, seconds)
+def _aged(model: Model, state: State, time: Floats | None, step: float) -> State:
+    """Return a state after the pause between its last row and the first one: the voltage was held."""
+    if state.time is None or state.drive is None or time is None:
+        return state
+    pause = float(time[0]) - state.time - step
+    if pause <= PAUSE * step:
+        return state
+    return model.run(np.array([state.drive]), state, pause).state
 
-    def _aged(self, state: State, first: Block, step: float) -> State:
-        """Return a state after the pause between its last row and the first one: the voltage was held."""
-        if state.time is None or state.drive is None or first.time is None:
-            return state
-        pause = float(first.time[0]) - state.time - step
-        if pause <= PAUSE * step:
-            return state
-        return self.model.run(np.array([state.drive]), state, pause).state
 
-    # --- rows ---
-
-    def _admit(self, voltage: Floats, dt: Steps, part: str) -> None:
-        """Let rows pass the gate, and note what they span."""
-        self._gate.admit(voltage, dt, part)
-        self.outlook.see(voltage, dt, part)
-
-    def _follow(self, blocks: Iterator[Block], dt: Steps) -> Iterator[Rows]:
-        """Yield the drive of displacements; dynamics and delay are undone before."""
-        model = self.model
-        undoing: Undoing | None = None
-        if self._state is not None:
-            undoing = model.inverter(dt).behind(self._state)
-        late = 0
-        if isinstance(dt, float):
-            late = round(model.delay_seconds / dt)
-        signal = ((block, block.wanted) for block in blocks)
-        for block, wanted in read_ahead(signal, model.inverter(dt).ahead):
-            undone, undoing = model.inverter(block.dt).run(wanted, undoing)
-            if self._time is None:
-                self.outlook.off = float(undone[0] - wanted[late])
-            if block.time is not None:
-                self._time = float(block.time[-1])
-            yield self._driven(block, undone)
-
-    def _driven(self, block: Block, wanted: Floats) -> Rows:
-        """Return the drive of one block, ``wanted`` of the static part."""
-        if self._state is None:
-            self._state = self._started(float(wanted[0]))
-        before = self._state
-        done = self.model.drive(wanted, before, block.dt, self.limits.window)
-        if block.part == "move":
-            self.loss.see(block.desired, wanted, done, before, block.dt)
-        self.outlook.missed = self.outlook.missed or done.missed
-        self._admit(done.y, block.dt, block.part)
-        self._state = done.state
-        return Rows(block.time, block.desired, done.y)
-
-    def _started(self, first: float) -> State:
-        """Return the state in which a drive begins that nothing leads to."""
-        assert isinstance(self.around.state, str)
-        begun = self.model.start_drive(first, self.around.state, *self.limits.move)
-        if self._gate.last is None and self.limits.slew is not None:
-            self._gate.last = begun.drive
-        return begun
-
-    def _return(self, step: float) -> Iterator[Rows]:
-        """Yield the way back, where one is asked for."""
-        begin, end, state = self._gate.last, self.around.return_to, self._state
-        if end is None or begin is None or state is None:
-            return
-        voltage = return_ramp(begin, end, step, self.limits)
-        if not voltage.size:
-            return
-        run = self.model.run(voltage, state, step)
-        self._admit(voltage, step, "return")
-        time = (self._time or 0.0) + step * np.arange(1.0, voltage.size + 1.0)
-        self._state, self._time = run.state, float(time[-1])
-        yield Rows(time, run.y, voltage)
-
-    def _require_reached(self, seconds: float) -> None:
-        """Refuse a move that is over before the model answers, or whose limits cost too much of it."""
-        delay = self.model.delay_seconds
-        if self.loss.on_limit == "auto" and delay > seconds:
+def _read_enough(
+    blocks: Iterator[Block], chosen: float, step: float
+) -> Iterator[Block]:
+    """Read so much of the move that what stands before it is known not to be long beside it."""
+    read: list[Block] = []
+    seconds = 0.0
+    while chosen > max(LONGEST_CHOSEN, CHOSEN_MOVES * seconds):
+        block = next(blocks, None)
+        if block is None:
             raise LimitError(
-                f"{self.name}: the move, {seconds:.4g} s, is shorter than the model's delay, {delay:.4g} "
-                "s (`on_limit` clip writes it)"
+                f"{chosen:.4g} s before a move of {seconds:.4g} s: more than ten moves and a minute; "
+                "give `approach` SECONDS or more `max_slew`"
             )
-        self.loss.require_little()
+        read.append(block)
+        seconds += block[3].size * step
+    return chain(read, blocks)
+
+
+def _played(
+    drive: Drive, times: Floats, voltage: Floats, step: float, part: str
+) -> Rows:
+    """Return rows that are played as they are, with the displacement that the model expects of them."""
+    assert drive.state is not None
+    run = drive.model.run(voltage, drive.state, step)
+    drive.admit(voltage, step, part)
+    drive.state = replace(run.state, time=float(times[-1]))
+    return times, run.y, voltage
+
+
+def _undone(
+    drive: Drive, signal: Iterable[tuple[Block, str]], dt: Steps
+) -> Iterator[tuple[Block, str]]:
+    """Yield blocks with what the static part is to reach for them: dynamics and delay undone."""
+    model = drive.model
+    undoing: Undoing | None = None
+    if drive.state is not None:
+        undoing = model.inverter(dt).behind(drive.state)
+    late = round(model.delay_seconds / dt) if isinstance(dt, float) else 0
+    known = (((block, part), block[3]) for block, part in signal)
+    begun = False
+    for (block, part), ahead in read_ahead(known, model.inverter(dt).ahead):
+        time, dt, desired, _ = block
+        wanted, undoing = model.inverter(dt).run(ahead, undoing)
+        if not begun:
+            drive.off = float(wanted[0] - ahead[late])
+            begun = True
+        yield (time, dt, desired, wanted), part
+
+
+def _started(drive: Drive, start: str | State, first: float) -> State:
+    """Return the state in which a drive begins that nothing leads to."""
+    begun = drive.model.start_drive(first, start, *drive.limits.move)
+    if drive.gate.last is None and drive.limits.slew is not None:
+        drive.gate.last = begun.drive
+    return begun
+
+
+def _driven(drive: Drive, block: Block, part: str) -> Rows:
+    """Return the rows of one block, of which the static part is to reach what is asked."""
+    time, dt, desired, wanted = block
+    model, limits, before = drive.model, drive.limits, drive.state
+    assert before is not None
+    done = model.drive(wanted, before, dt, limits.move, limits.slew)
+    if part == "move":
+        drive.clip(desired, wanted, done, before, dt)
+    clipped_at_once = done.clipped and done.first_clipped == 0
+    beyond = model.inverse().outside(wanted[:1])[0]
+    if before.first is not None and not clipped_at_once and not beyond:
+        reached = model.static.run(done.y[:1], before, 0.0).y
+        drive.missed = float(wanted[0] - reached[0])
+    drive.admit(done.y, dt, part)
+    drive.state = done.state
+    if time is not None:
+        drive.state = replace(done.state, time=float(time[-1]))
+    return time, desired, done.y
+
+
+def _return(drive: Drive, end: float, step: float) -> Iterator[Rows]:
+    """Yield the voltages from the end of a move to ``end`` (LimitError: it is outside the rating)."""
+    assert drive.gate.last is not None and drive.state is not None
+    drive.limits.require_start(end, "`return`")
+    voltage = ramp("return", drive.gate.last, end, step, "auto", drive.limits)
+    times = (drive.state.time or 0.0) + step * np.arange(1.0, voltage.size + 1.0)
+    if voltage.size:
+        yield _played(drive, times, voltage, step, "return")
+
+
+def _require_longer_than_delay(drive: Drive, step: float) -> None:
+    """Refuse a move that is over before the model answers (LimitError)."""
+    delay, seconds = drive.model.delay_seconds, drive.move_rows * step
+    if drive.on_limit == "auto" and delay > seconds:
+        raise LimitError(
+            f"{drive.name}: the move, {seconds:.4g} s, is shorter than the model's delay, {delay:.4g} "
+            "s (`on_limit` clip writes it)"
+        )

@@ -114,7 +114,7 @@ def _operator(plan: Plan, parts: _Parts, run: int) -> None:
         f"static const dbo_backlash op = {{gears, {gears.n}, {run}, DBO_ROW_FACTOR({run}), 0, 0, 0.0,\n"
         f"    {c.real(gears.x0)}, {c.real(gears.y0)}, 1, {terms}, {gain}, {c.real(plan.reference)}, 1}};\n"
     )
-    ends = f"{c.real(plan.inner.low)}, {c.real(plan.inner.high)}"
+    ends = ", ".join(map(c.real, plan.inner))
     largest = "0"
     if plan.inner_step is not None:
         largest = "&largest_step"
@@ -151,7 +151,7 @@ def _gears(plan: Plan, parts: _Parts) -> None:
     _operator(plan, parts, run)
     _fixed_step(plan, parts, run)
     words = "0"
-    spare = c.words_of(plan.starts.empty, n, 64)
+    spare = c.words_of(plan.forward.empty, n, 64)
     if spare:
         words = "spare"
         parts.tables.append(c.array("uint64_t", "spare", spare))
@@ -180,7 +180,7 @@ def _gears(plan: Plan, parts: _Parts) -> None:
         f"dbo_backlash_load(&op, &state->gears, {words});",
         f"state->gears.last = {c.real(plan.at_gears(plan.first_drive))};",
     ]
-    moved = plan.starts.moved.n
+    moved = plan.forward.moved.n
     parts.reset.append(f"dbo_backlash_settle(&op, &state->gears, {moved}, {words}, x);")
     parts.step += [*pointers, step]
 
@@ -193,7 +193,7 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
     ModelError
         There are too many gears, or a memory beside them.
     """
-    n, empty = plan.gears.n, plan.starts.empty
+    n, empty = plan.gears.n, plan.forward.empty
     if n > MOST_LOOKUP_GEARS:
         raise ModelError(
             f"dx: {n} gears are too many for `lookup`: add `gears` {MOST_LOOKUP_GEARS}, or leave "
@@ -221,7 +221,7 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
         f"state->gears.state = {empty}U;",
         f"state->gears.last = {first};",
     ]
-    covered = f"{plan.starts.moved.n}U, {empty}U"
+    covered = f"{plan.forward.moved.n}U, {empty}U"
     parts.reset.append(f"dbo_lookup_settle(&lookup, &state->gears, {covered}, x);")
     parts.step.append("x = dbo_lookup_step(&lookup, &state->gears, x, &limits);")
 

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import ModelError, UsageError
-from dbo_cli.model import Gears, Model, State, Window
+from dbo_cli.model import Gears, Model, State
 from dbo_cli.model.delay import AFTER, whole_and_part
+from dbo_cli.model.gears import Window, largest_step
 from dbo_cli.model.points import through
-from dbo_cli.model.start import Starts
 from dbo_cli.model.undoing import SectionInverse, section_inverse
 
 Floats = NDArray[np.float64]
@@ -52,15 +52,16 @@ class Plan:
         """The inverse gears."""
         return self.model.gears
 
-    @cached_property
+    @property
     def inner(self) -> Window:
-        """The limits of the drive as the gears meet them."""
-        return self.model.inner_window(self.limits.window)
+        """The range of the drive as the gears meet it."""
+        return self.model.inner_limits(self.limits.move, None)[0]
 
     @property
     def inner_step(self) -> float | None:
         """The largest change of the gears' output in a step."""
-        step = self.inner.largest_step(self.dt)
+        _, slew = self.model.inner_limits(self.limits.move, self.limits.slew)
+        step = largest_step(slew, self.dt)
         return None if step is None else float(step)
 
     @property
@@ -92,11 +93,6 @@ class Plan:
     def at_gears(self, drive: float) -> float:
         """Return a drive as the gears meet it."""
         return float(through(self.forward.head, np.array([drive]))[0])
-
-    @cached_property
-    def starts(self) -> Starts:
-        """The states in which the gears may begin."""
-        return starts_of(self.forward)
 
     # ---- reading ahead ----
 
@@ -142,12 +138,12 @@ class Plan:
 
     def resting(self, drive: float, bits: int) -> State:
         """Return the state of an actuator that rests at a drive, its gears coming from ``bits``."""
-        moved = self.forward.gears.run([self.at_gears(drive)], bits)
-        return State(moved.bits, moved.memory, drive)
+        moved = self.forward.gears.run([self.at_gears(drive)], State(bits)).state
+        return replace(moved, drive=drive)
 
     def settled(self, drive: float) -> State:
         """Return the state after ``NAME_reset``."""
-        bits = self.starts.bits(self.at_gears(drive), "settled")
+        bits = self.forward.start_bits(self.at_gears(drive), "settled")
         return self.resting(drive, bits)
 
     @property
@@ -164,14 +160,8 @@ class Plan:
         wanted = np.concatenate([rest, moves, after])
         undone, _ = self.forward.inverter(self.dt).run(wanted)
         static = self.forward.static
-        return static.drive(undone[MORE_REST:], state, self.dt, self.limits.window).y
-
-
-def starts_of(forward: Model) -> Starts:
-    """Return the states in which the gears of a forward model may begin."""
-    source = forward.input
-    ends = forward.inner_window(Window(source.min, source.max))
-    return Starts(forward.gears, ends.low, ends.high)
+        move, slew = self.limits.move, self.limits.slew
+        return static.drive(undone[MORE_REST:], state, self.dt, move, slew).y
 
 
 def plan_of(model: Model, sample_rate: float | None, limits: Limits) -> Plan:
@@ -242,13 +232,12 @@ def with_fewer_gears(model: Model, gears: int) -> tuple[Model, Loss | None]:
         raise UsageError(f"`gears` {gears}: give 1 to {full.n}")
     if gears == full.n:
         return forward, None
-    starts = starts_of(forward)
-    moved = starts.moved
+    moved = forward.moved
     across = np.concatenate([[0.0], np.cumsum(moved.dx)])
     up = np.concatenate([[0.0], np.cumsum(moved.dy)])
     ends = across[-1] * np.arange(gears + 1.0) / gears
     heights = np.diff(np.interp(ends, across, up))
-    below = [bool(starts.empty >> gear & 1) for gear in range(full.n)]
+    below = [bool(forward.empty >> gear & 1) for gear in range(full.n)]
     begin = full.y0 + math.fsum(full.dy[np.array(below)].tolist())
     widths = np.full(gears, across[-1] / gears)
     fewer = Gears(widths, heights, moved.x0, begin, full.relaxation)

@@ -72,7 +72,7 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
     tables += (
         f"static const dboq_limits limits = {c.whole_structs([limits.positions])[0]};\n"
     )
-    spare = c.words_of(plan.starts.empty, gears.n, 32)
+    spare = c.words_of(plan.forward.empty, gears.n, 32)
     if spare:
         tables += c.array("uint32_t", "spare", spare)
     values["TABLES"] = tables
@@ -92,7 +92,8 @@ def _check(plan: Plan) -> None:
         )
     if np.any(plan.gain < 0.0):
         raise ModelError(
-            "relaxation.gain: negative gains are not possible in q31: use `arithmetic` double"
+            "relaxation.gain: q31 has no proven bound for negative gains: use `arithmetic` double, or "
+            "identify with `relaxation` 0"
         )
     if np.any(1.0 - plan.decay < SLOWEST_REST):
         raise ModelError(
@@ -137,7 +138,7 @@ def _values(plan: Plan, y_axis: Axis, limits: CountLimits) -> dict[str, str]:
         "SLEW": slew.rstrip("\n"),
         "CHECKPOINTS": "state->checkpoints" if plan.gears.n > SPACING else "0",
         "MEMORY": "state->memory" if plan.gain.size else "0",
-        "COVERED": str(plan.starts.moved.n),
+        "COVERED": str(plan.forward.moved.n),
         "FIRST_DRIVE": c.whole(place),
         "FIRST_OUTPUT": c.whole(output),
         "LEAST": c.whole(limits.low),
@@ -229,7 +230,7 @@ def _run(plan: Plan, reset: float | None, seed: int) -> c.Run:
     for move in trial_moves(source.min, source.max, seed).tolist():
         inputs.append(to_counts(move, source))
     begun = None
-    state = plan.resting(plan.first_drive, plan.starts.empty)
+    state = plan.resting(plan.first_drive, plan.forward.empty)
     if reset is not None:
         start = to_counts(reset, drive)
         begun = c.whole(start)

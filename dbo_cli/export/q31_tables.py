@@ -222,17 +222,14 @@ def limits_of(plan: Plan, y_axis: Axis) -> CountLimits:
         low += 1
     while high * unit + middle > most:
         high -= 1
-    inner, y0 = plan.inner, plan.gears.y0
-    inner_low, inner_high = (
-        (inner.low - y0) / y_axis.unit,
-        (inner.high - y0) / y_axis.unit,
-    )
+    y0 = plan.gears.y0
+    inner_low, inner_high = ((end - y0) / y_axis.unit for end in plan.inner)
     if not low < high or max(abs(inner_low), abs(inner_high)) >= 2.0**59:
         raise ModelError(
             "`v_min`, `v_max`: beyond the range of q31: use `arithmetic` double"
         )
     step, change = -1, None
-    largest, inner_largest = plan.limits.window.largest_step(plan.dt), plan.inner_step
+    largest, inner_largest = plan.limits.largest_step(plan.dt), plan.inner_step
     if largest is not None and inner_largest is not None:
         # 2^32: more than from one end to the other
         change = min(math.floor(float(largest) / unit), 2**32)

@@ -12,18 +12,13 @@ from string import Template
 from dbo_cli.errors import UsageError
 
 _IDENTIFIER = re.compile(r"(?!dboq?_)[A-Za-z][A-Za-z0-9_]{0,39}")  # dbo_: the kernel's
-_RESERVED = frozenset(
+_KEYWORDS = frozenset(
     """
-    alignas alignof and and_eq asm auto bitand bitor bool break case catch char char8_t char16_t
-    char32_t class compl concept const consteval constexpr constinit const_cast continue co_await
-    co_return co_yield decltype default delete do double dynamic_cast else enum explicit export
-    extern false float for friend goto if inline int int8_t int16_t int32_t int64_t long mutable
-    namespace new noexcept not not_eq nullptr operator or or_eq private protected public register
-    reinterpret_cast requires restrict return short signed size_t sizeof static static_assert
-    static_cast struct switch template this thread_local throw true try typedef typeid typename
-    typeof union unsigned using virtual void volatile wchar_t while xor xor_eq main setup loop
+    auto break case char const continue default do double else enum extern float for goto if inline
+    int long register restrict return short signed sizeof static struct switch typedef union unsigned
+    void volatile while
     """.split()
-)  # words of C and C++, and functions that every program has
+)  # of C99
 _LINE = 108  # characters of a line of numbers
 
 
@@ -88,9 +83,9 @@ def check_name(name: str) -> None:
     Raises
     ------
     UsageError
-        It is no identifier of C and C++, or begins as the kernel's names do.
+        It is no identifier of C, or begins as the kernel's names do.
     """
-    if not _IDENTIFIER.fullmatch(name) or name.lower() in _RESERVED:
+    if not _IDENTIFIER.fullmatch(name) or name in _KEYWORDS:
         raise UsageError(
             f"`name` {name}: give a C identifier of at most 40 letters, digits and underscores, no "
             "keyword"

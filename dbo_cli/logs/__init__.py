@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dbo_cli.logs.log import Log, columns_of, columns_of_names, open_log
-from dbo_cli.logs.rows import parse_rows, parse_scale
+from dbo_cli.logs.log import Log, columns_of, columns_of_names, open_log, parse_rows
 from dbo_cli.logs.source import Block, Column, Reading
 from dbo_cli.logs.write import Outputs, check_outputs, create, write_text
 
 __all__ = [
     "Block", "Column", "Log", "Outputs", "Reading", "check_outputs", "columns_of",
-    "columns_of_names", "create", "open_log", "parse_rows", "parse_scale", "write_text",
+    "columns_of_names", "create", "open_log", "parse_rows", "write_text",
 ]  # fmt: skip

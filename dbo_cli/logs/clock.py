@@ -1,12 +1,15 @@
 """The clock of a log: the time of every row in seconds, from a column, a stated rate, or none.
 
-Gaps and repeated stamps are warned of. Time that goes back is refused, and so are figures
-without a unit that can hardly be seconds.
+``find_clock`` decides which; ``Clock.read`` makes seconds of it, block by block. Gaps and
+repeated stamps are warned of. Time that goes back is refused, and so are figures without
+a unit that can hardly be seconds.
 """
 
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
@@ -14,10 +17,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import InputError, warn
-from dbo_cli.logs.source import Column, FloatArray
-from dbo_cli.units import multiplied
+from dbo_cli.errors import InputError, UsageError, warn
+from dbo_cli.logs.columns import listed, named, words
+from dbo_cli.logs.source import Column, FloatArray, Reading, Source
+from dbo_cli.units import kind_of, multiplied, ratio, time_unit
 
+_NAMES = frozenset(
+    "time t x_value zeit timestamp time_stamp timestamps elapsed seconds sec secs millis micros milliseconds "
+    "microseconds nanoseconds nanosec msec usec nsec sekunden datetime zeitstempel uhrzeit temps tiempo "
+    "tempo date datum datenum tijd tid czas čas cas время 时间 時間 x-axis utc ts epoch clock".split()
+)
+_KINDS = (None, "time", "count", "number of samples")  # what its unit may measure
+# behind the name of a time column they show that it counts something else
+_COUNTED = frozenset(
+    "tick ticks sample samples frame frames count counts cycle cycles index idx step steps point points "
+    "pulses clocks jiffies row rows number no".split()
+)
+# what stands in the brackets of a time column where other columns have their unit
+_NO_UNIT = frozenset(
+    "relative rel absolute abs raw local utc gmt elapsed iso start -".split()
+)
 _DAY = 86400 * 10**9  # ns
 # s; without a unit, figures this far apart or more are hardly seconds
 _LONG_STEP = 1.0
@@ -53,10 +72,10 @@ class Clock:
         Whether the user states it.
     rate, start
         Samples a second (Hz) and the time (s) of the first row, without a column.
-    step, uneven
-        Seconds between rows where they are even so far; whether they are not.
     rate_beside
         The rate (Hz) that the file states beside a time column.
+    step, uneven
+        Seconds between rows where they are even so far; whether they are not.
     origin, first_stamp
         What time 0 is in seconds since 1970, where dates say it; the first stamp (ns).
     """
@@ -83,6 +102,18 @@ class Clock:
     gaps: int = 0
     first_gap: int = 0
     largest_gap: float = 0.0
+
+    @property
+    def is_read(self) -> bool:
+        """Whether the times stand in a column."""
+        return self.kind in ("column", "stamps")
+
+    @property
+    def assumption(self) -> str:
+        """What is assumed of a unit that nothing states; empty where all is stated."""
+        if self.kind == "column" and self.unit is None and self.column is not None:
+            return f"the time {self.column.label} has no unit: s is assumed"
+        return next((text for text in self.remarks if "assumed" in text), "")
 
     def read(
         self, numbers: NDArray[np.int64], stored: NDArray[Any]
@@ -113,23 +144,16 @@ class Clock:
         known = steps if self.rows else steps[1:]
         if not self.rows:
             self.first = float(time[0])
-        if not self.rows and len(known):
-            steps[0] = steps[1]
-        if self.kind != "rate" and len(known):
+            steps[:1] = steps[1:2] if len(known) else 0.0
+        if len(known):
             self._watch(known, time, numbers)
         self.rows += len(time)
         self.last = float(time[-1])
-        if len(known) and not self.uneven:
-            self.step = self._even_step(known, time)
-            self.uneven = self.step is None
         return time, steps if self.step is None else self.step
 
     def _seconds(self, numbers: NDArray[np.int64], stored: NDArray[Any]) -> FloatArray:
-        if self.kind == "rate":
-            assert self.rate is not None
-            return np.asarray(
-                self.start + (numbers - 1.0) / self.rate, dtype=np.float64
-            )
+        if self.rate is not None:
+            return np.asarray(self.start + (numbers - 1.0) / self.rate, np.float64)
         if self.kind == "column":
             return np.asarray(multiplied(stored, self.factor))
         if self.first_stamp is None:
@@ -141,25 +165,31 @@ class Clock:
     def _watch(
         self, steps: FloatArray, time: FloatArray, numbers: NDArray[np.int64]
     ) -> None:
-        """Refuse a time that goes back; count repeats and gaps, and find the usual step."""
+        """Refuse a time that goes back; find out whether it is even, else count repeats and gaps."""
         numbers = numbers[len(numbers) - len(steps) :]
-        if steps.min() < 0.0:
+        low, high = float(steps.min()), float(steps.max())
+        if low < 0.0:
             at = int(np.argmax(steps < 0.0))
             after = float(time[at - len(steps)])
             raise InputError(
                 f"{self.called}: row {numbers[at]}: time goes back from {after - steps[at]:.9g} to "
                 f"{after:.9g} s: cut with `rows` A:B, or add `sample_rate` HZ"
             )
-        if self.rows < 2:
-            self.usual_step = float(np.sort(steps)[len(steps) // 2])
+        if not self.uneven:
+            mean = float(steps.mean())
+            self.step = self._even_step(low, high, mean, time)
+            self.uneven = self.step is None
+        if not self.usual_step:
+            self.usual_step = self.step or float(np.median(steps))
             self._require_seconds(float(time[-1]))
+        if not self.uneven or self.rate is not None:
+            return
         self.repeats += int(np.count_nonzero(steps == 0.0))
-        if self.usual_step > 0.0:
-            gaps = steps > _GAP * self.usual_step
-            if not self.gaps and gaps.any():
-                self.first_gap = int(numbers[np.argmax(gaps)])
+        gaps = steps > _GAP * self.usual_step
+        if self.usual_step > 0.0 and gaps.any():
+            self.first_gap = self.first_gap or int(numbers[np.argmax(gaps)])
             self.gaps += int(np.count_nonzero(gaps))
-            self.largest_gap = max(self.largest_gap, float(steps.max()))
+            self.largest_gap = max(self.largest_gap, high)
 
     @property
     def called(self) -> str:
@@ -167,26 +197,29 @@ class Clock:
         assert self.column is not None
         return f"{self.name}: the time {self.column.label}"
 
-    def _even_step(self, steps: FloatArray, time: FloatArray) -> float | None:
+    def _even_step(
+        self, low: float, high: float, mean: float, time: FloatArray
+    ) -> float | None:
         """Return the one step of rows that are even to rounding; None where they are not."""
         if self.rate is not None:
-            is_whole = steps.max() < _GAP / self.rate
-            return 1.0 / self.rate if is_whole else None
-        mean = float(steps.mean())
-        rounding = 4.0 * np.spacing(np.abs(time).max()) + self._resolution(time)
-        if mean <= 0.0 or np.abs(steps - mean).max() > _EVEN * mean + rounding:
-            return None
+            return 1.0 / self.rate if high < _GAP / self.rate else None
         step = mean if self.step is None else self.step
-        return step if abs(mean - step) <= _EVEN * step + rounding else None
+        off = max(high - step, step - low)
+        rounding = 4.0 * float(np.spacing(max(abs(time[0]), abs(time[-1]))))
+        if off > _EVEN * step + rounding:
+            rounding += self._resolution(time, step)
+        is_even = step > 0.0 and off <= _EVEN * step + rounding
+        return step if is_even else None
 
-    def _resolution(self, time: FloatArray) -> float:
+    @staticmethod
+    def _resolution(time: FloatArray, step: float) -> float:
         """Return the last decimal place of the times, where it is a small part of a step."""
         times = time[:50]
         for places in range(1, 13):
             place = 10.0**-places
             off = np.abs(times - np.round(times, places)).max()
             if off < 1e-3 * place + 4.0 * np.spacing(np.abs(times).max()):
-                return 1.01 * place if place < 0.05 * self.usual_step else 0.0
+                return 1.01 * place if place < 0.05 * step else 0.0
         return 0.0
 
     def _require_seconds(self, reach: float) -> None:
@@ -222,12 +255,12 @@ class Clock:
                 f"{self.name}: {self.gaps:,} gap{s} in time, first before row {self.first_gap:,}, largest "
                 f"{self.largest_gap:.4g} s"
             )
-        hours = (self.last - self.first) / 3600.0
-        is_slow = self.usual_step >= _LONG_STEP and 3600.0 * hours >= _LONG_LOG
+        span = self.last - self.first
+        is_slow = self.usual_step >= _LONG_STEP and span >= _LONG_LOG
         if self.kind == "column" and self.unit == "s" and not self.given and is_slow:
             warn(
-                f"{self.called} in s makes steps of {self.usual_step:.6g} s and a log of {hours:.3g} h: "
-                "confirm with `time_unit` s, or type ms or us"
+                f"{self.called} in s makes steps of {self.usual_step:.6g} s and a log of "
+                f"{span / 3600.0:.3g} h: confirm with `time_unit` s, or type ms or us"
             )
 
     def describe(self) -> str:
@@ -241,10 +274,7 @@ class Clock:
             return "no span of time"
         about = "" if self.step else "about "
         text = f"{self.last - self.first + step:.4g} s at {about}{hertz(1.0 / step)}"
-        is_assumed = self.kind == "column" and self.unit is None
-        if is_assumed or any("assumed" in remark for remark in self.remarks):
-            text += " (no unit stated)"
-        return text
+        return f"{text} (no unit stated)" if self.assumption else text
 
 
 def hertz(rate: float) -> str:
@@ -253,3 +283,163 @@ def hertz(rate: float) -> str:
         if rate >= size:
             return f"{rate / size:.5g} {unit}"
     return f"{rate:.5g} Hz"
+
+
+# --- which clock ---
+
+
+def find_clock(
+    source: Source, reading: Reading, selector: str | None, used: Sequence[Column]
+) -> Clock:
+    """Find the time column, or the rate that the user or the file states.
+
+    Parameters
+    ----------
+    source
+        The file.
+    reading
+        ``sample_rate`` and ``time_unit`` as the user gave them.
+    selector
+        What the user typed for the time, or None.
+    used
+        Columns that the user named for other roles.
+
+    Raises
+    ------
+    InputError
+        Several columns may be meant, or the unit is none of time.
+    UsageError
+        ``time`` and ``sample_rate`` are both given.
+    """
+    name, rate = source.name, reading.sample_rate
+    if rate is not None and selector is not None:
+        raise UsageError("`time` and `sample_rate` exclude each other: leave one out")
+    if rate is not None and not 0.0 < rate < np.inf:
+        raise UsageError(f"`sample_rate` {rate:g}: give a rate above 0 Hz")
+    if selector is not None:
+        matches = [named(source, selector, "time")]
+    else:
+        matches = _time_columns(source, used, needed=rate is None)
+    if rate is not None:
+        clock = Clock(name, "rate", rate=rate)
+        if len(matches) == 1:
+            clock.column = matches[0]
+            clock.remarks.append(f"`sample_rate` replaces {matches[0].label}")
+        return clock
+    if len(matches) > 1:
+        typed = [f"`time` {column.number} ('{column.name}')" for column in matches]
+        which = " or ".join(typed)
+        raise InputError(f"{name}: which column is the time? Type {which}{source.hint}")
+    if matches:
+        return _clock_of(source, matches[0], reading.time_unit)
+    return _stated_clock(source, reading)
+
+
+def _stated_clock(source: Source, reading: Reading) -> Clock:
+    """Return the clock of a file without a time column."""
+    name, stated = source.name, source.stated
+    if reading.time_unit is not None:
+        raise InputError(
+            f"{name}: `time_unit` {reading.time_unit}: no time column: "
+            f"{listed(source.columns)} (`time` NAME or NUMBER)"
+        )
+    if stated.problem:
+        raise InputError(f"{name}: {stated.problem}")
+    if stated.rate is None:
+        return Clock(name)
+    remarks = list(stated.remarks)
+    return Clock(name, "rate", rate=stated.rate, start=stated.start, remarks=remarks)
+
+
+def _time_columns(source: Source, used: Sequence[Column], needed: bool) -> list[Column]:
+    """Return the columns that may hold the time, by the surest reason that there is.
+
+    A name; a word of the name; dates; the unit of the first column. One that cannot be
+    read is refused where it is needed (InputError).
+    """
+    free = [column for column in source.columns if column not in used]
+    fitting = [c for c in free if kind_of(c.unit) in _KINDS or time_unit(c.unit)]
+    called = [c for c in fitting if c.quantity.lower() in _NAMES]
+    called = called or [c for c in fitting if words(c.quantity) & _NAMES]
+    matches = [c for c in called if c.kind == "number"]
+    matches = matches or [c for c in called if c.kind == "stamp"]
+    matches = matches or [c for c in free if c.kind == "stamp"]
+    texts = [c for c in called if c.kind == "text"]
+    if texts and not matches and needed:
+        raise InputError(
+            f"{source.name}: {texts[0].label} holds neither numbers nor ISO time stamps: type `time` "
+            "COLUMN or `sample_rate` HZ"
+        )
+    if not matches and free[:1] == source.columns[:1] and time_unit(free[0].unit):
+        matches = [column for column in free[:1] if column.kind == "number"]
+    return matches
+
+
+def _clock_of(source: Source, column: Column, typed: str | None) -> Clock:
+    """Return the clock of a time column.
+
+    Raises
+    ------
+    InputError
+        Its figures count something that is no known unit of time.
+    """
+    name = source.name
+    if column.kind == "stamp" and typed is not None:
+        raise InputError(
+            f"{name}: {column.label} holds time stamps: leave out `time_unit`"
+        )
+    if column.kind == "stamp":
+        return Clock(name, "stamps", column, unit="s")
+    if typed is not None:
+        factor = parse_time_unit(typed)
+        return Clock(name, "column", column, factor, typed.strip(), given=True)
+    unit = _stated_unit(name, column)
+    clock = Clock(name, "column", column, ratio(unit, "s"), unit)
+    clock.rate_beside = source.stated.rate
+    return clock
+
+
+def _stated_unit(name: str, column: Column) -> str | None:
+    """Return the unit that a time column states; None where it states none.
+
+    Raises
+    ------
+    InputError
+        What it states is no unit of time.
+    """
+    stated = column.unit
+    if stated is not None and stated.lower() not in _NO_UNIT:
+        unit = time_unit(stated)
+    else:
+        parts = words(column.quantity)
+        units = {time_unit(part) for part in parts if len(part) > 1} - {None, "min"}
+        if len(units) == 1:
+            return units.pop()
+        counted = sorted(parts & _COUNTED) or sorted(unit for unit in units if unit)
+        if not counted:
+            return None
+        unit, stated = None, counted[0]
+    if unit is None:
+        raise InputError(
+            f"{name}: {column.label}: '{stated}' is not a unit of time: type `time_unit` ms, 10us, "
+            "..., or `sample_rate` HZ"
+        )
+    return unit
+
+
+def parse_time_unit(text: str) -> Fraction:
+    """Read ``time_unit``: a unit of time, or a number of them (``10us``), in seconds.
+
+    Raises
+    ------
+    UsageError
+        It is none.
+    """
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)?\s*([^\d\s].*?)\s*", text)
+    unit = time_unit(match[2]) if match else None
+    count = Fraction((match[1] if match else None) or 1)
+    if unit is None or not count:
+        raise UsageError(
+            f"`time_unit` {text}: give s, ms, us, ns, min, h, or a multiple such as 10us"
+        )
+    return count * ratio(unit, "s")

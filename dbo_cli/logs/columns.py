@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from dbo_cli.errors import InputError, UsageError
@@ -143,11 +143,8 @@ def listed(columns: Sequence[Column]) -> str:
     for column in columns[:_LISTED]:
         shown.append(f"{column.number} {column.name}".strip())
         if column.kind == "text":
-            shown[-1] += (
-                f" (no numbers: '{column.sample}')"
-                if column.sample
-                else " (no numbers)"
-            )
+            sample = f": '{column.sample}'" if column.sample else ""
+            shown[-1] += f" (no numbers{sample})"
         if column.kind == "empty" and column.name:
             shown[-1] += " (mostly empty)"
     more = f", ... ({len(columns)} in all)" if len(columns) > _LISTED else ""
@@ -166,14 +163,13 @@ def named(source: Source, selector: str, option: str) -> Column:
     """
     name, columns = source.name, source.columns
     how, _, rest = selector.partition("=")
-    is_prefixed = how in ("number", "name")
-    typed = rest if is_prefixed else selector
+    typed = rest if how in ("number", "name") else selector
     by_name = [] if how == "number" else _by_name(columns, typed)
     by_number: list[Column] = []
     if how != "name" and re.fullmatch(r"[-+]?\d{1,9}", typed):
         if int(typed) < 1:
             raise UsageError(f"`{option}` {typed}: columns are counted from 1")
-        by_number = [column for column in columns if column.number == int(typed)]
+        by_number = columns[int(typed) - 1 : int(typed)]
     if by_name and by_number and by_name != by_number:
         raise InputError(
             f"{name}: `{option}` {typed}: {by_number[0].label}, or {by_name[0].number}, which is named "
@@ -196,22 +192,18 @@ def named(source: Source, selector: str, option: str) -> Column:
 
 
 def _by_name(columns: Sequence[Column], selector: str) -> list[Column]:
-    """Return the columns that have a name, tried from the strictest way of comparing it."""
+    """Return the columns of a name; else those of a path, a quantity or other capitals."""
     plain = " ".join(selector.split())
-    lower = plain.lower()
-    tail = lower.lstrip("/")
-    ways = (
-        lambda column: " ".join(column.name.split()) == plain,
-        lambda column: " ".join(column.name.split()).lower() == lower,
-        lambda column: column.name.lower().lstrip("/") == tail,
-        lambda column: column.name.lower().rsplit("/", 1)[-1] == tail,
-        lambda column: column.quantity.lower() == lower,
-    )
-    for is_meant in ways:
-        matches = [column for column in columns if column.name and is_meant(column)]
-        if matches:
-            return matches
-    return []
+    exact = [c for c in columns if plain and " ".join(c.name.split()) == plain]
+    if exact:
+        return exact
+    lower = plain.lower().lstrip("/")
+    matches = []
+    for column in columns:
+        name = " ".join(column.name.split()).lower().lstrip("/")
+        if name and lower in (name, name.rsplit("/", 1)[-1], column.quantity.lower()):
+            matches.append(column)
+    return matches
 
 
 def choose(
@@ -250,8 +242,8 @@ def choose(
                 raise InputError(
                     f"{name}: `{role}`: {chosen[role].label} holds time stamps"
                 )
-    used = {column.number for column in (*taken, *chosen.values())}
-    free = [column for column in columns if column.number not in used]
+    used = [*taken, *chosen.values()]
+    free = [column for column in columns if column not in used]
     unclear: dict[str, list[Column]] = {}
     for role in selectors:
         if role in chosen:
@@ -263,7 +255,7 @@ def choose(
             unclear[role] = matches
     _refuse_shared(name, columns, chosen)
     if unclear:
-        used |= {column.number for column in chosen.values()}
+        used = [*taken, *chosen.values()]
         raise InputError(f"{name}: {_question(unclear, columns, used)}{source.hint}")
     return {role: chosen[role] for role in selectors if role in chosen}
 
@@ -284,7 +276,7 @@ def _refuse_shared(
 def _question(
     unclear: Mapping[str, Sequence[Column]],
     columns: Sequence[Column],
-    used: Collection[int],
+    used: Sequence[Column],
 ) -> str:
     """Ask for all roles that are not clear, with the options to type."""
     questions = []
@@ -294,7 +286,7 @@ def _question(
         )
         noun = f"{role} displacement" if role in ("desired", "measured") else role
         questions.append(f"which column is the {noun}{', ' + which if which else ''}?")
-    free = [c for c in columns if c.kind == "number" and c.number not in used]
+    free = [c for c in columns if c.kind == "number" and c not in used]
     options: list[str] = []
     for role in unclear:
         against = role_of(role, None).against
@@ -337,19 +329,19 @@ def candidates(columns: Sequence[Column], role: Role) -> list[Column]:
     proved = [c for c in fitting if kind_of(c.unit) in role.proving]
     if part:
         return part + [c for c in proved if c not in part]
-    free = [c for c in columns if c.kind == "number" and not _clashes(c, role)]
+    free = [column for column in columns if _is_free(column, role)]
     if any(words(c.quantity) & role.names for c in free):
         return []  # the column of that name is in a unit that cannot be meant
     return proved or [c for c in free if kind_of(c.unit) in role.more]
 
 
-def _clashes(column: Column, role: Role) -> bool:
-    return bool(words(column.name) & role.against)
-
-
 def _may_be(column: Column, role: Role) -> bool:
     """Return whether nothing in a column's unit and words speaks against a role."""
     kind = kind_of(column.unit)
-    if column.kind != "number" or _clashes(column, role):
-        return False
-    return kind is None or kind in role.allowed or kind in role.proving
+    is_of_kind = kind is None or kind in role.allowed or kind in role.proving
+    return is_of_kind and _is_free(column, role)
+
+
+def _is_free(column: Column, role: Role) -> bool:
+    """Return whether a column holds numbers and no word of it gives it another role."""
+    return column.kind == "number" and not words(column.name) & role.against

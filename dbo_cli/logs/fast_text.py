@@ -11,6 +11,7 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
@@ -18,10 +19,12 @@ from dbo_cli.logs.cells import STAMPS
 from dbo_cli.logs.sniff import ERROR, Layout
 from dbo_cli.logs.source import NOT_A_TIME, Column
 
+Arrays = list[NDArray[Any]]
+
 
 def read_fast(
-    text: bytes, layout: Layout, chosen: Sequence[Column], cleaned: bool = False
-) -> list[NDArray[Any]] | None:
+    text: bytes, layout: Layout, chosen: Sequence[Column]
+) -> tuple[Arrays, int] | None:
     """Read whole lines; None where a line or a cell of them is not regular.
 
     Parameters
@@ -32,39 +35,23 @@ def read_fast(
         How they are written.
     chosen
         The columns that are wanted.
-    cleaned
-        Whether to leave out comments, blank lines and blanks first.
 
     Returns
     -------
-    list or None
-        float64, or int64 nanoseconds, for each chosen column.
+    arrays, lines
+        float64, or int64 nanoseconds, for each chosen column; the number of lines.
     """
-    if layout.delimiter == " ":
-        text = _single_blanks(text)
-    if b'"' in text:
-        text = _unquoted(text, layout.delimiter)
-        if b'"' in text:
-            return None
-    if cleaned:
-        text = _cleaned(text, layout.delimiter)
-    frame = _frame(text, layout)
-    if frame is None:
-        return None
-    arrays: list[NDArray[Any]] = []
-    for column in chosen:
-        series = frame[f"{column.number}"]
-        if column.kind == "stamp":
-            series = _stamps(series, layout.stamps[column.number - 1])
-            series = series.fill_null(NOT_A_TIME)
-        if series.null_count():
-            return None
-        arrays.append(series.to_numpy())
-    return arrays
+    plain = _single_blanks(text) if layout.delimiter == " " else text
+    if 0 in layout.numeric:  # else a comment may pass as a row
+        arrays = _arrays(plain, layout, chosen)
+        if arrays is not None:
+            return arrays, len(arrays[0])
+    arrays = _arrays(_cleaned(plain, layout.delimiter), layout, chosen)
+    return None if arrays is None else (arrays, text.count(b"\n"))
 
 
-def _frame(text: bytes, layout: Layout) -> pl.DataFrame | None:
-    """Read all columns; None where polars refuses, or a line has too few cells."""
+def _arrays(text: bytes, layout: Layout, chosen: Sequence[Column]) -> Arrays | None:
+    """Read the chosen columns; None where polars refuses, or a cell or a line is not regular."""
     schema: dict[str, Any] = {}
     for n in range(layout.width):
         schema[f"{n + 1}"] = pl.Float64 if n in layout.numeric else pl.String
@@ -79,29 +66,46 @@ def _frame(text: bytes, layout: Layout) -> pl.DataFrame | None:
         )
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, ValueError):
         return None
+    if not _is_regular(text, layout, frame):
+        return None
+    arrays: Arrays = []
+    for column in chosen:
+        series = frame[f"{column.number}"]
+        if series.null_count():
+            return None
+        if column.kind == "stamp":
+            arrays.append(read_stamps(series, layout.stamps[column.number - 1]))
+        else:
+            arrays.append(series.to_numpy())
+    return arrays
+
+
+def _is_regular(text: bytes, layout: Layout, frame: pl.DataFrame) -> bool:
+    """Return whether polars took no line with too few cells, no quoted delimiter, and no wrong sign."""
+    if layout.width > len(layout.numeric) and b'"' in text:
+        return False
     if frame.to_series(-1).null_count():
         # no line has too many cells, so the delimiters in all tell whether one has too few
         marks = text.count(layout.delimiter.encode())
         if marks != (layout.width - 1) * len(frame):
-            return None
-    if layout.decimal == ",":
+            return False
+    if layout.decimal == "," and b"." in text:
         texts = frame.select(pl.selectors.string().str.count_matches(".", literal=True))
-        if text.count(b".") != sum(map(sum, texts.fill_null(0).iter_columns())):
-            return None  # a point in a cell of a number
-    return frame
+        return text.count(b".") == sum(map(sum, texts.fill_null(0).iter_columns()))
+    return True
 
 
-def _stamps(series: pl.Series, form: str) -> pl.Series:
-    """Read time stamps as nanoseconds since 1970, or since midnight; null for other cells."""
-    like = series.str.contains(f"^(?:{STAMPS[form].pattern})$")
-    text = series.str.replace(",", ".", literal=True)
-    if not form.startswith("%Y") and not form.startswith("%d"):
+def read_stamps(cells: pl.Series, form: str) -> NDArray[np.int64]:
+    """Read time stamps as nanoseconds since 1970, or since midnight; ``NOT_A_TIME`` for other cells."""
+    is_stamp = cells.str.contains(f"^(?:{STAMPS[form].pattern})$")
+    text = cells.str.replace(",", ".", literal=True)
+    if form == "%H:%M:%S%.f":
         text, form = "1970-01-01 " + text, f"%Y-%m-%d {form}"
     if form.endswith("%z"):
         text = text.str.replace("Z$", "+00:00")
     stamps = text.str.to_datetime(form, strict=False, time_unit="ns", exact=True)
-    counts = stamps.dt.epoch("ns")
-    return pl.select(pl.when(like).then(counts)).to_series()
+    counts = pl.select(pl.when(is_stamp).then(stamps.dt.epoch("ns"))).to_series()
+    return np.asarray(counts.fill_null(NOT_A_TIME).to_numpy())
 
 
 def _single_blanks(text: bytes) -> bytes:
@@ -112,20 +116,16 @@ def _single_blanks(text: bytes) -> bytes:
     return text.replace(b"\n ", b"\n").replace(b" \n", b"\n").strip(b" ")
 
 
-def _unquoted(text: bytes, delimiter: str) -> bytes:
-    """Take the quotes off cells that hold no delimiter; others keep theirs."""
-    mark = re.escape(delimiter.encode())
-    cell = rb'"([^"\n' + mark + rb']*)"'
-    pattern = rb"(?m)(?:^|(?<=" + mark + rb"))" + cell + rb"(?=" + mark + rb"|$)"
-    return re.sub(pattern, rb"\1", text)
-
-
 def _cleaned(text: bytes, delimiter: str) -> bytes:
-    """Leave out comments, blank lines, and blanks around cells."""
+    """Leave out comments, blank lines, blanks around cells, and quotes around cells without a delimiter."""
+    mark = re.escape(delimiter.encode())
+    if b'"' in text:
+        cell = rb'"([^"\n' + mark + rb']*)"'
+        pattern = rb"(?m)(?:^|(?<=" + mark + rb"))" + cell + rb"(?=" + mark + rb"|$)"
+        text = re.sub(pattern, rb"\1", text)
     comment = rb"(?m)^[ \t]*(?:(?!" + ERROR.encode() + rb")[#%].*|EOF[ \t]*$)\n?"
     text = re.sub(comment, b"", text)
     if delimiter != " " and b" " in text:
-        mark = re.escape(delimiter.encode())
         text = re.sub(rb" *" + mark + rb" *", lambda _: delimiter.encode(), text)
         text = re.sub(rb"(?m)^ +| +$", b"", text)
     return re.sub(rb"\n\n+", b"\n", text).lstrip(b"\n")

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, InputError
-from dbo_cli.logs.headers import Statement, clock_of, is_clock_setting
+from dbo_cli.logs.settings import Statement, is_clock_setting, stated_clock
 from dbo_cli.logs.source import BLOCK_ROWS, NOT_A_TIME, Column, Reading, Source
 from dbo_cli.units import spell, split_header
 
@@ -97,15 +97,16 @@ def fenced(path: str, kind: str) -> Iterator[None]:
 class StoredColumn:
     """A column that was found: its rows come from ``fetch(start, stop)``, counted from 0.
 
-    ``warnings`` are due where it is read.
+    ``fetch`` is None where they are stored in other files; ``problem`` says why they may
+    not be what they are taken for.
     """
 
     name: str
     length: int
-    fetch: Fetch
+    fetch: Fetch | None
     unit: str | None = None
     kind: str = "number"
-    warnings: tuple[str, ...] = ()
+    problem: str = ""
 
 
 class ArraySource(Source):
@@ -130,7 +131,7 @@ class ArraySource(Source):
         statements: Sequence[Statement] = (),
         close: Callable[[], object] = lambda: None,
     ) -> None:
-        super().__init__(path, (), clock_of(statements))
+        super().__init__(path, (), stated_clock(statements))
         self._members: list[StoredColumn] = []
         self._close = close
         for column in members:
@@ -168,8 +169,13 @@ class ArraySource(Source):
 
     def _read(self, column: Column, start: int, stop: int) -> NDArray[Any]:
         """Read rows of one column as float64, or dates as int64 nanoseconds."""
+        fetch = self._members[column.number - 1].fetch
+        if fetch is None:
+            raise InputError(
+                f"{self.name}: {column.label} is stored in other files: copy them into one with h5repack"
+            )
         with fenced(self.name, column.label):
-            stored = np.asarray(self._members[column.number - 1].fetch(start, stop))
+            stored = np.asarray(fetch(start, stop))
             if stored.dtype.kind == "M":
                 stored = stored.astype("datetime64[ns]").astype(np.int64)
             elif column.kind == "number":
@@ -195,17 +201,18 @@ def array_columns(name: str, array: Any, unit: str | None = None) -> list[Stored
     table = array[:, None] if array.ndim == 1 else array
     if table.shape[0] < table.shape[1]:
         table = table.T
-    for number in range(table.shape[1]):
-        label = name if table.shape[1] == 1 else f"{name}[{number + 1}]"
-        columns.append(_vector(label if name else "", table[:, number], unit))
+    rows, width = table.shape
+    kind = "stamp" if array.dtype.kind == "M" else "number"
+    for number in range(width):
+        label = f"{name}[{number + 1}]" if name and width > 1 else name
+        fetch = rows_of(table[:, number])
+        columns.append(StoredColumn(label, rows, fetch, unit, kind))
     return columns
 
 
-def _vector(name: str, array: Any, unit: str | None) -> StoredColumn:
-    kind = "stamp" if array.dtype.kind == "M" else "number"
-    return StoredColumn(
-        name, len(array), lambda start, stop: array[start:stop], unit, kind
-    )
+def rows_of(stored: Any) -> Fetch:
+    """Return what fetches rows of an array, a dataset or a channel."""
+    return lambda start, stop: stored[start:stop]
 
 
 def source_of(path: str, arrays: Mapping[str, Any], advice: str = "") -> Source:
@@ -289,11 +296,12 @@ def open_matlab(path: str, part: str, reading: Reading) -> Source:
 
 
 class ArrowSource(Source):
-    """The columns of a Parquet or Feather file, read in stretches of rows."""
+    """The columns of a Parquet or Feather file, read in stretches of rows (InputError)."""
 
-    def __init__(self, path: str) -> None:
+    def __init__(self, path: str, part: str, reading: Reading) -> None:
         import polars as pl
 
+        _refuse_part(path, part)
         super().__init__(path, ())
         with fenced(path, "Parquet or Feather"):
             with open(path, "rb") as file:
@@ -332,12 +340,6 @@ def _arrow_array(series: Any) -> NDArray[Any]:
         stamps = series.to_physical().fill_null(NOT_A_TIME)
         return np.asarray(stamps.to_numpy())
     return np.asarray(series.cast(pl.Float64).to_numpy())
-
-
-def open_arrow(path: str, part: str, reading: Reading) -> Source:
-    """Open a Parquet or Feather file (InputError)."""
-    _refuse_part(path, part)
-    return ArrowSource(path)
 
 
 # --- Excel ---
@@ -419,9 +421,8 @@ def _channels(groups: Sequence[Any]) -> tuple[list[StoredColumn], list[Statement
             unit = stated.get("unit_string") or stated.get("NI_UnitDescription")
             name = channel.name if len(groups) == 1 else f"{group.name}/{channel.name}"
             kind = "stamp" if channel.dtype.kind == "M" else "number"
-            members.append(
-                StoredColumn(name, len(channel), _channel_rows(channel), unit, kind)
-            )
+            rows = rows_of(channel)
+            members.append(StoredColumn(name, len(channel), rows, unit, kind))
             if str(stated.get("wf_xname") or "Time").lower() == "time":  # no spectrum
                 for key in ("wf_increment", "wf_start_offset"):
                     if isinstance(stated.get(key), int | float):
@@ -429,17 +430,13 @@ def _channels(groups: Sequence[Any]) -> tuple[list[StoredColumn], list[Statement
     return members, statements
 
 
-def _channel_rows(channel: Any) -> Fetch:
-    return lambda start, stop: channel[start:stop]
-
-
 _BY_MAGIC: dict[bytes, Reader] = {
     b"\x93NUMPY": open_npy,
     b"PK\x03\x04": open_zip,
     b"\xd0\xcf\x11\xe0": open_excel,  # Excel before 2007
     b"MATLAB": open_matlab,
-    b"PAR1": open_arrow,
-    b"ARROW1": open_arrow,
+    b"PAR1": ArrowSource,
+    b"ARROW1": ArrowSource,
     b"TDSm": open_tdms,
 }
 _PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")

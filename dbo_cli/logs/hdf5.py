@@ -15,15 +15,21 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import InputError, warn
-from dbo_cli.logs.formats import ArraySource, Fetch, StoredColumn, fenced, no_columns
-from dbo_cli.logs.headers import Statement, is_clock_setting
+from dbo_cli.errors import InputError
+from dbo_cli.logs.formats import (
+    ArraySource,
+    Fetch,
+    StoredColumn,
+    fenced,
+    no_columns,
+    rows_of,
+)
+from dbo_cli.logs.settings import Statement, is_clock_setting
 from dbo_cli.logs.source import Column, Reading, Source
 
 MOST_HOPS = 16  # soft links behind each other; more are a circle
-CHUNK_CACHE = (
-    1 << 22
-)  # bytes a dataset: a compressed chunk is unpacked once, not once a block
+# bytes a dataset: a compressed chunk is unpacked once, not once a block
+CHUNK_CACHE = 1 << 22
 _NOT_APPLIED = {
     "scale_factor": 1.0, "add_offset": 0.0, "scale": 1.0, "offset": 0.0, "gain": 1.0, "factor": 1.0,
     "sensitivity": 1.0, "calibration": 1.0, "YInc": 1.0,
@@ -47,7 +53,7 @@ def open_hdf5(path: str, part: str, reading: Reading) -> Source:
         file = h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE)
     try:
         with fenced(path, "HDF5"):
-            return Hdf5Source(path, part, file)
+            return Hdf5Source(path, part, file, bool(reading.scale))
     except BaseException:
         file.close()
         raise
@@ -71,15 +77,20 @@ class _Group:
 
 
 class Hdf5Source(ArraySource):
-    """The columns of an HDF5 file."""
+    """The columns of an HDF5 file.
 
-    def __init__(self, path: str, part: str, file: Any) -> None:
+    A column whose attributes may belong to its values (``scale_factor``) is refused where
+    it is read, unless the user types a scale (``is_scaled``).
+    """
+
+    def __init__(self, path: str, part: str, file: Any, is_scaled: bool) -> None:
         node = _node(path, file, part)
         if node is None:
             raise InputError(
                 f"{path}::{part}: no such part; the file has {_listed(file)}"
             )
         self._node = node
+        self._is_scaled = is_scaled
         if isinstance(node, h5py.Dataset):
             name = node.name.rsplit("/", 1)[-1]
             groups = [_Group("", columns_of(node, name), _attributes(node))]
@@ -114,8 +125,9 @@ class Hdf5Source(ArraySource):
     def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of the chosen columns; see ``Source``."""
         for column in chosen:
-            for warning in self._members[column.number - 1].warnings:
-                warn(f"{self.name}: {column.label} {warning}")
+            problem = self._members[column.number - 1].problem
+            if problem and not self._is_scaled:
+                raise InputError(f"{self.name}: {column.label} {problem}")
         yield from super().blocks(chosen)
 
 
@@ -183,16 +195,16 @@ def columns_of(dataset: Any, name: str) -> list[StoredColumn]:
     if not dataset.size or not _holds_numbers(dataset):
         return []
     if dataset.is_virtual or dataset.external:
-        return [StoredColumn(name, len(dataset), _refusing(name))]
+        return [StoredColumn(name, len(dataset), None)]
     kind, shape = dataset.dtype, dataset.shape
     if kind.names is not None and len(shape) == 1:
         return _fields(dataset)
     if h5py.check_string_dtype(kind) is not None and len(shape) == 1:
-        return [StoredColumn(name, len(dataset), _vector_rows(dataset), kind="text")]
+        return [StoredColumn(name, len(dataset), rows_of(dataset), kind="text")]
     if kind.kind not in "fiub" or len(shape) not in (1, 2):
         return []
     if len(shape) == 1:
-        return [_column(dataset, name, 0, len(dataset), _vector_rows(dataset))]
+        return [_column(dataset, name, 0, len(dataset), rows_of(dataset))]
     is_matlab = "MATLAB_class" in dataset.attrs  # it stores matrices transposed
     along = 0 if shape[0] > shape[1] or (shape[0] == shape[1] and not is_matlab) else 1
     width = shape[1 - along]
@@ -211,22 +223,20 @@ def columns_of(dataset: Any, name: str) -> list[StoredColumn]:
 def _column(
     dataset: Any, name: str, number: int, length: int, rows: Fetch
 ) -> StoredColumn:
-    """Return a column with its unit, and a warning of each attribute that may belong to its values."""
-    warnings = []
+    """Return a column with its unit."""
+    problem = ""
     for key, nothing in _NOT_APPLIED.items():
         node = dataset.parent if key == "YInc" else dataset  # Keysight's counts
         values = _attribute(node, key)
         if len(values) == 1 and values[0] != nothing:
-            warnings.append(
-                f"has an attribute {key}, {values[0]}: not applied (`scale`)"
-            )
+            problem = f"has an attribute {key}, {values[0]}, which is not applied: type `scale` ROLE=FACTOR"
     units = _texts(dataset, "units", "unit", "Units", "Unit")
     if len(units) == 1:
         units = units * (number + 1)
     unit = units[number] if number < len(units) else None
     fill = _attribute(dataset, "_FillValue")
     fetch = _without(rows, fill[0]) if len(fill) == 1 else rows
-    return StoredColumn(name, length, fetch, unit, warnings=tuple(warnings))
+    return StoredColumn(name, length, fetch, unit, problem=problem)
 
 
 def _without(rows: Fetch, fill: Any) -> Fetch:
@@ -244,28 +254,15 @@ def _fields(dataset: Any) -> list[StoredColumn]:
     for number, name in enumerate(dataset.dtype.names):
         kind, length = dataset.dtype[name], len(dataset)
         if kind.kind in "fiub" and not kind.shape:
-            rows = _vector_rows(dataset.fields(name))
+            rows = rows_of(dataset.fields(name))
             members.append(_column(dataset, name, number, length, rows))
     return members
-
-
-def _vector_rows(dataset: Any) -> Fetch:
-    return lambda start, stop: dataset[start:stop]
 
 
 def _matrix_rows(dataset: Any, along: int, number: int) -> Fetch:
     if along == 0:
         return lambda start, stop: dataset[start:stop, number]
     return lambda start, stop: dataset[number, start:stop]
-
-
-def _refusing(name: str) -> Fetch:
-    def fetch(start: int, stop: int) -> Any:
-        raise InputError(
-            f"'{name}' is stored in other files: copy them into one file with h5repack"
-        )
-
-    return fetch
 
 
 # --- what a node says ---

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dbo_cli.errors import InputError, UsageError, warn
+from dbo_cli.errors import InputError, warn
 from dbo_cli.logs.clock_offset import Pair, apart, find_offset
-from dbo_cli.logs.log import Log
+from dbo_cli.logs.log import Log, TableLog
 from dbo_cli.logs.source import Block, FloatArray
 
 SENSORS = ("displacement", "measured")  # the rows are those of their file
@@ -37,17 +36,17 @@ class ClockOffset:
         return f"{name} moved by {self.seconds:.4g}{within} s"
 
 
-def joined(logs: Sequence[Log], clock_offset: float | str | None) -> Log:
-    """Join logs of one move by time into one.
+def joined(log: Log, second: Log, clock_offset: float | str | None) -> Log:
+    """Join two logs of one move by time into one, which has the name of the first.
 
     The rows are those of the log that holds the displacement (or what was measured),
-    else of the first one. The others are interpolated linearly onto them, where all
-    have rows.
+    else of the first one. The other is interpolated linearly onto them, where both have
+    rows.
 
     Parameters
     ----------
-    logs
-        One of each file, with its roles; the first gives the name.
+    log, second
+        The logs, each with its roles.
     clock_offset
         Seconds, or ``auto``, added to the clock of the drive's file.
 
@@ -56,42 +55,33 @@ def joined(logs: Sequence[Log], clock_offset: float | str | None) -> Log:
     InputError
         A log has no clock, they have no time in common, or the offset cannot be found.
     """
-    if len(logs) > 2 and clock_offset is not None:
-        raise UsageError("`clock_offset` needs two files: join the others first")
-    base = logs[0]
-    for log in logs:
-        if any(role in log.columns for role in SENSORS):
-            base = log
-            break
-    rows = base.read()
-    remarks = list(base.remarks)
-    columns = dict(base.columns)
-    offset: ClockOffset | None = None
-    for log in logs:
-        if log is base:
-            continue
-        table = log.read()
-        place = f"{base.name} and {log.name}"
-        time = _time_beside(base, log, table, clock_offset)
-        if clock_offset is None:
-            _warn_if_apart(place, rows, log, time, table)
-        else:
-            offset = _offset(place, rows, log, time, table, clock_offset)
-            time = time + offset.seconds
-        count = rows.rows
-        rows = _beside(rows, time, table, place)
-        if rows.rows < count:
-            remarks.append(
-                f"{count - rows.rows:,} rows of {base.name} left out: {log.name} has none there"
-            )
-        remarks += log.remarks
-        columns |= log.columns
-    assert rows.time is not None
-    first, last = float(rows.time[0]), float(rows.time[-1])
-    clock = replace(base.clock, first=first, last=last, rows=rows.rows)
-    log = Log.of_table(logs[0].name, columns, rows, clock, remarks)
-    log.clock_offset = offset
-    return log
+    base, guest = log, second
+    if any(role in second.columns for role in SENSORS):
+        base, guest = second, log
+    place = f"{base.name} and {guest.name}"
+    rows, table = base.read(), guest.read()
+    time = _time_beside(base, guest, table, clock_offset)
+    offset = None
+    if clock_offset is None:
+        _warn_if_apart(place, rows, time, table)
+    else:
+        seconds, deviation = _offset(place, rows, time, table, clock_offset)
+        offset = ClockOffset(guest.name, seconds, deviation, clock_offset == "auto")
+        time = time + seconds
+    beside = _beside(rows, time, table, place)
+    remarks = [*base.remarks, *guest.remarks]
+    if len(beside) < len(rows):
+        remarks.append(
+            f"{len(rows) - len(beside):,} rows of {base.name} left out: {guest.name} has none there"
+        )
+    assert beside.time is not None
+    first, last = float(beside.time[0]), float(beside.time[-1])
+    clock = replace(base.clock, first=first, last=last, rows=len(beside))
+    columns = {**base.columns, **guest.columns}
+    result = TableLog(log.name, columns, beside, clock, remarks)
+    result.doubtful = [*base.doubtful, *guest.doubtful]
+    result.clock_offset = offset
+    return result
 
 
 def _time_beside(
@@ -164,16 +154,17 @@ def _pair(rows: Block, time: FloatArray, table: Block) -> Pair | None:
 
 
 def _offset(
-    place: str,
-    rows: Block,
-    log: Log,
-    time: FloatArray,
-    table: Block,
-    typed: float | str,
-) -> ClockOffset:
-    """Return the offset that the user gives, or the one that the signals show."""
+    place: str, rows: Block, time: FloatArray, table: Block, typed: float | str
+) -> tuple[float, float]:
+    """Return the offset (s) that is typed, or that the signals show, and two standard deviations of it.
+
+    Raises
+    ------
+    InputError
+        The signals do not show it.
+    """
     if typed != "auto":
-        return ClockOffset(log.name, float(typed))
+        return float(typed), 0.0
     try:
         pair = _pair(rows, time, table)
         if pair is None:
@@ -183,12 +174,10 @@ def _offset(
         raise InputError(
             f"{place}: `clock_offset` auto: {problem} (give SECONDS)"
         ) from None
-    return ClockOffset(log.name, fit.offset, 2.0 * fit.deviation, auto=True)
+    return fit.offset, 2.0 * fit.deviation
 
 
-def _warn_if_apart(
-    place: str, rows: Block, log: Log, time: FloatArray, table: Block
-) -> None:
+def _warn_if_apart(place: str, rows: Block, time: FloatArray, table: Block) -> None:
     """Warn where the drive explains the displacement much better when its clock is moved."""
     try:
         pair = _pair(rows, time, table)

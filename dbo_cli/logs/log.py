@@ -7,31 +7,37 @@ roles are chosen; blocks come as arrays by role, in seconds and in the units ask
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dbo_cli.errors import UsageError
-from dbo_cli.logs.clock import Clock
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import choose, named
-from dbo_cli.logs.rows import Rows, parse_rows, scales_of
+from dbo_cli.logs.scale import Scale, scales_of
 from dbo_cli.logs.source import (
     BLOCK_ROWS,
+    NOT_A_TIME,
     Block,
     Column,
-    FloatArray,
     Reading,
     Source,
 )
-from dbo_cli.logs.time_column import find_clock
-from dbo_cli.units import split_header
+from dbo_cli.units import multiplied, split_header
 
 if TYPE_CHECKING:
     from dbo_cli.logs.join import ClockOffset
 
+Numbers = NDArray[np.int64]  # of rows, from 1
+Arrays = list[NDArray[Any]]
+
 _FIRST_BYTES = 1024  # MATLAB 7.3 has the mark of HDF5 at byte 512
+_OVERLOAD = 9.9e30  # instruments write 9.9E37 and 1E+31 for what they could not measure
 
 
 class Log:
@@ -55,34 +61,26 @@ class Log:
 
     def __init__(
         self,
-        name: str,
-        columns: Mapping[str, Column],
+        source: Source,
         clock: Clock,
-        stream: Callable[[], Iterator[Block]],
-        remarks: list[str],
-        close: Callable[[], object] = lambda: None,
+        picks: Mapping[str, Column],
+        scales: Mapping[str, Scale],
+        reading: Reading,
     ) -> None:
-        self.name = name
-        self.columns = dict(columns)
+        self.name = source.name
+        self.columns = {r: replace(picks[r], unit=scales[r][1]) for r in picks}
         self.clock = clock
-        self.remarks = remarks
+        self.remarks = source.remarks
         self.doubtful: list[str] = []
         self.clock_offset: ClockOffset | None = None
-        self._stream = stream
-        self._close = close
+        self._source = source
+        self._picks = picks
+        self._scales = scales
+        self._first, self._last = parse_rows(reading.rows)
+        self._skip_bad = reading.skip_bad
+        self._dropped = 0
+        self._first_dropped = ""
         self._rows = 0
-
-    @classmethod
-    def of_table(
-        cls,
-        name: str,
-        columns: Mapping[str, Column],
-        table: Block,
-        clock: Clock,
-        remarks: list[str],
-    ) -> Log:
-        """Make a log of arrays in memory, as a joined or resampled one is."""
-        return cls(name, columns, clock, lambda: iter([table]), remarks)
 
     def provided(self, role: str) -> bool:
         """Return whether the log has a column for a role, or a clock for ``time``."""
@@ -103,10 +101,10 @@ class Log:
         InputError
             A row holds no number, time goes back, or there is no row.
         """
-        for block in self._stream():
+        for block in self._blocks():
             self._rows += len(block)
             for start in range(0, len(block), rows):
-                yield _part(block, start, start + rows)
+                yield block.part(start, start + rows)
 
     def read(self) -> Block:
         """Return the whole log.
@@ -116,13 +114,95 @@ class Log:
         InputError
             As for ``blocks``.
         """
-        blocks = list(self.blocks(rows=1 << 40))
-        values = {}
-        for role in self.columns:
-            values[role] = np.concatenate([block.values[role] for block in blocks])
-        times = [block.time for block in blocks if block.time is not None]
-        time = np.concatenate(times) if times else None
-        return Block(time, values, dt=_steps_of(blocks))
+        blocks = list(self._blocks())
+        self._rows = sum(map(len, blocks))
+        return Block.joined(blocks)
+
+    def _blocks(self) -> Iterator[Block]:
+        """Read the file once, in its own blocks."""
+        columns = list(self._picks.values())
+        if self.clock.is_read and self.clock.column is not None:
+            columns.append(self.clock.column)
+        time_place = len(columns) - 1
+        if self._source.guard is not None and self._source.guard not in columns:
+            columns.append(self._source.guard)
+        noted, row, count = len(self.remarks), 1, 0
+        for arrays in self._source.blocks(columns):
+            numbers = np.arange(row, row + len(arrays[0]))
+            row += len(numbers)
+            numbers, arrays = self._asked(numbers, arrays)
+            numbers, arrays = self._good(numbers, arrays, columns)
+            count += len(numbers)
+            if len(numbers):
+                time, dt = self.clock.read(numbers, arrays[time_place])
+                values = {}
+                for role, array in zip(self._scales, arrays, strict=False):
+                    values[role] = multiplied(array, self._scales[role][0])
+                yield Block(time, values, int(numbers[0]), dt)
+            if self._last is not None and row > self._last:
+                break
+        self.doubtful += self.remarks[noted:]
+        self._finish(row - 1, count)
+
+    def _asked(self, numbers: Numbers, arrays: Arrays) -> tuple[Numbers, Arrays]:
+        """Return the rows inside ``rows``."""
+        first, last = int(numbers[0]), int(numbers[-1])
+        if self._first <= first and (self._last is None or last <= self._last):
+            return numbers, arrays
+        stop = None if self._last is None else max(0, self._last - first + 1)
+        inside = slice(max(0, self._first - first), stop)
+        return numbers[inside], [array[inside] for array in arrays]
+
+    def _good(
+        self, numbers: Numbers, arrays: Arrays, columns: Sequence[Column]
+    ) -> tuple[Numbers, Arrays]:
+        """Return the rows that hold numbers.
+
+        Raises
+        ------
+        InputError
+            A row does not, and such rows are not to be left out; or where one is left
+            out, the time of those behind it is not known.
+        """
+        if all(map(_is_good, arrays)):
+            return numbers, arrays
+        bad = [_bad_cells(array) for array in arrays]
+        good = ~np.logical_or.reduce(bad)
+        at = int(np.argmin(good))
+        column = columns[[bool(marks[at]) for marks in bad].index(True)]
+        place = self._source.where(int(numbers[at]), column)
+        count = int(np.count_nonzero(~good))
+        if not self._skip_bad:
+            more = f", and {count - 1:,} more such rows near it" if count > 1 else ""
+            raise InputError(f"{place}{more} (`skip_bad` drops such rows)")
+        self._first_dropped = self._first_dropped or place
+        self._dropped += count
+        numbers = numbers[good]
+        for row in self._source.torn if self.clock.kind == "rate" else ():
+            if len(numbers) and numbers[0] < row < numbers[-1]:
+                place = self._source.where(row, columns[0])
+                raise InputError(
+                    f"{place}: the time behind it is not known: cut with `rows` {numbers[0]}:{row - 1}"
+                )
+        return numbers, [array[good] for array in arrays]
+
+    def _finish(self, rows: int, count: int) -> None:
+        """Remark on what was left out of so many rows (InputError where nothing is left)."""
+        if self._dropped:
+            s = "" if self._dropped == 1 else "s"
+            text = (
+                f"{self._dropped:,} row{s} left out, the first: {self._first_dropped}"
+            )
+            self.remarks.append(text)
+            self.doubtful.append(text)
+        if not count and self._first > rows > 0:
+            raise InputError(
+                f"{self.name}: `rows` {self._first}: the log has {rows:,} data rows"
+            )
+        if not count:
+            raise InputError(f"{self.name}: no row holds only numbers")
+        self.clock.close()
+        self.remarks += self.clock.remarks
 
     def line(self) -> str:
         """Return one line on what was read; complete after the last block."""
@@ -137,7 +217,7 @@ class Log:
 
     def close(self) -> None:
         """Close the file."""
-        self._close()
+        self._source.close()
 
     def __enter__(self) -> Log:
         """Use the log as a context manager."""
@@ -148,25 +228,58 @@ class Log:
         self.close()
 
 
-def _part(block: Block, start: int, stop: int) -> Block:
-    """Return rows of a block."""
-    if start == 0 and stop >= len(block):
-        return block
-    values = {role: array[start:stop] for role, array in block.values.items()}
-    time = None if block.time is None else block.time[start:stop]
-    dt = block.dt[start:stop] if isinstance(block.dt, np.ndarray) else block.dt
-    return Block(time, values, block.first_row + start, dt)
+class TableLog(Log):
+    """A log in memory, as a joined or resampled one is."""
+
+    def __init__(
+        self,
+        name: str,
+        columns: Mapping[str, Column],
+        table: Block,
+        clock: Clock,
+        remarks: list[str],
+    ) -> None:
+        scales = {role: (Fraction(1), c.unit) for role, c in columns.items()}
+        super().__init__(Source(name, ()), clock, columns, scales, Reading())
+        self.remarks = remarks
+        self._table = table
+
+    def _blocks(self) -> Iterator[Block]:
+        yield self._table
 
 
-def _steps_of(blocks: Sequence[Block]) -> float | FloatArray | None:
-    """Return the steps of all blocks: one number where all have the same."""
-    first = blocks[0].dt
-    if len(blocks) == 1 or first is None:
-        return first
-    if all(isinstance(block.dt, float) and block.dt == first for block in blocks):
-        return first
-    steps = [np.broadcast_to(np.asarray(b.dt, np.float64), len(b)) for b in blocks]
-    return np.concatenate(steps)
+def _is_good(array: NDArray[Any]) -> bool:
+    """Return whether all cells are numbers or stamps."""
+    if not len(array):
+        return True
+    if array.dtype.kind == "i":
+        return bool(array.min() != NOT_A_TIME)
+    return bool(-_OVERLOAD < array.min() and array.max() < _OVERLOAD)  # no NaN is
+
+
+def _bad_cells(array: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which cells are no numbers and no stamps."""
+    if array.dtype.kind == "i":
+        return np.asarray(array == NOT_A_TIME)
+    return np.asarray(~(np.abs(array) < _OVERLOAD))
+
+
+def parse_rows(rows: str | None) -> tuple[int, int | None]:
+    """Read ``rows``: the first and the last data row, counted from 1; either may be left out.
+
+    Raises
+    ------
+    UsageError
+        It is no range.
+    """
+    match = re.fullmatch(r"\s*(\d{0,15})\s*:\s*(\d{0,15})\s*", rows or ":", re.ASCII)
+    first = int(match[1] or 1) if match else 0
+    last = int(match[2]) if match and match[2] else None
+    if first < 1 or (last is not None and last < first):
+        raise UsageError(
+            f"`rows` {rows}: give A:B, data rows counted from 1, both ends included"
+        )
+    return first, last
 
 
 # --- opening ---
@@ -205,19 +318,16 @@ def open_log(
     """
     reading = reading or Reading()
     units = units or {}
-    name = os.fspath(path)
     elsewhere = {role: text for role, text in roles.items() if text and "::" in text}
     if "time" in elsewhere:
         raise UsageError(
             f"`time` {elsewhere['time']}: the time must be in the log itself"
         )
-    if reading.resample is not None and not 0.0 < reading.resample < np.inf:
-        raise UsageError(f"`resample` {reading.resample:g}: give a rate above 0 Hz")
     for role in reading.scale:
         if role not in roles:
             raise UsageError(f"`scale` {role}=...: give one of {', '.join(roles)}")
-    here = {role: text for role, text in roles.items() if role not in elsewhere}
-    log = _open_file(name, here, reading, units, optional)
+    roles = {role: text for role, text in roles.items() if role not in elsewhere}
+    log = _open_file(os.fspath(path), roles, reading, units, optional)
     if elsewhere:
         log = _with_columns_of(log, elsewhere, reading, units)
     if reading.resample is not None:
@@ -230,21 +340,74 @@ def open_log(
 def _with_columns_of(
     log: Log, elsewhere: Mapping[str, str], reading: Reading, units: Mapping[str, str]
 ) -> Log:
-    """Join columns of other files to a log."""
+    """Join columns ``FILE::COLUMN`` of a second file to a log."""
     from dbo_cli.logs.join import joined
 
-    by_file: dict[str, dict[str, str | None]] = {}
-    for role, text in elsewhere.items():
-        file, _, column = text.rpartition("::")
-        by_file.setdefault(file, {})[role] = column
-    logs = [log]
+    with log:
+        files = {text.rpartition("::")[0] for text in elsewhere.values()}
+        if len(files) > 1:
+            listed = ", ".join(sorted(files))
+            raise UsageError(
+                f"{log.name}: one more file, not {listed}: join them first"
+            )
+        roles = {role: text.rpartition("::")[2] for role, text in elsewhere.items()}
+        whole = replace(reading, rows=None)
+        with _open_file(files.pop(), roles, whole, units, ()) as second:
+            return joined(log, second, reading.clock_offset)
+
+
+def _open_file(
+    name: str,
+    roles: Mapping[str, str | None],
+    reading: Reading,
+    units: Mapping[str, str],
+    optional: Sequence[str],
+) -> Log:
+    """Open one file as a log."""
+    factors = {role: text for role, text in reading.scale.items() if role in roles}
+    source = open_source(name, reading)
     try:
-        for file, roles in by_file.items():
-            logs.append(_open_file(file, roles, replace(reading, rows=None), units, ()))
-        return joined(logs, reading.clock_offset)
-    finally:
-        for part in logs:
-            part.close()
+        clock, picks = _chosen(source, roles, reading, units, optional)
+        scales = scales_of(source.name, picks, factors, units, source.remarks)
+        return Log(source, clock, picks, scales, reading)
+    except BaseException:
+        source.close()
+        raise
+
+
+def open_source(name: str, reading: Reading) -> Source:
+    """Open a file with the reader that its first bytes ask for (InputError)."""
+    path, _, part = name.partition("::")
+    if os.path.isfile(path):
+        from dbo_cli.logs.formats import reader_of
+
+        try:
+            with open(path, "rb") as file:
+                start = file.read(_FIRST_BYTES)
+        except OSError as problem:
+            reason = problem.strerror
+            raise InputError(f"{path}: cannot be read: {reason}") from None
+        reader = reader_of(path, start)
+        if reader is not None:
+            return reader(path, part, reading)
+    from dbo_cli.logs.text import open_text
+
+    return open_text(path, part, reading)
+
+
+def _chosen(
+    source: Source,
+    roles: Mapping[str, str | None],
+    reading: Reading,
+    units: Mapping[str, str],
+    optional: Sequence[str],
+) -> tuple[Clock, dict[str, Column]]:
+    """Choose the clock and the columns of the roles."""
+    selectors = {role: text for role, text in roles.items() if role != "time"}
+    used = [named(source, text, role) for role, text in selectors.items() if text]
+    clock = find_clock(source, reading, roles.get("time"), used)
+    taken = [] if clock.column is None else [clock.column]
+    return clock, choose(source, selectors, taken, units, optional)
 
 
 def columns_of(
@@ -281,68 +444,3 @@ def columns_of_names(
     if clock.column is not None:
         picks["time"] = clock.column
     return picks
-
-
-def open_source(name: str, reading: Reading) -> Source:
-    """Open a file with the reader that its first bytes ask for (InputError)."""
-    from dbo_cli.logs.text import open_text
-
-    path, _, part = name.partition("::")
-    if os.path.isfile(path):
-        from dbo_cli.logs.formats import reader_of
-
-        reader = reader_of(path, _start_of(path))
-        if reader is not None:
-            return reader(path, part, reading)
-    return open_text(path, part, reading)
-
-
-def _start_of(path: str) -> bytes:
-    """Return the first bytes of a file; none where it cannot be read, which the reader says."""
-    try:
-        with open(path, "rb") as file:
-            return file.read(_FIRST_BYTES)
-    except OSError:
-        return b""
-
-
-def _open_file(
-    name: str,
-    roles: Mapping[str, str | None],
-    reading: Reading,
-    units: Mapping[str, str],
-    optional: Sequence[str],
-) -> Log:
-    """Open one file as a log."""
-    rows = parse_rows(reading.rows)
-    factors = {role: text for role, text in reading.scale.items() if role in roles}
-    source = open_source(name, reading)
-    try:
-        clock, picks = _chosen(source, roles, reading, units, optional)
-        scales = scales_of(source.name, picks, factors, units, source.remarks)
-    except BaseException:
-        source.close()
-        raise
-    stream = Rows(source, clock, picks, scales, rows, reading.skip_bad)
-    columns = {role: replace(picks[role], unit=scales[role].unit) for role in picks}
-    log = Log(source.name, columns, clock, stream.blocks, source.remarks, source.close)
-    log.doubtful = stream.doubtful
-    return log
-
-
-def _chosen(
-    source: Source,
-    roles: Mapping[str, str | None],
-    reading: Reading,
-    units: Mapping[str, str],
-    optional: Sequence[str],
-) -> tuple[Clock, dict[str, Column]]:
-    """Choose the clock and the columns of the roles."""
-    selectors = {role: text for role, text in roles.items() if role != "time"}
-    used = []
-    for role, text in selectors.items():
-        if text is not None:
-            used.append(named(source, text, role))
-    clock = find_clock(source, reading, roles.get("time"), used)
-    taken = [] if clock.column is None else [clock.column]
-    return clock, choose(source, selectors, taken, units, optional)

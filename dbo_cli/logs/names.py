@@ -8,23 +8,30 @@ channel are asked.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cells import is_number, split_cells
-from dbo_cli.logs.headers import (
+from dbo_cli.logs.settings import (
     NAME_KEYS,
     TIME_UNIT_KEYS,
     UNIT_KEYS,
+    clock_of_settings,
     is_channel_key,
     is_clock_setting,
     is_setting,
     plain_key,
+    read_settings,
 )
-from dbo_cli.units import parse_unit, spell, split_header, time_unit
+from dbo_cli.logs.source import Column
+from dbo_cli.units import kind_of, parse_unit, spell, split_header, time_unit
+
+if TYPE_CHECKING:
+    from dbo_cli.logs.sniff import Layout
 
 _LINES = 3  # names, units and a remark stand above the rows at most
+_BESIDE = 40  # rows beside which settings may stand
 _PASSED = 3  # comments that may stand between the names and the rows
 _LABEL = re.compile(
     r"(?:column[ _]?(?:names|headers)?|columns|names|fields|header|units?)\s*[:=]\s*",
@@ -32,73 +39,49 @@ _LABEL = re.compile(
 )
 
 
-@dataclass
-class Names:
-    """What each column is called, and the unit that stands apart from its name."""
-
-    names: list[str]
-    units: list[str]
-
-
-@dataclass(frozen=True)
-class Table:
-    """How the rows are written: delimiter, columns of numbers, number of columns, the first row.
-
-    ``first`` is the number of lines above it, ``counts`` whether the first column counts the rows.
-    """
-
-    delimiter: str
-    numeric: frozenset[int]
-    width: int
-    first_row: Sequence[str]
-    first: int
-    counts: bool
-
-
-def find_names(
-    name: str, above: Sequence[str], settings: dict[str, list[str]], table: Table
-) -> Names:
-    """Find names and units above the rows.
+def read_header(
+    name: str, above: Sequence[str], rows: Sequence[str], layout: Layout
+) -> None:
+    """Read names, units and the clock from the lines above the rows.
 
     Parameters
     ----------
     name
         The file, for messages.
-    above
-        The lines above the rows.
-    settings
-        What these lines state by key.
-    table
-        How the rows are written.
+    above, rows
+        The lines above the rows, and the first rows.
+    layout
+        How the rows are written; receives what is found.
 
     Raises
     ------
     InputError
         The last line above the rows has another number of cells than they have.
     """
-    names = Names([""] * table.width, [""] * table.width)
-    headers = _header_lines(above, table)
-    units = next((k for k, cells in enumerate(headers) if _are_units(cells)), None)
-    if units is None:
-        units = _mostly_units(headers)
-    only_units = units is not None and len(headers) == 1
+    beside = []
+    for line in rows[:_BESIDE]:
+        cells = split_cells(line, layout.delimiter)[: min(layout.numeric)]
+        beside.append(layout.delimiter.join(cells))  # where Tektronix has its settings
+    settings = read_settings([*above, *beside], layout.delimiter)
+    if settings.get("X_Columns", [""])[0].lower() == "multi":
+        raise InputError(
+            f"{name}: each channel has an X column: export with X_Columns One or No"
+        )
+    layout.clock = clock_of_settings(settings, layout.decimal)
+    headers = _header_lines(above, layout)
+    units = _units_line(headers)
     if units is not None:
-        names.units = headers[units]
-        if units + 1 < len(headers):
-            names.names = headers[units + 1]
-        else:
-            names.names = list(headers[0])  # units in the place of names, or below them
+        layout.units = headers[units]
+        layout.names = headers[units + 1] if units + 1 < len(headers) else headers[0][:]
     elif headers:
-        names.names = headers[0]
+        layout.names = headers[0]
     else:
-        _refuse_unclear(name, above, table)
-    _fill_from_settings(
-        names, settings, sorted(table.numeric), bool(headers) and not only_units
-    )
-    return names
+        _refuse_unclear(name, above, layout)
+    has_names = bool(headers) and (units is None or len(headers) > 1)
+    _fill_from_settings(layout, settings, has_names)
 
 
-def _header_lines(above: Sequence[str], table: Table) -> list[list[str]]:
+def _header_lines(above: Sequence[str], layout: Layout) -> list[list[str]]:
     """Return the lines right above the rows that have a cell for each column, the nearest first."""
     headers: list[list[str]] = []
     passed = 0
@@ -108,9 +91,9 @@ def _header_lines(above: Sequence[str], table: Table) -> list[list[str]]:
             if headers and not plain.strip("#%"):
                 break  # what stands above a blank line is no header
             continue
-        if is_channel_key(split_cells(plain, table.delimiter)[0]):
+        if is_channel_key(split_cells(plain, layout.delimiter)[0]):
             break
-        cells = _as_header(plain, table, bool(headers) and _are_units(headers[-1]))
+        cells = _as_header(plain, layout, bool(headers) and _are_units(headers[-1]))
         if cells is not None:
             headers.append(cells)
             if len(headers) == _LINES:
@@ -122,7 +105,7 @@ def _header_lines(above: Sequence[str], table: Table) -> list[list[str]]:
     return headers
 
 
-def _as_header(line: str, table: Table, above_units: bool) -> list[str] | None:
+def _as_header(line: str, layout: Layout, above_units: bool) -> list[str] | None:
     """Split a line above the rows into as many cells as they have; None where that cannot be done.
 
     Names above a line of units may be numbers (an oscilloscope's channels).
@@ -133,16 +116,14 @@ def _as_header(line: str, table: Table, above_units: bool) -> list[str] | None:
     label = _LABEL.match(line)
     if label:
         line = line[label.end() :]
-    elif re.fullmatch(r"[\w ]+:[\s,;]*", line):
-        return None  # "Data:"
     elif is_comment and re.match(r"[\w .]+=", line):
         return None  # a setting
-    for cells in _ways_to_split(line, table.delimiter, is_comment):
-        cells = _fitted([cell.strip("'") for cell in cells], table)
+    for cells in _ways_to_split(line, layout.delimiter, is_comment):
+        cells = _fitted([cell.strip("'") for cell in cells], layout)
         words = [cell for cell in cells if cell and not is_number(cell, ".")]
-        if len(cells) != table.width or not words:
+        if len(cells) != layout.width or not words:
             continue
-        figures = {cells[n] for n in table.numeric if _is_figure(cells[n])}
+        figures = {cells[n] for n in layout.numeric if _is_figure(cells[n])}
         if above_units or not figures or (figures == {"1"} and _are_units(cells)):
             return cells  # 1 stands for no unit
     return None
@@ -155,24 +136,18 @@ def _ways_to_split(line: str, delimiter: str, is_comment: bool) -> list[list[str
         ways = [split_cells(line, mark) for mark in ";," if mark in line] + ways
         ways.append([cell.strip() for cell in re.split(r"\s{2,}|\t", line)])
         ways.append(re.findall(r"[^\s(\[]+(?:\s*[(\[][^)\]]*[)\]])?", line))
-    if is_comment:
-        ways.append(line.split())
     return ways
 
 
-def _fitted(cells: list[str], table: Table) -> list[str]:
+def _fitted(cells: list[str], layout: Layout) -> list[str]:
     """Leave out cells that belong to no column, and put in those that have no name."""
-    are_units = _are_units(cells[: table.width])
-    while len(cells) > table.width and _is_beside(cells[-1], are_units):
+    are_units = _are_units(cells[: layout.width])
+    while len(cells) > layout.width and _is_beside(cells[-1], are_units):
         cells.pop()
-    for n, cell in enumerate(cells[: table.width]):
-        is_key = "=" in cell or not "".join(table.first_row[n : n + 1])
-        if is_key and is_clock_setting(cell.split("=")[0]):
-            cells[n] = ""
-    if len(cells) == table.width - 1 and cells:
-        if not table.first_row[-1]:
+    if len(cells) == layout.width - 1 and cells:
+        if not layout.first_row[-1]:
             return [*cells, ""]  # the rows end in a delimiter
-        if table.counts and len(cells) > 1:
+        if layout.counts and len(cells) > 1:
             return ["", *cells]  # the rows are numbered by a column without a name
     return cells
 
@@ -184,6 +159,20 @@ def _is_beside(cell: str, beside_units: bool) -> bool:
     return beside_units and is_number(cell, ".")
 
 
+def _units_line(headers: Sequence[Sequence[str]]) -> int | None:
+    """Return which line holds units: units alone, or for the most part below names (``s;mV;nm;nm/s``)."""
+    for k, cells in enumerate(headers):
+        if _are_units(cells):
+            return k
+    for k, cells in enumerate(headers[:-1]):
+        filled = [cell for cell in cells if cell.strip("()[]- ")]
+        known = [cell for cell in filled if parse_unit(cell) or time_unit(cell)]
+        is_long = any(len(spell(cell) or "") > 1 for cell in known)
+        if 2 * len(known) > len(filled) and is_long:
+            return k
+    return None
+
+
 def _are_units(cells: Sequence[str]) -> bool:
     """Return whether every filled cell is a known unit (a label in front and numbers aside)."""
     filled = [cell for cell in cells if cell.strip("()[]- ")]
@@ -193,78 +182,62 @@ def _are_units(cells: Sequence[str]) -> bool:
     return bool(words) and all(parse_unit(cell) or time_unit(cell) for cell in words)
 
 
-def _mostly_units(found: Sequence[Sequence[str]]) -> int | None:
-    """Return which line below another holds units for the most part: ``s;mV;nm;nm/s``."""
-    for k, cells in enumerate(found[:-1]):
-        filled = [cell for cell in cells if cell.strip("()[]- ")]
-        known = [cell for cell in filled if parse_unit(cell) or time_unit(cell)]
-        if 2 * len(known) > len(filled) and any(
-            len(spell(cell) or "") > 1 for cell in known
-        ):
-            return k
-    return None
-
-
 def _is_figure(cell: str) -> bool:
     return is_number(cell, ".") or is_number(cell, ",")
 
 
-def _refuse_unclear(name: str, above: Sequence[str], table: Table) -> None:
+def _refuse_unclear(name: str, above: Sequence[str], layout: Layout) -> None:
     """Refuse a last line above the rows that may be names for other columns, or a torn row."""
-    blank = 0
-    while blank < len(above) and not above[-1 - blank].strip():
-        blank += 1
-    if blank == len(above) or above[-1 - blank].strip()[0] in "#%":
+    filled = [n for n, line in enumerate(above) if line.strip()]
+    if not filled or above[filled[-1]].strip()[0] in "#%":
         return
-    cells = split_cells(above[-1 - blank], table.delimiter)
-    while cells and not cells[-1]:
-        cells.pop()
-    if len(cells) < 2 or is_setting(cells[0]) or cells[0].endswith((":", "=")):
+    last = filled[-1]
+    cells = split_cells(above[last].rstrip(f" {layout.delimiter}"), layout.delimiter)
+    if len(cells) < 2 or is_setting(cells[0]):
         return
     figures = any(_is_figure(cell) for cell in cells)
-    if (figures and not blank) or (not figures and len(cells) != table.width):
+    is_near = last == len(above) - 1
+    if (figures and is_near) or (not figures and len(cells) != layout.width):
         raise InputError(
-            f"{name}:{table.first - blank}: {len(cells)} names above rows of {table.width} cells: "
-            f"type `skip_lines` {table.first}, `delimiter` or `decimal`"
+            f"{name}:{layout.first - len(above) + last + 1}: {len(cells)} names above rows of "
+            f"{layout.width} cells: type `skip_lines` {layout.first}, `delimiter` or `decimal`"
         )
 
 
 def _fill_from_settings(
-    names: Names, settings: dict[str, list[str]], places: Sequence[int], named: bool
+    layout: Layout, settings: dict[str, list[str]], has_names: bool
 ) -> None:
     """Take names and units that are stated by channel where no line above the rows has them."""
-    stated = _stated_by_channel(settings, len(names.names))
-    if stated["numbered"] or not named:
-        _give(names.names, stated["numbered"] or stated["names"], places)
-    if not any(names.units) and not any(split_header(cell)[1] for cell in names.names):
-        units, time = stated["units"], stated["time"]
-        _give(names.units, units, places)
+    names, units, time = (
+        _stated_by_channel(settings, keys, layout.width)
+        for keys in (NAME_KEYS, UNIT_KEYS, TIME_UNIT_KEYS)
+    )
+    numbered = []
+    for key, values in settings.items():
+        if re.fullmatch(r"name\d+", plain_key(key)) and values[0]:
+            numbered.append(values[0])  # Name1: a line a channel
+    places = sorted(layout.numeric)
+    if numbered or not has_names:
+        _give(layout.names, numbered or names, places)
+    has_units = any(split_header(cell)[1] for cell in layout.names)
+    if not any(layout.units) and not has_units:
+        _give(layout.units, units, places)
         if len(units) == len(places) - 1 and time and time_unit(time[0]):
-            names.units[places[0]] = time[0]
+            layout.units[places[0]] = time[0]
 
 
 def _stated_by_channel(
-    settings: dict[str, list[str]], width: int
-) -> dict[str, list[str]]:
-    """Return names, units and the unit of time that settings state, and names one a line (``Name1``)."""
-    kinds = {"names": NAME_KEYS, "units": UNIT_KEYS, "time": TIME_UNIT_KEYS}
-    stated: dict[str, list[str]] = {
-        "numbered": [],
-        "names": [],
-        "units": [],
-        "time": [],
-    }
+    settings: dict[str, list[str]], keys: Collection[str], width: int
+) -> list[str]:
+    """Return what the last setting of a key states of each channel."""
+    stated: list[str] = []
     for key, values in settings.items():
         filled = [value for value in values if value and value != key]
-        if not filled:
+        if plain_key(key) not in keys or not filled:
             continue
-        if re.fullmatch(r"name\d+", plain_key(key)):
-            stated["numbered"].append(filled[0])
+        stated = filled
         if len(values) + 1 == width and key in values:  # in the places of the columns
-            filled = ["" if value == key else value for value in (key, *values)]
-        for kind, keys in kinds.items():
-            if plain_key(key) in keys:
-                stated[kind] = filled
+            stated = ["" if value == key else value for value in (key, *values)]
     return stated
 
 
@@ -275,3 +248,32 @@ def _give(cells: list[str], stated: Sequence[str], places: Sequence[int]) -> Non
     elif stated and len(stated) in (len(places), len(places) - 1):
         for place, text in zip(places[-len(stated) :], stated, strict=True):
             cells[place] = text
+
+
+def describe_columns(name: str, layout: Layout) -> list[Column]:
+    """Describe every column by its name, its unit and what its cells hold.
+
+    Raises
+    ------
+    InputError
+        A column's name and its units line state different units.
+    """
+    columns = []
+    for n in range(layout.width):
+        kind = "text"
+        if n in layout.numeric:
+            kind = "number"
+        elif n in layout.stamps:
+            kind = "stamp"
+        elif n in layout.empty:
+            kind = "empty"
+        header, unit = layout.names[n], spell(layout.units[n])
+        stated = split_header(header)[1]
+        if stated and unit and stated != unit and kind_of(unit) == kind_of(stated):
+            raise InputError(
+                f"{name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
+                f"{layout.first}"
+            )
+        sample = layout.texts.get(n, "")
+        columns.append(Column(n + 1, header, unit or stated, kind, sample))
+    return columns

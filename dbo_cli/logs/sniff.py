@@ -13,19 +13,15 @@ from dataclasses import dataclass, field
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import MISSING, STAMPS, is_number, split_cells, stamp_format
-from dbo_cli.logs.headers import (
-    is_setting,
-    read_settings,
-    stated_clock,
-)
-from dbo_cli.logs.names import Names, Table, find_names
-from dbo_cli.logs.source import Column, Reading, StatedClock
-from dbo_cli.units import kind_of, spell, split_header
+from dbo_cli.logs.names import read_header
+from dbo_cli.logs.settings import is_setting
+from dbo_cli.logs.source import Reading, StatedClock
 
 COMMENTS = "#%"
 """A line that begins with one of these is a comment."""
 
 _SAMPLE = 40  # rows from which the dialect is found
+_JUDGED = 400  # rows in which the decimal sign must be clear
 _BLANKS = 0.9
 _FADING = 0.7  # a line counts so much less than the one below it
 DELIMITERS = {
@@ -58,7 +54,9 @@ class Layout:
         A cell of each column that holds neither numbers nor nothing.
     first
         The index of the line of the first row.
-    names, clock
+    first_row, counts
+        Its cells; whether the first column counts the rows.
+    names, units, clock
         What the lines above the rows say.
     """
 
@@ -70,15 +68,15 @@ class Layout:
     stamps: dict[int, str] = field(default_factory=dict)
     texts: dict[int, str] = field(default_factory=dict)
     first: int = 0
-    names: Names = field(default_factory=lambda: Names([], []))
+    first_row: list[str] = field(default_factory=list)
+    counts: bool = False
+    names: list[str] = field(default_factory=list)
+    units: list[str] = field(default_factory=list)
     clock: StatedClock = field(default_factory=StatedClock)
 
-    def cells(self, line: str) -> list[str]:
-        """Split a line."""
-        return split_cells(line, self.delimiter)
-
-    def fits(self, cells: Sequence[str]) -> bool:
-        """Return whether cells are written as those of the rows."""
+    def fits(self, line: str) -> bool:
+        """Return whether a line is written as the rows are."""
+        cells = split_cells(line, self.delimiter)
         if len(cells) != self.width or any(cells[n] for n in self.empty):
             return False
         if 0 not in self.numeric and is_setting(cells[0]):
@@ -87,38 +85,19 @@ class Layout:
             return False
         return all(STAMPS[form].fullmatch(cells[n]) for n, form in self.stamps.items())
 
-    def is_labelled(self, cells: Sequence[str]) -> bool:
-        """Return whether a row begins with a text where the rows begin with something else."""
-        first = "".join(cells[:1])
-        if first.lower() in MISSING or first[0] in COMMENTS:
-            return False
-        if is_number(first, self.decimal):
-            return False
-        if 0 in self.stamps:
-            return not STAMPS[self.stamps[0]].fullmatch(first)
-        return 0 in self.numeric
-
-    def partly_fits(self, cells: Sequence[str]) -> bool:
+    def partly_fits(self, line: str) -> bool:
         """Return whether half of the numbers stand where the rows have theirs."""
+        cells = split_cells(line, self.delimiter)
         places = [n for n in self.numeric if n < len(cells)]
         numbers = [n for n in places if is_number(cells[n], self.decimal)]
         return bool(numbers) and 2 * len(numbers) >= len(self.numeric)
 
 
-def is_comment(line: str) -> bool:
-    """Return whether a line is blank or a comment."""
-    plain = line.strip()
-    return not plain or plain[0] in COMMENTS or plain == "EOF"  # TwinCAT's end
-
-
-def is_blank_row(line: str) -> bool:
-    """Return whether a line holds delimiters only, as spreadsheets end a table."""
-    return not line.strip("\t ;,|")
-
-
 def is_no_row(line: str) -> bool:
-    """Return whether a line below the first row is a comment, and no row that begins with ``#N/A``."""
-    return is_comment(line) and not re.match(ERROR, line)
+    """Return whether a line is blank or a comment, and no row that begins with ``#N/A``."""
+    plain = line.strip()
+    is_comment = not plain or plain[0] in COMMENTS or plain == "EOF"  # TwinCAT's end
+    return is_comment and not re.match(ERROR, plain)
 
 
 def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
@@ -141,8 +120,8 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     skipped = reading.skip_lines or 0
     if not any(line.strip() for line in lines):
         raise InputError(f"{name}: the file is empty")
-    rows = [n for n in range(skipped, len(lines)) if not is_comment(lines[n])]
-    while rows and is_blank_row(lines[rows[-1]]):
+    rows = [n for n in range(skipped, len(lines)) if not is_no_row(lines[n])]
+    while rows and not lines[rows[-1]].strip("\t ;,|"):
         rows.pop()
     sample = [lines[n] for n in rows[-_SAMPLE:]]
     layout = _best_layout(sample, reading)
@@ -153,13 +132,18 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     if reading.delimiter is None:
         _refuse_other_delimiter(name, layout)
     if reading.decimal is None:
-        layout.decimal = _shown_decimal(layout, [lines[n] for n in rows])
-        _refuse_thousands(name, layout, [layout.cells(lines[n]) for n in rows])
+        table = [split_cells(lines[n], layout.delimiter) for n in rows[-_JUDGED:]]
+        layout.decimal = _shown_decimal(layout, table)
+        _refuse_thousands(name, layout, table)
     _decide_first_column(layout, sample)
     layout.first = _first_row(layout, lines, rows)
     _refuse_other_rows(name, layout, lines, rows)
-    _read_header(name, layout, lines, skipped)
-    is_named = any(layout.names.names)
+    layout.names, layout.units = [""] * layout.width, [""] * layout.width
+    layout.first_row = split_cells(lines[layout.first], layout.delimiter)
+    layout.counts = _counts(layout, lines[layout.first + 1 :][:1])
+    above, below = lines[skipped : layout.first], lines[layout.first :]
+    read_header(name, above, below, layout)
+    is_named = any(layout.names)
     if not is_named and reading.skip_lines is None:
         _refuse_numbers_as_names(name, layout, lines)
     if not is_named and reading.delimiter is None and reading.decimal is None:
@@ -180,7 +164,9 @@ def _refuse_other_delimiter(name: str, layout: Layout) -> None:
 
 def _refuse_numbers_as_names(name: str, layout: Layout, lines: Sequence[str]) -> None:
     """Refuse a first row 0, 1, 2 above rows with decimals: it may be the names of a frame."""
-    cells = [cell for cell in layout.cells(lines[layout.first]) if cell]
+    cells = [
+        cell for cell in split_cells(lines[layout.first], layout.delimiter) if cell
+    ]
     below = lines[layout.first + 1 : layout.first + 3]
     is_counted = len(cells) > 1 and cells[0] in ("0", "1")
     for number, cell in enumerate(cells, start=int(is_counted and cells[0] == "1")):
@@ -202,32 +188,11 @@ def _refuse_two_readings(name: str, layout: Layout, sample: Sequence[str]) -> No
         )
 
 
-def _read_header(name: str, layout: Layout, lines: Sequence[str], skipped: int) -> None:
-    """Read what stands above the rows."""
-    above = list(lines[skipped : layout.first])
-    beside = _beside_rows(lines[layout.first : layout.first + _SAMPLE], layout)
-    settings = read_settings([*above, *beside], layout.delimiter)
-    if settings.get("X_Columns", [""])[0].lower() == "multi":
-        raise InputError(
-            f"{name}: each channel has an X column: export with X_Columns One or No"
-        )
-    layout.clock = stated_clock(settings, layout.decimal)
-    first_row = layout.cells(lines[layout.first])
-    below = layout.cells(lines[min(layout.first + 1, len(lines) - 1)])
-    first, second = "".join(first_row[:1]), "".join(below[:1])
-    counts = first in ("0", "1") and second.isdigit() and int(second) > int(first)
-    table = Table(
-        layout.delimiter, layout.numeric, layout.width, first_row, layout.first, counts
-    )
-    layout.names = find_names(name, above, settings, table)
-
-
-def _beside_rows(rows: Sequence[str], layout: Layout) -> list[str]:
-    """Return the settings that stand left of the first rows (Tektronix)."""
-    place = min(layout.numeric)
-    if place < 2 or layout.delimiter == " ":
-        return []
-    return [layout.delimiter.join(layout.cells(row)[:place]) for row in rows]
+def _counts(layout: Layout, below: Sequence[str]) -> bool:
+    """Return whether the first cells of the first two rows are 0 or 1 and a larger whole number."""
+    first = layout.first_row[0]
+    second = "".join(split_cells("".join(below), layout.delimiter)[:1])
+    return first in ("0", "1") and second.isdigit() and int(second) > int(first)
 
 
 def delimiter_of(text: str) -> str:
@@ -282,10 +247,9 @@ def _best_layout(sample: Sequence[str], reading: Reading) -> Layout | None:
     return layout
 
 
-def _shown_decimal(layout: Layout, lines: Sequence[str]) -> str:
+def _shown_decimal(layout: Layout, table: Sequence[Sequence[str]]) -> str:
     """Return the decimal sign that the last number with one has; that of the layout where none has."""
-    for line in reversed(lines):
-        cells = layout.cells(line)
+    for cells in reversed(table):
         for cell in (cells[n] for n in sorted(layout.numeric) if n < len(cells)):
             for sign in ".,":
                 if sign in cell and is_number(cell, sign):
@@ -332,7 +296,7 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
 
 def _decide_first_column(layout: Layout, sample: Sequence[str]) -> None:
     """Let the first column be what it is in most rows, where the last ones begin with a label."""
-    first = ["".join(layout.cells(line)[:1]) for line in sample]
+    first = ["".join(split_cells(line, layout.delimiter)[:1]) for line in sample]
     numbers = [cell for cell in first if is_number(cell, layout.decimal)]
     form = stamp_format([(cell, 1.0) for cell in first])
     if 2 * len(numbers) > len(first):
@@ -373,17 +337,13 @@ def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int
     Lines right above it with numbers in their places are rows, too: they are to be
     refused, not passed over.
     """
-    fitting = (k for k, n in enumerate(rows) if layout.fits(layout.cells(lines[n])))
+    fitting = (k for k, n in enumerate(rows) if layout.fits(lines[n]))
     place = next(fitting, None)
     if place is None:
-        partly = (
-            k for k, n in enumerate(rows) if layout.partly_fits(layout.cells(lines[n]))
-        )
+        partly = (k for k, n in enumerate(rows) if layout.partly_fits(lines[n]))
         place = next(partly, 0)
-    while place > 0 and layout.partly_fits(layout.cells(lines[rows[place - 1]])):
+    while place > 0 and layout.partly_fits(lines[rows[place - 1]]):
         place -= 1
-    if lines[rows[min(place + 1, len(rows) - 1)]].rstrip().endswith(":"):
-        place = min(place + 2, len(rows) - 1)  # figures above "data:" are no row
     return rows[place]
 
 
@@ -392,38 +352,9 @@ def _refuse_other_rows(
 ) -> None:
     """Refuse lines of numbers above the rows, by the last: they may be rows of another width."""
     for n in reversed([n for n in rows if n < layout.first]):
-        cells = [cell for cell in layout.cells(lines[n]) if cell]
+        cells = [cell for cell in split_cells(lines[n], layout.delimiter) if cell]
         if cells and all(is_number(cell, layout.decimal) for cell in cells):
             raise InputError(
                 f"{name}:{n + 1}: numbers above the {layout.width} columns that begin in line "
                 f"{layout.first + 1}: type `skip_lines` {n + 1}"
             )
-
-
-def describe_columns(name: str, layout: Layout) -> list[Column]:
-    """Describe every column by its name, its unit and what its cells hold.
-
-    Raises
-    ------
-    InputError
-        A column's name and its units line state different units.
-    """
-    columns = []
-    for n in range(layout.width):
-        kind = "text"
-        if n in layout.numeric:
-            kind = "number"
-        elif n in layout.stamps:
-            kind = "stamp"
-        elif n in layout.empty:
-            kind = "empty"
-        header, unit = layout.names.names[n], spell(layout.names.units[n])
-        stated = split_header(header)[1]
-        if stated and unit and stated != unit and kind_of(unit) == kind_of(stated):
-            raise InputError(
-                f"{name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
-                f"{layout.first}"
-            )
-        sample = layout.texts.get(n, "")
-        columns.append(Column(n + 1, header, unit or stated, kind, sample))
-    return columns

@@ -115,6 +115,29 @@ class Block:
         """The number of rows."""
         return len(self)
 
+    def part(self, start: int, stop: int) -> Block:
+        """Return some of the rows."""
+        values = {role: array[start:stop] for role, array in self.values.items()}
+        time = None if self.time is None else self.time[start:stop]
+        dt = self.dt[start:stop] if isinstance(self.dt, np.ndarray) else self.dt
+        return Block(time, values, self.first_row + start, dt)
+
+    @classmethod
+    def joined(cls, blocks: Sequence[Block]) -> Block:
+        """Make one block of those of a log."""
+        if len(blocks) == 1:
+            return blocks[0]
+        values = {}
+        for role in blocks[0].values:
+            values[role] = np.concatenate([block.values[role] for block in blocks])
+        times = [block.time for block in blocks if block.time is not None]
+        steps = [block.dt for block in blocks if block.dt is not None]
+        dt: float | FloatArray | None = steps[0] if steps else None
+        if any(isinstance(step, np.ndarray) or step != dt for step in steps):
+            pairs = zip(steps, map(len, blocks), strict=True)
+            dt = np.concatenate([np.broadcast_to(step, rows) for step, rows in pairs])
+        return cls(np.concatenate(times) if times else None, values, dt=dt)
+
 
 @dataclass
 class StatedClock:
@@ -149,6 +172,9 @@ class Source:
         All of its columns.
     stated
         The clock of a file without a time column.
+    guard
+        A column that must hold numbers or stamps in every row, even if nothing is read
+        of it: rows that begin with something else are no samples.
     hint
         What is appended to a refusal about columns, behind a blank.
     remarks
@@ -159,6 +185,7 @@ class Source:
         The rows (from 1) of the last block that have another number of cells.
     """
 
+    guard: Column | None = None
     hint: str = ""
     first_row: int = 1
     torn: Sequence[int] = ()

@@ -95,31 +95,107 @@ def check_outputs(*paths: str | os.PathLike[str]) -> None:
     """
     outputs = Outputs()
     for path in paths:
-        outputs.register(os.fspath(path))
+        outputs.add(path)
 
 
 # --- files and their names ---
 
 
-class _File:
+class Outputs:
+    """Files that appear together when the block is left, or none of them."""
+
+    def __init__(self) -> None:
+        self._files: list[Output] = []
+        self._writers: list[Writer] = []
+
+    def add(self, path: str | os.PathLike[str]) -> Output:
+        """Note an output; refuse it where it cannot be written or is noted already (OutputError)."""
+        file = Output(os.fspath(path))
+        for noted in self._files:
+            is_same = file.temporary is not None and file.target == noted.target
+            if is_same or (file.is_stdout and noted.is_stdout):
+                raise OutputError(f"{path}: two outputs go there: type two names")
+        self._files.append(file)
+        return file
+
+    def create(
+        self,
+        path: str | os.PathLike[str],
+        columns: Sequence[Named],
+        attributes: Attributes | None = None,
+    ) -> Writer:
+        """Return a writer of columns; see :func:`create`."""
+        path = os.fspath(path)
+        suffix = _suffix_of(path)
+        writer: Writer
+        if suffix in HDF5_SUFFIXES:
+            writer = Hdf5Writer(self.add(path), columns, attributes or {})
+        else:
+            writer = TextWriter(self.add(path), columns, DELIMITERS[suffix])
+        self._writers.append(writer)
+        return writer
+
+    def write_text(self, path: str | os.PathLike[str], text: str) -> None:
+        """Write a small file of text."""
+        self.write_bytes(path, text.encode())
+
+    def write_bytes(self, path: str | os.PathLike[str], data: bytes) -> None:
+        """Write a small file of bytes."""
+        stream = self.add(path).open()
+        with telling(os.fspath(path)):
+            stream.write(data)
+            stream.flush()
+
+    def __enter__(self) -> Outputs:
+        """Begin."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Give all files their names, or remove all that was written."""
+        try:
+            if kind is None:
+                for writer in self._writers:
+                    writer.close()
+                for file in self._files:
+                    file.finish()
+                for file in self._files:
+                    file.rename()
+        finally:
+            for writer in self._writers:
+                with contextlib.suppress(Exception):
+                    writer.close()
+            for file in self._files:
+                file.remove()
+
+
+class Output:
     """One output: the name that it shall have, and what is written meanwhile.
 
     ``temporary`` is a name beside it; standard output, pipes and devices have none.
     """
 
     def __init__(self, path: str) -> None:
+        """Check whether it can be written (OutputError)."""
         self.path = path  # as typed
         self.is_stdout = path in STDOUT
-        self.target = os.path.realpath(path)
         self.stream: IO[bytes] | None = None
         self.temporary: str | None = None
-        if self.is_stdout:
-            return
+        if "\0" in path or not path:
+            raise OutputError(f"{path!r}: this is no file name")
         if os.path.isdir(path):
             raise OutputError(f"{path}: this is a folder: give a file name")
-        if os.path.isfile(path) or not os.path.exists(path):
-            _require_place(path, self.target)
-            self.temporary = _hidden_name(self.target)
+        self.target = os.path.realpath(path)
+        if self.is_stdout or (os.path.exists(path) and not os.path.isfile(path)):
+            return
+        folder, name = os.path.split(self.target)
+        if not os.path.isdir(folder):
+            raise OutputError(f"{path}: there is no folder '{folder}': create it first")
+        if not os.access(folder, os.W_OK):
+            raise OutputError(
+                f"{path}: the folder '{folder}' is not writable: write elsewhere"
+            )
+        mark = f"{os.getpid()}-{os.urandom(4).hex()}"
+        self.temporary = os.path.join(folder, f".{name[:50]}.{mark}.partial")
 
     def open(self) -> IO[bytes]:
         """Open the temporary file, or the pipe or device itself."""
@@ -157,83 +233,13 @@ class _File:
             with telling(self.path):
                 os.replace(self.temporary, self.target)
 
-    def give_up(self) -> None:
-        """Remove what was written; what stood there is left as it was."""
+    def remove(self) -> None:
+        """Close the stream, and remove what has not got its name."""
         with contextlib.suppress(OSError, ValueError):
             self.close()
         if self.temporary is not None:
             with contextlib.suppress(OSError):
                 os.unlink(self.temporary)
-
-
-class Outputs:
-    """Files that appear together when the block is left, or none of them."""
-
-    def __init__(self) -> None:
-        self._files: list[_File] = []
-        self._writers: list[Writer] = []
-
-    def register(self, path: str) -> _File:
-        """Note an output; refuse it where it cannot be written or is noted already (OutputError)."""
-        if "\0" in path or not path:
-            raise OutputError(f"{path!r}: this is no file name")
-        file = _File(path)
-        for other in self._files:
-            is_same = file.temporary is not None and file.target == other.target
-            if is_same or (file.is_stdout and other.is_stdout):
-                raise OutputError(f"{path}: two outputs go there: type two names")
-        self._files.append(file)
-        return file
-
-    def open(self, path: str | os.PathLike[str]) -> IO[bytes]:
-        """Return a stream of bytes that becomes the file when all are complete."""
-        return self.register(os.fspath(path)).open()
-
-    def create(
-        self,
-        path: str | os.PathLike[str],
-        columns: Sequence[Named],
-        attributes: Attributes | None = None,
-    ) -> Writer:
-        """Return a writer of columns; see :func:`create`."""
-        path = os.fspath(path)
-        suffix = _suffix_of(path)
-        kind = Hdf5Writer if suffix in HDF5_SUFFIXES else TextWriter
-        writer = kind(self.register(path), columns, attributes)
-        self._writers.append(writer)
-        return writer
-
-    def write_text(self, path: str | os.PathLike[str], text: str) -> None:
-        """Write a small file of text."""
-        self.write_bytes(path, text.encode())
-
-    def write_bytes(self, path: str | os.PathLike[str], data: bytes) -> None:
-        """Write a small file of bytes."""
-        stream = self.open(path)
-        with telling(os.fspath(path)):
-            stream.write(data)
-            stream.flush()
-
-    def __enter__(self) -> Outputs:
-        """Begin."""
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Give all files their names, or remove all that was written."""
-        try:
-            if kind is None:
-                for writer in self._writers:
-                    writer.close()
-                for file in self._files:
-                    file.finish()
-                for file in self._files:
-                    file.rename()
-        finally:
-            for writer in self._writers:
-                with contextlib.suppress(Exception):
-                    writer.close()
-            for file in self._files:
-                file.give_up()
 
 
 def _suffix_of(path: str) -> str:
@@ -249,30 +255,9 @@ def _suffix_of(path: str) -> str:
             raise UsageError(f"{path}: HDF5 compresses by itself: type {stem}")
     if suffix in DELIMITERS or suffix in HDF5_SUFFIXES:
         return suffix
-    if not os.path.exists(path) or os.path.isfile(path):
-        raise UsageError(
-            f"{path}: {suffix} is not written: type {stem}.csv, .tsv or .h5"
-        )
-    return ""
-
-
-def _require_place(path: str, target: str) -> None:
-    """Refuse a place where no file can be made (OutputError)."""
-    folder = os.path.dirname(target)
-    if not os.path.isdir(folder):
-        raise OutputError(f"{path}: there is no folder '{folder}': create it first")
-    if not os.access(folder, os.W_OK):
-        raise OutputError(
-            f"{path}: the folder '{folder}' is not writable: write elsewhere"
-        )
-
-
-def _hidden_name(target: str) -> str:
-    """Return a name beside a file that nobody else uses."""
-    folder, name = os.path.split(target)
-    return os.path.join(
-        folder, f".{name[:50]}.{os.getpid()}-{os.urandom(4).hex()}.partial"
-    )
+    if os.path.exists(path) and not os.path.isfile(path):
+        return ""  # a pipe or a device
+    raise UsageError(f"{path}: {suffix} is not written: type {stem}.csv, .tsv or .h5")
 
 
 @contextlib.contextmanager
@@ -296,12 +281,9 @@ def telling(path: str) -> Iterator[None]:
 class Writer:
     """Takes rows as one array a column."""
 
-    def __init__(
-        self, file: _File, columns: Sequence[Named], attributes: Attributes | None
-    ) -> None:
+    def __init__(self, file: Output, columns: Sequence[Named]) -> None:
         self.path = file.path
         self.columns = list(columns)
-        self.attributes = dict(attributes or {})
         self.rows = 0
 
     def write(self, *arrays: ArrayLike) -> None:
@@ -316,7 +298,14 @@ class Writer:
         shapes = {array.shape for array in values}
         if len(values) != len(self.columns) or shapes != {(len(values[0]),)}:
             raise ValueError(f"{len(self.columns)} columns of one length, not {shapes}")
-        self._require_finite(values)
+        for (name, _), array in zip(self.columns, values, strict=True):
+            finite = np.isfinite(array)
+            if not finite.all():
+                row = int(np.argmin(finite))
+                raise OutputError(
+                    f"{self.path}: row {self.rows + row + 1}: {name} would be {array[row]}: check the input "
+                    "there"
+                )
         with telling(self.path):
             for start in range(0, len(values[0]), BLOCK_ROWS):
                 block = [array[start : start + BLOCK_ROWS] for array in values]
@@ -329,40 +318,28 @@ class Writer:
     def _append(self, block: Sequence[FloatArray]) -> None:
         raise NotImplementedError
 
-    def _require_finite(self, values: Sequence[FloatArray]) -> None:
-        for (name, _), array in zip(self.columns, values, strict=True):
-            finite = np.isfinite(array)
-            if not finite.all():
-                row = int(np.argmin(finite))
-                raise OutputError(
-                    f"{self.path}: row {self.rows + row + 1}: {name} would be {array[row]}: check the input "
-                    "there"
-                )
-
 
 class TextWriter(Writer):
     """Appends rows of delimited text; each number is the shortest that reads back."""
 
-    def __init__(
-        self, file: _File, columns: Sequence[Named], attributes: Attributes | None
-    ) -> None:
-        super().__init__(file, columns, attributes)
-        self.delimiter = DELIMITERS[_suffix_of(file.path)]
+    def __init__(self, file: Output, columns: Sequence[Named], delimiter: str) -> None:
+        super().__init__(file, columns)
+        self.delimiter = delimiter
         self._at_once = file.temporary is None
-        self._stream = file.open()
-        self._packed: gzip.GzipFile | None = None
+        self._file = self._stream = file.open()
         if file.path.lower().endswith(".gz"):
             # no name and no time: the same numbers give the same bytes
-            self._packed = gzip.GzipFile("", "wb", GZIP_LEVEL, self._stream, 0)
-        cells = [header_cell(name, unit, self.delimiter) for name, unit in columns]
+            packed = gzip.GzipFile("", "wb", GZIP_LEVEL, self._file, 0)
+            self._stream = packed  # type: ignore[assignment]
+        cells = [header_cell(name, unit, delimiter) for name, unit in columns]
         with telling(self.path):
-            self._send((self.delimiter.join(cells) + "\n").encode())
+            self._send((delimiter.join(cells) + "\n").encode())
 
     def close(self) -> None:
         """End a compressed stream."""
-        if self._packed is not None:
+        if self._stream is not self._file:
             with telling(self.path):
-                self._packed.close()
+                self._stream.close()
 
     def _append(self, block: Sequence[FloatArray]) -> None:
         cells = (self.rows + len(block[0])) * len(block)
@@ -379,10 +356,10 @@ class TextWriter(Writer):
         self._send(buffer.getbuffer())
 
     def _send(self, data: bytes | memoryview) -> None:
-        (self._packed or self._stream).write(data)
+        self._stream.write(data)
         if self._at_once:
-            (self._packed or self._stream).flush()
             self._stream.flush()
+            self._file.flush()
 
 
 def header_cell(name: str, unit: str | None, delimiter: str) -> str:
@@ -401,9 +378,9 @@ class Hdf5Writer(Writer):
     """Appends rows to one dataset a column of a new HDF5 file."""
 
     def __init__(
-        self, file: _File, columns: Sequence[Named], attributes: Attributes | None
+        self, file: Output, columns: Sequence[Named], attributes: Attributes
     ) -> None:
-        super().__init__(file, columns, attributes)
+        super().__init__(file, columns)
         if file.temporary is None:
             raise UsageError(
                 f"{file.path}: HDF5 cannot go down a pipe: give a file name"
@@ -411,10 +388,10 @@ class Hdf5Writer(Writer):
         import h5py
 
         with telling(self.path):
-            self._stream = _PatientFile(file.temporary, "xb+")
-        file.stream = self._stream
-        self._datasets: list[Any] = []
+            file.stream = self._stream = PatientFile(file.temporary, "xb+")
         self._store = h5py.File(self._stream, "w")
+        self._store.attrs.update(attributes)
+        self._datasets: list[Any] = []
         for name, unit in columns:
             dataset = self._store.create_dataset(
                 name.replace("/", "_"), (0,), "f8", maxshape=(None,), chunks=(BLOCK_ROWS,),
@@ -424,10 +401,8 @@ class Hdf5Writer(Writer):
             self._datasets.append(dataset)
 
     def close(self) -> None:
-        """State the attributes and close the file."""
-        if self._store:
-            self._store.attrs.update(self.attributes)
-            self._store.close()
+        """Close the file."""
+        self._store.close()
         with telling(self.path):
             self._stream.tell_problem()
 
@@ -438,7 +413,7 @@ class Hdf5Writer(Writer):
         self._stream.tell_problem()
 
 
-class _PatientFile(io.FileIO):
+class PatientFile(io.FileIO):
     """A file for HDF5 that keeps what goes wrong for later.
 
     HDF5 ends the process when it cannot write while it closes a file (a full disk).

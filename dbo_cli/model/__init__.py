@@ -6,12 +6,14 @@ from dbo_cli.model.dynamics import Dynamics, Lag, Mode, Resonance, Section
 from dbo_cli.model.file import (
     dumps_model,
     dumps_set,
+    dumps_state,
     is_set,
     model_values,
     read_model,
     read_models,
+    read_state,
 )
-from dbo_cli.model.gears import Gears, Window
+from dbo_cli.model.gears import Gears
 from dbo_cli.model.model import Candidate, Model, Outside
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
@@ -20,11 +22,11 @@ from dbo_cli.model.state import (
     Run,
     State,
     Steps,
+    Undoing,
     steps_behind,
     steps_of,
 )
-from dbo_cli.model.state_file import dumps_state, read_state
-from dbo_cli.model.undoing import Undoing, read_ahead
+from dbo_cli.model.undoing import read_ahead
 
 __all__ = [
     "Candidate",
@@ -46,7 +48,6 @@ __all__ = [
     "State",
     "Steps",
     "Undoing",
-    "Window",
     "dumps_model",
     "dumps_set",
     "dumps_state",

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import kernel
+from dbo_cli.model.state import Held
 
 Floats = NDArray[np.float64]
 
@@ -32,13 +32,6 @@ BEFORE = WINDOW - 1 - AFTER
 WHOLE = 1e-9
 """Steps: a time this close to a sample's is that sample's; rounding leaves less."""
 MOST_DELAYED = 10_000_000  # samples: 80 MB; a delay of 100 s at 100 kHz
-
-
-class Held(NamedTuple):
-    """What a delay holds back: the samples still needed, each with its time (s); the last is the newest."""
-
-    times: tuple[float, ...]
-    values: tuple[float, ...]
 
 
 def whole_and_part(samples: float) -> tuple[int, float]:
@@ -111,14 +104,14 @@ class Delay:
         """
         if x.size == 0 or self.seconds == 0.0:
             return x, held
-        past = held or Held((), ())
+        past_times, past_values = held or ((), ())
         steps = np.array(np.broadcast_to(dt, x.shape))
         if held is None:
             steps[0] = 0.0
         else:
-            steps[0] += past.times[-1]
-        times = np.concatenate([past.times, np.cumsum(steps)])
-        values = np.concatenate([past.values, x])
+            steps[0] += past_times[-1]
+        times = np.concatenate([past_times, np.cumsum(steps)])
+        values = np.concatenate([past_values, x])
         if isinstance(dt, np.ndarray):
             return self._by_time(times, values, x.size)
         return self._by_count(dt, times, values, x.size)
@@ -133,7 +126,7 @@ class Delay:
         newest = values.size - count
         before = kernel.recursions().between(times, values, wanted, y, newest, WHOLE)
         begin = max(before - (WINDOW - 1), 0)
-        return y, Held(tuple(times[begin:].tolist()), tuple(values[begin:].tolist()))
+        return y, (tuple(times[begin:].tolist()), tuple(values[begin:].tolist()))
 
     def _by_count(
         self, step: float, times: Floats, values: Floats, count: int
@@ -157,7 +150,7 @@ class Delay:
         else:
             y = values[begin : begin + count].copy()
         kept = max(needed, 1)
-        return y, Held(tuple(times[-kept:].tolist()), tuple(values[-kept:].tolist()))
+        return y, (tuple(times[-kept:].tolist()), tuple(values[-kept:].tolist()))
 
     def _samples(self, dt: float) -> tuple[int, float]:
         """Return how many samples of a clock of ``dt`` (s) the delay takes, and the part beyond."""

@@ -29,10 +29,10 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.relaxation import checked_steps
+from dbo_cli.model.state import SectionStates
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complexfloating]
-SectionStates = tuple[tuple[float, float, float], ...]
 
 LAG_ZERO = 0.4
 """b of a lag, see above: between ringing of the inverse and error of the amplitude."""

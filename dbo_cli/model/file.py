@@ -1,38 +1,41 @@
-"""Model files: UTF-8 JSON with stable key order, checked to the last key on reading.
+"""Model and state files: UTF-8 JSON with stable key order, checked to the last key on reading.
 
 The same model gives the same bytes, and floats are written so that reading them back
-gives the same float64. ``docs/model-file.md`` is the contract.
+gives the same float64. ``docs/model-file.md`` is the contract. A state file says where
+an actuator was left, so that the next run goes on from there.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
-from itertools import groupby
-from typing import cast
+from collections.abc import Mapping
+from functools import partial
+from itertools import chain, groupby, pairwise
+from typing import Any
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.model.cascade import Direction, Stage
+from dbo_cli.model import fields
+from dbo_cli.model.cascade import Stage
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics, Lag, Mode, Resonance, Section
+from dbo_cli.model.fields import VERSION, Json, build, number, numbers
 from dbo_cli.model.gears import Axis, Gears
 from dbo_cli.model.model import Candidate, Model
-from dbo_cli.model.node import VERSION, Json, Node, dumps, load
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
-from dbo_cli.model.state import Quantity
+from dbo_cli.model.state import Held, Quantity, State
 
 MODEL_FORMAT = "dbo-model"
 SET_FORMAT = "dbo-model-set"
+STATE_FORMAT = "dbo-state"
 # equal widths in a row are written once from this many on: two are shorter as they are
 SHORTEST_RUN = 3
 
-AMOUNTS_OF_FIT = ("rmse", "expected_rmse", "line_rmse", "left_out_rmse")
-TIMES_OF_FIT = ("fastest", "longest_rest")
+FIGURES = "rmse expected_rmse line_rmse left_out_rmse fastest longest_rest".split()
 """Keys of ``fit`` that commands compute with: null or numbers of at least 0."""
 
 
-# ---- reading ----
+# ---- models ----
 
 
 def read_model(path: str) -> Model:
@@ -52,22 +55,24 @@ def read_model(path: str) -> Model:
         if channel not in models:
             raise InputError(f"{file}: no model {channel}; models: {', '.join(models)}")
         return models[channel]
-    name, values = load(path, "model")
+    name, values = fields.load(path, "model")
     return parse_model(values, name)
 
 
 def read_models(path: str) -> dict[str, Model]:
     """Read a set of models: channels and their models (errors as of ``read_model``)."""
-    name, values = load(path, "model")
-    root = Node(name, "", values)
-    root.require_format(SET_FORMAT, "a set of models")
-    channels = root.node("models")
-    if not channels.values:
-        raise root.refuse("models", "is empty")
+    name, values = fields.load(path, "model")
     models = {}
-    for channel, content in channels.values.items():
-        models[channel] = _model(Node(name, f'models["{channel}"]', content))
-    return root.build(dict, models)
+    try:
+        values = fields.contents(values, "", SET_FORMAT, "a set of models")
+        channels = build(dict, values, "", models=fields.notes)["models"]
+        if not channels:
+            raise ModelError("models: is empty")
+        for channel, content in channels.items():
+            models[channel] = _model(content, f'models["{channel}"]')
+    except ModelError as problem:
+        raise ModelError(f"{name}: {problem}") from None
+    return models
 
 
 def is_set(path: str) -> bool:
@@ -75,7 +80,7 @@ def is_set(path: str) -> bool:
     if not os.path.isfile(path):
         return False
     try:
-        values = load(path, "model")[1]
+        values = fields.load(path, "model")[1]
     except (InputError, ModelError):
         return False
     return isinstance(values, dict) and values.get("format") == SET_FORMAT
@@ -93,123 +98,111 @@ def parse_model(values: object, name: str = "the model") -> Model:
         raise ModelError(
             f"{name}: is a set of models: type {name}::CHANNEL, or a pattern of columns"
         )
-    return _model(Node(name, "", values))
+    try:
+        return _model(values, "")
+    except ModelError as problem:
+        raise ModelError(f"{name}: {problem}") from None
 
 
-def _model(node: Node) -> Model:
+def _model(values: Any, path: str) -> Model:
     """Return the model that an object describes."""
-    node.require_format(MODEL_FORMAT, "a model")
-    direction = node.choice("direction", "forward", "inverse")
-    candidates: list[Candidate] = []
-    if node.has("candidates"):
-        candidates = [_candidate(part) for part in node.nodes("candidates")]
-    return node.build(
+    values = fields.contents(values, path, MODEL_FORMAT, "a model")
+    axis: Axis = "output" if values.get("direction") == "inverse" else "input"
+    model: Model = build(
         Model,
-        cast(Direction, direction),
-        _quantity(node.node("input")),
-        _quantity(node.node("output")),
-        _stages(node, direction),
-        _fit(node),
-        tuple(candidates),
-        node.notes("provenance"),
+        values,
+        path,
+        ("fit", "candidates", "provenance"),
+        direction=fields.choice("forward", "inverse"),
+        input=_quantity,
+        output=_quantity,
+        stages=fields.listed(partial(_stage, axis=axis)),
+        fit=_fit,
+        candidates=fields.listed(_candidate),
+        provenance=fields.notes,
+    )
+    return model
+
+
+def _fit(values: Any, path: str) -> Json:
+    """Return the figures of a fit; refuse what cannot be one where commands take it for one."""
+    for key in FIGURES:
+        value = fields.notes(values, path).get(key)
+        if value is not None and number(value, f"{path}.{key}") < 0.0:
+            raise ModelError(f"{path}.{key}: {value!r} is not a number of at least 0")
+    return fields.notes(values, path)
+
+
+def _quantity(values: Any, path: str) -> Any:
+    unit = fields.unless_null(fields.text)
+    return build(
+        Quantity, values, path, quantity=fields.text, unit=unit, min=number, max=number
     )
 
 
-def _fit(model: Node) -> Json:
-    """Return the figures of a fit; refuse what cannot be one where commands take it for one."""
-    values = model.notes("fit")
-    if values:
-        fit = model.node("fit")
-        for key in (*AMOUNTS_OF_FIT, *TIMES_OF_FIT):
-            if values.get(key) is not None and fit.number(key) < 0.0:
-                raise fit.refuse(key, f"{values[key]!r} is not a number of at least 0")
-    return values
+def _candidate(values: Any, path: str) -> Any:
+    return build(Candidate, values, path, weight=number, stages=fields.listed(_stage))
 
 
-def _quantity(node: Node) -> Quantity:
-    unit = node.unless_null("unit", node.text)
-    low, high = node.number("min"), node.number("max")
-    return node.build(Quantity, node.text("quantity"), unit, low, high)
+def _stage(values: Any, path: str, axis: Axis = "input") -> Any:
+    """Return a stage; ``axis`` is the side of the gears on which the voltage is."""
+    rest = dict(fields.notes(values, path))
+    kind = fields.choice("backlash", "point", "scale", "dynamics", "delay")(
+        rest.pop("type", None), f"{path}.type"
+    )
+    if kind == "scale":
+        return build(Scale, rest, path, gain=number, offset=number)
+    if kind == "delay":
+        return build(Delay, rest, path, seconds=number)
+    if kind == "dynamics":
+        return build(Dynamics, rest, path, sections=fields.listed(_section))
+    table = {"dx": fields.widths, "dy": fields.widths, "x0": number, "y0": number}
+    if kind == "point":
+        return build(Points, rest, path, **table)
+    terms = partial(_relaxation, axis=axis)
+    gears = partial(Gears, on=axis)
+    return build(gears, rest, path, ("relaxation",), relaxation=terms, **table)
 
 
-def _candidate(node: Node) -> Candidate:
-    return node.build(Candidate, node.number("weight"), _stages(node, "forward"))
+def _relaxation(values: Any, path: str, axis: str) -> Any:
+    rest = dict(fields.notes(values, path))
+    if rest.pop("on", None) != axis:
+        raise ModelError(f"{path}.on: must be {axis!r} in this direction")
+    return build(Relaxation, rest, path, reference=number, tau=numbers, gain=numbers)
 
 
-def _stages(node: Node, direction: str) -> tuple[Stage, ...]:
-    stages: list[Stage] = []
-    for part in node.nodes("stages"):
-        kind = part.choice("type", "backlash", *_READERS)
-        if kind == "backlash":
-            stages.append(_gears(part, "input" if direction == "forward" else "output"))
-        else:
-            stages.append(_READERS[kind](part))
-    return tuple(stages)
+def _section(values: Any, path: str) -> Any:
+    if "lag" in fields.notes(values, path):
+        return build(_lag, values, path, ("lead",), lag=number, lead=number)
+    return build(
+        Resonance,
+        values,
+        path,
+        ("antiresonance",),
+        frequency=number,
+        damping=number,
+        antiresonance=_mode,
+    )
 
 
-def _gears(node: Node, axis: str) -> Gears:
-    terms: Relaxation | None = None
-    if node.has("relaxation"):
-        part = node.node("relaxation")
-        axis = part.choice("on", "input", "output")
-        reference = part.number("reference")
-        tau, gain = part.numbers("tau"), part.numbers("gain")
-        terms = part.build(Relaxation, reference, tau, gain)
-    dx, dy = node.widths("dx"), node.widths("dy")
-    x0, y0 = node.number("x0"), node.number("y0")
-    return node.build(Gears, dx, dy, x0, y0, terms, cast(Axis, axis))
+def _lag(lag: float, lead: float = 0.0) -> Lag:
+    """Return a lag by the keys that a file has."""
+    return Lag(lag, lead)
 
 
-def _points(node: Node) -> Points:
-    dx, dy = node.widths("dx"), node.widths("dy")
-    return node.build(Points, dx, dy, node.number("x0"), node.number("y0"))
-
-
-def _scale(node: Node) -> Scale:
-    return node.build(Scale, node.number("gain"), node.number("offset"))
-
-
-def _delay(node: Node) -> Delay:
-    return node.build(Delay, node.number("seconds"))
-
-
-def _dynamics(node: Node) -> Dynamics:
-    sections = [_section(part) for part in node.nodes("sections")]
-    return node.build(Dynamics, tuple(sections))
-
-
-def _section(node: Node) -> Section:
-    if node.has("lag"):
-        lead = node.number("lead") if node.has("lead") else 0.0
-        return node.build(Lag, node.number("lag"), lead)
-    beside: Mode | None = None
-    if node.has("antiresonance"):
-        part = node.node("antiresonance")
-        beside = part.build(Mode, part.number("frequency"), part.number("damping"))
-    frequency, damping = node.number("frequency"), node.number("damping")
-    return node.build(Resonance, frequency, damping, beside)
-
-
-_READERS: dict[str, Callable[[Node], Stage]] = {
-    "point": _points,
-    "scale": _scale,
-    "dynamics": _dynamics,
-    "delay": _delay,
-}
-
-
-# ---- writing ----
+def _mode(values: Any, path: str) -> Any:
+    return build(Mode, values, path, frequency=number, damping=number)
 
 
 def dumps_model(model: Model) -> str:
     """Return the text of a model file: the same model gives the same text."""
-    return dumps(model_values(model))
+    return fields.dumps(model_values(model))
 
 
 def dumps_set(models: Mapping[str, Model]) -> str:
     """Return the text of a file that holds the models of several channels."""
     content = {channel: model_values(model) for channel, model in models.items()}
-    return dumps({"format": SET_FORMAT, "version": VERSION, "models": content})
+    return fields.dumps({"format": SET_FORMAT, "version": VERSION, "models": content})
 
 
 def model_values(model: Model) -> Json:
@@ -240,8 +233,8 @@ def _numbers(part: object, *names: str) -> Json:
 
 
 def _quantity_values(part: Quantity) -> Json:
-    names = {"quantity": part.quantity, "unit": part.unit}
-    return {**names, **_numbers(part, "min", "max")}
+    named = {"quantity": part.quantity, "unit": part.unit}
+    return {**named, **_numbers(part, "min", "max")}
 
 
 def _stage_values(stage: Stage) -> Json:
@@ -292,3 +285,97 @@ def _runs(widths: list[float]) -> list[float | Json]:
         else:
             written.extend([width] * count)
     return written
+
+
+# ---- states ----
+
+
+def dumps_state(state: State, model: Model) -> str:
+    """Return the text of a state file; it names the model that it belongs to by a hash."""
+    sections = held = None
+    if state.sections is not None:
+        sections = list(chain.from_iterable(state.sections))
+    if state.delay is not None:
+        held = {"times": state.delay[0], "values": state.delay[1]}
+    values: Json = {
+        "format": STATE_FORMAT,
+        "version": VERSION,
+        "model": model.digest,
+        "gears": model.gears.n,
+        "bits": f"{state.bits:x}",
+        "memory": state.memory,
+        "time": state.time,
+        "drive": state.drive,
+        "sections": sections,
+        "delay": held,
+    }
+    return fields.dumps(values)
+
+
+def read_state(path: str, model: Model) -> State:
+    """Read a state file for a model or its inverse; ``-`` is standard input.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    ModelError
+        It is not a state, contradicts itself, or belongs to another model.
+    """
+    name, values = fields.load(path, "state")
+    try:
+        return _state(fields.contents(values, "", STATE_FORMAT, "a state"), model)
+    except ModelError as problem:
+        raise ModelError(f"{name}: {problem}") from None
+
+
+def _state(values: Json, model: Model) -> State:
+    """Return the state that an object describes, which must be one of ``model``."""
+    parts = build(
+        dict,
+        values,
+        "",
+        model=fields.text,
+        gears=number,
+        bits=fields.text,
+        memory=fields.unless_null(numbers),
+        time=fields.unless_null(number),
+        drive=fields.unless_null(number),
+        sections=fields.unless_null(numbers),
+        delay=fields.unless_null(_held),
+    )
+    if parts["model"] != model.digest:
+        raise ModelError(
+            "model: the state belongs to another model: save it again with this one"
+        )
+    gears, digits = model.gears.n, parts["bits"]
+    if parts["gears"] != gears:
+        raise ModelError(f"gears: is not {gears}, the number of gears of the model")
+    hexadecimal = digits and not set(digits) - set("0123456789abcdef")
+    if not hexadecimal or int(digits, 16) >> gears:
+        raise ModelError(f"bits: is not a hexadecimal number of {gears} bits")
+    counts = {"memory": model.gears.gain.size, "sections": 0}
+    if model.dynamics is not None:
+        counts["sections"] = 3 * len(model.dynamics.sections)
+    for key, count in counts.items():
+        if parts[key] is not None and len(parts[key]) != count:
+            raise ModelError(f"{key}: has {len(parts[key])} entries, not {count}")
+    if parts["delay"] is not None and model.delay is None:
+        raise ModelError("delay: the model has no delay")
+    flat = parts["sections"]
+    sections = None
+    if flat is not None:
+        sections = tuple(zip(flat[::3], flat[1::3], flat[2::3], strict=True))
+    memory, drive, time = parts["memory"], parts["drive"], parts["time"]
+    return State(int(digits, 16), memory, drive, time, sections, parts["delay"])
+
+
+def _held(values: Any, path: str) -> Held:
+    """Return what a delay held back."""
+    held = build(dict, values, path, times=numbers, values=numbers)
+    times, past = held["times"], held["values"]
+    if len(times) != len(past) or not times:
+        raise ModelError(f"{path}.values: has {len(past)} entries, not {len(times)}")
+    if any(later < earlier for earlier, later in pairwise(times)):
+        raise ModelError(f"{path}.times: goes backwards")
+    return times, past

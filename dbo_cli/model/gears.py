@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.relaxation import Relaxation
+from dbo_cli.model.state import Run, State
 from dbo_cli.model.widths import (
     checked_pair,
     equal_run,
@@ -32,6 +33,7 @@ from dbo_cli.model.widths import (
 Floats = NDArray[np.float64]
 Words = NDArray[np.uint64]
 Axis = Literal["input", "output"]
+Window = tuple[float, float]  # least and greatest voltage
 
 NEGLIGIBLE = 1e-9
 """Clipping, and missing a first value, count from this fraction of the range on."""
@@ -39,63 +41,16 @@ NEGLIGIBLE = 1e-9
 INWARDS = 1.0 - 2.0**-51
 """Factor on a step: the step in time, the product and this factor are rounded by 2^-53 each."""
 
+OPEN = (-math.inf, math.inf)
 _WORD = 64  # bits of a uint64, in which the kernel keeps the states of gears
 _NO_NUMBERS = np.empty(0)
 
 
-@dataclass(frozen=True)
-class Window:
-    """What a drive may do: its range and its change per second; the range wins over the slew.
-
-    Raises
-    ------
-    ModelError
-        The range is empty, or the slew is not above 0.
-    """
-
-    low: float = -math.inf
-    high: float = math.inf
-    slew: float | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse an empty range and a slew that forbids every move."""
-        if not self.low < self.high:
-            raise ModelError(
-                f"the lower voltage limit, {self.low!r}, is not below the upper, {self.high!r}"
-            )
-        if self.slew is not None and not self.slew > 0.0:
-            raise ModelError(f"the largest slew, {self.slew!r}, is not greater than 0")
-
-    def largest_step(self, dt: float | Floats | None) -> float | Floats | None:
-        """Return the largest change of the drive in a time step (s), rounded down; None where any is."""
-        if self.slew is None or self.slew == math.inf or dt is None:
-            return None
-        return self.slew * dt * INWARDS
-
-
-OPEN = Window()
-
-
-class GearsRun(NamedTuple):
-    """The output of one block, the state after it, and what was clipped.
-
-    Attributes
-    ----------
-    y : array
-        The output.
-    bits : int
-        B = b_{n-1} ... b_0 after the block.
-    memory : tuple of float, or None
-        L_j after the block.
-    clipped, first_clipped : int
-        How many samples the window clipped, and the first of them.
-    """
-
-    y: Floats
-    bits: int
-    memory: tuple[float, ...] | None
-    clipped: int = 0
-    first_clipped: int = 0
+def largest_step(slew: float | None, dt: float | Floats | None) -> Any:
+    """Return the largest change of a drive in a time step (s), rounded down; None where any is allowed."""
+    if slew is None or slew == math.inf or dt is None:
+        return None
+    return slew * dt * INWARDS
 
 
 class Gears:
@@ -112,6 +67,11 @@ class Gears:
     on : {"input", "output"}
         Which of the two signals is the voltage: the input of forward gears, the output
         of inverse ones.
+
+    Attributes
+    ----------
+    x_range, y_range : (float, float)
+        Input and output at B = 0 and at B = 2^n - 1, after a rest.
 
     Raises
     ------
@@ -139,6 +99,7 @@ class Gears:
         self.y0 = float(y0)
         self.relaxation = relaxation
         self.on: Axis = on
+        self._inverse: Gears | None = None
         self.n = int(self.dx.size)
         widths = on_binary_grid("dx", self.dx)
         heights = on_binary_grid("dy", self.dy)
@@ -148,26 +109,25 @@ class Gears:
         if relaxation is not None:
             gains = relaxation.gain
         self.gain = np.array(gains, dtype=np.float64)
-        self._check_slopes(widths, heights)
+        if relaxation is not None and on == "input":
+            relaxation.require_slopes(heights / widths, self.height / self.width)
+        elif relaxation is not None:
+            relaxation.require_slopes(widths / heights, self.width / self.height)
         self.table = gear_table(widths, heights, self._rounding(widths, heights))
+        low, high = self.x0, self.x0 + self.width
+        bottom, top = self.y0, self.y0 + self.height
+        if relaxation is not None and on == "input":
+            bottom += relaxation.at_rest(low)
+            top += relaxation.at_rest(high)
+        elif relaxation is not None:
+            low += relaxation.at_rest(bottom)
+            high += relaxation.at_rest(top)
+        self.x_range, self.y_range = (low, high), (bottom, top)
         for key, (low, high) in (("x0", self.x_range), ("y0", self.y_range)):
             if not low < high:
                 raise ModelError(
                     f"{key}: the gears are lost in rounding beside their origin, {low:.6g}"
                 )
-
-    def __repr__(self) -> str:
-        """Return a short description for debugging."""
-        return f"Gears(n={self.n}, x_range={self.x_range}, y_range={self.y_range})"
-
-    def _check_slopes(self, widths: Floats, heights: Floats) -> None:
-        """See that negative gains leave enough of every slope, displacement over voltage."""
-        if self.relaxation is None:
-            return
-        if self.on == "input":
-            self.relaxation.require_slopes(heights / widths, self.height / self.width)
-        else:
-            self.relaxation.require_slopes(widths / heights, self.width / self.height)
 
     def _rounding(self, widths: Floats, heights: Floats) -> Floats:
         """Return the largest numbers of an axis over what is told apart of each gear, the greater of both."""
@@ -185,38 +145,14 @@ class Gears:
             rounding: Floats = np.maximum(scale_x / apart_x, scale_y / apart_y)
         return rounding
 
-    def _at_rest(self, voltage: float) -> float:
-        """Return what the relaxation terms add up to after a long rest at ``voltage``."""
-        if self.relaxation is None:
-            return 0.0
-        return self.relaxation.at_rest(voltage)
-
-    @property
-    def x_range(self) -> tuple[float, float]:
-        """The input at B = 0 and at B = 2^n - 1, after a rest."""
-        low, high = self.x0, self.x0 + self.width
-        if self.on == "output":
-            low += self._at_rest(self.y0)
-            high += self._at_rest(self.y0 + self.height)
-        return low, high
-
-    @property
-    def y_range(self) -> tuple[float, float]:
-        """The output at B = 0 and at B = 2^n - 1, after a rest."""
-        low, high = self.y0, self.y0 + self.height
-        if self.on == "input":
-            low += self._at_rest(self.x0)
-            high += self._at_rest(self.x0 + self.width)
-        return low, high
-
     def inverse(self) -> Gears:
         """Return the inverse (17)-(18): dX and dY exchanged in every gear, and the origins."""
+        if self._inverse is None:
+            on: Axis = "output" if self.on == "input" else "input"
+            self._inverse = Gears(
+                self.dy, self.dx, self.y0, self.x0, self.relaxation, on
+            )
         return self._inverse
-
-    @functools.cached_property
-    def _inverse(self) -> Gears:
-        on: Axis = "output" if self.on == "input" else "input"
-        return Gears(self.dy, self.dx, self.y0, self.x0, self.relaxation, on)
 
     @property
     def equal_run(self) -> int:
@@ -269,110 +205,122 @@ class Gears:
     def run(
         self,
         x: ArrayLike,
-        bits: int,
-        memory: tuple[float, ...] | None = None,
-        dt: float | Floats | None = None,
+        state: State,
+        dt: float | Floats = math.inf,
         *,
         extend: bool = True,
         window: Window | None = None,
-        last: float | None = None,
-    ) -> GearsRun:
+        slew: float | None = None,
+    ) -> Run:
         """Return the output of (1)-(12) for one block, the state after it, and what was clipped.
 
         Parameters
         ----------
         x : array_like
             One block of the input.
-        bits, memory
-            The state before it; without memory the actuator rests at the first sample.
-        dt : float or array, optional
-            Seconds since the sample before, one number or one a sample; needed with
-            relaxation, and with a slew.
+        state : State
+            Bits and memory before it; without memory the actuator rests at the first
+            sample. Its drive is the voltage before, for the slew.
+        dt : float or array
+            Seconds since the sample before, one number or one a sample.
         extend : bool
             Beyond the gears go on with the last slope; else keep Y_B.
-        window : Window, optional
-            Clip the output of inverse gears; the state is then that of the forward gears
-            driven by the clipped output.
-        last : float, optional
-            The output before this block, for the slew.
+        window : (float, float), optional
+            Clip the output of inverse gears to this range; the state is then that of
+            the forward gears driven by the clipped output.
+        slew : float, optional
+            With a window: the largest change of the output a second.
 
         Raises
         ------
         ModelError
-            The state is not of these gears, or ``dt`` is missing.
+            The state is not of these gears.
         """
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         if x.size == 0:
-            return GearsRun(x, bits, memory)
-        decay = self._decay(dt, x.size)
-        steps = _NO_NUMBERS
-        if window is not None and dt is not None and window.slew is not None:
-            steps = np.array(window.largest_step(dt), dtype=np.float64).reshape(-1)
-        if self.relaxation is None or memory is not None:
-            known = memory or ()
-            return self._run(x, bits, known, decay, extend, window, steps, last)
+            return Run(x, state)
+        decay = steps = _NO_NUMBERS
+        if self.relaxation is not None:
+            decay = self.relaxation.decay(dt)
+        if window is not None and slew is not None:
+            steps = np.array(largest_step(slew, dt), dtype=np.float64).reshape(-1)
+        if self.relaxation is None or state.memory is not None:
+            return self._run(x, state, decay, extend, window, steps)
         # at rest at the first sample: without decay nothing of the past is left
-        nothing, now = (0.0,) * self.gain.size, 0.0 * decay[:1]
-        first = self._run(x[:1], bits, nothing, now, extend, window, steps[:1], last)
+        rest = replace(state, memory=(0.0,) * self.gain.size)
+        first = self._run(x[:1], rest, 0.0 * decay[:1], extend, window, steps[:1])
         if x.size == 1:
             return first
         later = decay if len(decay) == 1 else np.ascontiguousarray(decay[1:])
         steps = steps if steps.size == 1 else steps[1:]
-        behind = self._run(
-            x[1:], first.bits, first.memory or (), later, extend, window, steps, float(first.y[0])
-        )  # fmt: skip
+        behind = self._run(x[1:], first.state, later, extend, window, steps)
         y = np.concatenate([first.y, behind.y])
         clipped = first.clipped + behind.clipped
         place = 0 if first.clipped or not clipped else behind.first_clipped + 1
-        return GearsRun(y, behind.bits, behind.memory, clipped, place)
-
-    def slack(self, window: Window) -> float:
-        """Return by how much clipping has to move an output to count."""
-        low, high = self.y_range
-        return NEGLIGIBLE * min(window.high - window.low, high - low)
+        return Run(y, behind.state, clipped, place)
 
     def _run(
         self,
         x: Floats,
-        bits: int,
-        memory: tuple[float, ...],
+        state: State,
         decay: Floats,
         extend: bool,
         window: Window | None,
         steps: Floats,
-        last: float | None,
-    ) -> GearsRun:
+    ) -> Run:
         """Run the kernel over a block whose memory is known."""
-        memories = np.array(memory, dtype=np.float64)
+        memories = np.array(state.memory or (), dtype=np.float64)
         if memories.size != self.gain.size:
             raise ModelError(
                 f"state: has {memories.size} relaxation terms, the model {self.gain.size}"
             )
         y = np.empty_like(x)
-        words = self.words(bits)
-        bound = window or OPEN
-        before = math.nan if last is None else last
+        words = self.words(state.bits)
+        before = math.nan if state.drive is None else state.drive
+        low, high = window or OPEN
         counts = kernel.recursions().backlash_run(
             *self.constants(extend), words, memories, before, x, y, decay,
-            window is not None, bound.low, bound.high, self.slack(bound), steps,
+            window is not None, low, high, self.slack(low, high), steps,
         )  # fmt: skip
         after = None if self.relaxation is None else tuple(memories.tolist())
-        return GearsRun(y, bits_of(words), after, *counts[2:])
+        voltage = y if self.on == "output" else x
+        return Run(y, State(bits_of(words), after, float(voltage[-1])), *counts[2:])
 
-    def _decay(self, dt: float | Floats | None, count: int) -> Floats:
-        """Return the decay factors of a block, one row or ``count``."""
-        if self.relaxation is None:
-            return _NO_NUMBERS
-        if dt is None:
-            if count > 1:
-                raise ModelError(
-                    "this model needs a clock: a time column, or `sample_rate` HZ"
-                )
-            dt = math.inf  # at rest
-        decay = self.relaxation.decay(dt)
-        if len(decay) not in (1, count):
-            raise ModelError(f"{len(decay)} time steps for {count} samples")
-        return decay
+    def slack(self, low: float, high: float) -> float:
+        """Return by how much clipping to a range has to move an output to count."""
+        begin, end = self.y_range
+        return NEGLIGIBLE * min(high - low, end - begin)
+
+    def stepper(
+        self, state: State, dt: float, window: Window, slew: float | None
+    ) -> Any:
+        """Return the kernel's stepper of inverse gears at an even rate, for live control.
+
+        Its ``plan(x) -> y`` returns the output for an input within ``window`` and
+        ``slew``, and ``clipped`` tells whether they held it back; ``follow(y)`` works
+        out the state that this output leads to. Nothing changes until ``commit()``.
+        The values are those of ``run``, which checks, allocates and converts for every
+        block. Needs the compiled part (DboError).
+        """
+        decay = np.zeros((0, 0))
+        if self.relaxation is not None:
+            decay = self.relaxation.decay(dt)
+        step = largest_step(slew, dt)
+        stepper = kernel.require("live control").Stepper(
+            *self.constants(True), decay, True, *window, self.slack(*window),
+            math.nan if step is None else step,
+        )  # fmt: skip
+        memories = np.array(state.memory or (), dtype=np.float64)
+        before = math.nan if state.drive is None else state.drive
+        stepper.set(self.words(state.bits), memories, before)
+        return stepper
+
+    def committed(self, stepper: Any) -> State:
+        """Return bits and memory to which a stepper was committed."""
+        words, memory = self.words(0), np.zeros(self.gain.size)
+        stepper.get(words, memory)
+        after = None if self.relaxation is None else tuple(memory.tolist())
+        return State(bits_of(words), after)
 
     def engagement(
         self, x: ArrayLike, bits: int = 0, group_size: int = 1

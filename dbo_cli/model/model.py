@@ -23,23 +23,17 @@ from dbo_cli.model.cascade import Direction, Stage, check_order, digest_of
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics
 from dbo_cli.model.gears import NEGLIGIBLE, Gears, Window
-from dbo_cli.model.points import (
-    Curves,
-    Points,
-    Scale,
-    inverse_curves,
-    through,
-    value_through,
-)
-from dbo_cli.model.start import Starts, require_start
-from dbo_cli.model.state import Quantity, Run, State, Steps, steps_of
+from dbo_cli.model.points import Curves, Scale, through, value_through
+from dbo_cli.model.state import START_NAMES, Quantity, Run, State, Steps, steps_of
 from dbo_cli.model.undoing import Inverter
+from dbo_cli.model.widths import CROSSING_TOLERANCE
 
 Floats = NDArray[np.float64]
 Outside = Literal["extend", "hold", "error"]
 Sign = Literal["rising", "falling"]
 
 MOST_CANDIDATES = 5
+_EVEN = 0.01  # of a step: what the steps of an even clock differ by at most
 _TIME_IS_NEEDED = "this model needs a clock: add `time` COLUMN or `sample_rate` HZ"
 
 
@@ -59,9 +53,9 @@ class Candidate:
         check_order(self.stages, "forward")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Model:
-    """A cascade of stages from voltage to displacement (forward) or back (inverse).
+    """A cascade of stages from voltage to displacement (forward) or back (inverse); never changed.
 
     Parameters
     ----------
@@ -79,6 +73,22 @@ class Model:
     provenance : mapping
         Where the model comes from; carried along.
 
+    Attributes
+    ----------
+    is_forward : bool
+        Whether the voltage goes in, and the displacement comes out.
+    gears : Gears
+        The gears as they stand in this model.
+    head, tail : tuple of Points or Scale
+        What stands before and behind the gears.
+    dynamics : Dynamics, or None
+        The dynamics.
+    delay : Delay, or None
+        The delay as it stands in this model; None where it is 0.
+    delay_seconds : float
+        Seconds by which the output lags; an inverse model must read its input that far
+        ahead.
+
     Raises
     ------
     ModelError
@@ -92,65 +102,34 @@ class Model:
     fit: Mapping[str, Any] = field(default_factory=dict)
     candidates: tuple[Candidate, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    is_forward: bool = field(init=False)
+    gears: Gears = field(init=False)
+    head: Curves = field(init=False, default=())
+    tail: Curves = field(init=False, default=())
+    dynamics: Dynamics | None = field(init=False, default=None)
+    delay: Delay | None = field(init=False, default=None)
+    delay_seconds: float = field(init=False, default=0.0)
+    _inverse: Model | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
-        """Check the cascade."""
+        """Check the cascade, and name its parts."""
         check_order(self.stages, self.direction)
+        self.is_forward = self.direction == "forward"
+        for stage in self.stages:
+            if isinstance(stage, Gears):
+                self.gears, self.head, self.tail = stage, self.tail, ()
+            elif isinstance(stage, Dynamics):
+                self.dynamics = stage
+            elif not isinstance(stage, Delay):
+                self.tail = (*self.tail, stage)
+            elif stage.seconds != 0.0:
+                self.delay, self.delay_seconds = stage, abs(stage.seconds)
         if len(self.candidates) > MOST_CANDIDATES:
             raise ModelError(
                 f"candidates: {len(self.candidates)} are more than {MOST_CANDIDATES}"
             )
 
-    # ---- what it is made of ----
-
-    @property
-    def is_forward(self) -> bool:
-        """Whether the voltage goes in, and the displacement comes out."""
-        return self.direction == "forward"
-
-    @functools.cached_property
-    def _gears_place(self) -> int:
-        return next(k for k, part in enumerate(self.stages) if isinstance(part, Gears))
-
-    @functools.cached_property
-    def gears(self) -> Gears:
-        """The gears as they stand in this model."""
-        gears = self.stages[self._gears_place]
-        assert isinstance(gears, Gears)
-        return gears
-
-    @functools.cached_property
-    def head(self) -> Curves:
-        """The points and scales before the gears."""
-        return _curves(self.stages[: self._gears_place])
-
-    @functools.cached_property
-    def tail(self) -> Curves:
-        """The points and scales behind the gears."""
-        return _curves(self.stages[self._gears_place :])
-
-    @functools.cached_property
-    def dynamics(self) -> Dynamics | None:
-        """The dynamics, where there are any."""
-        for stage in self.stages:
-            if isinstance(stage, Dynamics):
-                return stage
-        return None
-
-    @functools.cached_property
-    def delay(self) -> Delay | None:
-        """The delay as it stands in this model; None where it is 0."""
-        for stage in self.stages:
-            if isinstance(stage, Delay) and stage.seconds != 0.0:
-                return stage
-        return None
-
-    @property
-    def delay_seconds(self) -> float:
-        """Seconds by which the output lags; an inverse model must read its input that far ahead."""
-        if self.delay is None:
-            return 0.0
-        return abs(self.delay.seconds)
+    # ---- what it is ----
 
     @property
     def sign(self) -> Sign:
@@ -187,20 +166,14 @@ class Model:
 
     def inverse(self) -> Model:
         """Return the inverse model (17)-(18): every stage inverted, the order reversed."""
+        if self._inverse is None:
+            direction: Direction = "inverse" if self.is_forward else "forward"
+            stages = tuple(stage.inverse() for stage in reversed(self.stages))
+            ends = self.output, self.input
+            self._inverse = Model(
+                direction, *ends, stages, self.fit, provenance=self.provenance
+            )
         return self._inverse
-
-    @functools.cached_property
-    def _inverse(self) -> Model:
-        direction: Direction = "inverse" if self.is_forward else "forward"
-        stages = tuple(stage.inverse() for stage in reversed(self.stages))
-        return Model(
-            direction,
-            self.output,
-            self.input,
-            stages,
-            self.fit,
-            provenance=self.provenance,
-        )
 
     def forward(self) -> Model:
         """Return the forward model: itself, or its inverse."""
@@ -213,10 +186,7 @@ class Model:
         """The same model without dynamics and delay: gears, relaxation and curves."""
         if self.dynamics is None and self.delay is None:
             return self
-        parts = [
-            stage for stage in self.stages if isinstance(stage, Gears | Points | Scale)
-        ]
-        return self.with_stages(tuple(parts))
+        return self.with_stages((*self.head, self.gears, *self.tail))
 
     def with_stages(self, stages: tuple[Stage, ...]) -> Model:
         """Return a model of the same quantities with other stages, without candidates."""
@@ -228,28 +198,69 @@ class Model:
             (part.weight, self.with_stages(part.stages)) for part in self.candidates
         ]
 
-    # ---- starts ----
+    # ---- starts: what the gears have been through before the first sample ----
 
     @functools.cached_property
-    def _starts(self) -> Starts:
-        """The starts of a forward model; gears may go on beyond its input range."""
-        return Starts(self.gears, *self._to_gears(self.input.min, self.input.max))
+    def moved(self) -> Gears:
+        """The gears that a drive inside the range of a forward model moves.
 
-    def start(self, first_input: float, name: str = "auto") -> State:
-        """Return the state before the first sample; see ``start.py``.
+        Spare gears may go on beyond the range, so that a drive that goes a little
+        further turns there as it does inside. They come last in the table. No drive
+        inside the range moves them: those that reach below it are crossed, the others
+        open.
+        """
+        gears, (low, high) = self.gears, self._to_gears(self.input.min, self.input.max)
+        count = _gears_within(gears, high - max(low, gears.x0))
+        if count == gears.n:
+            return gears
+        below = gears.dx[count : _gears_within(gears, high - gears.x0)]
+        begin = gears.x0 + float(below.sum())
+        return Gears(gears.dx[:count], gears.dy[:count], begin)
 
-        Of an inverse model the voltage is sought whose own start leads to the first
-        displacement, so that the forward model, driven by the output, starts alike.
+    @functools.cached_property
+    def full(self) -> int:
+        """The bits of all gears, where the drive comes from the upper end of its range."""
+        _, high = self._to_gears(self.input.min, self.input.max)
+        return (1 << _gears_within(self.gears, high - self.gears.x0)) - 1
+
+    @property
+    def empty(self) -> int:
+        """The bits of all gears, where the drive comes from the lower end of its range."""
+        return self.full + 1 - (1 << self.moved.n)
+
+    def start_bits(self, voltage: float, name: str = "auto") -> int:
+        """Return the bits of the start ``name`` of a forward model.
+
+        ``empty``: the actuator has been at or below the lower end of the drive's range.
+        ``full``: likewise the upper end. ``settled``: after an oscillation that decays
+        from the whole range to ``voltage``, as it reaches the gears. ``auto``: empty
+        where that is at or below the lower end, else settled.
 
         Raises
         ------
         ModelError
             There is no start of that name.
         """
+        if name not in START_NAMES:
+            raise ModelError(f"`state` {name}: give {', '.join(START_NAMES)} or a file")
+        if name == "full":
+            return self.full
+        if name == "empty":
+            return self.empty
+        return self.empty | self.moved.settled(voltage)
+
+    def start(self, first_input: float, state: str | State = "auto") -> State:
+        """Return the state before the first sample: one that is known, or by its name (``start_bits``).
+
+        Of an inverse model the voltage is sought whose own start leads to the first
+        displacement, so that the forward model, driven by the output, starts alike.
+        """
+        if isinstance(state, State):
+            return state
         if not self.is_forward:
-            return self.inverse().start_drive(first_input, name)
+            return self.inverse().start_drive(first_input, state)
         value = value_through(self.head, float(first_input))
-        return State(self._starts.bits(value, name))
+        return State(self.start_bits(value, state))
 
     def start_drive(
         self,
@@ -273,20 +284,57 @@ class Model:
         self.require("forward")
         if isinstance(state, State):
             return state
-        require_start(state)
         ends = self._to_gears(low, high)
         if state in ("empty", "full"):
-            at_end = self._starts.ends[1 if state == "full" else 0]
+            at_end = self.moved.x_range[1 if state == "full" else 0]
             voltage = self._from_gears(min(max(at_end, ends[0]), ends[1]))
-            return State(
-                self._starts.bits(at_end, state),
-                drive=min(max(voltage, low), high),
-            )
-        wanted = value_through(self._tail_inverse, float(first))
-        inner = self._starts.voltage(wanted, *ends)
+            bits = self.start_bits(at_end, state)
+            return State(bits, drive=min(max(voltage, low), high))
+        wanted = value_through(self.inverse().head, float(first))
+        inner = self._settled_voltage(wanted, *ends)
         voltage = min(max(self._from_gears(inner), low), high)
-        bits = self._starts.bits(value_through(self.head, voltage))
+        bits = self.start_bits(value_through(self.head, voltage), state)
         return State(bits, first=voltage)
+
+    def _settled_voltage(self, output: float, low: float, high: float) -> float:
+        """Return the voltage in [low, high] whose own settled state leads to ``output``, both at the gears.
+
+        The output at rest in the settled state rises with the voltage, but by steps
+        where the state changes: where it steps over ``output``, the voltage on the
+        nearer side is taken. It is found by halving the range, and within the reach of
+        one state exactly.
+        """
+        gears, inverse = self.gears, self.gears.inverse()
+
+        def voltage_from(bits: int) -> float:
+            return float(inverse.run([output], State(bits)).y[0])
+
+        def off_at(voltage: float) -> float:
+            state = State(self.start_bits(voltage))
+            return abs(float(gears.run([voltage], state).y[0]) - output)
+
+        below, above = self.moved.x_range
+        voltage = voltage_from(self.empty)
+        if voltage <= below:
+            return min(max(voltage, low), high)
+        voltage = voltage_from(self.full)
+        if voltage >= above:
+            return min(max(voltage, low), high)
+        # a little off the step, so that a voltage that is rounded on its way still
+        # starts on the same side
+        off = CROSSING_TOLERANCE * (above - below)
+        while above - below > 0.001 * off:
+            middle = below + 0.5 * (above - below)
+            bits = self.start_bits(middle)
+            voltage = voltage_from(bits)
+            if below <= voltage <= above and self.start_bits(voltage) == bits:
+                return min(max(voltage, low), high)
+            if voltage > middle:
+                below = middle
+            else:
+                above = middle
+        ends = [min(max(end, low), high) for end in (below - off, above + off)]
+        return min(ends, key=off_at)
 
     # ---- simulation ----
 
@@ -333,12 +381,10 @@ class Model:
                 undoing = inverter.behind(state)
             ahead = np.full(inverter.ahead, signal[-1])
             signal, _ = inverter.run(np.concatenate([signal, ahead]), undoing)
-        if not isinstance(state, State):
-            first = float(signal[0]) if signal.size else 0.0
-            state = self.start(first, state)
-        done = self.run(signal, state, dt, outside)
+        state = self.start(float(signal[0]) if signal.size else 0.0, state)
         if outside == "error":
-            self.require_inside(signal, done)
+            self.require_inside(signal)
+        done = self.run(signal, state, dt, outside)
         return done.y, done.state
 
     def run(
@@ -347,41 +393,43 @@ class Model:
         """Return the output for one block; cut a signal as you like, the values stay the same.
 
         Of an inverse model this is the part without dynamics and delay: ``inverter``
-        comes first. ``dt`` is as of ``simulate``; the first one of a state that has just been
-        started does not matter. What lies outside is counted; ``require_inside`` refuses
-        it.
+        comes first. ``dt`` is as of ``simulate``; the first one of a state that has just
+        been started does not matter. With ``outside`` error, ``require_inside`` comes
+        first.
         """
         if not self.is_forward:
             return self.forward().drive(x, state, dt, outside=outside)
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        self._require_steps(dt, x.size)
+        steps = self._checked_steps(dt, x.size)
         if x.size == 0:
             return Run(x, state)
         inner = through(self.head, x)
         extend = outside != "hold"
-        if not extend and self._starts.some_are_spare:
-            inner = np.clip(inner, *self._starts.ends)
-        done = self.gears.run(inner, state.bits, state.memory, dt, extend=extend)
+        if not extend and self.moved is not self.gears:
+            inner = np.clip(inner, *self.moved.x_range)
+        done = self.gears.run(inner, state, steps, extend=extend)
         y = through(self.tail, done.y)
         sections, waiting = state.sections, state.delay
         if self.dynamics is not None:
-            y, sections = self.dynamics.run(y, _needed(dt), sections)
+            y, sections = self.dynamics.run(y, steps, sections)
         if self.delay is not None:
-            y, waiting = self.delay.run(y, _needed(dt), waiting)
-        after = State(
-            done.bits, done.memory, float(x[-1]), sections=sections, delay=waiting
-        )
-        return Run(y, after, *_outside(x, self._covered))
+            y, waiting = self.delay.run(y, steps, waiting)
+        bits, memory = done.state.bits, done.state.memory
+        after = State(bits, memory, float(x[-1]), sections=sections, delay=waiting)
+        return Run(y, after)
 
-    def _require_steps(self, dt: Steps, count: int) -> None:
-        """Refuse time steps that are missing, or more or fewer than samples (ModelError)."""
-        if dt is None and self.needs_time:
-            raise ModelError(_TIME_IS_NEEDED)
+    def _checked_steps(self, dt: Steps, count: int) -> float | Floats:
+        """Return the time steps of ``count`` samples; ModelError where they are missing, more or fewer."""
+        if dt is None:
+            if self.needs_time:
+                raise ModelError(_TIME_IS_NEEDED)
+            return math.inf  # nothing depends on it
         if isinstance(dt, np.ndarray) and dt.shape != (count,):
             raise ModelError(f"{dt.size} time steps for {count} samples")
+        return dt
 
     @functools.cached_property
-    def _covered(self) -> tuple[float, float]:
+    def covered(self) -> tuple[float, float]:
         """The range of this model's input: what it was identified on, or less where its gears end."""
         low, high = self.input.min, self.input.max
         if self.is_forward:
@@ -390,24 +438,28 @@ class Model:
         slack = NEGLIGIBLE * self.input.span
         return low - slack, high + slack
 
-    def require_inside(
-        self, x: Floats, done: Run, before: int = 0, name: str = ""
-    ) -> None:
+    def outside(self, x: Floats) -> NDArray[np.bool_]:
+        """Return which samples of the input lie outside the model's range."""
+        low, high = self.covered
+        return (x < low) | (x > high)
+
+    def require_inside(self, x: Floats, before: int = 0, name: str = "") -> None:
         """Refuse a block of input with a sample outside the model's range (InputError).
 
         Parameters
         ----------
-        x, done
-            The block, and what ``run`` made of it.
+        x
+            The block.
         before
             Rows before the block.
         name
             Of the signal, for the message.
         """
-        if not done.outside:
+        beyond = self.outside(x)
+        if not beyond.any():
             return
-        row = done.first_outside
-        low, high = self._covered
+        row = int(np.argmax(beyond))
+        low, high = self.covered
         raise InputError(
             f"{name}{': ' if name else ''}row {before + row + 1:,}: {x[row]:.6g} is outside the "
             f"model's range, {low:.6g} to {high:.6g} (`outside` extend)"
@@ -428,6 +480,11 @@ class Model:
         if dt is None:
             raise ModelError(_TIME_IS_NEEDED)
         if isinstance(dt, np.ndarray):
+            if dt.size > 1 and np.ptp(dt[1:]) < _EVEN * dt[1] < dt[0]:
+                raise InputError(
+                    f"row 1 comes {dt[0]:.6g} s after the state: dynamics and a delay are not undone over a "
+                    "pause; leave `state` out"
+                )
             raise InputError(
                 "the model's delay and dynamics need an even clock: add `resample` HZ"
             )
@@ -449,11 +506,12 @@ class Model:
         state: State,
         dt: Steps = None,
         window: Window | None = None,
+        slew: float | None = None,
         outside: Outside = "extend",
     ) -> Run:
         """Return the drive that makes the static part reach one block of displacement.
 
-        Where the window clips, the state is that of the model driven by what is left.
+        Where its limits clip, the state is that of the model driven by what is left.
         Dynamics and delay of the state follow the drive itself.
 
         Parameters
@@ -464,67 +522,65 @@ class Model:
             From ``start_drive``, ``drive`` or ``run``.
         dt : float, array, or None
             Seconds since the sample before; needed with relaxation or a slew limit.
-        window : Window, optional
-            Limits. The range wins over the slew: begin inside it.
+        window : (float, float), optional
+            Least and greatest voltage.
+        slew : float, optional
+            With a window, which wins over it: largest change of the voltage a second.
         outside : {"extend", "hold"}
             Beyond the range: go on with the last slope, or hold.
         """
         x = np.ascontiguousarray(wanted, dtype=np.float64).reshape(-1)
-        self._require_steps(dt, x.size)
-        if dt is None and window is not None and window.slew is not None:
+        steps = self._checked_steps(dt, x.size)
+        if dt is None and slew is not None:
             raise ModelError(_TIME_IS_NEEDED)
         if x.size == 0:
             return Run(x, state)
-        beyond = _outside(x, self.inverse()._covered)
-        first, missed, clipped = state.first, 0.0, 0
-        if first is not None:
-            reached = float(self.static.run([first], state, 0.0).y[0])
-            missed = float(x[0]) - reached
-            if abs(missed) <= NEGLIGIBLE * self.output.span:
-                missed = 0.0
+        clipped = 0
+        if state.first is not None:
+            reached = self.static.run([state.first], state, 0.0).y
+            missed = abs(float(x[0] - reached[0])) > NEGLIGIBLE * self.output.span
             if missed and window is not None:
-                clipped = int(first <= window.low or first >= window.high)
-            x = np.concatenate([[reached], x[1:]])
-        last = None
+                clipped = int(not window[0] < state.first < window[1])
+            x = np.concatenate([reached, x[1:]])
+        inner, inner_slew, begun = window, slew, state
+        if window is not None:
+            inner, inner_slew = self.inner_limits(window, slew)
         if state.drive is not None:
-            last = value_through(self.head, state.drive)
-        inner = None if window is None else self.inner_window(window)
+            begun = replace(state, drive=value_through(self.head, state.drive))
+        inverse = self.inverse()
         done = self.gears.inverse().run(
-            through(self._tail_inverse, x), state.bits, state.memory, dt,
-            extend=outside != "hold", window=inner, last=last,
+            through(inverse.head, x), begun, steps,
+            extend=outside != "hold", window=inner, slew=inner_slew,
         )  # fmt: skip
-        voltage = through(self._head_inverse, done.y)
+        voltage = through(inverse.tail, done.y)
         if window is not None and self.head:
             # rounding on the way back through the points
-            voltage = np.clip(voltage, window.low, window.high)
-        after = State(done.bits, done.memory, float(voltage[-1]))
+            voltage = np.clip(voltage, *window)
+        after = State(done.state.bits, done.state.memory, float(voltage[-1]))
         if self.dynamics is not None or self.delay is not None:
             moved = self.run(voltage, state, dt).state
             after = replace(after, sections=moved.sections, delay=moved.delay)
         first_clipped = 0 if clipped else done.first_clipped
-        if clipped or (beyond[0] and beyond[1] == 0):
-            missed = 0.0
-        return Run(
-            voltage, after, *beyond, done.clipped + clipped, first_clipped, missed
-        )
+        return Run(voltage, after, done.clipped + clipped, first_clipped)
 
-    def inner_window(self, window: Window) -> Window:
-        """Return limits on the drive as the gears meet them, behind what stands before them.
+    def inner_limits(
+        self, window: Window, slew: float | None
+    ) -> tuple[Window, float | None]:
+        """Return the limits of the drive as the gears meet them, behind what stands before them.
 
         The slew limit counts on the steepest step everywhere, so that it is kept with
         something to spare.
         """
         forward = self.forward()
         if not forward.head:
-            return window
-        low, high = forward._to_gears(window.low, window.high)
-        slew = window.slew
+            return window, slew
+        low, high = forward._to_gears(*window)
         if slew is not None:
             for curve in forward.head:
                 slew *= curve.least_slope
             slew *= 1.0 - NEGLIGIBLE  # the points round
         # a window of a last digit may be empty behind the points
-        return Window(low, max(high, math.nextafter(low, math.inf)), slew)
+        return (low, max(high, math.nextafter(low, math.inf))), slew
 
     # ---- between the voltage and the gears of a forward model ----
 
@@ -533,15 +589,7 @@ class Model:
         return min(ends), max(ends)
 
     def _from_gears(self, value: float) -> float:
-        return value_through(self._head_inverse, value)
-
-    @functools.cached_property
-    def _head_inverse(self) -> Curves:
-        return inverse_curves(self.head)
-
-    @functools.cached_property
-    def _tail_inverse(self) -> Curves:
-        return inverse_curves(self.tail)
+        return value_through(self.inverse().tail, value)
 
 
 @functools.lru_cache(maxsize=8)
@@ -550,22 +598,8 @@ def _inverter(dynamics: Dynamics | None, delay: Delay | None, dt: float) -> Inve
     return Inverter(dynamics, delay, dt)
 
 
-def _curves(stages: tuple[Stage, ...]) -> Curves:
-    """Return the points and scales among stages."""
-    return tuple(stage for stage in stages if isinstance(stage, Points | Scale))
-
-
-def _outside(x: Floats, covered: tuple[float, float]) -> tuple[int, int]:
-    """Return how many samples lie outside a range, and the first of them."""
-    low, high = covered
-    if x.min() >= low and x.max() <= high:
-        return 0, 0
-    beyond = (x < low) | (x > high)
-    return int(np.count_nonzero(beyond)), int(np.argmax(beyond))
-
-
-def _needed(steps: Steps) -> float | Floats:
-    """Return time steps, or raise ModelError where there are none."""
-    if steps is None:
-        raise ModelError(_TIME_IS_NEEDED)
-    return steps
+def _gears_within(gears: Gears, width: float) -> int:
+    """Return how many gears, the first ones, span ``width``, to half a gear."""
+    ends = np.cumsum(gears.dx)
+    last = int(np.searchsorted(ends, width - 0.5 * float(gears.dx[-1])))
+    return min(last + 1, gears.n)

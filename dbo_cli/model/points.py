@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,6 +39,7 @@ class Points:
         self.dx, self.dy = checked_pair(dx, dy, x0, y0)
         self.x0, self.y0 = float(x0), float(y0)
         self.m = int(self.dx.size)
+        self._inverse: Points | None = None
         widths = on_binary_grid("dx", self.dx)
         heights = on_binary_grid("dy", self.dy)
         x = np.concatenate([[0.0], np.cumsum(widths)])
@@ -50,17 +50,11 @@ class Points:
         self.segments: Floats = np.ascontiguousarray(rows)
         self.segments.flags.writeable = False
 
-    def __repr__(self) -> str:
-        """Return a short description for debugging."""
-        return f"Points(m={self.m}, x_range={self.x_range}, y_range={self.y_range})"
-
     def inverse(self) -> Points:
         """Return the inverse (17)-(18): dX and dY exchanged in every segment, and the origins."""
+        if self._inverse is None:
+            self._inverse = Points(self.dy, self.dx, self.y0, self.x0)
         return self._inverse
-
-    @functools.cached_property
-    def _inverse(self) -> Points:
-        return Points(self.dy, self.dx, self.y0, self.x0)
 
     @property
     def least_slope(self) -> float:
@@ -139,8 +133,3 @@ def value_through(curves: Sequence[Curve], x: float) -> float:
     for curve in curves:
         x = curve.value(x)
     return x
-
-
-def inverse_curves(curves: Sequence[Curve]) -> Curves:
-    """Return what undoes stages without memory."""
-    return tuple(curve.inverse() for curve in reversed(curves))

@@ -10,14 +10,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.model.delay import Held
-from dbo_cli.model.dynamics import SectionStates
-from dbo_cli.model.undoing import Undoing
 
 Floats = NDArray[np.float64]
-Steps = (
-    float | Floats | None
-)  # seconds since the sample before: one number, or one each
+# seconds since the sample before: one number, or one each
+Steps = float | Floats | None
+# three numbers of each section of the dynamics
+SectionStates = tuple[tuple[float, float, float], ...]
+# times (s) and values of the samples that a delay still needs; the last is the newest
+Held = tuple[tuple[float, ...], tuple[float, ...]]
+# what undoing dynamics and delay remembers: the step (s) of its clock, (y, a, b) of each
+# section, and the last two values wanted, for the delay
+Undoing = tuple[float, SectionStates, tuple[float, ...]]
 StartName = Literal["auto", "empty", "full", "settled"]
 START_NAMES: tuple[StartName, ...] = ("auto", "empty", "full", "settled")
 
@@ -83,7 +86,7 @@ class State:
     delay : Held, or None
         What a delay still holds back.
     undoing : Undoing, or None
-        What undoing dynamics and delay remembers; put there by the caller of ``undo``.
+        What undoing dynamics and delay remembers; put there by its caller.
     first : float, or None
         Of a drive about to start: its first voltage.
     """
@@ -107,22 +110,14 @@ class Run(NamedTuple):
         The output: displacement of a forward model, voltage of a drive.
     state : State
         After the block.
-    outside, first_outside : int
-        How many samples lie outside the model's range, and the first of them.
     clipped, first_clipped : int
-        How many rows of a drive the window clipped, and the first of them.
-    missed : float
-        How far the first row of a drive is from the first value wanted, in its unit,
-        because the settled curve steps over it; 0 where it does not.
+        How many rows of a drive its limits clipped, and the first of them.
     """
 
     y: Floats
     state: State
-    outside: int = 0
-    first_outside: int = 0
     clipped: int = 0
     first_clipped: int = 0
-    missed: float = 0.0
 
 
 def steps_of(time: ArrayLike) -> float | Floats:

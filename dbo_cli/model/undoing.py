@@ -13,7 +13,7 @@ import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from itertools import chain
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +26,9 @@ from dbo_cli.model.dynamics import (
     Lag,
     Resonance,
     Section,
-    SectionStates,
     repeated,
 )
-
-if TYPE_CHECKING:
-    from dbo_cli.model.state import State
+from dbo_cli.model.state import SectionStates, State, Undoing
 
 Floats = NDArray[np.float64]
 Payload = TypeVar("Payload")
@@ -61,12 +58,9 @@ class SectionInverse(NamedTuple):
     from_state: Floats
 
 
-class _Recursion(NamedTuple):
-    """How (u - p, q) follows the output y: it becomes matrix @ it + drive (y' - y), and u = y + out @ it."""
-
-    matrix: Floats
-    drive: Floats
-    out: Floats
+# how (u - p, q) follows the output y: it becomes matrix @ it + drive (y' - y), and
+# u = y + out @ it
+_Recursion = tuple[Floats, Floats, Floats]
 
 
 def _recursion(section: Section, dt: float) -> _Recursion:
@@ -82,9 +76,8 @@ def _recursion(section: Section, dt: float) -> _Recursion:
     lead_row.append(-p_q + (1.0 - p_change) * from_q)
     rate_row = [q_lead + q_change * from_lead, q_q + q_change * from_q]
     drive = np.array([(1.0 - p_change) / by_drive, q_change / by_drive])
-    return _Recursion(
-        np.array([lead_row, rate_row]), drive, np.array([1.0 - by_lead, -by_q])
-    )
+    out = np.array([1.0 - by_lead, -by_q])
+    return np.array([lead_row, rate_row]), drive, out
 
 
 def section_inverse(section: Section, dt: float) -> SectionInverse:
@@ -137,8 +130,7 @@ def _forward_only(
     """Return an inverse without a look ahead: both zeros are inside the unit circle."""
     if not largest < 1.0 or section.antiresonance is None:
         raise _unresolved(section, dt)
-    numbers = np.concatenate([recursion.matrix.reshape(-1), recursion.drive])
-    numbers = np.concatenate([numbers, recursion.out])
+    numbers = np.concatenate([part.reshape(-1) for part in recursion])
     return SectionInverse(numbers, np.zeros(0), np.eye(2))
 
 
@@ -151,22 +143,6 @@ def _unresolved(section: Resonance, dt: float) -> InputError:
         f"the model's {name} is too fast to be undone at {1.0 / dt:.6g} Hz"
         f" (`resample` {6.0 * section.highest:.6g} or more)"
     )
-
-
-class Undoing(NamedTuple):
-    """What undoing dynamics and delay remembers between blocks, on an even clock of ``dt`` (s).
-
-    Attributes
-    ----------
-    sections : tuple
-        (y, a, b) of each section.
-    past : tuple of float
-        The last two values wanted before the block, for the delay.
-    """
-
-    dt: float
-    sections: SectionStates
-    past: tuple[float, ...] = ()
 
 
 class Inverter:
@@ -204,8 +180,8 @@ class Inverter:
             return wanted, None
         memory: SectionStates = ()
         past: tuple[float, ...] = ()
-        if undoing is not None and undoing.dt == self.dt:
-            memory, past = undoing.sections, undoing.past
+        if undoing is not None and undoing[0] == self.dt:
+            _, memory, past = undoing
         signal = wanted
         if self.delay is not None:
             signal = self.delay.read_ahead(wanted, self.dt, past)
@@ -215,11 +191,11 @@ class Inverter:
         if self.parts:
             rest = ((float(signal[0]), 0.0, 0.0),) * len(self.parts)
             signal, memory = self._undone(signal, memory or rest)
-        return signal, Undoing(self.dt, memory, past)
+        return signal, (self.dt, memory, past)
 
     def behind(self, state: State) -> Undoing | None:
         """Return what ``run`` goes on from behind a state; None where nothing is known of it."""
-        if state.undoing is not None and state.undoing.dt == self.dt:
+        if state.undoing is not None and state.undoing[0] == self.dt:
             return state.undoing
         if not self.parts or state.sections is None:
             return None
@@ -230,7 +206,7 @@ class Inverter:
             by_lead, by_q = section.output
             a, b = (part.from_state @ np.array([u - p, q])).tolist()
             memories.append((p + (by_lead * (u - p) + by_q * q), a, b))
-        return Undoing(self.dt, tuple(memories))
+        return self.dt, tuple(memories), ()
 
     def _undone(self, y: Floats, memory: SectionStates) -> tuple[Floats, SectionStates]:
         """Return the input of all sections but for what they read ahead, and the memory after it."""

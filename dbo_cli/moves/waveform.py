@@ -18,9 +18,6 @@ from dbo_cli.moves.generators import FORMATS, Coding, Format, Signal, Span
 
 Floats = NDArray[np.float64]
 
-WORDS = ((-32768, 32767), (0, 65535))
-"""What 16 bits hold, with and without a sign."""
-
 
 class Waveform(NamedTuple):
     """A generator's file.
@@ -115,38 +112,36 @@ def waveform(
         )
     exact = played / gain
     ends = volts or (float(exact.min()), float(exact.max()))
+    if form.codes is not None and not -math.inf < ends[0] < ends[1] < math.inf:
+        raise UsageError(f"`volts` {ends[0]:g}:{ends[1]:g}: give LOW:HIGH")
     if exact.min() < ends[0] or exact.max() > ends[1]:
         raise LimitError(
             f"{name}: needs {exact.min():.6g} to {exact.max():.6g} V of the generator, `volts` is "
             f"{ends[0]:.6g}:{ends[1]:.6g}: widen it, or check `gain` {gain:g}"
         )
     allowed = _at_generator(limits, gain)
-    if form.codes is None:
-        line = _line(exact, rate, gain, moved)
-        Gate(allowed).admit(exact, 1.0 / rate, "return")
-        return Waveform(form.write(Signal(exact, rate, ends)), exact, rate, line)
-    if not ends[0] < ends[1]:
-        raise UsageError("the drive is constant: type `volts` LOW:HIGH")
-    low_code, high_code = codes or form.codes
-    coding = Coding((int(low_code), int(high_code)), ends)
-    content = coding.encode(exact, allowed.rating)
-    heard = coding.decode(content)
-    rounding = abs(gain) * float(np.abs(heard - exact).max())
-    if rounding > most and np.ptp(exact) > 0.0:
-        raise LimitError(
-            f"{name}: codes change the drive by up to {rounding:.3g} V, more than {most:.3g} V: "
-            "narrow `volts`, or raise `max_rounding`"
+    values: NDArray[np.float64 | np.int64] = exact
+    heard, meaning = exact, ""
+    if form.codes is not None:
+        low, high = codes or form.codes
+        coding = Coding((int(low), int(high)), ends)
+        values = coding.encode(exact, allowed.rating)
+        heard = coding.decode(values)
+        rounding = abs(gain) * float(np.abs(heard - exact).max())
+        if rounding > most and np.ptp(exact) > 0.0:
+            raise LimitError(
+                f"{name}: codes change the drive by up to {rounding:.3g} V, more than {most:.3g} V: "
+                "narrow `volts`, or raise `max_rounding`"
+            )
+        if allowed.slew is not None:  # codes stand a step beside
+            allowed = replace(allowed, slew=allowed.slew + coding.step * rate)
+        meaning = (
+            f"codes {coding.codes[0]} to {coding.codes[1]} mean {ends[0]:.6g} to {ends[1]:.6g} V; "
+            f"rounding changes the drive by {rounding:.3g} V"
         )
-    if allowed.slew is not None:  # codes stand a step beside
-        allowed = replace(allowed, slew=allowed.slew + coding.step * rate)
     Gate(allowed).admit(heard, 1.0 / rate, "return")
-    line = _line(heard, rate, gain, moved)
-    meaning = (
-        f"codes {coding.codes[0]} to {coding.codes[1]} mean {ends[0]:.6g} to {ends[1]:.6g} V; rounding"
-        f" changes the drive by {rounding:.3g} V"
-    )
-    data = form.write(Signal(content, rate, ends))
-    return Waveform(data, heard, rate, line, meaning)
+    data = form.write(Signal(values, rate, ends))
+    return Waveform(data, heard, rate, _line(heard, rate, gain, moved), meaning)
 
 
 def _check_codes(form: Format, to: str, codes: Span | None, volts: Span | None) -> None:
@@ -161,10 +156,8 @@ def _check_codes(form: Format, to: str, codes: Span | None, volts: Span | None) 
         raise UsageError(
             f"{to} needs `volts` LOW:HIGH, the voltages of the lowest and highest code"
         )
-    if volts is not None and not -math.inf < volts[0] < volts[1] < math.inf:
-        raise UsageError(f"`volts` {volts[0]:g}:{volts[1]:g}: give the lower end first")
     if codes is not None:
-        least, most = WORDS[0] if form.codes[0] < 0 else WORDS[1]
+        least, most = form.codes
         whole = codes[0] == round(codes[0]) and codes[1] == round(codes[1])
         if not (whole and least <= codes[0] < codes[1] <= most):
             raise UsageError(

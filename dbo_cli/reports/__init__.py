@@ -1,9 +1,9 @@
 """Reports: how well what was measured follows what was desired, or what a model predicts."""
 
-from dbo_cli.reports.expected import Expected, expected_in
+from dbo_cli.reports.expected import Expected, expected_in, expected_of
 from dbo_cli.reports.matching import match
 from dbo_cli.reports.pair import Pair, predict
-from dbo_cli.reports.report import Report, report
+from dbo_cli.reports.report import Report
 from dbo_cli.reports.show import show_model
 
 __all__ = [
@@ -11,8 +11,8 @@ __all__ = [
     "Pair",
     "Report",
     "expected_in",
+    "expected_of",
     "match",
     "predict",
-    "report",
     "show_model",
 ]

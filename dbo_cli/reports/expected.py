@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -80,7 +78,7 @@ def expected_of_drive(
     return Expected(rmse, footer=footer)
 
 
-def expected_in(path: str | os.PathLike[str], unit: str | None = None) -> Expected:
+def expected_in(path: str, unit: str | None = None) -> Expected:
     """Return the expected error that a summary of ``compensate`` or a model file states.
 
     Parameters
@@ -97,54 +95,66 @@ def expected_in(path: str | os.PathLike[str], unit: str | None = None) -> Expect
     """
     from dbo_cli.model import read_model
 
-    name = os.fspath(path)
     try:
-        content = json.loads(Path(name).read_text("utf-8"))
-        kind = content.get("format")
-    except (OSError, ValueError, AttributeError, RecursionError) as problem:
-        reason = getattr(problem, "strerror", None) or "no JSON object"
-        raise InputError(f"{name}: {reason}") from None
+        content = json.loads(Path(path).read_text("utf-8"))
+        kind = content["format"]
+    except OSError as problem:
+        raise InputError(f"{path}: {problem.strerror}") from None
+    except (ValueError, TypeError, KeyError, RecursionError):
+        raise _no_summary(path) from None
     if kind == "dbo-model":
-        model = read_model(name).forward()
-        rmse, stated_unit = model.fit.get("expected_rmse"), model.output.unit
-        expected = Expected(rmse)
-    elif kind == "dbo-summary":
-        stated_unit = content.get("unit")
-        expected = _of_summary(name, content)
-    else:
-        raise InputError(
-            f"{name}: states no expected error: give a summary of compensate, or a model"
-        )
-    if stated_unit and unit and stated_unit != unit:
-        raise InputError(f"{name}: is in {stated_unit}, the comparison in {unit}")
-    return expected
+        model = read_model(path).forward()
+        content = {"unit": model.output.unit, **model.fit}
+    elif kind != "dbo-summary":
+        raise _no_summary(path)
+    return expected_of(content, unit, path)
 
 
-def _of_summary(name: str, content: Mapping[str, Any]) -> Expected:
-    rmse = content.get("expected_rmse")
-    if rmse is not None and (type(rmse) not in (int, float) or not rmse > 0.0):
-        raise InputError(f"{name}: expected_rmse: {rmse!r} is not above 0")
-    move, move_time = (_ends(name, content, key) for key in ("move_range", "move_time"))
-    limits = content.get("limits") or {}
-    footer, rating = "", _ends(name, limits, "rating")
-    if rating is not None:
-        unit = limits.get("unit") or ""
-        footer = f"Limits {rating[0]:g} to {rating[1]:g} {unit}"
-        if limits.get("max_slew"):
-            footer += f", {limits['max_slew']} {unit}/s"
-        footer += f"; drive of model {str(content.get('model'))[:12]}"
-    return Expected(rmse, move, move_time, footer)
+def expected_of(
+    content: Mapping[str, Any], unit: str | None = None, name: str = "the summary"
+) -> Expected:
+    """Return the expected error of a summary: ``Drive.summary()``, or what a file of it holds.
 
-
-def _ends(name: str, content: Mapping[str, Any], key: str) -> Ends | None:
-    """Return the two ends of a range; None where there is none."""
-    value = content.get(key)
-    if value is None:
-        return None
+    Raises
+    ------
+    InputError
+        It is no summary, or it is in another unit than what is compared.
+    """
+    stated = content.get("unit")
+    if stated and unit and stated != unit:
+        raise InputError(f"{name}: is in {stated}, the comparison in {unit}")
     try:
-        low, high = map(float, value)
-    except (TypeError, ValueError):
-        low = high = math.nan
-    if not low <= high:
-        raise InputError(f"{name}: {key}: {value!r} is not [least, greatest]")
+        rmse = content["expected_rmse"]
+        limits = content.get("limits")
+        return Expected(
+            None if rmse is None else float(rmse),
+            _ends(content.get("move_range")),
+            _ends(content.get("move_time")),
+            "" if limits is None else _footer(limits, str(content["model"])),
+        )
+    except (ValueError, TypeError, KeyError, AttributeError):
+        raise _no_summary(name) from None
+
+
+def _no_summary(name: str) -> InputError:
+    return InputError(
+        f"{name}: states no expected error: give a summary of compensate, or a model"
+    )
+
+
+def _ends(ends: Any) -> Ends | None:
+    """Return the two ends of a range."""
+    if ends is None:
+        return None
+    low, high = map(float, ends)
     return low, high
+
+
+def _footer(limits: Mapping[str, Any], model: str) -> str:
+    """Return what the page says of a drive."""
+    unit = limits["unit"] or ""
+    low, high = limits["rating"]
+    text = f"Limits {low:g} to {high:g} {unit}"
+    if limits["max_slew"]:
+        text += f", {limits['max_slew']} {unit}/s"
+    return f"{text}; drive of model {model[:12]}"

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from dbo_cli.errors import InputError, UsageError
-from dbo_cli.reports.merits import Floats, root_mean_square
-from dbo_cli.reports.pair import Pair, mean_step, rows_text
+from dbo_cli.errors import InputError
+from dbo_cli.reports.merits import Floats
+from dbo_cli.reports.pair import Pair, mean_step, rows_text, stretch
 
 SAME_RATE = 1e-3
 """Part by which two rates may differ: clocks of two recorders do, by some 1e-4."""
@@ -29,14 +28,14 @@ PLAYS = (0.02, 0.05, 0.1, 0.2, 0.4)
 
 def match(
     name: str,
-    measured: ArrayLike,
-    desired: ArrayLike,
+    measured: Floats,
+    desired: Floats,
     *,
-    measured_time: ArrayLike | None = None,
-    desired_time: ArrayLike | None = None,
+    measured_time: Floats | None = None,
+    desired_time: Floats | None = None,
     match: str = "auto",
     trajectory_name: str = "the trajectory",
-    voltage: ArrayLike | None = None,
+    voltage: Floats | None = None,
 ) -> Pair:
     """Give every row of a recording the desired value that belongs to it.
 
@@ -50,7 +49,7 @@ def match(
         The trajectory, perhaps with rows before the move at negative times.
     measured_time, desired_time : array, optional
         Seconds.
-    match
+    match : {"auto", "time", "rows"}
         "rows": the first belongs to the first. "time": by two clocks that agree.
         "auto": by time where both have one, else by rows; a recorder that was started
         earlier or later is found, taken off and noted.
@@ -60,28 +59,19 @@ def match(
     InputError
         The rates differ where rows are matched, a clock is missing, or no row of one
         belongs to a row of the other.
-    UsageError
-        ``match`` is another word.
     """
-    if match not in ("auto", "time", "rows"):
-        raise UsageError(f"`match` {match}: give auto, time or rows")
-    wanted = np.asarray(desired, dtype=np.float64)
-    values = np.asarray(measured, dtype=np.float64)
-    recording = Pair(name, values, values, measured_time, voltage)  # type: ignore[arg-type]
-    recording = replace(recording, on_drive_clock=True)
-    if match == "rows" or (
-        match == "auto" and (measured_time is None or desired_time is None)
-    ):
-        return _by_rows(recording, wanted, desired_time, trajectory_name)
+    recording = Pair(
+        name, measured, measured, measured_time, voltage, on_drive_clock=True
+    )
+    clocked = measured_time is not None and desired_time is not None
+    if match == "rows" or (match == "auto" and not clocked):
+        return _by_rows(recording, desired, desired_time, trajectory_name)
     if measured_time is None or desired_time is None:
         lacking = name if measured_time is None else trajectory_name
         raise InputError(f"{lacking}: has no time: add `sample_rate`, or `match` rows")
-    clock = np.asarray(desired_time, dtype=np.float64)
-    if len(clock) < 2 or not (np.diff(clock) > 0.0).all():
-        raise InputError(f"{trajectory_name}: time must increase: type `match` rows")
     if match == "auto":
-        recording = _on_one_clock(recording, wanted, clock, trajectory_name)
-    pair = _by_time(recording, wanted, clock)
+        recording = _on_one_clock(recording, desired, desired_time, trajectory_name)
+    pair = _by_time(recording, desired, desired_time)
     if not len(pair):
         raise InputError(
             f"{name}: no row lies within the time of {trajectory_name}: try `match` rows"
@@ -95,11 +85,10 @@ def match(
 
 
 def _by_rows(
-    recording: Pair, wanted: Floats, clock: ArrayLike | None, trajectory: str
+    recording: Pair, wanted: Floats, clock: Floats | None, trajectory: str
 ) -> Pair:
     """Match row by row; the time is the trajectory's."""
-    time = None if clock is None else np.asarray(clock, dtype=np.float64)
-    step, wanted_step = recording.step(), mean_step(time)
+    step, wanted_step = recording.step(), mean_step(clock)
     if step is not None and wanted_step is not None:
         if abs(step / wanted_step - 1.0) > SAME_RATE:
             raise InputError(
@@ -107,9 +96,9 @@ def _by_rows(
                 " rows do not correspond; type `match` time"
             )
     count = min(len(recording), len(wanted))
-    pair = replace(recording.taken(slice(count)), desired=wanted[:count])
-    if time is not None:
-        pair = replace(pair, time=time[:count])
+    pair = replace(recording.taken(slice(0, count)), desired=wanted[:count])
+    if clock is not None:
+        pair = replace(pair, time=clock[:count])
     surplus = len(recording) - len(wanted)
     if surplus:
         relation = "more" if surplus > 0 else "fewer"
@@ -120,11 +109,9 @@ def _by_rows(
 def _by_time(recording: Pair, wanted: Floats, clock: Floats) -> Pair:
     """Match by time: the desired signal is interpolated at the recording's times."""
     assert recording.time is not None
-    slack = 1e-6 * (clock[-1] - clock[-2])
-    inside = (recording.time >= clock[0] - slack) & (
-        recording.time <= clock[-1] + slack
-    )
-    pair = recording.taken(inside)
+    slack = 1e-6 * (mean_step(clock) or 0.0)
+    begin, end = clock[0] - slack, clock[-1] + slack
+    pair = recording.taken(stretch((recording.time >= begin) & (recording.time <= end)))
     assert pair.time is not None
     return replace(pair, desired=np.interp(pair.time, clock, wanted))
 
@@ -154,10 +141,9 @@ def _on_one_clock(
 
 def _scatter(pair: Pair) -> float:
     """Return the RMS of the error without its mean; infinite for fewer than two rows."""
-    error = pair.measured - pair.desired
-    if len(error) < 2:
+    if len(pair) < 2:
         return np.inf
-    return root_mean_square(error - np.mean(error))
+    return float(np.std(pair.measured - pair.desired))
 
 
 def _clock_ahead(recording: Pair, wanted: Floats, clock: Floats) -> float | None:
@@ -170,8 +156,6 @@ def _clock_ahead(recording: Pair, wanted: Floats, clock: Floats) -> float | None
 
     time = recording.time
     assert time is not None
-    if not np.isfinite(recording.measured).all() or not np.isfinite(wanted).all():
-        return None
     longest = max(np.ptp(time), np.ptp(clock))
     step = max(recording.step() or 0.0, mean_step(clock) or 0.0, longest / SEARCHED)
     if not step > 0.0:
@@ -184,33 +168,23 @@ def _clock_ahead(recording: Pair, wanted: Floats, clock: Floats) -> float | None
         return None
     rows, _ = lag_of(desired, measured)
     offset = float(stamps[0] - grid[0] + rows * step)
+    columns = [np.ones_like(desired), desired, np.gradient(desired, step)]
+    for part in PLAYS:
+        columns.append(_play(desired, 0.5 * part * float(np.ptp(desired))))
     for _ in range(STEPS):
-        change = _refined(stamps - offset, measured, clock, wanted, step)
-        offset += change
-        if abs(change) < 1e-3 * step:
+        times = stamps - offset
+        inside = (times >= grid[0]) & (times <= grid[-1])
+        if np.count_nonzero(inside) < FEWEST:
+            return None
+        shifted = [np.interp(times[inside], grid, column) for column in columns]
+        table = np.column_stack(shifted)
+        weights = np.linalg.lstsq(table, measured[inside], rcond=None)[0]
+        gain = weights[1] + weights[3:].sum()
+        late = np.clip(-weights[2] / gain, -FURTHEST * step, FURTHEST * step)
+        offset += float(late)
+        if abs(late) < 1e-3 * step:
             break
     return offset
-
-
-def _refined(
-    stamps: Floats, measured: Floats, clock: Floats, wanted: Floats, step: float
-) -> float:
-    """Return by how much later measured still is (s): the weight of the derivative beside a loop."""
-    inside = (stamps >= clock[0] + step) & (stamps <= clock[-1] - step)
-    if np.count_nonzero(inside) < FEWEST:
-        return 0.0
-    at, y = stamps[inside], measured[inside]
-    x = np.interp(at, clock, wanted)
-    after = np.interp(at + step, clock, wanted)
-    before = np.interp(at - step, clock, wanted)
-    columns = [np.ones_like(x), x, (after - before) / (2.0 * step)]
-    for part in PLAYS:
-        columns.append(_play(x, 0.5 * part * float(np.ptp(x))))
-    weights = np.linalg.lstsq(np.column_stack(columns), y, rcond=None)[0]
-    gain = float(weights[1] + weights[3:].sum())
-    if not gain:
-        return 0.0
-    return -float(np.clip(weights[2] / gain, -FURTHEST * step, FURTHEST * step))
 
 
 def _play(x: Floats, radius: float) -> Floats:

@@ -92,7 +92,7 @@ def merits(desired: Floats, measured: Floats, remove_offset: bool = False) -> Me
     magnitude = np.abs(error)
     place = int(np.argmax(magnitude))
     low, high = float(desired.min()), float(desired.max())
-    rmse = root_mean_square(error)
+    rmse = math.sqrt(float(np.mean(np.square(error))))
     return Merits(
         samples=len(error),
         rmse=rmse,
@@ -109,22 +109,9 @@ def merits(desired: Floats, measured: Floats, remove_offset: bool = False) -> Me
     )
 
 
-def root_mean_square(error: Floats) -> float:
-    """Return the root of the mean square; the scale is taken out, so that nothing overflows."""
-    scale = float(np.abs(error).max())
-    if scale == 0.0:
-        return 0.0
-    return scale * math.sqrt(float(np.mean(np.square(error / scale))))
-
-
 def percent_of(value: float, whole: float) -> float | None:
     """Return a value in percent of a range; None where the range is 0."""
-    if not whole > 0.0:
-        return None
-    percent = 100.0 * value / whole
-    if not math.isfinite(percent):
-        return None
-    return percent
+    return 100.0 * value / whole if whole > 0.0 else None
 
 
 def noise_of(values: Floats) -> float:
@@ -215,10 +202,6 @@ def lag_left(desired: Floats, measured: Floats) -> float | None:
     h = slope_spacing(desired)
     if h is None or len(desired) < 2 * h + 4:
         return None
-    # in parts of the range, lest squares overflow
-    span = float(np.ptp(desired))
-    desired = (desired - desired[0]) / span
-    measured = (measured - measured[0]) / span
     d = desired[h:-h] - np.mean(desired[h:-h])
     m = measured[h:-h] - np.mean(measured[h:-h])
     slope = 0.5 * (desired[2 * h :] - desired[: -2 * h])

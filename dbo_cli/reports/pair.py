@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
+from dbo_cli.reports.expected import Expected, expected_of_drive
 from dbo_cli.reports.merits import Floats
 
 if TYPE_CHECKING:
     from dbo_cli.model import Model, State
-    from dbo_cli.reports.expected import Expected
 
 RowRange = tuple[int | None, int | None]
 """First and last row that count, from 1, both included; None: no end."""
@@ -33,23 +33,21 @@ class Pair:
     name
         What the report calls it.
     desired, measured : array of shape (rows,)
-        In one unit. NaN: no number; such a row takes no part.
+        In one unit, all finite.
     time : array of shape (rows,), optional
         Seconds.
     voltage : array of shape (rows,), optional
         The drive, for the figures.
     rows : (first, last), optional
-        The rows that count, by the numbers of ``numbers``, both ends included.
-    numbers : array, optional
-        Row numbers in the file; 1, 2, 3 ... where not given.
+        The rows of the file that count, both ends included.
+    first_row
+        The number of the first row in its file, from 1.
     expected : Expected, optional
         The error that was to be expected.
     clock_offset : float, optional
         Seconds that the recorder's clock was found to be ahead, and that were taken off.
     on_drive_clock
         Whether the times are those of the drive.
-    missing
-        Rows without a number that were left out.
     notes, warnings : tuple of str
         What a reader of the figures must know.
     """
@@ -60,44 +58,35 @@ class Pair:
     time: Floats | None = None
     voltage: Floats | None = None
     rows: RowRange | None = None
-    numbers: Floats | None = None
+    first_row: int = 1
     expected: Expected | None = None
     clock_offset: float | None = None
     on_drive_clock: bool = False
-    missing: int = 0
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Turn the columns into arrays of one length (InputError)."""
-        count = len(np.atleast_1d(self.desired))
-        if self.numbers is None:
-            object.__setattr__(self, "numbers", np.arange(1.0, count + 1.0))
-        for key in ("desired", "measured", "time", "voltage", "numbers"):
-            values = getattr(self, key)
-            if values is None:
-                continue
-            column = np.asarray(values, dtype=np.float64)
-            if column.shape != (count,):
+        """Require columns of one length (InputError)."""
+        for key in ("measured", "time", "voltage"):
+            column = getattr(self, key)
+            if column is not None and len(column) != len(self):
                 raise InputError(
-                    f"{self.name}: {key} has the shape {column.shape}, desired has {count:,} rows"
+                    f"{self.name}: {key} has {rows_text(len(column))}, desired {len(self):,}"
                 )
-            object.__setattr__(self, key, column)
 
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(self.desired)
 
-    def taken(self, which: slice | NDArray[np.bool_]) -> Pair:
-        """Return the rows that a mask or a slice chooses."""
-        assert self.numbers is not None
+    def taken(self, rows: slice) -> Pair:
+        """Return some of the rows."""
         return replace(
             self,
-            desired=self.desired[which],
-            measured=self.measured[which],
-            time=None if self.time is None else self.time[which],
-            voltage=None if self.voltage is None else self.voltage[which],
-            numbers=self.numbers[which],
+            desired=self.desired[rows],
+            measured=self.measured[rows],
+            time=None if self.time is None else self.time[rows],
+            voltage=None if self.voltage is None else self.voltage[rows],
+            first_row=self.first_row + rows.start,
         )
 
     def noted(self, note: str) -> Pair:
@@ -122,6 +111,14 @@ def mean_step(time: Floats | None) -> float | None:
     return step if 0.0 < step < math.inf else None
 
 
+def stretch(inside: NDArray[np.bool_]) -> slice:
+    """Return the rows from the first to the last that a mask names; none where it names none."""
+    places = np.flatnonzero(inside)
+    if not len(places):
+        return slice(0, 0)
+    return slice(int(places[0]), int(places[-1]) + 1)
+
+
 def scored(pair: Pair, lag: int) -> Pair:
     """Return the rows that count: measured ``lag`` rows later, ``rows`` alone, none beside the move.
 
@@ -133,37 +130,24 @@ def scored(pair: Pair, lag: int) -> Pair:
     count = len(pair) - abs(lag)
     if count < 1:
         raise InputError(
-            f"{pair.name}: has {rows_text(len(pair))}; give a smaller `lag` than {lag}"
+            f"{pair.name}: {rows_text(len(pair))}, `lag` {lag}: nothing is left to compare"
         )
     late, early = max(lag, 0), max(-lag, 0)
-    shifted = replace(
-        pair.taken(slice(early, early + count)),
-        measured=pair.measured[late : late + count],
-    )
-    chosen = _chosen_rows(shifted)
-    finite = np.isfinite(chosen.desired) & np.isfinite(chosen.measured)
-    if not finite.any():
-        raise InputError(f"{pair.name}: no row has a number in both columns")
-    missing = int(len(chosen) - np.count_nonzero(finite))
-    if missing:
-        chosen = replace(chosen.taken(finite), missing=missing)
-        chosen = chosen.noted(f"{rows_text(missing)} without a number left out")
+    measured = pair.measured[late : late + count]
+    shifted = replace(pair.taken(slice(early, early + count)), measured=measured)
+    if pair.rows is None:
+        return _move_of(shifted)
+    first, last = pair.rows
+    begin = max((first or 1) - shifted.first_row, 0)
+    end = count if last is None else last + 1 - shifted.first_row
+    chosen = shifted.taken(slice(begin, max(end, 0)))
+    if not len(chosen):
+        raise InputError(f"{pair.name}: no row from {first} on: choose other `rows`")
     return chosen
 
 
-def _chosen_rows(pair: Pair) -> Pair:
-    """Return the rows of ``rows``; without it those of the move, if rows stand before or behind it."""
-    assert pair.numbers is not None
-    if pair.rows is not None:
-        first, last = pair.rows
-        low = 1.0 if first is None else float(first)
-        high = math.inf if last is None else float(last)
-        inside = (pair.numbers >= low) & (pair.numbers <= high)
-        if not inside.any():
-            raise InputError(
-                f"{pair.name}: has no row from {low:g} to {high:g}: choose other `rows`"
-            )
-        return pair.taken(inside)
+def _move_of(pair: Pair) -> Pair:
+    """Return the rows of the move, if rows stand before or behind it."""
     if pair.time is None:
         return pair
     begin, end = 0.0, math.inf
@@ -171,22 +155,20 @@ def _chosen_rows(pair: Pair) -> Pair:
     if pair.on_drive_clock and move_time is not None:
         slack = 0.5 * (pair.step() or 0.0)
         begin, end = move_time[0] - slack, move_time[1] + slack
-    inside = (pair.time >= begin) & (pair.time <= end)
-    count = int(np.count_nonzero(~inside))
-    if count in (0, len(pair)):
+    move = pair.taken(stretch((pair.time >= begin) & (pair.time <= end)))
+    beside = len(pair) - len(move)
+    if beside in (0, len(pair)):
         return pair
-    return pair.taken(inside).noted(
-        f"{rows_text(count)} before or after the move left out"
-    )
+    return move.noted(f"{rows_text(beside)} before or after the move left out")
 
 
 def predict(
     model: Model,
-    voltage: ArrayLike,
-    measured: ArrayLike,
+    voltage: Floats,
+    measured: Floats,
     *,
     name: str = "log",
-    time: ArrayLike | None = None,
+    time: Floats | None = None,
     state: str | State = "auto",
     rows: RowRange | None = None,
     model_name: str = "the model",
@@ -211,19 +193,14 @@ def predict(
     Raises
     ------
     ModelError
-        The model is inverse.
+        The model is inverse, or it needs a clock.
     InputError
-        Lengths differ, a drive is no number, or the model needs a clock.
+        Lengths differ.
     """
-    from dbo_cli.reports.expected import expected_of_drive
-
     model.require("forward", model_name)
-    drive = np.asarray(voltage, dtype=np.float64)
-    clock = None if time is None else np.asarray(time, dtype=np.float64)
-    predicted, _ = model.simulate(drive, time=clock, state=state)
+    predicted, _ = model.simulate(voltage, time=time, state=state)
     steps = None
-    if clock is not None and len(clock) > 1:
-        steps = np.diff(clock, prepend=2.0 * clock[0] - clock[1])
-    expected = expected_of_drive(model, drive, steps, model_name)
-    column = np.asarray(measured, dtype=np.float64)
-    return Pair(name, predicted, column, clock, drive, rows, expected=expected)
+    if time is not None and len(time) > 1:
+        steps = np.diff(time, prepend=2.0 * time[0] - time[1])
+    expected = expected_of_drive(model, voltage, steps, model_name)
+    return Pair(name, predicted, measured, time, voltage, rows, expected=expected)

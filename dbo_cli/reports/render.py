@@ -10,17 +10,17 @@ from dataclasses import replace
 from html import escape
 from importlib import resources
 from string import Template
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from dbo_cli.version import __version__
 
 if TYPE_CHECKING:
     from dbo_cli.reports.plots import Plot
-    from dbo_cli.reports.report import LogReport, Report
+    from dbo_cli.reports.report import Report
 
 JSON_VERSION = 1  # of the form dbo-report
 LONGEST_NAME = 40  # letters of a log's name in a table
-MINUS = "\N{MINUS SIGN}"
+LENGTHS = ("RMSE", "expected", "largest", "mean", "offset", "loop")
 
 
 def to_json(report: Report) -> str:
@@ -90,45 +90,36 @@ def short_name(name: str) -> str:
     return f"{name[:12]}…{name[-(LONGEST_NAME - 13) :]}"
 
 
-class TableColumn(NamedTuple):
-    """A column of the table: its heading, and its cell for a log."""
-
-    title: str
-    cell: Callable[[LogReport], str]
-
-
-def columns_of(report: Report) -> list[TableColumn]:
-    """Return the columns of the table; those that nothing is known for are left out."""
-    columns = [
-        TableColumn("log", lambda log: short_name(log.name)),
-        TableColumn("rows", lambda log: f"{log.merits.samples:,}"),
-        TableColumn("RMSE", lambda log: digits(log.merits.rmse)),
-        TableColumn("% of move", lambda log: digits(log.merits.nrmse_percent, 3)),
-        TableColumn("largest", lambda log: digits(log.merits.max_abs)),
-        TableColumn("at row", lambda log: f"{log.largest_row:,}"),
-    ]
-    if report.remove_offset:
-        mean = TableColumn("offset", lambda log: digits(log.merits.offset))
-    else:
-        mean = TableColumn("mean", lambda log: digits(log.merits.mean))
-    columns.append(mean)
-    columns.append(TableColumn("loop", lambda log: digits(log.merits.loop_width, 3)))
-    if any(log.pair.step() for log in report.logs):
-        columns.append(TableColumn("lag (ms)", _lag_in_ms))
-    else:
-        columns.append(TableColumn("lag (rows)", lambda log: digits(log.merits.lag, 3)))
-    if any(log.expected_rmse for log in report.logs):
-        expected = TableColumn("expected", lambda log: digits(log.expected_rmse))
-        columns.insert(3, expected)
-    if len(report.logs) > 1:
-        ratio = TableColumn("ratio", lambda log: digits(log.ratio_to_first, 3))
-        columns.append(ratio)
-    return columns
-
-
-def _lag_in_ms(log: LogReport) -> str:
-    lag = log.seconds(log.merits.lag)
-    return digits(None if lag is None else 1000.0 * lag, 3)
+def table_of(report: Report) -> tuple[list[str], list[list[str]]]:
+    """Return the headings of the table and a row a log; what is not known of any is left out."""
+    clocked = any(log.pair.step() for log in report.logs)
+    expected = any(log.expected_rmse for log in report.logs)
+    rows = []
+    for log in report.logs:
+        figures = log.merits
+        cells = {
+            "log": short_name(log.name),
+            "rows": f"{figures.samples:,}",
+            "RMSE": digits(figures.rmse),
+        }
+        if expected:
+            cells["expected"] = digits(log.expected_rmse)
+        cells["% of move"] = digits(figures.nrmse_percent, 3)
+        cells["largest"] = digits(figures.max_abs)
+        cells["at row"] = f"{log.largest_row:,}"
+        if report.remove_offset:
+            cells["offset"] = digits(figures.offset)
+        else:
+            cells["mean"] = digits(figures.mean)
+        cells["loop"] = digits(figures.loop_width, 3)
+        if clocked:
+            cells["lag (ms)"] = digits(log.seconds(figures.lag, 1000.0), 3)
+        else:
+            cells["lag (rows)"] = digits(figures.lag, 3)
+        if len(report.logs) > 1:
+            cells["ratio"] = digits(log.ratio_to_first, 3)
+        rows.append(cells)
+    return list(rows[0]), [list(cells.values()) for cells in rows]
 
 
 def to_text(report: Report) -> str:
@@ -137,9 +128,7 @@ def to_text(report: Report) -> str:
     if lines:
         lines.insert(0, "PASSED" if report.passed else "FAILED")
         lines.append("")
-    columns = columns_of(report)
-    rows = [[column.cell(log) for column in columns] for log in report.logs]
-    lines.append(text_table([column.title for column in columns], rows))
+    lines.append(text_table(*table_of(report)))
     lines += ["", settings_line(report)]
     lines += [f"warning: {warning}" for warning in report.warnings]
     lines += [f"note: {note}" for note in report.notes]
@@ -188,14 +177,11 @@ def to_html(report: Report) -> str:
     for verdict in report.verdicts:
         verdicts.append(replace(verdict, unit=verdict.unit.replace(" um", " µm")))
     report = replace(report, unit=unit or None, verdicts=tuple(verdicts))
-    columns = columns_of(report)
+    titles, rows = table_of(report)
     head = []
-    for column in columns:
-        title = column.title
-        if unit and title in ("RMSE", "expected", "largest", "mean", "offset", "loop"):
-            title += f" ({unit})"
-        head.append(title)
-    rows = [[column.cell(log) for column in columns] for log in report.logs]
+    for title in titles:
+        length = unit and title in LENGTHS
+        head.append(f"{title} ({unit})" if length else title)
     parts = [_verdict(report), f'<p class="headline">{escape(report.line())}</p>']
     for warning in report.warnings:
         parts.append(f'<p class="warning">Warning: {escape(warning)}</p>')
@@ -205,7 +191,10 @@ def to_html(report: Report) -> str:
     for title, plots in sections_of_report(report):
         parts.append(f"<h2>{escape(title)}</h2>{html_figures(plots)}")
     parts.append(f"<footer>{'<br>'.join(map(escape, footer_lines(report)))}</footer>")
-    return page("Tracking report", parts)
+    folder = resources.files("dbo_cli.reports")
+    frame = Template(folder.joinpath("page.html").read_text("utf-8"))
+    style = folder.joinpath("page.css").read_text("utf-8")
+    return frame.substitute(style=style, body="\n".join(filter(None, parts)))
 
 
 def _verdict(report: Report) -> str:
@@ -254,15 +243,6 @@ def html_figures(plots: Sequence[Plot]) -> str:
         caption = f"<figcaption>{escape(plot.title)}</figcaption>"
         drawn.append(f"<figure>{caption}{image}</figure>")
     return '<div class="figures">' + "\n".join(drawn) + "</div>"
-
-
-def page(title: str, parts: Sequence[str]) -> str:
-    """Return a whole page of parts that are HTML already."""
-    folder = resources.files("dbo_cli.reports")
-    style = folder.joinpath("page.css").read_text("utf-8")
-    frame = Template(folder.joinpath("page.html").read_text("utf-8"))
-    body = "\n".join(part for part in parts if part)
-    return frame.substitute(title=escape(title), style=style, body=body)
 
 
 FORMS: dict[str, Callable[[Report], str]] = {

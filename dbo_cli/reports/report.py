@@ -9,13 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.reports.expected import Expected
 from dbo_cli.reports.merits import Merits, merits
-from dbo_cli.reports.pair import Pair, RowRange, predict, scored
+from dbo_cli.reports.pair import Pair, scored
 from dbo_cli.reports.render import FORMS, digits, short_name
 
 if TYPE_CHECKING:
@@ -25,8 +22,6 @@ if TYPE_CHECKING:
 
 BEYOND_EXPECTED = 2.0
 """Times the expected error, from which on a warning says so."""
-OFFSET_ALONE = 1.0 / 3.0
-"""Part of the RMSE that is left without the mean, below which a note speaks of the sensor's zero."""
 
 
 @dataclass(frozen=True)
@@ -63,17 +58,17 @@ class LogReport:
     @property
     def largest_row(self) -> int:
         """Row of the largest error in the file."""
-        assert self.pair.numbers is not None
-        return int(self.pair.numbers[self.merits.max_abs_place])
+        return self.pair.first_row + self.merits.max_abs_place
 
-    def seconds(self, samples: float | None) -> float | None:
-        """Return a number of samples in seconds; None where no clock is known."""
+    def seconds(self, samples: float | None, scale: float = 1.0) -> float | None:
+        """Return a number of samples in seconds times ``scale``; None where no clock is known."""
         step = self.pair.step()
-        return None if samples is None or step is None else samples * step
+        return None if samples is None or step is None else scale * samples * step
 
     def record(self) -> dict[str, Any]:
         """Return the figures as plain values under the keys of the JSON form."""
         figures, time = self.merits, self.pair.time
+        when = None if time is None else float(time[figures.max_abs_place])
         return {
             "name": self.name,
             "samples": figures.samples,
@@ -81,9 +76,7 @@ class LogReport:
             "nrmse_percent": figures.nrmse_percent,
             "max_abs": figures.max_abs,
             "max_abs_row": self.largest_row,
-            "max_abs_time_s": None
-            if time is None
-            else float(time[figures.max_abs_place]),
+            "max_abs_time_s": when,
             "mean": figures.mean,
             "p95_abs": figures.p95_abs,
             "loop_width": figures.loop_width,
@@ -96,7 +89,7 @@ class LogReport:
             "lag_s": self.seconds(self.lag),
             "offset_removed": figures.offset,
             "sample_period_s": self.pair.step(),
-            "not_finite": self.pair.missing,
+            "not_finite": 0,  # readers refuse such rows, or leave them out
             "clock_offset_s": self.pair.clock_offset,
             "ratio_to_first": self.ratio_to_first,
             "expected_rmse": self.expected_rmse,
@@ -198,7 +191,7 @@ class Report:
         Parameters
         ----------
         pairs
-            One a log.
+            One or more, one a log.
         unit
             Of the two signals.
         lag
@@ -217,12 +210,8 @@ class Report:
         InputError
             There is nothing to compare.
         UsageError
-            The lag is not a whole number, or a limit is not a number of 0 or more.
+            A limit is not a number of 0 or more.
         """
-        if isinstance(lag, bool) or not isinstance(lag, int):
-            raise UsageError(f"`lag` {lag}: give a whole number of rows")
-        if not pairs:
-            raise UsageError("a report needs at least one log")
         logs: list[LogReport] = []
         for pair in pairs:
             if pair.expected is None:
@@ -294,15 +283,6 @@ class Report:
         """Return a page that needs no other file."""
         return self.render("html")
 
-    def _repr_html_(self) -> str:
-        """Show a notebook the page in a frame of its own."""
-        from html import escape
-
-        page = escape(self.to_html())
-        return (
-            f'<iframe srcdoc="{page}" style="width:100%;height:40em;border:0"></iframe>'
-        )
-
     def to_frame(self) -> pandas.DataFrame:
         """Return one row a log under the keys of the JSON form, the name as index."""
         import pandas as pd
@@ -316,109 +296,35 @@ class Report:
         return save(plots_of_report(self), folder)
 
 
-def report(
-    desired: ArrayLike,
-    measured: ArrayLike,
-    time: ArrayLike | None = None,
-    *,
-    sample_rate: float | None = None,
-    voltage: ArrayLike | None = None,
-    model: Model | None = None,
-    state: Any = "auto",
-    rows: RowRange | None = None,
-    unit: str | None = None,
-    name: str = "log",
-    **options: Any,
-) -> Report:
-    """Report how well what was measured follows what was desired, or what a model predicts.
-
-    Parameters
-    ----------
-    desired : array of shape (rows,)
-        The desired displacement; with ``model`` the drive voltage.
-    measured : array of shape (rows,)
-        The measured displacement.
-    time : array of shape (rows,), optional
-        Seconds; or ``sample_rate`` in Hz.
-    voltage : array of shape (rows,), optional
-        The drive, for the figures.
-    model, state
-        A forward model, and what was before the first row.
-    rows : (first, last), optional
-        The rows that count, from 1, both ends included.
-    unit, name
-        Of both signals, and of the log.
-    **options
-        ``lag, remove_offset, expected, max_rmse, max_nrmse_percent``: see ``Report.of``.
-
-    Raises
-    ------
-    InputError
-        Lengths differ, or there is nothing to compare.
-    UsageError
-        An option is not what it must be.
-    """
-    if sample_rate is not None:
-        if time is not None or not sample_rate > 0.0:
-            raise UsageError("`sample_rate`: give a rate above 0 Hz, or `time`")
-        time = np.arange(len(np.atleast_1d(measured))) / sample_rate
-    if model is None:
-        pair = Pair(name, desired, measured, time, voltage, rows)  # type: ignore[arg-type]
-        return Report.of([pair], unit=unit, **options)
-    pair = predict(
-        model, desired, measured, name=name, time=time, state=state, rows=rows
-    )
-    return Report.of(
-        [pair],
-        unit=model.output.unit,
-        voltage_unit=model.input.unit,
-        labels=("model", "measured"),
-        model=model,
-        **options,
-    )
-
-
 def _evaluated(pair: Pair, lag: int, remove_offset: bool) -> LogReport:
-    """Return the figures of one log, with what is to be said about them."""
-    if not len(pair):
-        raise InputError(f"{pair.name}: has no rows to compare")
+    """Return the figures of one log, with a warning where more was expected of it."""
     chosen = scored(pair, lag)
     figures = merits(chosen.desired, chosen.measured, remove_offset)
-    warning = _beyond_expected(chosen, figures)
-    if figures.nrmse_percent is None:
-        chosen = chosen.noted("the move has no range, so no percentage is known")
-    if warning:
-        chosen = replace(chosen, warnings=(*chosen.warnings, warning))
-    elif _without_mean(figures) < OFFSET_ALONE * figures.rmse:
-        chosen = chosen.noted(
-            f"most of the error is its mean; without it {_without_mean(figures):.3g} RMS is left"
-        )
+    if chosen.expected is not None:
+        warning = _beyond(chosen.expected, figures)
+        if warning:
+            chosen = replace(chosen, warnings=(f"{pair.name}: {warning}",))
     return LogReport(chosen, figures, lag)
 
 
-def _without_mean(figures: Merits) -> float:
-    """Return the RMS of the error without its mean."""
-    return math.sqrt(max(figures.rmse**2 - figures.mean**2, 0.0))
-
-
-def _beyond_expected(pair: Pair, figures: Merits) -> str:
+def _beyond(expected: Expected, figures: Merits) -> str:
     """Return a warning where the error is far above the expected one, or that is another move's."""
-    expected = pair.expected
-    if expected is None:
-        return ""
     low, high = figures.desired_min, figures.desired_max
     if expected.move is not None and not expected.is_of(low, high):
         return (
-            f"{pair.name}: the move is {low:.4g} to {high:.4g}, the expected error is for"
+            f"the move is {low:.4g} to {high:.4g}, the expected error is for"
             f" {expected.move[0]:.4g} to {expected.move[1]:.4g}: use the summary of this move"
         )
     if expected.rmse is None or figures.rmse <= BEYOND_EXPECTED * expected.rmse:
         return ""
+    scatter = math.sqrt(max(figures.rmse**2 - figures.mean**2, 0.0))
+    remedy = "sweep the range before the move, or identify again"
+    if scatter <= BEYOND_EXPECTED * expected.rmse:
+        remedy = (
+            f"its mean is {figures.mean:.3g}; set the sensor's zero, or `remove_offset`"
+        )
     times = figures.rmse / expected.rmse
-    warning = f"{pair.name}: the error is {times:.2g} times the expected one"
-    if figures.mean and _without_mean(figures) <= BEYOND_EXPECTED * expected.rmse:
-        return f"{warning}, most of it the mean, {figures.mean:.3g}"
-    return f"{warning}: sweep the range before the move, or identify again"
+    return f"the error is {times:.2g} times the expected one: {remedy}"
 
 
 def _verdicts(

@@ -52,19 +52,19 @@ def test_help_lists_each_command_on_one_line():
 def test_a_wrong_word_is_named(line, words, capsys):
     assert main(line.split()) == 2
     error = capsys.readouterr().err
-    assert words in error and "Invalid value" not in error
+    assert words in error
     assert error.startswith("dbo: error: ") and len(error) < 160
 
 
 def test_a_default_line_has_at_most_120_characters(capsys, monkeypatch):
     monkeypatch.setattr(say.Level, "quiet", False)
     monkeypatch.setattr(say.Level, "verbose", False)
-    monkeypatch.setattr(say.Level, "quiet", False)
     say.say("x" * 300)
     assert len(capsys.readouterr().err.rstrip("\n")) == 120
     say.say("/a/long/folder" * 20 + "/run.h5::/scan/1: 5 rows; speed 3 V/s: fast")
-    line = "dbo: …/run.h5::/scan/1: 5 rows; speed 3 V/s: fast\n"
-    assert capsys.readouterr().err == line
+    line = capsys.readouterr().err
+    assert line.startswith("dbo: /a/long") and len(line) == 121
+    assert line.endswith("/run.h5::/scan/1: 5 rows; speed 3 V/s: fast\n")
     monkeypatch.setattr(say.Level, "verbose", True)
     say.say("x" * 300)
     assert len(capsys.readouterr().err.rstrip("\n")) == 305

@@ -32,7 +32,7 @@ def log(name, decay, clock=True):
 
 @pytest.fixture(scope="module")
 def table():
-    return compare(log("a.csv", 5.0), log("b.csv", 2.0))
+    return compare([log("a.csv", 5.0)], [log("b.csv", 2.0)])
 
 
 def test_every_operator_has_a_row(table):
@@ -65,7 +65,7 @@ def test_json_and_text(table):
 
 @pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 def test_a_row_says_why_there_is_none():
-    first = compare(log("a.csv", 5.0, clock=False))
+    first = compare([log("a.csv", 5.0, clock=False)])
     rate = next(row for row in first.rows if row.name == "rate")
     assert "clock" in rate.refused and rate.rmse is None
     assert f"rate: {rate.refused}" in first.text()

@@ -140,14 +140,6 @@ def test_an_approach_leads_from_where_the_amplifier_stands() -> None:
     )
 
 
-def test_an_approach_of_auto_keeps_the_slew_limit() -> None:
-    move("wish.csv", sine(8.0, 3.0))
-    words = ("--from", 0, "--approach", "auto", "--max-slew", 400)
-    voltage = drive_of(*words)["voltage_V"]
-    steps = np.abs(np.diff(np.concatenate([[0.0], voltage])))
-    assert steps.max() <= 0.4 * (1.0 + 1e-9)
-
-
 def test_without_an_approach_a_step_beyond_the_slew_limit_is_not_taken() -> None:
     """The first row is held within the slew of where the amplifier stands, or the move is refused."""
     move("wish.csv", sine(8.0, 3.0))
@@ -450,10 +442,3 @@ def test_a_saved_state_joins_two_moves() -> None:
     two = drive_of("--state", "s.json", name="creep", wish="second.csv")
     joined = np.concatenate([one["voltage_V"], two["voltage_V"]])
     np.testing.assert_allclose(joined, whole, atol=1e-9)
-
-
-@pytest.mark.parametrize("words", [("--passes", "3"), ("--measured", "D")])
-def test_an_option_without_the_one_it_belongs_to_is_refused(
-    wish: Path, words: tuple[str, str]
-) -> None:
-    assert words[0] in refused(2, "compensate", model("small"), wish, *words)

@@ -70,13 +70,6 @@ def test_check_passes_no_row_outside_whatever_the_start() -> None:
         assert outcome.code == 3
 
 
-def test_a_waveform_starts_inside_too() -> None:
-    way = np.concatenate([np.linspace(130.0, 50.0, 100), np.full(50, 50.0)])
-    write("drive.csv", "time_s,voltage_V", np.arange(150) / 1000.0, way)
-    words = ("waveform", "drive.csv", "--to", "npy", "-o", "d.npy")
-    refused(3, *words, "--v-max", 120)
-
-
 # --- 2: an approach of auto takes its time ---
 
 

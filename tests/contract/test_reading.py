@@ -254,6 +254,7 @@ def test_encoding() -> None:
     words = ("--encoding", "utf-16")
     written = table(done("simulate", model("small"), "log.csv", *words))
     np.testing.assert_allclose(written["time_s"], TIME, atol=1e-12)
+    assert "utf-16-le" in refused(1, "simulate", model("small"), pair(), *words)
 
 
 def test_a_column_of_another_file_is_joined_by_time() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.drive import Limits, plan
-from dbo_cli.drive.lead import Around
+from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.swings import swings
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.model import Lag, Model, Resonance
@@ -219,11 +219,15 @@ def test_options_that_are_none() -> None:
     limits = limits_of(model)
     for wrong in (0.0, -1.0, math.nan, math.inf, "soon"):
         with pytest.raises(UsageError):
-            Around(approach=wrong)  # type: ignore[arg-type]
+            Lead(approach=wrong)  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="exclude"):
-        Around(condition=True, state="empty")
+        Lead(condition=True, state="empty")
     with pytest.raises(UsageError, match="from"):
         plan(model, [1.0, 2.0, 3.0], DT, limits, approach="auto")
+    for number in (np.float32(0.5), np.int64(1), 1):
+        assert Lead(approach=number, rest=number) == Lead(  # type: ignore[arg-type]
+            approach=float(number), rest=float(number)
+        )
     state = plan(model, [1.0, 2.0, 3.0], DT, limits).state
     with pytest.raises(UsageError, match="contradicts"):
         plan(model, [1.0, 2.0, 3.0], DT, limits, start=77.0, state=state)

@@ -142,3 +142,15 @@ def test_what_is_no_loop() -> None:
             plan(model, wanted, DT, limits, periodic=True, **options)  # type: ignore[arg-type]
     with pytest.raises(UsageError):
         plan(model, wanted, DT, limits, passes=1)
+
+
+def test_passes_are_a_whole_number() -> None:
+    model = actuator()
+    wanted = ripple(model, 100, 0.5)
+    limits = Limits.within(model.input)
+    assert (
+        plan(model, wanted, DT, limits, periodic=True, passes=np.int64(2)).rows == 300
+    )  # type: ignore[arg-type]
+    for wrong in (1.5, -1):
+        with pytest.raises(UsageError, match="whole number"):
+            plan(model, wanted, DT, limits, periodic=True, passes=wrong)  # type: ignore[arg-type]

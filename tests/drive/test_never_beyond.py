@@ -176,8 +176,9 @@ def test_a_stream_keeps_limits_row_by_row(data: st.DataObject, rows: int) -> Non
         clock = 1e-3
     sent: list[np.ndarray] = []
     try:
-        for part in stream(model, blocks_of(desired, clock, rows), limits, **options):
-            sent.append(part.voltage)
+        blocks = blocks_of(desired, clock, rows)
+        for _, _, part in stream(model, blocks, limits, **options)[1]:
+            sent.append(part)
     except GateError:
         raise
     except DboError:

@@ -9,7 +9,7 @@ import pytest
 
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.logs import Block, Log, Reading, open_log
-from dbo_cli.logs.headers import stated_rate
+from dbo_cli.logs.settings import stated_clock
 
 VOLTAGE: dict[str, str | None] = {"voltage": None}
 
@@ -65,6 +65,14 @@ def test_units_of_time(header: str, factor: float, tmp_path: Path) -> None:
     assert time.tolist() == pytest.approx(
         [step * factor * n for n in range(4)], rel=1e-15
     )
+
+
+def test_an_assumed_unit_is_told(tmp_path: Path) -> None:
+    _, log = read(write(tmp_path, ["0", "0.1", "0.2"], "t"))
+    assert "'t' has no unit" in log.clock.assumption
+    assert log.line().endswith("(no unit stated); voltage_V")
+    _, log = read(write(tmp_path, ["0", "0.1", "0.2"], "t_s"))
+    assert log.clock.assumption == ""
 
 
 def test_the_unit_is_given(tmp_path: Path) -> None:
@@ -172,22 +180,20 @@ def test_no_clock(tmp_path: Path) -> None:
 
 
 def test_statements_of_a_rate() -> None:
-    said: list[str] = []
-    assert stated_rate([("fs", "10 kHz", ""), ("dt", 0.1, "ms")], said) == 10_000.0
-    assert said == []
-    assert stated_rate([("Sample Interval", 0.002, "")], said) == 500.0
-    assert said == ["'Sample Interval' 0.002 has no unit: s is assumed"]
-    assert (
-        stated_rate([("SampleTime[ms]", "0,5", ""), ("ts", "2026-01-02", "")], said)
-        == 2000.0
-    )
+    clock = stated_clock([("fs", "10 kHz", ""), ("dt", 0.1, "ms")])
+    assert (clock.rate, clock.remarks) == (10_000.0, [])
+    clock = stated_clock([("Sample Interval", 0.002, ""), ("t0", 0.5, "")])
+    assert (clock.rate, clock.start) == (500.0, 0.5)
+    assert clock.remarks == ["'Sample Interval' 0.002 has no unit: s is assumed"]
+    clock = stated_clock([("SampleTime[ms]", "0,5", ""), ("ts", "2026-01-02", "")])
+    assert clock.rate == 2000.0
     for bad in (
         [("fs", 1, ""), ("dt", 2, "")],
         [("fs", "3 rpm", "")],
         [("fs", "1,000 Hz", "")],
     ):
-        with pytest.raises(InputError, match="`sample_rate`"):
-            stated_rate(bad, said)
+        clock = stated_clock(bad)
+        assert clock.rate is None and "`sample_rate`" in clock.problem
 
 
 @pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")

@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from dbo_cli.errors import DboWarning, InputError
+from dbo_cli.errors import InputError
 from dbo_cli.logs.hdf5 import open_hdf5
 from dbo_cli.logs.source import Reading, Source
 from dbo_cli.logs.write import create
@@ -220,22 +220,23 @@ def test_a_single_value_is_a_statement_and_no_column(tmp_path: Path) -> None:
     source.close()
 
 
-def test_attributes_that_are_not_applied_are_told(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "attributes", [{"scale_factor": 0.125}, {"scale": 20.0}, {"gain": 5.0}]
+)
+def test_attributes_that_are_not_applied_are_refused(
+    tmp_path: Path, attributes: dict[str, float]
+) -> None:
     def fill(file: Any) -> None:
         file["packed"] = np.array([0, 100, -1], dtype="i2")
-        file["packed"].attrs.update({"scale_factor": 0.125, "_FillValue": -1})
-        file["scaled"] = np.array([1.0, 2.0, 3.0])
-        file["scaled"].attrs["scale"] = 20.0
-        file["gained"] = np.array([1.0, 2.0, 3.0])
-        file["gained"].attrs["gain"] = 5.0
+        file["packed"].attrs.update({**attributes, "_FillValue": -1})
 
     source = opened(tmp_path, fill)
-    with pytest.warns(DboWarning, match=r"scale_factor, 0.125: not applied"):
-        np.testing.assert_array_equal(values(source, "packed"), [0.0, 100.0, np.nan])
-    with pytest.warns(DboWarning, match="scale, 20.0: not applied"):
-        np.testing.assert_array_equal(values(source, "scaled"), [1.0, 2.0, 3.0])
-    with pytest.warns(DboWarning, match="gain, 5.0: not applied"):
-        np.testing.assert_array_equal(values(source, "gained"), [1.0, 2.0, 3.0])
+    with pytest.raises(InputError, match=f"{next(iter(attributes))}.*`scale`"):
+        values(source, "packed")
+    source.close()
+    scaled = Reading(scale={"voltage": "0.125"})
+    source = open_hdf5(str(tmp_path / "run.h5"), "", scaled)
+    np.testing.assert_array_equal(values(source, "packed"), [0.0, 100.0, np.nan])
     source.close()
 
 

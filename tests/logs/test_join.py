@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+import dbo_cli
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.logs import clock_offset
 from dbo_cli.logs.clock_offset import Fit
@@ -272,7 +273,7 @@ def test_files_that_cannot_be_joined(tmp_path: Path) -> None:
         "displacement": None,
         "desired": f"{dated}::voltage_V",
     }
-    with pytest.raises(UsageError, match="two files"):
+    with pytest.raises(UsageError, match="one more file"):
         open_log(seen, roles, Reading(clock_offset=1.0))
 
 
@@ -304,3 +305,7 @@ def test_a_model_of_a_found_offset_has_no_delay(tmp_path: Path) -> None:
     assert f"{sent.name} moved by 0.373" in done.stderr
     model = json.loads((tmp_path / "model.json").read_text())
     assert "delay" not in [stage["type"] for stage in model["stages"]]
+    log = {"voltage": f"{sent}::voltage_V", "clock_offset": "auto"}
+    frame = dbo_cli.read_log(seen, **log)
+    assert frame.attrs["holds_delay"]
+    assert dbo_cli.identify(frame).actuator.delay is None

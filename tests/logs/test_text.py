@@ -95,7 +95,7 @@ def test_large_files_of_many_ways(change: Callable[[str], str], tmp_path: Path) 
         ("20.000,inf,20000.25", 20002, "'voltage_V'"),
         ("20.000,nan,20000.25", 20002, "'voltage_V'"),
         ("20.000,9.9E37,20000.25", 20002, "'voltage_V'"),
-        ('20.000,",20000.25', 20002, "'voltage_V'"),
+        ('20.000,",20000.25', 20002, "1 cell where"),
         ("20.000,1_000,20000.25", 20002, "'voltage_V'"),
         ("20.000,1,5,20000.25", 20002, "4 cells where"),
         (HEAD.strip(), 20002, "'voltage_V'"),
@@ -144,7 +144,7 @@ def test_rows_of_statistics_are_no_rows(rows: int, tmp_path: Path) -> None:
     path.write_text(
         f"Nr;voltage_V;position_um\n{table}Mean;48;44\nMax;96.5;88.25\n;;\n"
     )
-    with pytest.raises(InputError, match=f"run.csv:{rows + 2}: 'Mean'"):
+    with pytest.raises(InputError, match=f"run.csv:{rows + 2}: .*'Mean'"):
         read(path, sample_rate=1000.0)
     assert read(path, sample_rate=1000.0, skip_bad=True)[0].rows == rows
 
@@ -206,11 +206,13 @@ def test_packed_and_encoded_files(tmp_path: Path) -> None:
         "utf-16",
         "utf-16-be",
         "shift-jis",
+        "latin-1",
     ):
         plain.write_bytes(
             content.replace("µ", "μ" if encoding[0] == "s" else "µ").encode(encoding)
         )
-        table, log = read(plain, encoding=encoding if encoding[0] == "s" else None)
+        must_be_typed = encoding in ("utf-16-be", "shift-jis", "latin-1")
+        table, log = read(plain, encoding=encoding if must_be_typed else None)
         assert table["displacement"].tolist() == [2.0, 4.0]
         assert log.columns["displacement"].unit == "um"
     packed.write_bytes(gzip.compress(large(5000).encode())[:-20])
@@ -284,7 +286,8 @@ def test_rows_above_the_table_are_not_passed_over(tmp_path: Path) -> None:
 
 def test_cells() -> None:
     assert split_cells('"a, b", c ,"d"', ",") == ["a, b", "c", "d"]
-    assert split_cells('1"2"3,"4', ",") == ['1"2"3', '"4']
+    assert split_cells('1"2"3,4', ",") == ['1"2"3', "4"]
+    assert split_cells('1,"4', ",") == ['1,"4']
     assert split_cells(' 1 \t "2 3"  4 ', " ") == ["1", "2 3", "4"]
     assert to_number("1.5D-3", ".") == 0.0015
     assert np.isnan(

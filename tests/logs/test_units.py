@@ -32,7 +32,7 @@ from dbo_cli.units import (
         ("field_kA/m", "field", "kA/m"),
         ("Voltage (Volts)", "Voltage", "V"),
         ("U <VDC>", "U", "V"),
-        ("in s", "in s", "s"),
+        ("in s", "in", "s"),
         ("sine_2", "sine_2", None),
         ("Channel A", "Channel A", None),
         ("V(drive)", "V(drive)", None),

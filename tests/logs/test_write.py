@@ -187,8 +187,7 @@ def test_several_outputs_appear_together_or_not_at_all(
     with Outputs() as outputs:
         outputs.create(old, [("x", "V")]).write([1.0])
         outputs.write_text(new, "{}")
-        with outputs.open(tmp_path / "figure.png") as stream:
-            stream.write(b"png")
+        outputs.write_bytes(tmp_path / "figure.png", b"png")
         assert old.read_text() == "before"
     assert old.read_text() == "x_V\n1.0\n"
     assert only(tmp_path) == ["figure.png", "new.json", "old.csv"]

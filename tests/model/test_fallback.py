@@ -16,10 +16,10 @@ from dbo_cli.model import (
     Model,
     Quantity,
     Resonance,
-    Window,
+    State,
     kernel,
 )
-from dbo_cli.model.stepper import Stepper
+from dbo_cli.model.gears import OPEN
 from tests.model.random_models import (
     DT,
     Floats,
@@ -44,9 +44,9 @@ def everything(seed: int) -> list[Floats]:
     known = np.concatenate([y, np.full(model.inverter(DT).ahead, y[-1])])
     u, _ = model.inverter(DT).run(known)
     width = 0.9 * (high - low)
-    window = Window(low, low + width, 20.0 * width)
+    window = low, low + width
     begun = model.start_drive(float(u[0]), "auto", low, low + width)
-    driven = model.drive(u, begun, DT, window)
+    driven = model.drive(u, begun, DT, window, 20.0 * width)
     counts = np.array([driven.clipped, driven.first_clipped, state.bits % 2**30])
     inverse, _ = model.inverse().simulate(y, dt=DT)
     return [y, uneven, u, driven.y, counts, inverse]
@@ -71,7 +71,7 @@ def test_what_needs_the_compiled_part_says_so(monkeypatch: pytest.MonkeyPatch) -
     with pytest.raises(DboError, match="identification needs the compiled part"):
         Gears([1.0], [1.0]).engagement([0.5])
     with pytest.raises(DboError, match="live control"):
-        Stepper(Gears([1.0], [1.0]).inverse(), 0, None, None, DT)
+        Gears([1.0], [1.0]).inverse().stepper(State(0), DT, OPEN, None)
     with pytest.raises(DboError, match="uneven clock needs the compiled part"):
         Delay(0.0015).run(np.arange(9.0), np.full(9, 1e-3))
 
@@ -82,19 +82,21 @@ def test_steps_are_those_of_blocks(seed: int) -> None:
     inverse = random_gears(rng).inverse()
     wanted = random_drive(rng, *inverse.x_range, 200)
     low, high = inverse.y_range
-    window = Window(low, low + 0.8 * (high - low), 0.05 * (high - low) / DT)
+    window, slew = (low, low + 0.8 * (high - low)), 0.05 * (high - low) / DT
     memory = None
     if inverse.relaxation is not None:
         memory = (0.1,) * inverse.gain.size
-    whole = inverse.run(wanted, 0, memory, DT, window=window, last=low)
-    live = Stepper(inverse, 0, memory, low, DT, window)
+    begun = State(0, memory, low)
+    whole = inverse.run(wanted, begun, DT, window=window, slew=slew)
+    live = inverse.stepper(begun, DT, window, slew)
     values = []
     for value in wanted.tolist():
         live.plan(float(rng.normal()))  # what is not committed leaves nothing behind
         values.append(live.plan(value))
         live.commit()
     assert np.array_equal(values, whole.y)
-    assert live.committed() == (whole.bits, whole.memory)
+    last = whole.state.drive
+    assert replace(inverse.committed(live), drive=last) == whole.state
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -105,15 +107,16 @@ def test_another_voltage_that_was_applied_is_followed(seed: int) -> None:
     applied = random_drive(rng, *forward.x_range, 100)
     assert forward.relaxation is not None
     memory = (0.1,) * forward.gain.size
-    live = Stepper(forward.inverse(), 0, memory, float(applied[0]), DT)
+    begun = State(0, memory, float(applied[0]))
+    live = forward.inverse().stepper(begun, DT, OPEN, None)
     for value in applied.tolist():
         live.plan(float(forward.y_range[0]))
         live.follow(value)
         live.commit()
-    done = forward.run(applied, 0, memory, DT)
-    bits, remembered = live.committed()
-    assert bits == done.bits
-    assert remembered == pytest.approx(done.memory, rel=1e-12, abs=1e-12)
+    done = forward.run(applied, begun, DT).state
+    after = forward.inverse().committed(live)
+    assert after.bits == done.bits
+    assert after.memory == pytest.approx(done.memory, rel=1e-12, abs=1e-12)
     with pytest.raises(ValueError, match="nothing was planned"):
         live.commit()
 

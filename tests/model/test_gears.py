@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.model import Gears, Relaxation, Window
+from dbo_cli.model import Gears, Relaxation, State
 from tests import reference
 from tests.model.random_models import random_drive, random_gears, random_points
 
@@ -29,7 +29,7 @@ def test_gears_are_the_papers(dx: list[float], signal: list[float], state: int) 
     bits = state & (1 << len(dx)) - 1
     paper = reference.Backlash(dx, dy, -0.5, 1.25, bits)
     expected = [float(paper.step(value)) for value in signal]
-    done = Gears(dx, dy, -0.5, 1.25).run(signal, bits)
+    done = Gears(dx, dy, -0.5, 1.25).run(signal, State(bits))
     np.testing.assert_allclose(done.y, expected, rtol=0, atol=1e-9)
 
 
@@ -56,10 +56,10 @@ def test_gears_with_memory_are_the_papers(seed: int) -> None:
         float(paper.step(value, row))
         for value, row in zip(drive.tolist(), decay.tolist(), strict=True)
     ]
-    done = gears.run(drive, 0, None, steps)
+    done = gears.run(drive, State(0), steps)
     low, high = gears.y_range
     np.testing.assert_allclose(done.y, expected, rtol=0, atol=1e-9 * (high - low))
-    assert done.bits == paper.gears.state
+    assert done.state.bits == paper.gears.state
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -82,24 +82,22 @@ def test_blocks_change_nothing(seed: int) -> None:
     if seed % 2:
         gears = gears.inverse()
     signal = random_drive(rng, *gears.x_range, 500)
-    window = None
+    window = slew = None
     if gears.on == "output":
         low, high = gears.y_range
-        window = Window(low + 0.2, high - 0.1, 100.0 * (high - low))
-    whole = gears.run(signal, 0, None, 1e-3, window=window)
-    bits, memory, last, parts, clipped = 0, None, None, [], 0
+        window, slew = (low + 0.2, high - 0.1), 100.0 * (high - low)
+    whole = gears.run(signal, State(0), 1e-3, window=window, slew=slew)
+    state, parts, clipped = State(0), [], 0
     begin = 0
     while begin < 500:
         end = begin + int(rng.integers(1, 90))
-        part = gears.run(
-            signal[begin:end], bits, memory, 1e-3, window=window, last=last
-        )
-        bits, memory, last = part.bits, part.memory, float(part.y[-1])
+        part = gears.run(signal[begin:end], state, 1e-3, window=window, slew=slew)
+        state = part.state
         parts.append(part.y)
         clipped += part.clipped
         begin = end
     assert np.array_equal(np.concatenate(parts), whole.y)
-    assert (bits, memory, clipped) == (whole.bits, whole.memory, whole.clipped)
+    assert (state, clipped) == (whole.state, whole.clipped)
 
 
 def test_a_settled_state_is_a_decaying_oscillation() -> None:
@@ -107,9 +105,9 @@ def test_a_settled_state_is_a_decaying_oscillation() -> None:
     swings = 9.3 + np.exp(-np.arange(4000) / 400) * 16.0 * np.cos(
         np.pi * np.arange(4000)
     )
-    swung = gears.run(np.clip(swings, 0.0, 16.0), 0)
-    settled = gears.run([9.3], gears.settled(9.3))
-    swung_there = gears.run([9.3], swung.bits)
+    swung = gears.run(np.clip(swings, 0.0, 16.0), State(0))
+    settled = gears.run([9.3], State(gears.settled(9.3)))
+    swung_there = gears.run([9.3], swung.state)
     assert abs(settled.y[0] - swung_there.y[0]) < 2 * 0.3
     assert gears.settled(-1.0) == 0
     assert gears.settled(99.0) == (1 << gears.n) - 1
@@ -120,9 +118,9 @@ def test_engagement_gives_the_output_back() -> None:
     gears = Gears(rng.uniform(0.1, 1, 60), rng.uniform(0.1, 1, 60), 0.3, -2.0)
     drive = random_drive(rng, *gears.x_range, 400)
     rows, bits = gears.engagement(drive)
-    done = gears.run(drive, 0)
+    done = gears.run(drive, State(0))
     np.testing.assert_allclose(-2.0 + rows @ gears.dy, done.y, atol=1e-12)
-    assert bits == done.bits
+    assert bits == done.state.bits
 
 
 def test_lags_are_those_of_the_model() -> None:
@@ -130,10 +128,10 @@ def test_lags_are_those_of_the_model() -> None:
     gears = Gears([1.0] * 8, [1.0] * 8, 0.0, 0.0, terms)
     drive = np.linspace(0.0, 8.0, 50)
     rows, memory = terms.lags(drive, 1e-3)
-    done = gears.run(drive, 0, None, 1e-3)
-    bare = Gears([1.0] * 8, [1.0] * 8).run(drive, 0)
+    done = gears.run(drive, State(0), 1e-3)
+    bare = Gears([1.0] * 8, [1.0] * 8).run(drive, State(0))
     np.testing.assert_allclose(rows @ [1.0, 2.0], done.y - bare.y, atol=1e-12)
-    assert memory == pytest.approx(done.memory)
+    assert memory == pytest.approx(done.state.memory)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from dbo_cli.model import (
     Quantity,
     Relaxation,
     Scale,
-    Window,
     dumps_state,
     read_state,
 )
@@ -69,9 +68,8 @@ def test_inside_the_range_spare_gears_play_no_part(seed: int, start: str) -> Non
 
 def driven(model: Model, wanted: Floats, start: str) -> Floats:
     """The drive within limits, which a slow one clips."""
-    window = Window(0.5, 9.5, 2000.0)
-    state = model.start_drive(float(wanted[0]), start, window.low, window.high)
-    return model.drive(wanted, state, DT, window).y
+    state = model.start_drive(float(wanted[0]), start, 0.5, 9.5)
+    return model.drive(wanted, state, DT, (0.5, 9.5), 2000.0).y
 
 
 def test_starts_of_spare_gears_are_those_of_the_range() -> None:
@@ -98,8 +96,7 @@ def test_a_drive_beyond_the_range_turns_as_inside() -> None:
     first = float(spare.gears.dy[0])
     assert turned[1] - turned[2] == pytest.approx(4 * first, abs=4 * 0.2)
     assert turned[2] != pytest.approx(straight[2], abs=1e-3)
-    done = spare.run(there_and_back, spare.start(0.0))
-    assert (done.outside, done.first_outside) == (2, 1)
+    assert spare.outside(there_and_back).tolist() == [False, True, True]
     held, _ = spare.simulate(there_and_back, outside="hold")
     assert held[1] == held[2] == pytest.approx(spare.simulate([0.0, 10.0])[0][1])
 

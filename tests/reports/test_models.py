@@ -7,7 +7,9 @@ import json
 import numpy as np
 import pytest
 
+import dbo_cli as dbo
 from dbo_cli.errors import DboError
+from dbo_cli.library import Model as Public
 from dbo_cli.model import (
     Candidate,
     Delay,
@@ -20,7 +22,7 @@ from dbo_cli.model import (
     Relaxation,
     Resonance,
 )
-from dbo_cli.reports import Report, predict, report, show_model
+from dbo_cli.reports import Report, predict, show_model
 from dbo_cli.reports.plots import draw, model_plots, plot_model, slow_loop
 
 FIT = {
@@ -78,7 +80,8 @@ def test_the_model_runs_from_the_first_row_on():
 def test_library_function_with_a_model():
     actuator, (time, drive) = model(), run()
     displacement, _ = actuator.simulate(drive)
-    found = report(drive, displacement, time, model=actuator, name="run.csv")
+    public = Public(actuator)
+    found = dbo.report(drive, displacement, time, model=public, name="run.csv")
     assert found.rmse < 1e-12 and found.unit == "um" and found.voltage_unit == "V"
 
 

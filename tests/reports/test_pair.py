@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError
 from dbo_cli.reports import Expected, Pair, Report, match
 
 RATE = 1000.0
@@ -33,10 +33,8 @@ def rmse(pair, **options):
 
 
 def test_lengths_must_agree():
-    with pytest.raises(InputError, match=r"run: measured has the shape \(3,\)"):
+    with pytest.raises(InputError, match="run: measured has 3 rows, desired 4"):
         Pair("run", np.zeros(4), np.zeros(3))
-    with pytest.raises(InputError, match="shape"):
-        Pair("run", np.zeros((2, 2)), np.zeros(2))
 
 
 def test_lag_takes_measured_later():
@@ -47,8 +45,6 @@ def test_lag_takes_measured_later():
     assert rmse(pair, lag=-2) == 5.0
     with pytest.raises(InputError, match="`lag`"):
         rmse(pair, lag=100)
-    with pytest.raises(UsageError):
-        rmse(pair, lag=1.5)
 
 
 @pytest.mark.parametrize("rows", [(41, 60), (None, 60), (41, None)])
@@ -68,18 +64,6 @@ def test_rows_are_those_of_desired(rows):
 def test_rows_outside_are_refused():
     with pytest.raises(InputError, match="`rows`"):
         rmse(Pair("run", np.zeros(9), np.zeros(9), rows=(20, 30)))
-
-
-def test_rows_without_numbers_are_counted():
-    desired = np.array([0.0, np.nan, 2.0, 3.0])
-    measured = np.array([1.0, 1.0, np.inf, 4.0])
-    report = Report.of([Pair("run", desired, measured)])
-    assert report.logs[0].merits.samples == 2
-    assert report.rmse == 1.0
-    assert report.logs[0].record()["not_finite"] == 2
-    assert any("2 rows" in note for note in report.notes)
-    with pytest.raises(InputError):
-        rmse(Pair("run", np.full(3, np.nan), np.zeros(3)))
 
 
 def test_rows_before_time_0_take_no_part():
@@ -125,8 +109,6 @@ def test_match_by_rows_at_two_rates_is_refused():
 def test_match_needs_clocks_for_time():
     with pytest.raises(InputError, match="run: has no time"):
         match("run", np.ones(9), np.ones(9), desired_time=np.arange(9), match="time")
-    with pytest.raises(UsageError):
-        match("run", np.ones(9), np.ones(9), match="speed")
     with pytest.raises(InputError, match="no row lies within"):
         match("run", np.ones(9), np.arange(9.0), measured_time=np.arange(50.0, 59.0),
               desired_time=np.arange(9.0), match="time")  # fmt: skip

@@ -65,14 +65,9 @@ def plain_key(key: str) -> str:
     return re.sub(r"[\s_\-.]+", "", key).lower()
 
 
-def is_clock_key(key: str) -> bool:
-    """Return whether a key, with or without a unit, states a rate or a step."""
-    return _kind_of(key)[0] != ""
-
-
 def is_clock_setting(key: str) -> bool:
     """Return whether a key states a rate, a step or the time of the first row."""
-    return is_clock_key(key) or plain_key(key) in STARTS
+    return _kind_of(key)[0] != "" or plain_key(key) in STARTS
 
 
 def is_channel_key(key: str) -> bool:
@@ -101,13 +96,28 @@ def _kind_of(key: str) -> tuple[str, str]:
 # --- the rate ---
 
 
-def clock_of(statements: Sequence[Statement], decimal: str = ".") -> StatedClock:
-    """Return the clock that statements give: a rate, or why it cannot be used, and a start."""
+def stated_clock(statements: Sequence[Statement], decimal: str = ".") -> StatedClock:
+    """Return the clock that statements give: one sample rate, or why there is none, and a start.
+
+    Parameters
+    ----------
+    statements
+        Key, value (a number or a text such as ``10 kHz``), and a unit given beside it
+        (or an empty text).
+    decimal
+        The decimal sign of the rows.
+    """
     clock = StatedClock()
     try:
-        clock.rate = stated_rate(statements, clock.remarks, decimal)
+        rates = _stated_rates(statements, clock, decimal)
     except InputError as problem:
         clock.problem = str(problem)
+        return clock
+    if rates and max(rates.values()) > (1.0 + _SAME) * min(rates.values()):
+        listed = " and ".join(rates)
+        clock.problem = f"two sample rates, {listed}: type `sample_rate` HZ"
+    elif rates:
+        clock.rate = next(iter(rates.values()))
     for key, value, _ in statements:
         text = str(value).replace(",", ".")
         if plain_key(key) in STARTS and is_number(text, "."):
@@ -116,35 +126,27 @@ def clock_of(statements: Sequence[Statement], decimal: str = ".") -> StatedClock
     return clock
 
 
-def stated_rate(
-    statements: Iterable[Statement], remarks: list[str], decimal: str = "."
-) -> float | None:
-    """Return the one sample rate (Hz) that statements give; None where none does.
-
-    Parameters
-    ----------
-    statements
-        Key, value (a number or a text such as ``10 kHz``), and a unit given beside it
-        (or an empty text).
-    remarks
-        Receives what is assumed.
-    decimal
-        The decimal sign of the rows.
+def _stated_rates(
+    statements: Iterable[Statement], clock: StatedClock, decimal: str
+) -> dict[str, float]:
+    """Return each rate (Hz) that is stated, and remark on a unit that is assumed.
 
     Raises
     ------
     InputError
-        Two statements differ, or one cannot be read. The message has no file in front.
+        One cannot be read. The message has no file in front.
     """
     rates: dict[str, float] = {}
-    assumed = ""
     for key, value, beside in statements:
-        text = f"{value} {beside}".strip()
         kind, unit_in_key = _kind_of(key)
+        text = f"{value} {beside}".strip()
         match = _AMOUNT.fullmatch(text)
         if not kind or match is None:
             continue  # a text under such a name is no statement (ts: a time stamp)
-        _refuse_thousands(key, text, decimal)
+        if _THOUSANDS[decimal].fullmatch(text):
+            raise InputError(
+                f"'{key}' {text} may have a thousands mark: type `sample_rate` HZ"
+            )
         unit = match[2].strip(' []()"') or unit_in_key
         if plain_key(split_header(key)[0]) in _BARE and not unit:
             continue
@@ -153,36 +155,17 @@ def stated_rate(
             raise InputError(
                 f"'{key}' {text} is not in a unit of a {kind}: type `sample_rate` HZ"
             )
-        if not rate > 0.0 or not math.isfinite(rate):
+        if not 0.0 < rate < math.inf:
             continue  # what an instrument writes when it does not know
-        rates[f"'{key}' {text}"] = rate
+        if not unit and rate <= _SLOW:
+            raise InputError(
+                f"'{key}' {text} has no unit and makes {rate:.4g} Hz: type `sample_rate` HZ"
+            )
         if not unit:
-            assumed = _assumed(kind, f"'{key}' {text}", rate)
-    if not rates:
-        return None
-    if max(rates.values()) > (1.0 + _SAME) * min(rates.values()):
-        listed = " and ".join(rates)
-        raise InputError(f"two sample rates, {listed}: type `sample_rate` HZ")
-    if assumed:
-        remarks.append(assumed)
-    return next(iter(rates.values()))
-
-
-def _assumed(kind: str, statement: str, rate: float) -> str:
-    """Say what unit is assumed of a statement without one (InputError where that makes it slow)."""
-    if rate <= _SLOW:
-        raise InputError(
-            f"{statement} has no unit and makes {rate:.4g} Hz: type `sample_rate` HZ"
-        )
-    return f"{statement} has no unit: {'Hz' if kind == 'rate' else 's'} is assumed"
-
-
-def _refuse_thousands(key: str, text: str, decimal: str) -> None:
-    if _THOUSANDS[decimal].fullmatch(text):
-        least, most = re.split("[.,]", text)[0], re.sub("[.,]", "", text)
-        raise InputError(
-            f"'{key}' {text} may be {least} or {most}: type `sample_rate` HZ"
-        )
+            assumed = "Hz" if kind == "rate" else "s"
+            clock.remarks[:] = [f"'{key}' {text} has no unit: {assumed} is assumed"]
+        rates[f"'{key}' {text}"] = rate
+    return rates
 
 
 def _rate(kind: str, amount: float, unit: str) -> float | None:
@@ -222,18 +205,12 @@ def read_settings(lines: Sequence[str], delimiter: str) -> dict[str, list[str]]:
             if match and match[2] == "=":
                 settings.setdefault(match[1].strip(), [match[3].strip()])
         match = _KEYED.fullmatch(line)
-        if match and match[3].strip() and not _is_scan(match[1], match[3]):
+        is_scan = match and plain_key(match[1]) == "increment"  # of what it steps
+        if match and match[3].strip() and not is_scan:
             values = _values(match[3], match[2], delimiter)
             settings.setdefault(match[1].strip(), values)
         before = cells
     return settings
-
-
-def _is_scan(key: str, text: str) -> bool:
-    """Return whether a setting may be a scan's: an increment without a unit, which no table holds."""
-    return plain_key(key) == "increment" and is_number(
-        text.strip().replace(",", "."), "."
-    )
 
 
 def _values(text: str, mark: str, delimiter: str) -> list[str]:
@@ -245,8 +222,8 @@ def _values(text: str, mark: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in split_cells(text, mark)]
 
 
-def stated_clock(settings: dict[str, list[str]], decimal: str) -> StatedClock:
-    """Return the rate and the start that settings state above rows with this decimal sign."""
+def clock_of_settings(settings: dict[str, list[str]], decimal: str) -> StatedClock:
+    """Return the clock that settings state above rows with this decimal sign."""
     beside = ""
     for key, values in settings.items():
         if plain_key(key) in TIME_UNIT_KEYS:
@@ -262,7 +239,7 @@ def stated_clock(settings: dict[str, list[str]], decimal: str) -> StatedClock:
         if plain_key(key) in STARTS:
             filled = filled[:1]
         statements += [(key, value, unit) for value in filled]
-    clock = clock_of(statements, decimal)
+    clock = stated_clock(statements, decimal)
     for key, values in settings.items():
         divided = plain_key(key) in _DIVIDERS and to_number(values[0], ".") > 1.0
         if clock.rate and divided:

@@ -1,0 +1,94 @@
+"""By what the figures of a column are multiplied, so that they are in the unit that is wanted."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from fractions import Fraction
+
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.source import Column
+from dbo_cli.units import parse_unit, ratio, spell, units_in
+
+Scale = tuple[Fraction, str | None]  # a factor, and the unit behind it
+
+_FACTOR = re.compile(
+    r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?:([^\s/\d.][^\s/]*)\s*/\s*([^\s/]+))?\s*",
+    re.ASCII,
+)
+
+
+def scales_of(
+    name: str,
+    columns: Mapping[str, Column],
+    typed: Mapping[str, str | float],
+    units: Mapping[str, str],
+    remarks: list[str],
+) -> dict[str, Scale]:
+    """Return the scale of every role: what the user types, then the unit that is wanted.
+
+    Raises
+    ------
+    InputError
+        A unit cannot be converted.
+    UsageError
+        A scale is typed for a role that is absent, or it is malformed.
+    """
+    for role in typed:
+        if role not in columns:
+            raise UsageError(f"`scale` {role}=...: give one of {', '.join(columns)}")
+    scales = {}
+    for role, column in columns.items():
+        if role in typed:
+            factor, unit = _typed_scale(name, role, column, str(typed[role]))
+        else:
+            _refuse_unclear_unit(name, role, column)
+            factor, unit = Fraction(1), column.unit
+        wanted = units.get(role)
+        if wanted is not None and unit is None:
+            remarks.append(f"{column.label} has no unit: {wanted} assumed")
+        if wanted is not None:
+            try:
+                factor *= ratio(unit, wanted)
+            except InputError:
+                raise InputError(
+                    f"{name}: {column.label} is in {unit}, not {wanted}: add `scale` "
+                    f"{role}=FACTOR{wanted}/{unit}"
+                ) from None
+            unit = spell(wanted)
+        scales[role] = factor, unit
+    return scales
+
+
+def _typed_scale(name: str, role: str, column: Column, text: str) -> Scale:
+    """Return the scale that the user types: ``20``, or ``10um/V``."""
+    match = _FACTOR.fullmatch(text)
+    if match is None or not 0.0 < abs(float(match[1])) < 1e250:
+        raise UsageError(
+            f"`scale` {role}={text}: give a factor other than 0, such as 20 or 10um/V"
+        )
+    factor, after, before = Fraction(match[1]), match[2], match[3]
+    if after is None:
+        return factor, column.unit
+    try:
+        return factor * ratio(column.unit, before), spell(after)
+    except InputError:
+        raise InputError(
+            f"{name}: {column.label} is in {column.unit}, `scale` {role}={text} expects {before}"
+        ) from None
+
+
+def _refuse_unclear_unit(name: str, role: str, column: Column) -> None:
+    """Refuse a unit whose capitals are those of the name (``VOLTAGE (MV)``), and several units."""
+    unit = column.unit or ""
+    stated = sorted(units_in(column.name)) if parse_unit(unit) is None else []
+    if unit.startswith("M") and unit.lower() in ("mv", "mm"):
+        stated = [f"m{unit[1:]}", unit]
+    camel = re.search(r"[a-z]([KMN][mv]|Uv)$", column.name)
+    if camel and not unit:  # VoltageMv
+        stated = [camel[1].lower().replace("v", "V"), camel[1]]
+    if len(stated) > 1:
+        raise InputError(
+            f"{name}: {column.label} may be in {' or '.join(stated)}: add `scale` "
+            f"{role}=1{stated[0]}/{unit or stated[0]}"
+        )

@@ -1,0 +1,252 @@
+"""JSON objects that are read key by key, and JSON text that people and ``diff`` can read.
+
+What is missing, unknown, twice in one object or out of range is refused with file and
+path of the key: ``model.json: stages[0].dx[3]: -0.1 is not a finite width greater than 0``.
+
+A reader is a function of a JSON value and the path of its key. It returns what the value
+stands for, or raises ModelError with the path.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from dbo_cli.errors import InputError, ModelError
+
+Json = dict[str, Any]
+Reader = Callable[[Any, str], Any]
+
+VERSION = 1
+LARGEST = 1e60  # of every number: products of five of them are still within float64
+# a file of some bytes must not ask for more memory than a machine has
+MOST_WIDTHS = 1_000_000
+LINE = 100  # characters, after which the next line of a list begins
+
+
+# ---- reading ----
+
+
+def load(path: str, noun: str) -> tuple[str, Any]:
+    """Return the name of a JSON file (``-`` is standard input) as messages say it, and its values.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    ModelError
+        It is not JSON, or not whole, or a key occurs twice in one object.
+    """
+    name = "standard input" if path == "-" else path
+
+    def distinct(pairs: list[tuple[str, Any]]) -> Json:
+        values = dict(pairs)
+        if len(values) < len(pairs):
+            keys = [key for key, _ in pairs]
+            twice = next(key for key in keys if keys.count(key) > 1)
+            raise ModelError(f"{name}: {twice}: occurs twice in one object")
+        return values
+
+    def constant(text: str) -> float:
+        raise ModelError(f"{name}: {text} is not a number")
+
+    try:
+        content = sys.stdin.buffer.read() if path == "-" else Path(path).read_bytes()
+        return name, json.loads(
+            content, object_pairs_hook=distinct, parse_constant=constant
+        )
+    except OSError as problem:
+        reason = problem.strerror or problem
+        raise InputError(f"{name}: cannot be read: {reason}") from None
+    except json.JSONDecodeError as problem:
+        if problem.pos == 0:
+            remedy = " (identify makes a model from a log)" if noun == "model" else ""
+            raise ModelError(
+                f"{name}: not a {noun} file: it is not JSON{remedy}"
+            ) from None
+        raise ModelError(
+            f"{name}: line {problem.lineno}: not valid JSON, or the file ends too early"
+        ) from None
+    except (ValueError, RecursionError):
+        raise ModelError(f"{name}: not readable as JSON") from None
+
+
+def contents(values: Any, path: str, form: str, noun: str) -> Json:
+    """Return what stands behind format and version, which must be of ``form``."""
+    if not isinstance(values, dict):
+        raise ModelError(f"{path or 'the file'}: is not an object")
+    rest = dict(values)
+    if rest.pop("format", None) != form:
+        raise ModelError(f'{_join(path, "format")}: must be "{form}" in {noun}')
+    version = rest.pop("version", None)
+    if isinstance(version, bool) or version != VERSION:
+        raise ModelError(
+            f"{_join(path, 'version')}: {version} is not version {VERSION}: make {noun} again"
+        )
+    return rest
+
+
+def build(
+    make: Callable[..., Any],
+    values: Any,
+    path: str,
+    optional: tuple[str, ...] = (),
+    /,
+    **readers: Reader,
+) -> Any:
+    """Return what ``make`` builds of the keys of an object.
+
+    Parameters
+    ----------
+    make : callable
+        Takes what was read under the names of the keys. The path is put before what it
+        complains about.
+    values : object
+        Of the JSON file.
+    path : str
+        Leads to them.
+    optional : tuple of str
+        Keys that may be missing.
+    **readers
+        How each key is read.
+    """
+    if not isinstance(values, dict):
+        raise ModelError(f"{path}: is not an object")
+    parts = {}
+    for key, read in readers.items():
+        if key in values:
+            parts[key] = read(values[key], _join(path, key))
+        elif key not in optional:
+            raise ModelError(f"{_join(path, key)}: is missing")
+    for key in values:
+        if key not in readers:
+            raise ModelError(f"{_join(path, key)}: is not a known key")
+    try:
+        return make(**parts)
+    except ModelError as problem:
+        raise ModelError(_join(path, str(problem))) from None
+
+
+def _join(path: str, key: str) -> str:
+    """Return the path of a key below another path."""
+    return f"{path}.{key}" if path else key
+
+
+def number(value: Any, path: str) -> float:
+    """Return a finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ModelError(f"{path}: {json.dumps(value)[:60]} is not a number")
+    if not -LARGEST <= value <= LARGEST:
+        raise ModelError(
+            f"{path}: {str(value)[:60]} is not a finite number up to {LARGEST:g}"
+        )
+    return float(value)
+
+
+def text(value: Any, path: str) -> str:
+    """Return a text."""
+    if not isinstance(value, str) or not value.isprintable():
+        raise ModelError(f"{path}: {json.dumps(value)[:60]} is not a text")
+    return value
+
+
+def notes(value: Any, path: str) -> Json:
+    """Return an object that is carried along as it is."""
+    if not isinstance(value, dict):
+        raise ModelError(f"{path}: is not an object")
+    return value
+
+
+def choice(*words: str) -> Reader:
+    """Return the reader of a value that must be one of some words."""
+
+    def read(value: Any, path: str) -> str:
+        if value not in words:
+            raise ModelError(f"{path}: {value!r} is not one of {', '.join(words)}")
+        return str(value)
+
+    return read
+
+
+def unless_null(read: Reader) -> Reader:
+    """Return a reader that returns None for null."""
+    return lambda value, path: None if value is None else read(value, path)
+
+
+def listed(read: Reader) -> Reader:
+    """Return the reader of a list, as a tuple, each item by ``read``."""
+
+    def read_list(items: Any, path: str) -> tuple[Any, ...]:
+        if not isinstance(items, list):
+            raise ModelError(f"{path}: is not a list")
+        return tuple(read(item, f"{path}[{k}]") for k, item in enumerate(items))
+
+    return read_list
+
+
+numbers = listed(number)
+
+
+def widths(items: Any, path: str) -> list[float]:
+    """Return widths, of which a run of equal ones may stand once (``repeat`` and ``value``)."""
+    if not isinstance(items, list):
+        raise ModelError(f"{path}: is not a list")
+    values: list[float] = []
+    for place, item in enumerate(items):
+        values += _run(item, f"{path}[{place}]")
+        if len(values) > MOST_WIDTHS:
+            raise ModelError(f"{path}: has more than {MOST_WIDTHS:,} entries")
+    return values
+
+
+def _run(item: Any, path: str) -> list[float]:
+    """Return a width, or a run of equal ones."""
+    if not isinstance(item, dict):
+        return [number(item, path)]
+
+    def repeated(repeat: int, value: float) -> list[float]:
+        if type(repeat) is not int or not 1 <= repeat <= MOST_WIDTHS:
+            raise ModelError(f"repeat: is not a whole number from 1 to {MOST_WIDTHS:,}")
+        return [value] * repeat
+
+    run: list[float] = build(
+        repeated, item, path, repeat=lambda value, _: value, value=number
+    )
+    return run
+
+
+# ---- writing ----
+
+
+def dumps(values: Json) -> str:
+    """Return JSON text with short objects in one line, and filled lines of a long list."""
+    return _layout(values, "") + "\n"
+
+
+def _layout(value: Any, indent: str) -> str:
+    flat = json.dumps(value, ensure_ascii=False, allow_nan=False)
+    if len(indent) + len(flat) <= LINE or not isinstance(value, dict | list | tuple):
+        return flat
+    inner = indent + "  "
+    if not isinstance(value, dict):
+        lines = _filled([_layout(item, inner) for item in value])
+        return f"[\n{inner}" + f",\n{inner}".join(lines) + f"\n{indent}]"
+    lines = []
+    for key, item in value.items():
+        name = json.dumps(key, ensure_ascii=False)
+        lines.append(f"{name}: {_layout(item, inner)}")
+    return f"{{\n{inner}" + f",\n{inner}".join(lines) + f"\n{indent}}}"
+
+
+def _filled(items: list[str]) -> list[str]:
+    """Return items joined to lines of at most ``LINE`` characters."""
+    lines = [items[0]]
+    for item in items[1:]:
+        if len(lines[-1]) + len(item) > LINE:
+            lines.append(item)
+        else:
+            lines[-1] += f", {item}"
+    return lines
