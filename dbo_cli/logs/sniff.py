@@ -163,14 +163,12 @@ def _refuse_other_delimiter(name: str, layout: Layout) -> None:
 
 def _refuse_numbers_as_names(name: str, layout: Layout, lines: Sequence[str]) -> None:
     """Refuse a first row 0, 1, 2 above rows with decimals: it may be the names of a frame."""
-    cells = [
-        cell for cell in split_cells(lines[layout.first], layout.delimiter) if cell
-    ]
+    cells = [cell for cell in layout.first_row if cell]
+    start = 1 if cells[:1] == ["1"] else 0
+    counted = [str(start + k) for k in range(len(cells))]
     below = lines[layout.first + 1 : layout.first + 3]
-    is_counted = len(cells) > 1 and cells[0] in ("0", "1")
-    for number, cell in enumerate(cells, start=int(is_counted and cells[0] == "1")):
-        is_counted = is_counted and cell == str(number)
-    if is_counted and any(layout.decimal in line for line in below):
+    has_decimals = any(layout.decimal in line for line in below)
+    if len(cells) > 1 and cells == counted and has_decimals:
         number = layout.first + 1
         raise InputError(
             f"{name}:{number}: {', '.join(cells)}: names (type `skip_lines` {number}) or a row "
