@@ -529,7 +529,7 @@ def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Cloc
     UsageError
         Both are given, or the rate is not above 0.
     InputError
-        The time has another length, or does not increase.
+        The time has another length.
     """
     if time is not None and sample_rate is not None:
         raise UsageError("`time` and `sample_rate` are both given: give one of them")
@@ -544,11 +544,6 @@ def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Cloc
     seconds = _seconds(time)
     if len(seconds) != rows:
         raise InputError(f"`time`: {len(seconds)} times for {rows} samples")
-    back = np.flatnonzero(np.diff(seconds) < 0.0)
-    if back.size:
-        raise InputError(
-            f"`time`[{back[0] + 1}]: {seconds[back[0] + 1]:.9g} s goes backwards"
-        )
     return seconds
 
 

@@ -14,7 +14,6 @@ from dbo_cli.library import Model, identify, read_log
 from dbo_cli.model import Gears, Points, Relaxation
 from dbo_cli.reports.plots import (
     DASHED,
-    DOTTED,
     FIRST,
     INK,
     MUTED,
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
 
 FOLDER = Path(__file__).parent / "figures"
 LOG = FOLDER.parents[1] / "sample_data" / "identification.csv"
+DOTTED: dict[str, Any] = {"color": MUTED, "linestyle": (0, (1, 1.6)), "linewidth": 0.9}
 DOT: dict[str, Any] = {
     "marker": "o",
     "markersize": 4.5,

@@ -123,11 +123,9 @@ def compensate(
         "on_limit": on_limit,
         "state": opt.state_of(state, actuator),
         "name": trajectory,
+        "start": start and voltage_in("from", start, actuator.input),
+        "return_to": return_to and voltage_in("return", return_to, actuator.input),
     }
-    if start is not None:
-        options["start"] = voltage_in("from", start, actuator.input)
-    if return_to is not None:
-        options["return_to"] = voltage_in("return", return_to, actuator.input)
     if any(whole.values()):
         roles = {"time": time, "voltage": voltage, "measured": measured}
         options |= {
@@ -138,11 +136,10 @@ def compensate(
             "tracked": read_tracked(tracked or [], reading, roles, actuator),
             "history": read_history(history),
         }
-    write = write_whole if any(whole.values()) else write_blocks
     check_outputs(*opt.present(output, summary, save_state, history))
     units = opt.units_of(displacement=actuator.output)
     with open_log(trajectory, columns, reading, units) as wanted, Outputs() as outputs:
-        drive = write(actuator, wanted, limits, outputs, output, options)
+        drive = write_drive(actuator, wanted, limits, outputs, output, options)
         if summary is not None:
             outputs.write_text(summary, summary_of(drive, wanted))
         if save_state is not None and drive.state is not None:
@@ -156,7 +153,7 @@ def compensate(
     say(drive.expected_line())
 
 
-def write_whole(
+def write_drive(
     actuator: Model,
     wanted: Log,
     limits: Limits,
@@ -164,28 +161,16 @@ def write_whole(
     output: str,
     options: dict[str, Any],
 ) -> Drive:
-    """Drive a trajectory that has to be known whole, and write the drive."""
-    from dbo_cli.drive import plan
+    """Drive a trajectory and write it: as a whole where loops or learning need that, else by blocks."""
+    from dbo_cli.drive import plan, stream
 
-    read = wanted.read()
-    clock = read.dt if isinstance(read.dt, float) else read.time
-    drive = plan(actuator, read["displacement"], clock, limits, **options)
-    table = outputs.create(output, *table_of(actuator, limits, read.time))
-    table.write(*opt.present(drive.time, drive.desired, drive.voltage))
-    return drive
-
-
-def write_blocks(
-    actuator: Model,
-    wanted: Log,
-    limits: Limits,
-    outputs: Outputs,
-    output: str,
-    options: dict[str, Any],
-) -> Drive:
-    """Drive a trajectory block by block, and write the rows as they come."""
-    from dbo_cli.drive import stream
-
+    if "periodic" in options:
+        read = wanted.read()
+        clock = read.dt if isinstance(read.dt, float) else read.time
+        drive = plan(actuator, read["displacement"], clock, limits, **options)
+        table = outputs.create(output, *table_of(actuator, limits, read.time))
+        table.write(*opt.present(drive.time, drive.desired, drive.voltage))
+        return drive
     if output == "-" and options["on_limit"] == "auto":
         options = {**options, "on_limit": "clip"}  # rows that were sent stay sent
     blocks = progress(wanted.blocks(), "driven")

@@ -16,6 +16,7 @@ from dbo_cli.errors import InputError, LimitError
 from dbo_cli.model import steps_of
 
 Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
 
 TOLERANCE = 1e-3
 """Of the drive's range, by which a recording may differ: a converter of 10 bits rounds to half of it."""
@@ -105,28 +106,24 @@ class Checked:
         ]
         if self.played is not None:
             played = self.played
-            late = (
-                ""
-                if not played.lag_seconds
-                else f" ({1e3 * played.lag_seconds:.4g} ms)"
-            )
+            late = ""
+            if played.lag_seconds:
+                late = f" ({1e3 * played.lag_seconds:.4g} ms)"
             lines.append(
                 f"  played: {played.rows:,} rows, {played.lag_rows:.4g} later{late}, gain {played.gain:.6g},"
                 f" offset {played.offset:.3g}{unit}, largest difference {played.largest_difference:.3g}{unit}"
             )
-        for problem in self.problems:
-            lines.append(f"  {problem}")
+        lines += [f"  {problem}" for problem in self.problems]
         return "\n".join(lines) + "\n"
 
     def require_passed(self) -> None:
         """Raise LimitError where there is a problem, naming the first."""
-        if self.problems:
-            more = (
-                f" (and {len(self.problems) - 1} more)"
-                if len(self.problems) > 1
-                else ""
-            )
-            raise LimitError(f"{self.name}: {self.problems[0]}{more}")
+        if not self.problems:
+            return
+        more = ""
+        if len(self.problems) > 1:
+            more = f" (and {len(self.problems) - 1} more)"
+        raise LimitError(f"{self.name}: {self.problems[0]}{more}")
 
 
 def check_drive(
@@ -184,12 +181,11 @@ def check_drive(
     bad = gate.broken(voltage, waits, "return")
     if bad.any():
         row = int(np.argmax(bad))
-        before = (
-            float(voltage[row - 1]) if row else (voltage[0] if start is None else start)
-        )
-        checked.problems.append(
-            _problem(bad, gate.reason(float(voltage[row]), float(before), "return"))
-        )
+        before = voltage[max(row - 1, 0)]
+        if row == 0 and start is not None:
+            before = start
+        reason = gate.reason(float(voltage[row]), float(before), "return")
+        checked.problems.append(_problem(bad, reason))
     if loop:
         checked.problems += _seam(voltage, gate, waits)
     return checked
@@ -237,12 +233,13 @@ def _odd_times(time: Floats) -> list[str]:
     steps = np.diff(time)
     forward = steps[steps > 0.0]
     usual = float(np.median(forward)) if forward.size else 0.0
+    kinds = {
+        "time goes backwards": steps < 0.0,
+        "the time stamp repeats": steps == 0.0,
+        "a gap in time before it": steps > GAP * usual,
+    }
     problems = []
-    for what, odd in (
-        ("time goes backwards", steps < 0.0),
-        ("the time stamp repeats", steps == 0.0),
-        ("a gap in time before it", steps > GAP * usual),
-    ):
+    for what, odd in kinds.items():
         if odd.any():
             problems.append(_problem(np.concatenate([[False], odd]), what))
     return problems
@@ -311,33 +308,23 @@ def check_played(
     """
     most = tolerance_of(drive, played, tolerance)
     step, played_step = steps
-    if (
-        step is not None
-        and played_step is not None
-        and abs(played_step / step - 1.0) > SAME_RATE
-    ):
+    if step and played_step and abs(played_step / step - 1.0) > SAME_RATE:
         places = np.arange(0.0, (drive.size - 1) * step, played_step)
         drive = np.interp(places, step * np.arange(drive.size), drive)
     lag, shared = lag_of(drive, played)
     begin = max(0, -lag)
-    ours, theirs = (
-        drive[begin : begin + shared],
-        played[begin + lag : begin + lag + shared],
-    )
+    ours = drive[begin : begin + shared]
+    theirs = played[begin + lag : begin + lag + shared]
     ours, theirs, part = _between_rows(ours, theirs)
-    gain, offset = (
-        np.polyfit(ours, theirs, 1)
-        if np.ptp(ours) > 0.0
-        else (1.0, float(np.mean(theirs - ours)))
-    )
+    gain, offset = 1.0, float(np.mean(theirs - ours))
+    if np.ptp(ours) > 0.0:
+        gain, offset = np.polyfit(ours, theirs, 1).tolist()
     largest = float(np.abs(theirs - ours).max())
     if abs(offset) < 1e-9 * most:
         offset = 0.0
     unit = f" {checked.unit}" if checked.unit else ""
     late = None if played_step is None else (lag + part) * played_step
-    checked.played = Played(
-        shared, lag + part, late, float(gain), float(offset), largest, most
-    )
+    checked.played = Played(shared, lag + part, late, gain, offset, largest, most)
     if _alike(ours, theirs) < ANOTHER:
         checked.problems.append("another drive was played: the two do not correlate")
         return
@@ -370,9 +357,8 @@ def _between_rows(drive: Floats, played: Floats) -> tuple[Floats, Floats, float]
     inner = played[1:-1]
     part = 0.0
     for _ in range(2):
-        columns = np.column_stack(
-            [curve(rows - part), np.ones(rows.size), curve(rows - part, 1)]
-        )
+        shape = [curve(rows - part), np.ones(rows.size), curve(rows - part, 1)]
+        columns = np.column_stack(shape)
         gain, _, slope = np.linalg.lstsq(columns, inner, rcond=None)[0].tolist()
         part = float(np.clip(part - slope / gain, -1.0, 1.0)) if gain else 0.0
     shifted = curve(rows - part)
@@ -395,13 +381,12 @@ def lag_of(drive: Floats, played: Floats) -> tuple[int, int]:
     circular = np.fft.irfft(np.fft.rfft(b, size) * np.fft.rfft(a, size).conj(), size)
     products = np.concatenate([circular[size - a.size + 1 :], circular[: b.size]])
     sum_a, sum_b = _between(a, begin, end), _between(b, begin + lags, end + lags)
-    spread = (_between(a * a, begin, end) - sum_a**2 / count) * (
-        _between(b * b, begin + lags, end + lags) - sum_b**2 / count
-    )
+    spread_a = _between(a * a, begin, end) - sum_a**2 / count
+    spread_b = _between(b * b, begin + lags, end + lags) - sum_b**2 / count
+    spread = spread_a * spread_b
     shared = products - sum_a * sum_b / count
-    moving = (spread > 1e-12 * spread.max()) & (
-        count >= FEWEST_SHARED * min(a.size, b.size)
-    )
+    enough = count >= FEWEST_SHARED * min(a.size, b.size)
+    moving = (spread > 1e-12 * spread.max()) & enough
     alike = np.divide(shared**2, spread, out=np.zeros(lags.size), where=moving)
     evidence = -count * np.log(np.maximum(1.0 - alike, 1e-12))
     near = np.flatnonzero(evidence >= evidence.max() * (1.0 - 1e-9))
@@ -409,9 +394,7 @@ def lag_of(drive: Floats, played: Floats) -> tuple[int, int]:
     return int(lags[best]), int(count[best])
 
 
-def _between(
-    values: Floats, begin: NDArray[np.int64], end: NDArray[np.int64]
-) -> Floats:
+def _between(values: Floats, begin: Rows, end: Rows) -> Floats:
     """Return the sum of the values of each stretch of rows."""
     total = np.concatenate([[0.0], np.cumsum(values)])
     sums: Floats = total[end] - total[begin]

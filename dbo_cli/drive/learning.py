@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.drive.drive import Drive
+from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.lowpass import low_pass
-from dbo_cli.drive.settled import settled_run
 from dbo_cli.drive.swings import soft_rise
 from dbo_cli.errors import InputError, warn
 from dbo_cli.model import Resonance, State
@@ -191,20 +191,14 @@ class RepeatedMove:
                 begin += count  # not settled yet
             voltage = voltage[begin:].reshape(-1, count).mean(axis=0)
             measured = measured[begin:].reshape(-1, count).mean(axis=0)
-            begun = self._begun(float(voltage[0]), self.state)
+            begun = self.drive.model.start(float(voltage[0]), self.state)
             believed = settled_run(self.drive.model, voltage, self.step, begun)
             return voltage, believed, measured
-        begun = self._begun(float(voltage[0]), self.state if begin == 0 else "auto")
+        state = self.state if begin == 0 else "auto"
+        begun = self.drive.model.start(float(voltage[0]), state)
         believed = self.drive.model.run(voltage, begun, self.step).y
         rows_of_move = slice(begin, begin + count)
         return voltage[rows_of_move], believed[rows_of_move], measured[rows_of_move]
-
-    def _begun(self, voltage: float, state: str | State) -> State:
-        return (
-            state
-            if isinstance(state, State)
-            else self.drive.model.start(voltage, state)
-        )
 
     def _first_row(self, name: str, time: Floats) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead."""
@@ -371,14 +365,13 @@ def parse_history(text: str | bytes, name: str) -> list[PassRecord]:
     """
     try:
         content = json.loads(text)
-        passes = []
-        for record in content["passes"]:
-            passes.append(
-                PassRecord(str(record["drive_sha256"]), float(record["rmse"]))
-            )
         known = content["format"] == FORMAT and content["version"] == VERSION
+        passes = [
+            PassRecord(str(record["drive_sha256"]), float(record["rmse"]))
+            for record in content["passes"]
+        ]
     except (ValueError, KeyError, TypeError, RecursionError):
-        known = False
+        known, passes = False, []
     if not known or not all(0.0 <= record.rmse < math.inf for record in passes):
         raise InputError(
             f'{name}: not a history ("format": "{FORMAT}", "version": {VERSION}): give a new file'

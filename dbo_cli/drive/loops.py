@@ -1,33 +1,38 @@
 """A move that is looped: one period in, the settled drive out, and a run-in before it.
 
+The settled drive is a fixed point of the pass. Gears and memory are those to which the last
+drive leads when it is repeated for ever, the next drive is the inverse's in that state, until
+it stays. Gears repeat after a pass; relaxation is linear in the drive, so that the memory that
+a periodic drive leaves unchanged is computed at once.
+
 What stands before the period is made of the settled drive itself: a ramp to its first row, or a
 first pass in which it grows from where the amplifier stands, then whole passes of it.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.drive.drive import ALLOWED_PART, Drive
 from dbo_cli.drive.lead import MOST_ROWS, Lead, ramp, standing_at
+from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.outlook import conclude
-from dbo_cli.drive.settled import (
-    Settled,
-    apart,
-    looped_state,
-    settled_drive,
-    settled_run,
-)
 from dbo_cli.drive.swings import soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
-from dbo_cli.model import State
+from dbo_cli.model import Model, Run, State
 
 Floats = NDArray[np.float64]
 NOTHING = np.zeros(0)
 
+# relaxation settles within 60; limits that bind now and then take longer
+MOST_PASSES = 200
+# of the drive's range, by which a settled drive changes from pass to pass
+SETTLED = 1e-12
 # of the drive's range: drives that agree to this are one; far above rounding
 SAME_DRIVE = 1e-9
 # tries for a start or a run-in that leads to the loop it ends on; two are usual
@@ -143,7 +148,7 @@ class Loop:
         model, limits, start = self.drive.model, self.drive.limits, self.lead.state
         begin = standing_at(limits, self.lead)
         if begin is not None:
-            state = self._start(begin)
+            state = model.start(begin, start)
         elif self.lead.approach is not None:
             raise UsageError("`approach` needs `from` VOLT or a `state` file")
         else:
@@ -155,19 +160,12 @@ class Loop:
             last = settled
             voltage = self._closed(last.run.y)
             stands = float(voltage[0]) if begin is None else begin
-            before, begun = self._before(voltage, stands), self._start(stands)
+            before, begun = self._before(voltage, stands), model.start(stands, start)
             state = model.run(before, begun, self.dt).state
             settled = settled_drive(model, self.undone, self.dt, state, limits)
             if apart(settled.run.y, last.run.y) <= SAME_DRIVE * model.input.span:
                 break
         return begun, before, last, voltage
-
-    def _start(self, voltage: float) -> State:
-        """Return the state in which the actuator starts, at a voltage where none is known."""
-        state = self.lead.state
-        if isinstance(state, State):
-            return state
-        return self.drive.model.start(voltage, state)
 
     def _before(self, period: Floats, begin: float) -> Floats:
         """Return what leads to a period: a ramp, or a pass in which it grows, then whole passes of it.
@@ -260,3 +258,71 @@ def require_closed(name: str, period: Floats) -> None:
             f"{name}: the loop is open: its seam is a step of {seam:.3g}, the largest inside "
             f"{inside:.3g}: give one whole period"
         )
+
+
+# --- the settled drive ---
+
+
+class Settled(NamedTuple):
+    """The run of one period of a settled drive, the state before it, and whether it stays."""
+
+    run: Run
+    before: State
+    converged: bool
+
+
+def settled_drive(
+    model: Model, undone: Floats, dt: float, state: State, limits: Limits
+) -> Settled:
+    """Return the drive of one period whose end is its own beginning.
+
+    Parameters
+    ----------
+    model
+        A forward model.
+    undone
+        One period of what its static part is to follow (``Inverter.loop``).
+    dt
+        Seconds a row.
+    state
+        Before the first pass ever: gears that the loop does not reach keep it.
+    limits
+        What the drive may do.
+    """
+    static, move, slew = model.static, limits.move, limits.slew
+    done = static.drive(undone, state, dt, move, slew)
+    for _ in range(MOST_PASSES):
+        before = looped_state(model, done.y, dt, state)
+        again = static.drive(undone, before, dt, move, slew)
+        away = apart(again.y, done.y)
+        done = again
+        if away <= SETTLED * model.input.span:
+            return Settled(done, before, True)
+    return Settled(done, before, False)
+
+
+def apart(values: Floats, beside: Floats) -> float:
+    """Return the largest difference between two signals."""
+    return float(np.abs(values - beside).max())
+
+
+def looped_state(model: Model, voltage: Floats, dt: float, state: State) -> State:
+    """Return gears and memory before a pass of a drive that was repeated for ever, begun in a state."""
+    static = model.static
+    begun = static.run(voltage, state, dt).state
+    relaxation = model.gears.relaxation
+    if relaxation is None or begun.memory is None:
+        return begun
+    after = static.run(voltage, begun, dt).state
+    assert after.memory is not None
+    memory = []
+    for start, end, tau in zip(begun.memory, after.memory, relaxation.tau, strict=True):
+        left = -voltage.size * dt / tau
+        memory.append((end - math.exp(left) * start) / -math.expm1(left))
+    return replace(after, memory=tuple(memory))
+
+
+def settled_run(model: Model, voltage: Floats, dt: float, state: State) -> Floats:
+    """Return the displacement of one period of a drive that was repeated for ever."""
+    before = looped_state(model, voltage, dt, state)
+    return model.follow_loop(model.static.run(voltage, before, dt).y, dt)

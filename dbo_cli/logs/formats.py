@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, InputError
-from dbo_cli.logs.headers import Statement, is_clock_setting, stated_clock
+from dbo_cli.logs.settings import Statement, is_clock_setting, stated_clock
 from dbo_cli.logs.source import BLOCK_ROWS, NOT_A_TIME, Column, Reading, Source
 from dbo_cli.units import spell, split_header
 

@@ -24,7 +24,7 @@ from dbo_cli.logs.formats import (
     no_columns,
     rows_of,
 )
-from dbo_cli.logs.headers import Statement, is_clock_setting
+from dbo_cli.logs.settings import Statement, is_clock_setting
 from dbo_cli.logs.source import Column, Reading, Source
 
 MOST_HOPS = 16  # soft links behind each other; more are a circle

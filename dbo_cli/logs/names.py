@@ -8,23 +8,30 @@ channel are asked.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cells import is_number, split_cells
-from dbo_cli.logs.headers import (
+from dbo_cli.logs.settings import (
     NAME_KEYS,
     TIME_UNIT_KEYS,
     UNIT_KEYS,
+    clock_of_settings,
     is_channel_key,
     is_clock_setting,
     is_setting,
     plain_key,
+    read_settings,
 )
-from dbo_cli.units import parse_unit, spell, split_header, time_unit
+from dbo_cli.logs.source import Column
+from dbo_cli.units import kind_of, parse_unit, spell, split_header, time_unit
+
+if TYPE_CHECKING:
+    from dbo_cli.logs.sniff import Layout
 
 _LINES = 3  # names, units and a remark stand above the rows at most
+_BESIDE = 40  # rows beside which settings may stand
 _PASSED = 3  # comments that may stand between the names and the rows
 _LABEL = re.compile(
     r"(?:column[ _]?(?:names|headers)?|columns|names|fields|header|units?)\s*[:=]\s*",
@@ -32,66 +39,49 @@ _LABEL = re.compile(
 )
 
 
-@dataclass
-class Names:
-    """What each column is called, and the unit that stands apart from its name."""
-
-    names: list[str]
-    units: list[str]
-
-
-@dataclass(frozen=True)
-class Table:
-    """How the rows are written: delimiter, columns of numbers, number of columns, the first row.
-
-    ``first`` is the number of lines above it, ``counts`` whether the first column counts the rows.
-    """
-
-    delimiter: str
-    numeric: frozenset[int]
-    width: int
-    first_row: Sequence[str]
-    first: int
-    counts: bool
-
-
-def find_names(
-    name: str, above: Sequence[str], settings: dict[str, list[str]], table: Table
-) -> Names:
-    """Find names and units above the rows.
+def read_header(
+    name: str, above: Sequence[str], rows: Sequence[str], layout: Layout
+) -> None:
+    """Read names, units and the clock from the lines above the rows.
 
     Parameters
     ----------
     name
         The file, for messages.
-    above
-        The lines above the rows.
-    settings
-        What these lines state by key.
-    table
-        How the rows are written.
+    above, rows
+        The lines above the rows, and the first rows.
+    layout
+        How the rows are written; receives what is found.
 
     Raises
     ------
     InputError
         The last line above the rows has another number of cells than they have.
     """
-    names = Names([""] * table.width, [""] * table.width)
-    headers = _header_lines(above, table)
+    beside = []
+    for line in rows[:_BESIDE]:
+        cells = split_cells(line, layout.delimiter)[: min(layout.numeric)]
+        beside.append(layout.delimiter.join(cells))  # where Tektronix has its settings
+    settings = read_settings([*above, *beside], layout.delimiter)
+    if settings.get("X_Columns", [""])[0].lower() == "multi":
+        raise InputError(
+            f"{name}: each channel has an X column: export with X_Columns One or No"
+        )
+    layout.clock = clock_of_settings(settings, layout.decimal)
+    headers = _header_lines(above, layout)
     units = _units_line(headers)
     if units is not None:
-        names.units = headers[units]
-        names.names = headers[units + 1] if units + 1 < len(headers) else headers[0][:]
+        layout.units = headers[units]
+        layout.names = headers[units + 1] if units + 1 < len(headers) else headers[0][:]
     elif headers:
-        names.names = headers[0]
+        layout.names = headers[0]
     else:
-        _refuse_unclear(name, above, table)
+        _refuse_unclear(name, above, layout)
     has_names = bool(headers) and (units is None or len(headers) > 1)
-    _fill_from_settings(names, settings, sorted(table.numeric), has_names)
-    return names
+    _fill_from_settings(layout, settings, has_names)
 
 
-def _header_lines(above: Sequence[str], table: Table) -> list[list[str]]:
+def _header_lines(above: Sequence[str], layout: Layout) -> list[list[str]]:
     """Return the lines right above the rows that have a cell for each column, the nearest first."""
     headers: list[list[str]] = []
     passed = 0
@@ -101,9 +91,9 @@ def _header_lines(above: Sequence[str], table: Table) -> list[list[str]]:
             if headers and not plain.strip("#%"):
                 break  # what stands above a blank line is no header
             continue
-        if is_channel_key(split_cells(plain, table.delimiter)[0]):
+        if is_channel_key(split_cells(plain, layout.delimiter)[0]):
             break
-        cells = _as_header(plain, table, bool(headers) and _are_units(headers[-1]))
+        cells = _as_header(plain, layout, bool(headers) and _are_units(headers[-1]))
         if cells is not None:
             headers.append(cells)
             if len(headers) == _LINES:
@@ -115,7 +105,7 @@ def _header_lines(above: Sequence[str], table: Table) -> list[list[str]]:
     return headers
 
 
-def _as_header(line: str, table: Table, above_units: bool) -> list[str] | None:
+def _as_header(line: str, layout: Layout, above_units: bool) -> list[str] | None:
     """Split a line above the rows into as many cells as they have; None where that cannot be done.
 
     Names above a line of units may be numbers (an oscilloscope's channels).
@@ -128,12 +118,12 @@ def _as_header(line: str, table: Table, above_units: bool) -> list[str] | None:
         line = line[label.end() :]
     elif is_comment and re.match(r"[\w .]+=", line):
         return None  # a setting
-    for cells in _ways_to_split(line, table.delimiter, is_comment):
-        cells = _fitted([cell.strip("'") for cell in cells], table)
+    for cells in _ways_to_split(line, layout.delimiter, is_comment):
+        cells = _fitted([cell.strip("'") for cell in cells], layout)
         words = [cell for cell in cells if cell and not is_number(cell, ".")]
-        if len(cells) != table.width or not words:
+        if len(cells) != layout.width or not words:
             continue
-        figures = {cells[n] for n in table.numeric if _is_figure(cells[n])}
+        figures = {cells[n] for n in layout.numeric if _is_figure(cells[n])}
         if above_units or not figures or (figures == {"1"} and _are_units(cells)):
             return cells  # 1 stands for no unit
     return None
@@ -149,15 +139,15 @@ def _ways_to_split(line: str, delimiter: str, is_comment: bool) -> list[list[str
     return ways
 
 
-def _fitted(cells: list[str], table: Table) -> list[str]:
+def _fitted(cells: list[str], layout: Layout) -> list[str]:
     """Leave out cells that belong to no column, and put in those that have no name."""
-    are_units = _are_units(cells[: table.width])
-    while len(cells) > table.width and _is_beside(cells[-1], are_units):
+    are_units = _are_units(cells[: layout.width])
+    while len(cells) > layout.width and _is_beside(cells[-1], are_units):
         cells.pop()
-    if len(cells) == table.width - 1 and cells:
-        if not table.first_row[-1]:
+    if len(cells) == layout.width - 1 and cells:
+        if not layout.first_row[-1]:
             return [*cells, ""]  # the rows end in a delimiter
-        if table.counts and len(cells) > 1:
+        if layout.counts and len(cells) > 1:
             return ["", *cells]  # the rows are numbered by a column without a name
     return cells
 
@@ -196,60 +186,58 @@ def _is_figure(cell: str) -> bool:
     return is_number(cell, ".") or is_number(cell, ",")
 
 
-def _refuse_unclear(name: str, above: Sequence[str], table: Table) -> None:
+def _refuse_unclear(name: str, above: Sequence[str], layout: Layout) -> None:
     """Refuse a last line above the rows that may be names for other columns, or a torn row."""
     filled = [n for n, line in enumerate(above) if line.strip()]
     if not filled or above[filled[-1]].strip()[0] in "#%":
         return
     last = filled[-1]
-    cells = split_cells(above[last].rstrip(f" {table.delimiter}"), table.delimiter)
+    cells = split_cells(above[last].rstrip(f" {layout.delimiter}"), layout.delimiter)
     if len(cells) < 2 or is_setting(cells[0]):
         return
     figures = any(_is_figure(cell) for cell in cells)
     is_near = last == len(above) - 1
-    if (figures and is_near) or (not figures and len(cells) != table.width):
+    if (figures and is_near) or (not figures and len(cells) != layout.width):
         raise InputError(
-            f"{name}:{table.first - len(above) + last + 1}: {len(cells)} names above rows of "
-            f"{table.width} cells: type `skip_lines` {table.first}, `delimiter` or `decimal`"
+            f"{name}:{layout.first - len(above) + last + 1}: {len(cells)} names above rows of "
+            f"{layout.width} cells: type `skip_lines` {layout.first}, `delimiter` or `decimal`"
         )
 
 
 def _fill_from_settings(
-    names: Names, settings: dict[str, list[str]], places: Sequence[int], named: bool
+    layout: Layout, settings: dict[str, list[str]], has_names: bool
 ) -> None:
     """Take names and units that are stated by channel where no line above the rows has them."""
-    stated = _stated_by_channel(settings, len(names.names))
-    if stated["numbered"] or not named:
-        _give(names.names, stated["numbered"] or stated["names"], places)
-    if not any(names.units) and not any(split_header(cell)[1] for cell in names.names):
-        units, time = stated["units"], stated["time"]
-        _give(names.units, units, places)
+    names, units, time = (
+        _stated_by_channel(settings, keys, layout.width)
+        for keys in (NAME_KEYS, UNIT_KEYS, TIME_UNIT_KEYS)
+    )
+    numbered = []
+    for key, values in settings.items():
+        if re.fullmatch(r"name\d+", plain_key(key)) and values[0]:
+            numbered.append(values[0])  # Name1: a line a channel
+    places = sorted(layout.numeric)
+    if numbered or not has_names:
+        _give(layout.names, numbered or names, places)
+    has_units = any(split_header(cell)[1] for cell in layout.names)
+    if not any(layout.units) and not has_units:
+        _give(layout.units, units, places)
         if len(units) == len(places) - 1 and time and time_unit(time[0]):
-            names.units[places[0]] = time[0]
+            layout.units[places[0]] = time[0]
 
 
 def _stated_by_channel(
-    settings: dict[str, list[str]], width: int
-) -> dict[str, list[str]]:
-    """Return names, units and the unit of time that settings state, and names one a line (``Name1``)."""
-    kinds = {"names": NAME_KEYS, "units": UNIT_KEYS, "time": TIME_UNIT_KEYS}
-    stated: dict[str, list[str]] = {
-        "numbered": [],
-        "names": [],
-        "units": [],
-        "time": [],
-    }
+    settings: dict[str, list[str]], keys: Collection[str], width: int
+) -> list[str]:
+    """Return what the last setting of a key states of each channel."""
+    stated: list[str] = []
     for key, values in settings.items():
         filled = [value for value in values if value and value != key]
-        if not filled:
+        if plain_key(key) not in keys or not filled:
             continue
-        if re.fullmatch(r"name\d+", plain_key(key)):
-            stated["numbered"].append(filled[0])
+        stated = filled
         if len(values) + 1 == width and key in values:  # in the places of the columns
-            filled = ["" if value == key else value for value in (key, *values)]
-        for kind, keys in kinds.items():
-            if plain_key(key) in keys:
-                stated[kind] = filled
+            stated = ["" if value == key else value for value in (key, *values)]
     return stated
 
 
@@ -260,3 +248,32 @@ def _give(cells: list[str], stated: Sequence[str], places: Sequence[int]) -> Non
     elif stated and len(stated) in (len(places), len(places) - 1):
         for place, text in zip(places[-len(stated) :], stated, strict=True):
             cells[place] = text
+
+
+def describe_columns(name: str, layout: Layout) -> list[Column]:
+    """Describe every column by its name, its unit and what its cells hold.
+
+    Raises
+    ------
+    InputError
+        A column's name and its units line state different units.
+    """
+    columns = []
+    for n in range(layout.width):
+        kind = "text"
+        if n in layout.numeric:
+            kind = "number"
+        elif n in layout.stamps:
+            kind = "stamp"
+        elif n in layout.empty:
+            kind = "empty"
+        header, unit = layout.names[n], spell(layout.units[n])
+        stated = split_header(header)[1]
+        if stated and unit and stated != unit and kind_of(unit) == kind_of(stated):
+            raise InputError(
+                f"{name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
+                f"{layout.first}"
+            )
+        sample = layout.texts.get(n, "")
+        columns.append(Column(n + 1, header, unit or stated, kind, sample))
+    return columns

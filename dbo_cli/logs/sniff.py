@@ -13,14 +13,9 @@ from dataclasses import dataclass, field
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import MISSING, STAMPS, is_number, split_cells, stamp_format
-from dbo_cli.logs.headers import (
-    clock_of_settings,
-    is_setting,
-    read_settings,
-)
-from dbo_cli.logs.names import Names, Table, find_names
-from dbo_cli.logs.source import Column, Reading, StatedClock
-from dbo_cli.units import kind_of, spell, split_header
+from dbo_cli.logs.names import read_header
+from dbo_cli.logs.settings import is_setting
+from dbo_cli.logs.source import Reading, StatedClock
 
 COMMENTS = "#%"
 """A line that begins with one of these is a comment."""
@@ -59,7 +54,9 @@ class Layout:
         A cell of each column that holds neither numbers nor nothing.
     first
         The index of the line of the first row.
-    names, clock
+    first_row, counts
+        Its cells; whether the first column counts the rows.
+    names, units, clock
         What the lines above the rows say.
     """
 
@@ -71,7 +68,10 @@ class Layout:
     stamps: dict[int, str] = field(default_factory=dict)
     texts: dict[int, str] = field(default_factory=dict)
     first: int = 0
-    names: Names = field(default_factory=lambda: Names([], []))
+    first_row: list[str] = field(default_factory=list)
+    counts: bool = False
+    names: list[str] = field(default_factory=list)
+    units: list[str] = field(default_factory=list)
     clock: StatedClock = field(default_factory=StatedClock)
 
     def fits(self, line: str) -> bool:
@@ -138,8 +138,12 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     _decide_first_column(layout, sample)
     layout.first = _first_row(layout, lines, rows)
     _refuse_other_rows(name, layout, lines, rows)
-    _read_header(name, layout, lines, skipped)
-    is_named = any(layout.names.names)
+    layout.names, layout.units = [""] * layout.width, [""] * layout.width
+    layout.first_row = split_cells(lines[layout.first], layout.delimiter)
+    layout.counts = _counts(layout, lines[layout.first + 1 :][:1])
+    above, below = lines[skipped : layout.first], lines[layout.first :]
+    read_header(name, above, below, layout)
+    is_named = any(layout.names)
     if not is_named and reading.skip_lines is None:
         _refuse_numbers_as_names(name, layout, lines)
     if not is_named and reading.delimiter is None and reading.decimal is None:
@@ -184,34 +188,11 @@ def _refuse_two_readings(name: str, layout: Layout, sample: Sequence[str]) -> No
         )
 
 
-def _read_header(name: str, layout: Layout, lines: Sequence[str], skipped: int) -> None:
-    """Read what stands above the rows."""
-    above = lines[skipped : layout.first]
-    beside = [
-        layout.delimiter.join(
-            split_cells(line, layout.delimiter)[: min(layout.numeric)]
-        )
-        for line in lines[layout.first : layout.first + _SAMPLE]
-    ]  # where Tektronix has its settings
-    settings = read_settings([*above, *beside], layout.delimiter)
-    if settings.get("X_Columns", [""])[0].lower() == "multi":
-        raise InputError(
-            f"{name}: each channel has an X column: export with X_Columns One or No"
-        )
-    layout.clock = clock_of_settings(settings, layout.decimal)
-    rows = lines[layout.first : layout.first + 2]
-    first_row, second_row = rows[0], rows[-1]
-    starts = [split_cells(row, layout.delimiter)[0] for row in (first_row, second_row)]
-    counts = starts[0] in ("0", "1") and starts[1].isdigit()
-    table = Table(
-        delimiter=layout.delimiter,
-        numeric=layout.numeric,
-        width=layout.width,
-        first_row=split_cells(first_row, layout.delimiter),
-        first=layout.first,
-        counts=counts and int(starts[1]) > int(starts[0]),
-    )
-    layout.names = find_names(name, above, settings, table)
+def _counts(layout: Layout, below: Sequence[str]) -> bool:
+    """Return whether the first cells of the first two rows are 0 or 1 and a larger whole number."""
+    first = layout.first_row[0]
+    second = "".join(split_cells("".join(below), layout.delimiter)[:1])
+    return first in ("0", "1") and second.isdigit() and int(second) > int(first)
 
 
 def delimiter_of(text: str) -> str:
@@ -377,32 +358,3 @@ def _refuse_other_rows(
                 f"{name}:{n + 1}: numbers above the {layout.width} columns that begin in line "
                 f"{layout.first + 1}: type `skip_lines` {n + 1}"
             )
-
-
-def describe_columns(name: str, layout: Layout) -> list[Column]:
-    """Describe every column by its name, its unit and what its cells hold.
-
-    Raises
-    ------
-    InputError
-        A column's name and its units line state different units.
-    """
-    columns = []
-    for n in range(layout.width):
-        kind = "text"
-        if n in layout.numeric:
-            kind = "number"
-        elif n in layout.stamps:
-            kind = "stamp"
-        elif n in layout.empty:
-            kind = "empty"
-        header, unit = layout.names.names[n], spell(layout.names.units[n])
-        stated = split_header(header)[1]
-        if stated and unit and stated != unit and kind_of(unit) == kind_of(stated):
-            raise InputError(
-                f"{name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
-                f"{layout.first}"
-            )
-        sample = layout.texts.get(n, "")
-        columns.append(Column(n + 1, header, unit or stated, kind, sample))
-    return columns

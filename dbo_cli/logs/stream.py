@@ -39,9 +39,10 @@ class ByteStream:
         except (OSError, ValueError):
             pass  # text in memory
         self.is_pipe = self._descriptor >= 0
+        self._is_plain = not self.is_pipe and not isinstance(self._file, gzip.GzipFile)
 
     def read(self, size: int) -> bytes:
-        """Read up to a size; from a pipe what has arrived, and empty at the end.
+        """Read a size and on to the end of the line; from a pipe what has arrived; empty at the end.
 
         Raises
         ------
@@ -49,7 +50,15 @@ class ByteStream:
             The file cannot be read, or packed data are damaged.
         """
         try:
-            return self._arrived(size) if self.is_pipe else self._file.read(size)
+            if self.is_pipe:
+                return self._arrived(size)
+            if not self._is_plain:
+                return self._file.read(size)
+            start = self._file.tell()
+            self._file.seek(start + size)
+            size += len(self._file.readline(size))
+            self._file.seek(start)
+            return self._file.read(size)
         except (EOFError, zlib.error, gzip.BadGzipFile):
             raise InputError(
                 f"{self.name}: the gzip data are damaged or end early"

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import split_cells, to_number
-from dbo_cli.logs.sniff import describe_columns, is_no_row, sniff
+from dbo_cli.logs.names import describe_columns
+from dbo_cli.logs.sniff import is_no_row, sniff
 from dbo_cli.logs.source import Column, Reading, Source
 from dbo_cli.logs.stream import ByteStream
 
 _HEAD = 1 << 16  # bytes from which the layout is found; longer than any header
-_BLOCK = 1 << 21  # bytes of text at a time; of 1 to 8 MB the fastest
+_BLOCK = 1 << 22  # bytes of text at a time; of 1 to 8 MB the fastest
 _LONGEST_LINE = 1 << 24  # what is longer has no line ends
 _SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
 _TINY = 1 << 12  # bytes that are read faster in Python than by polars
@@ -126,7 +127,7 @@ class TextSource(Source):
         while not self._ended:
             end = _last_row_end(data, data.rfind(b"\n") + 1)
             if end:
-                yield b"".join((tail, memoryview(data)[:end]))
+                yield data[:end] if not tail else tail + data[:end]
                 tail = b""
             tail += data[end:]
             if len(tail) > _LONGEST_LINE:
@@ -250,11 +251,12 @@ def _find_encoding(name: str, head: bytes, typed: str | None) -> str:
         return "utf-8"
     if typed is not None:
         try:
-            encoding = codecs.lookup(typed).name
-        except LookupError:
+            head[:4].decode(typed, "replace")
+        except (LookupError, UnicodeError):
             raise UsageError(
                 f"`encoding` {typed}: there is no such text encoding"
             ) from None
+        encoding = codecs.lookup(typed).name
         if encoding in ("utf-16", "utf-32"):
             raise InputError(
                 f"{name}: has no byte order mark: type `encoding` {encoding}-le or {encoding}-be"

@@ -41,8 +41,10 @@ def check_order(stages: Sequence[Stage], direction: Direction) -> None:
             f"stages[{gears[0]}].relaxation.on: must be {on!r} in this direction"
         )
     places = list(range(len(stages)))
+    sign = 1.0
     if direction == "inverse":
         places.reverse()
+        sign = -1.0
     beyond = 0
     for place in places:
         stage = stages[place]
@@ -51,24 +53,16 @@ def check_order(stages: Sequence[Stage], direction: Direction) -> None:
             rank = 1
         elif isinstance(stage, Delay):
             rank = 2
-            _check_delay(stage, place, direction)
+            if sign * stage.seconds < 0.0:
+                raise ModelError(
+                    f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign in this direction"
+                )
         if rank < beyond or rank == beyond > 0:
             raise ModelError(
                 f"stages[{place}]: wrong order; points and scales around the gears, one dynamics, one "
                 "delay (inverse: mirrored)"
             )
         beyond = rank
-
-
-def _check_delay(stage: Delay, place: int, direction: Direction) -> None:
-    """Refuse a delay of the other direction's sign."""
-    seconds = stage.seconds
-    if direction == "inverse":
-        seconds = -seconds
-    if seconds < 0.0:
-        raise ModelError(
-            f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign in this direction"
-        )
 
 
 def digest_of(stages: Sequence[Stage]) -> str:

@@ -129,10 +129,6 @@ class Gears:
                     f"{key}: the gears are lost in rounding beside their origin, {low:.6g}"
                 )
 
-    def __repr__(self) -> str:
-        """Return a short description for debugging."""
-        return f"Gears(n={self.n}, x_range={self.x_range}, y_range={self.y_range})"
-
     def _rounding(self, widths: Floats, heights: Floats) -> Floats:
         """Return the largest numbers of an axis over what is told apart of each gear, the greater of both."""
         scale_x = max(abs(self.x0), abs(self.x0 + self.width), self.width)

@@ -249,16 +249,18 @@ class Model:
             return self.empty
         return self.empty | self.moved.settled(voltage)
 
-    def start(self, first_input: float, name: str = "auto") -> State:
-        """Return the state before the first sample; see ``start_bits``.
+    def start(self, first_input: float, state: str | State = "auto") -> State:
+        """Return the state before the first sample: one that is known, or by its name (``start_bits``).
 
         Of an inverse model the voltage is sought whose own start leads to the first
         displacement, so that the forward model, driven by the output, starts alike.
         """
+        if isinstance(state, State):
+            return state
         if not self.is_forward:
-            return self.inverse().start_drive(first_input, name)
+            return self.inverse().start_drive(first_input, state)
         value = value_through(self.head, float(first_input))
-        return State(self.start_bits(value, name))
+        return State(self.start_bits(value, state))
 
     def start_drive(
         self,
@@ -379,9 +381,7 @@ class Model:
                 undoing = inverter.behind(state)
             ahead = np.full(inverter.ahead, signal[-1])
             signal, _ = inverter.run(np.concatenate([signal, ahead]), undoing)
-        if not isinstance(state, State):
-            first = float(signal[0]) if signal.size else 0.0
-            state = self.start(first, state)
+        state = self.start(float(signal[0]) if signal.size else 0.0, state)
         if outside == "error":
             self.require_inside(signal)
         done = self.run(signal, state, dt, outside)

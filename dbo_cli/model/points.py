@@ -50,10 +50,6 @@ class Points:
         self.segments: Floats = np.ascontiguousarray(rows)
         self.segments.flags.writeable = False
 
-    def __repr__(self) -> str:
-        """Return a short description for debugging."""
-        return f"Points(m={self.m}, x_range={self.x_range}, y_range={self.y_range})"
-
     def inverse(self) -> Points:
         """Return the inverse (17)-(18): dX and dY exchanged in every segment, and the origins."""
         if self._inverse is None:

@@ -58,12 +58,9 @@ class SectionInverse(NamedTuple):
     from_state: Floats
 
 
-class _Recursion(NamedTuple):
-    """How (u - p, q) follows the output y: it becomes matrix @ it + drive (y' - y), and u = y + out @ it."""
-
-    matrix: Floats
-    drive: Floats
-    out: Floats
+# how (u - p, q) follows the output y: it becomes matrix @ it + drive (y' - y), and
+# u = y + out @ it
+_Recursion = tuple[Floats, Floats, Floats]
 
 
 def _recursion(section: Section, dt: float) -> _Recursion:
@@ -79,9 +76,8 @@ def _recursion(section: Section, dt: float) -> _Recursion:
     lead_row.append(-p_q + (1.0 - p_change) * from_q)
     rate_row = [q_lead + q_change * from_lead, q_q + q_change * from_q]
     drive = np.array([(1.0 - p_change) / by_drive, q_change / by_drive])
-    return _Recursion(
-        np.array([lead_row, rate_row]), drive, np.array([1.0 - by_lead, -by_q])
-    )
+    out = np.array([1.0 - by_lead, -by_q])
+    return np.array([lead_row, rate_row]), drive, out
 
 
 def section_inverse(section: Section, dt: float) -> SectionInverse:
@@ -134,8 +130,7 @@ def _forward_only(
     """Return an inverse without a look ahead: both zeros are inside the unit circle."""
     if not largest < 1.0 or section.antiresonance is None:
         raise _unresolved(section, dt)
-    numbers = np.concatenate([recursion.matrix.reshape(-1), recursion.drive])
-    numbers = np.concatenate([numbers, recursion.out])
+    numbers = np.concatenate([part.reshape(-1) for part in recursion])
     return SectionInverse(numbers, np.zeros(0), np.eye(2))
 
 

@@ -50,7 +50,6 @@ DASHED: dict[str, Any] = {
     "linewidth": 1.3,
 }
 THIN: dict[str, Any] = {"color": INK, "linewidth": 0.9}
-DOTTED: dict[str, Any] = {"color": MUTED, "linestyle": (0, (1, 1.6)), "linewidth": 0.9}
 WIDE = (5.0, 2.8)  # inches: two side by side fill a page in print, one a phone
 TALL = (5.0, 4.0)  # inches: as wide as those; for loops
 COLUMNS = 1000  # of a figure; a curve keeps the least and the greatest value in each
@@ -276,37 +275,31 @@ def _paint_error(report: Report, log: LogReport, axes: Axes) -> None:
 
 
 def _paint_loop(report: Report, log: LogReport, axes: Axes) -> None:
+    """Paint measured over the drive; over the desired signal, its own line, where no drive is known."""
     first, second = report.labels
-    pair, measured = log.pair, log.pair.measured - log.merits.offset
+    measured = log.pair.measured - log.merits.offset
+    x, name = log.pair.voltage, axis_label("Drive voltage", report.voltage_unit)
+    compared = first == "model" or x is None
+    if x is None:
+        x = log.pair.desired
+        name = axis_label(f"{first.capitalize()} displacement", report.unit)
     # many points become a picture inside the SVG, or the file takes megabytes
     as_picture = len(measured) > MOST_POINTS
-    length = axis_label("Displacement", report.unit)
-    if pair.voltage is None:
-        ends = [log.merits.desired_min, log.merits.desired_max]
-        axes.plot(pair.desired, measured, rasterized=as_picture, label=second, **SOLID)
-        axes.plot(ends, ends, label="no error", **DOTTED)
-        x_label = axis_label(f"{first.capitalize()} displacement", report.unit)
-        axes.set(
-            xlabel=x_label, ylabel=axis_label("Measured displacement", report.unit)
-        )
-        return
-    drive = pair.voltage
-    if first == "model":
-        axes.plot(drive, measured, rasterized=as_picture, label=second, **SOLID)
-        axes.plot(drive, pair.desired, rasterized=as_picture, label=first, **DASHED)
-    else:
-        axes.plot(drive, measured, rasterized=as_picture, **SOLID)
-    axes.set(xlabel=axis_label("Drive voltage", report.voltage_unit), ylabel=length)
+    label = second if compared else None
+    axes.plot(x, measured, rasterized=as_picture, label=label, **SOLID)
+    if compared:
+        axes.plot(x, log.pair.desired, rasterized=as_picture, label=first, **DASHED)
+    axes.set(xlabel=name, ylabel=axis_label("Displacement", report.unit))
 
 
 def spectrum_of(log: LogReport) -> tuple[Floats, Floats] | None:
     """Return frequencies (Hz) and the amplitude density of the error (unit/sqrt(Hz)).
 
-    By Welch's method, the mean of each piece taken off. None without an even clock or
-    with fewer than 64 rows.
+    By Welch's method, the mean of each piece taken off. None without an even clock, with
+    fewer than 64 rows, or where the error is constant.
     """
     step, error = log.pair.step(), _error_of(log)
-    if step is None or len(error) < 64:
+    if step is None or len(error) < 64 or not np.ptp(error):
         return None
     time = log.pair.time
     if time is not None and np.ptp(np.diff(time)) > 0.01 * step:
@@ -319,21 +312,14 @@ def spectrum_of(log: LogReport) -> tuple[Floats, Floats] | None:
 
 
 def _paint_spectrum(report: Report, log: LogReport, axes: Axes) -> None:
-    from matplotlib.ticker import NullFormatter
-
     curve = spectrum_of(log)
     assert curve is not None
-    frequency, density = curve
-    axes.plot(frequency, np.maximum(density, 1e-30), **THIN)
-    axes.set(xscale="log", yscale="log")
-    floor = 1e-6 * float(density.max())
-    if floor > 0.0:
-        axes.set_ylim(bottom=max(float(density.min()), floor))
-    unit = f"{shown_unit(report.unit)}/√Hz" if report.unit else "1/√Hz"
-    axes.set(xlabel="Frequency (Hz)", ylabel=f"Error density ({unit})")
+    axes.loglog(*curve, **THIN)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter(NullFormatter())
+        axis.set_minor_formatter("")
+    unit = f"{shown_unit(report.unit)}/√Hz" if report.unit else "1/√Hz"
+    axes.set(xlabel="Frequency (Hz)", ylabel=f"Error density ({unit})")
 
 
 # --- a model ---
@@ -345,8 +331,8 @@ def model_plots(model: Model) -> list[Plot]:
     title = f"The model's loop, {quantity_range(drive)}"
     straight = "Deviation from a straight line"
     return [
-        Plot("model-loop", title, TALL, partial(_paint_model_loop, model)),
-        Plot("model-hysteresis", straight, WIDE, partial(_paint_hysteresis, model)),
+        Plot("model-loop", title, TALL, partial(_paint_model, model, False)),
+        Plot("model-hysteresis", straight, WIDE, partial(_paint_model, model, True)),
     ]
 
 
@@ -373,27 +359,21 @@ def slow_loop(model: Model) -> tuple[Floats, Floats, Floats]:
     return up, rising, falling
 
 
-def _quantity(quantity: Quantity) -> str:
-    return axis_label(quantity.quantity.capitalize(), quantity.unit)
-
-
-def _paint_model_loop(model: Model, axes: Axes) -> None:
+def _paint_model(model: Model, deviation: bool, axes: Axes) -> None:
+    """Paint both ways of the loop, or by how much they deviate from a straight line."""
     forward = model.forward()
     drive, rising, falling = slow_loop(model)
+    name = forward.output.quantity.capitalize()
+    if deviation:
+        line = np.polyfit(drive, 0.5 * (rising + falling), 1)
+        rising = rising - np.polyval(line, drive)
+        falling = falling - np.polyval(line, drive)
+        name = "Deviation"
     axes.plot(drive, rising, label="rising", **SOLID)
     axes.plot(drive, falling, label="falling", **DASHED)
-    axes.set(xlabel=_quantity(forward.input), ylabel=_quantity(forward.output))
-
-
-def _paint_hysteresis(model: Model, axes: Axes) -> None:
-    forward = model.forward()
-    drive, rising, falling = slow_loop(model)
-    line = np.polyfit(np.tile(drive, 2), np.concatenate([rising, falling]), 1)
-    axes.plot(drive, rising - np.polyval(line, drive), label="rising", **SOLID)
-    axes.plot(drive, falling - np.polyval(line, drive), label="falling", **DASHED)
     axes.set(
-        xlabel=_quantity(forward.input),
-        ylabel=axis_label("Deviation", forward.output.unit),
+        xlabel=axis_label(forward.input.quantity.capitalize(), forward.input.unit),
+        ylabel=axis_label(name, forward.output.unit),
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.logs import Block, Log, Reading, open_log
-from dbo_cli.logs.headers import stated_clock
+from dbo_cli.logs.settings import stated_clock
 
 VOLTAGE: dict[str, str | None] = {"voltage": None}
 
