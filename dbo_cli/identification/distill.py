@@ -10,7 +10,7 @@ import numpy as np
 
 from dbo_cli.identification.basis import PreparedLog, Structure, columns_of, sums_of
 from dbo_cli.identification.judge import error_left_out
-from dbo_cli.identification.problem import Problem
+from dbo_cli.identification.problem import GOLDEN, Problem
 from dbo_cli.identification.recording import Floats
 from dbo_cli.identification.search import CURVES
 from dbo_cli.identification.solve import Fit, Rows, solve
@@ -26,7 +26,6 @@ REST = 0.25  # of a swing
 SWING_ROWS = 40  # of the invented drive
 SMOOTH_SLOPES = 1e-8  # of a mean prediction, which has no noise
 MOST_MISFIT = 0.5  # of the error left out: farther from the mean, one fit is better
-GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 
 
 @dataclass(frozen=True)

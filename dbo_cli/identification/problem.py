@@ -32,6 +32,8 @@ STEADY = 0.02  # of a swing's rows, over which a mean is taken at most
 MOST_ROWS = 100_000  # of all logs at full rate: a longer log is thinned by means
 BLOCKS = 6  # of time, each left out in turn
 SMALL, TINY = 0.75, 0.4  # of the largest swing: swings below are left out together
+GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+BOTH_WAYS = 2  # swings, up and down: less shows no loop
 NEAR_END = 0.02  # of the log's range
 MOST_EARLY = 0.25  # of a log's rows: of a shorter rest less is learnt than is lost
 STRANGE = 4.0  # mean square of early rows over that of the others
@@ -99,20 +101,31 @@ class Problem:
         return float(np.average(seconds, weights=weights))
 
     @cached_property
-    def parts(self) -> list[Booleans]:
-        """What is left out in turn, masks over the fitted rows: blocks of time, and the smaller swings."""
+    def smaller(self) -> list[Booleans]:
+        """Which of the fitted rows belong to smaller loops, for up to two bounds of their size."""
         sizes = []
         for log, swings in zip(self.logs, self.swings, strict=True):
-            sizes.append(swings.sizes[swings.number[log.rows]])
+            sizes.append(swings.loops[swings.number[log.rows]])
         size = np.concatenate(sizes)
-        count = len(size)
-        block = np.arange(count) * BLOCKS // count
-        parts = [block == number for number in range(BLOCKS)]
+        masks: list[Booleans] = []
         for share in (SMALL, TINY):
             small = size < share * size.max()
-            new = not np.array_equal(small, parts[-1])
-            if new and LEAST_PART * count < small.sum() < MOST_PART * count:
-                parts.append(small)
+            new = not masks or not np.array_equal(small, masks[-1])
+            if new and LEAST_PART < small.mean() < MOST_PART:
+                masks.append(small)
+        return masks
+
+    @cached_property
+    def parts(self) -> list[Booleans]:
+        """What is left out in turn, masks over the fitted rows: blocks of time, and the smaller loops.
+
+        Smaller loops stay where the rest would show no way up and down.
+        """
+        count = len(self.output)
+        block = np.arange(count) * BLOCKS // count
+        parts = [block == number for number in range(BLOCKS)]
+        if self.swing_count > BOTH_WAYS:
+            parts += self.smaller
         return parts
 
     @cached_property
@@ -125,7 +138,7 @@ class Problem:
     @property
     def one_amplitude(self) -> bool:
         """Whether all swings go over one range, so that other amplitudes cannot be left out and judged."""
-        return len(self.parts) == BLOCKS and self.swing_count >= 2
+        return not self.smaller and self.swing_count >= BOTH_WAYS
 
     def columns(self, structure: Structure) -> Floats:
         """Return the columns of the fitted rows; stored for each delay and bend."""
@@ -235,11 +248,17 @@ def thinned(logs: Sequence[Recording]) -> list[Recording]:
 
 
 def groups_of(rows: Booleans, stride: int, size: int) -> tuple[Integers, Integers]:
-    """Return begin and end of groups of up to ``size`` rows that are true, one every ``stride`` of these."""
+    """Return begin and end of groups of up to ``size`` rows that are true, one in every ``stride`` of these.
+
+    Where in a stride a group begins changes by the golden ratio: a log that holds each
+    value for some rows would else be seen at one phase of its steps.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate(([False], rows, [False]))))
     begins, ends = [], []
     for begin, end in edges.reshape(-1, 2).tolist():
         places = np.arange(begin, end, stride)
+        part = np.arange(len(places)) * GOLDEN % 1.0
+        places = np.minimum(places + (part * (stride - size + 1)).astype(int), end - 1)
         begins.append(places)
         ends.append(np.minimum(places + size, end))
     return np.concatenate(begins), np.concatenate(ends)

@@ -197,6 +197,14 @@ class Swings:
         return Swings(turns, sizes, number.astype(np.int64))
 
     @property
+    def loops(self) -> Floats:
+        """Sizes of the swings; a last one that the log breaks off has at least that of the one before."""
+        sizes = self.sizes.copy()
+        if len(sizes) > 1:
+            sizes[-1] = max(sizes[-1], sizes[-2])
+        return sizes
+
+    @property
     def rows(self) -> Integers:
         """How many rows each swing takes."""
         return np.diff(self.turns)

@@ -17,7 +17,9 @@ from dbo_cli.identification.solve import Equations, Fit, solve
 RULES = ("growing", "falling")  # for the slopes
 CURVES = (np.inf, 1e1, 1e-1, 1e-4, 1e-7)
 SLOPE_SMOOTHNESS = (2e-1, 2e-4, 1e-8)  # the last for springs that slip at a few forces
-ONE_AMPLITUDE_SMOOTHNESS = 1e5  # times what a first fit leaves of the output's variance
+SMOOTHER = 10.0 ** np.arange(-2.0, 4.5, 0.5)  # of one amplitude, tried in turn
+ONE_AMPLITUDE_CURVE = 1e-1
+AS_GOOD = 1.2  # of the roughest one's error: so much may smoothness cost
 BENDS = (-0.4, -0.25, -0.12, 0.12, 0.25, 0.4)
 DRIFTS = (1, 3)
 DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
@@ -70,21 +72,28 @@ def _for_one_amplitude(problem: Problem, choices: Choices) -> tuple[Problem, Cho
     Slopes as smooth as can be, in the loop's sense, and no memory slower than three
     swings: where the level stays, that is one with a moving zero.
     """
-    errors = []
-    for rule in RULES:
-        trial = Structure(rule, "", SLOPE_SMOOTHNESS[0], 1e-1)
-        errors.append(solve(problem.rows(trial), trial).rmse)
-    smooth = ONE_AMPLITUDE_SMOOTHNESS * min(errors) ** 2 / float(np.var(problem.output))
+    errors = {rule: _error_of(problem, rule, SMOOTHER[0]) for rule in RULES}
+    rule = min(errors, key=lambda rule: errors[rule])
+    smooth = float(SMOOTHER[0])
+    for smoother in SMOOTHER.tolist():
+        if _error_of(problem, rule, smoother) <= AS_GOOD * errors[rule]:
+            smooth = smoother
     fast = problem.taus[problem.taus < SLOWEST * problem.swing]
     choices = replace(
         choices,
-        slopes=(RULES[int(np.argmin(errors))],),
+        slopes=(rule,),
         memories=("", "t"),
         smoothness=(smooth,),
         curves=CURVES[:4],
         drifts=choices.drifts[:1],
     )
     return replace(problem, taus=fast), choices
+
+
+def _error_of(problem: Problem, rule: str, smooth: float) -> float:
+    """Return what slopes of a smoothness leave of the logs beside a smooth curve."""
+    structure = Structure(rule, "", smooth, ONE_AMPLITUDE_CURVE)
+    return solve(problem.rows(structure), structure).rmse
 
 
 def _fixed(choices: Choices, options: Options) -> Choices:

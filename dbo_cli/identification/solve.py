@@ -25,7 +25,7 @@ RIDGE = 1e-9
 STEPS = 12
 ENOUGH = 1e-4  # relative gain of a step that ends the iteration
 HALVINGS = 5
-MOST_EXCHANGES = 300
+MOST_EXCHANGES = 1000
 AT_ZERO, POSITIVE, FREE = 0, 1, 2
 
 

@@ -135,34 +135,67 @@ static int solve_passive(const double *matrix, const double *right, size_t n, co
     return 1;
 }
 
-/* Minimise x'Hx - 2 g'x with x >= 0 but for free unknowns, by block principal pivoting: unknowns that break their sign or
- * their gradient change sides, all at once while that helps, then one by one.
+/* What the unknowns of the solved equations are, and the gradient of the others. */
+static void spread(const double *matrix, const double *right, size_t n, const size_t *at, size_t count, const double *part,
+                   double *x, double *dual) {
+    for (size_t i = 0; i < n; i++) x[i] = 0.0, dual[i] = -right[i];
+    for (size_t k = 0; k < count; k++) {
+        const double *row = matrix + at[k] * n, value = part[k];
+        x[at[k]] = value;
+        for (size_t i = 0; i < n; i++) dual[i] += row[i] * value;
+    }
+}
+
+/* Go from x >= 0 towards the solution `part` until the first unknowns reach zero, and keep these there. */
+static void go_to_bound(unsigned char *state, const size_t *at, size_t count, const double *part, double *x) {
+    double share = 1.0;
+    for (size_t k = 0; k < count; k++) {
+        const double here = x[at[k]];
+        if (state[at[k]] == POSITIVE && part[k] < 0.0 && here < share * (here - part[k])) share = here / (here - part[k]);
+    }
+    for (size_t k = 0; k < count; k++) {
+        const size_t i = at[k];
+        const int reached = state[i] == POSITIVE && part[k] < 0.0 && x[i] <= share * (x[i] - part[k]);
+        x[i] += share * (part[k] - x[i]);
+        if (reached) x[i] = 0.0, state[i] = AT_ZERO;
+    }
+}
+
+/* Minimise x'Hx - 2 g'x with x >= 0 but for free unknowns. Block principal pivoting first: unknowns that break their sign or
+ * their gradient change sides, all at once while that helps. Then Lawson and Hanson's way, which goes down with every step.
  * Returns the number of steps, 0 where it does not end, -1 where H is not positive definite. */
 static long minimise(const double *matrix, const double *right, size_t n, unsigned char *state, double *x, double tolerance,
                      long most, size_t *at, double *upper, double *part, double *dual) {
     size_t fewest = n + 1;
     int patience = 3;
     for (long step = 1; step <= most; step++) {
-        size_t count = 0, wrong = 0, last = 0;
+        size_t count = 0, negative = 0, wrong = 0, steepest = n;
         for (size_t i = 0; i < n; i++)
             if (state[i] == POSITIVE || state[i] == FREE) at[count++] = i;
         if (!solve_passive(matrix, right, n, at, count, upper, part)) return -1;
-        for (size_t i = 0; i < n; i++) x[i] = 0.0, dual[i] = -right[i];
-        for (size_t k = 0; k < count; k++) {
-            const double *row = matrix + at[k] * n, value = part[k];
-            x[at[k]] = value;
-            for (size_t i = 0; i < n; i++) dual[i] += row[i] * value;
+        for (size_t k = 0; k < count; k++)
+            if (state[at[k]] == POSITIVE && part[k] < 0.0) negative++;
+        if (patience < 0 && negative) {
+            go_to_bound(state, at, count, part, x);
+            continue;
         }
+        spread(matrix, right, n, at, count, part, x, dual);
         for (size_t i = 0; i < n; i++)
-            if ((state[i] == POSITIVE && x[i] < 0.0) || (state[i] == AT_ZERO && dual[i] < -tolerance)) wrong++, last = i;
-        if (!wrong) return step;
-        if (wrong < fewest) fewest = wrong, patience = 3;
-        else patience--;
-        for (size_t i = 0; i < n; i++)
-            if (patience >= 0 || i == last) {
-                if (state[i] == POSITIVE && x[i] < 0.0) state[i] = AT_ZERO;
-                else if (state[i] == AT_ZERO && dual[i] < -tolerance) state[i] = POSITIVE;
+            if (state[i] == AT_ZERO && dual[i] < -tolerance) {
+                wrong++;
+                if (steepest == n || dual[i] < dual[steepest]) steepest = i;
             }
+        if (!negative && !wrong) return step;
+        if (patience < 0) {
+            state[steepest] = POSITIVE;
+            continue;
+        }
+        if (negative + wrong < fewest) fewest = negative + wrong, patience = 3;
+        else patience--;
+        for (size_t i = 0; i < n; i++) {
+            if (state[i] == POSITIVE && x[i] < 0.0) x[i] = 0.0, state[i] = AT_ZERO;
+            else if (patience >= 0 && state[i] == AT_ZERO && dual[i] < -tolerance) state[i] = POSITIVE;
+        }
     }
     return 0;
 }

@@ -12,7 +12,7 @@ import pytest
 from dbo_cli.errors import FitError
 from dbo_cli.identification.paper import identify_paper
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.model import Gears, Model, Scale
+from dbo_cli.model import Gears, Model, Scale, State
 
 PAPER = Path(
     os.environ.get(
@@ -31,7 +31,7 @@ def played(voltage: np.ndarray) -> np.ndarray:
     count = 300
     widths = np.full(count, 3.6 / count)
     gears = Gears(widths, widths * np.linspace(6.0, 14.0, count), 0.0, -20.0)
-    moved, *_ = gears.run(voltage, 0)
+    moved = gears.run(voltage, State(0)).y
     return np.asarray(moved)
 
 
