@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import choose, named
+from dbo_cli.logs.formats import reader_of
 from dbo_cli.logs.scale import Scale, scales_of
 from dbo_cli.logs.source import (
     BLOCK_ROWS,
@@ -28,6 +29,7 @@ from dbo_cli.logs.source import (
     Reading,
     Source,
 )
+from dbo_cli.logs.text import open_text
 from dbo_cli.units import multiplied, split_header
 
 if TYPE_CHECKING:
@@ -379,8 +381,6 @@ def open_source(name: str, reading: Reading) -> Source:
     """Open a file with the reader that its first bytes ask for (InputError)."""
     path, _, part = name.partition("::")
     if os.path.isfile(path):
-        from dbo_cli.logs.formats import reader_of
-
         try:
             with open(path, "rb") as file:
                 start = file.read(_FIRST_BYTES)
@@ -390,8 +390,6 @@ def open_source(name: str, reading: Reading) -> Source:
         reader = reader_of(path, start)
         if reader is not None:
             return reader(path, part, reading)
-    from dbo_cli.logs.text import open_text
-
     return open_text(path, part, reading)
 
 
