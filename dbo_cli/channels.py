@@ -27,15 +27,17 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Result = tuple[str, str | None, Floats]
 """A column of the result: its name, unit and values."""
+Columns = Mapping[str, str | None]
+"""What was typed for each role."""
 PLACE = "{}"
 
 
-def is_pattern(columns: Mapping[str, str | None]) -> bool:
+def is_pattern(columns: Columns) -> bool:
     """Return whether the name of a column stands for many."""
     return any(typed is not None and PLACE in typed for typed in columns.values())
 
 
-def filled(columns: Mapping[str, str | None], name: str) -> dict[str, str | None]:
+def filled(columns: Columns, name: str) -> dict[str, str | None]:
     """Return the columns of one channel."""
     chosen = {}
     for role, typed in columns.items():
@@ -43,9 +45,7 @@ def filled(columns: Mapping[str, str | None], name: str) -> dict[str, str | None
     return chosen
 
 
-def names(
-    paths: Sequence[str], reading: Reading, columns: Mapping[str, str | None]
-) -> list[str]:
+def names(paths: Sequence[str], reading: Reading, columns: Columns) -> list[str]:
     """Return the channels that patterns find in a log, in the order of its columns.
 
     Raises
@@ -109,23 +109,20 @@ def simulate(
     log_path: str,
     output: str,
     reading: Reading,
-    columns: Mapping[str, str | None],
+    columns: Columns,
     state: str,
     outside: Any,
 ) -> str:
     """Run the model of each channel over its input, write all side by side; return what to say of it."""
     refuse({"state": state not in START_NAMES})
-    channels = names([log_path], reading, columns)
     results: list[Result] = []
-    for name, model in models_of(model_path, channels).items():
-        into, out = model.input, model.output
-        table = _read(log_path, reading, filled(columns, name), "input", into.unit)
-        x = table["input"]
+    for name, model, table in _each(model_path, log_path, reading, columns, "input"):
+        into, out, x = model.input, model.output, table["input"]
         with _naming(name):
             y, _ = model.simulate(x, dt=table.dt, state=state, outside=outside)
         results.append((f"{into.quantity}_{name}", into.unit, x))
         results.append((f"{out.quantity}_{name}", out.unit, y))
-    return _write(output, table.time, results, len(channels))
+    return _write(output, table.time, results)
 
 
 def compensate(
@@ -133,7 +130,7 @@ def compensate(
     log_path: str,
     output: str,
     reading: Reading,
-    columns: Mapping[str, str | None],
+    columns: Columns,
     limits: Mapping[str, Any],
     on_limit: Any,
     state: str,
@@ -142,22 +139,19 @@ def compensate(
     from dbo_cli.drive import Limits, plan
 
     refuse({"state": state not in START_NAMES})
-    channels = names([log_path], reading, columns)
+    role = "displacement"
     results: list[Result] = []
-    for name, model in models_of(model_path, channels).items():
+    for name, model, table in _each(model_path, log_path, reading, columns, role):
         model.require("forward", f"{model_path}::{name}")
         drive, moved = model.input, model.output
-        chosen = filled(columns, name)
-        table = _read(log_path, reading, chosen, "displacement", moved.unit)
         clock = table.dt if isinstance(table.dt, float) else table.time
-        wanted = table["displacement"]
         options = {"on_limit": on_limit, "state": state, "name": f"channel {name}"}
         with _naming(name):
             allowed = Limits.within(drive, **limits)
-            done = plan(model, wanted, clock, allowed, **options)
+            done = plan(model, table[role], clock, allowed, **options)
         results.append((f"desired_{name}", moved.unit, done.desired))
         results.append((f"{drive.quantity}_{name}", drive.unit, done.voltage))
-    return _write(output, table.time, results, len(channels))
+    return _write(output, table.time, results)
 
 
 def refuse(options: Mapping[str, object]) -> None:
@@ -169,19 +163,18 @@ def refuse(options: Mapping[str, object]) -> None:
             )
 
 
-def _read(
-    path: str,
-    reading: Reading,
-    columns: dict[str, str | None],
-    role: str,
-    unit: str | None,
-) -> Block:
-    """Read one channel of a log, its signal in the unit of the model."""
+def _each(
+    model_path: str, log_path: str, reading: Reading, columns: Columns, role: str
+) -> Iterator[tuple[str, Model, Block]]:
+    """Yield name, model and log of each channel, the signal of a role in the unit of the model."""
     from dbo_cli.logs import open_log
 
-    units = {role: unit} if unit else {}
-    with open_log(path, columns, reading, units) as log:
-        return log.read()
+    channels = names([log_path], reading, columns)
+    for name, model in models_of(model_path, channels).items():
+        unit = (model.input if role == "input" else model.output).unit
+        units = {role: unit} if unit else {}
+        with open_log(log_path, filled(columns, name), reading, units) as log:
+            yield name, model, log.read()
 
 
 @contextmanager
@@ -194,15 +187,13 @@ def _naming(channel: str) -> Iterator[None]:
         raise type(problem)(place + str(problem).removeprefix(place)) from problem
 
 
-def _write(
-    output: str, time: Floats | None, results: list[Result], channels: int
-) -> str:
-    """Write the columns of all channels side by side, behind the time if there is one."""
+def _write(output: str, time: Floats | None, results: list[Result]) -> str:
+    """Write the two columns of each channel side by side, behind the time if there is one."""
     from dbo_cli.logs import create
 
-    rows = len(results[0][2])
+    text = f"{len(results) // 2} channels, {len(results[0][2]):,} rows"
     if time is not None:
         results = [("time", "s", time), *results]
     with create(output, [(name, unit) for name, unit, _ in results]) as table:
         table.write(*(values for _, _, values in results))
-    return f"{channels} channels, {rows:,} rows"
+    return text

@@ -509,9 +509,9 @@ def floats(values: Any, name: str) -> Floats:
     try:
         array = np.ascontiguousarray(np.asarray(values, dtype=np.float64))
     except (TypeError, ValueError):
-        raise InputError(f"`{name}`: not an array of numbers") from None
+        array = np.empty(0)
     if array.ndim != 1 or array.size == 0:
-        raise InputError(f"`{name}`: has the shape {array.shape}, not (n,)")
+        raise InputError(f"`{name}`: give one row of numbers, shape (n,)")
     bad = np.flatnonzero(~np.isfinite(array))
     if bad.size:
         raise InputError(f"`{name}`[{bad[0]}]: {array[bad[0]]} is not a finite number")

@@ -93,9 +93,13 @@ def read_drive(
     ------
     LimitError
         A row holds no number: an amplifier cannot play it.
+    UsageError
+        The drive is in another file than its time: interpolated, it is not the drive.
     """
     from dbo_cli.logs import open_log
 
+    if "::" in (columns["voltage"] or ""):
+        raise UsageError(f"`voltage` {columns['voltage']}: name that file as DRIVE")
     units = {} if unit is None else {"voltage": unit}
     with open_log(path, columns, reading, units) as log:
         try:

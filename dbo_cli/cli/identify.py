@@ -81,7 +81,7 @@ def identify(
     from dbo_cli.identification import Options, describe
     from dbo_cli.logs import Outputs, check_outputs, write_text
     from dbo_cli.model import dumps_model, dumps_set, read_model
-    from dbo_cli.reports import show_model
+    from dbo_cli.reports import ShownModel
 
     check_outputs(*opt.present(output, summary))
     options = Options(
@@ -118,7 +118,7 @@ def identify(
             outputs.write_text(summary, summary_of(model))
     rows = sum(log["rows"] for log in model.provenance["logs"])
     say_logs(read, rows, f" ({model.sign})")
-    detail(*show_model(model).text().splitlines()[1:])
+    detail(*ShownModel(model).text().splitlines()[1:])
     say_output(output, describe(model))
 
 

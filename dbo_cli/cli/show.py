@@ -19,14 +19,14 @@ def show(
     """
     from dbo_cli.logs import write_text
     from dbo_cli.model import is_set, read_model, read_models
-    from dbo_cli.reports import show_model
+    from dbo_cli.reports import ShownModel
 
     if is_set(model):
         pages = []
         for name, channel in read_models(model).items():
-            pages.append(show_model(channel, f"{model}::{name}"))
+            pages.append(ShownModel(channel, f"{model}::{name}"))
     else:
-        pages = [show_model(read_model(model), model)]
+        pages = [ShownModel(read_model(model), model)]
     is_json = opt.form_of(form, output) == "json"
     texts = [page.json() if is_json else page.text() for page in pages]
     write_text(output, "\n".join(texts))

@@ -71,6 +71,7 @@ def drive_blocks(
         dt = np.concatenate([[step], dt[1:]])
     if isinstance(lead.state, State):
         lead = replace(lead, state=_aged(drive.model, lead.state, time, step))
+    # what stands before the move
     value = float(wanted[0])
     planned = plan_lead(drive.model, value, step, drive.limits, lead)
     drive.state, voltage, rest, chosen = planned
@@ -83,6 +84,7 @@ def drive_blocks(
         yield _played(drive, times[: voltage.size], voltage, step, "lead")
     else:
         drive.gate.require_reachable(*drive.limits.move, dt)
+    # the move, behind rows at its first value
     at_first = np.full(rest, value)
     still: Block = (times[voltage.size :], step, at_first, at_first)
     signal = chain([(still, "lead")], ((block, "move") for block in moves))

@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, warn
 from dbo_cli.logs.formats import (
     ArraySource,
     Fetch,
@@ -80,7 +80,7 @@ class Hdf5Source(ArraySource):
     """The columns of an HDF5 file.
 
     A column whose attributes may belong to its values (``scale_factor``) is refused where
-    it is read, unless the user types a scale (``is_scaled``).
+    it is read, or warned of where the user types a scale (``is_scaled``).
     """
 
     def __init__(self, path: str, part: str, file: Any, is_scaled: bool) -> None:
@@ -128,6 +128,8 @@ class Hdf5Source(ArraySource):
             problem = self._members[column.number - 1].problem
             if problem and not self._is_scaled:
                 raise InputError(f"{self.name}: {column.label} {problem}")
+            if problem:  # the scale may be another column's
+                warn(f"{self.name}: {column.label} {problem}")
         yield from super().blocks(chosen)
 
 

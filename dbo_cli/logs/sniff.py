@@ -135,7 +135,6 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
         table = [split_cells(lines[n], layout.delimiter) for n in rows[-_JUDGED:]]
         layout.decimal = _shown_decimal(layout, table)
         _refuse_thousands(name, layout, table)
-    _decide_first_column(layout, sample)
     layout.first = _first_row(layout, lines, rows)
     _refuse_other_rows(name, layout, lines, rows)
     layout.names, layout.units = [""] * layout.width, [""] * layout.width
@@ -164,14 +163,12 @@ def _refuse_other_delimiter(name: str, layout: Layout) -> None:
 
 def _refuse_numbers_as_names(name: str, layout: Layout, lines: Sequence[str]) -> None:
     """Refuse a first row 0, 1, 2 above rows with decimals: it may be the names of a frame."""
-    cells = [
-        cell for cell in split_cells(lines[layout.first], layout.delimiter) if cell
-    ]
+    cells = [cell for cell in layout.first_row if cell]
+    start = 1 if cells[:1] == ["1"] else 0
+    counted = [str(start + k) for k in range(len(cells))]
     below = lines[layout.first + 1 : layout.first + 3]
-    is_counted = len(cells) > 1 and cells[0] in ("0", "1")
-    for number, cell in enumerate(cells, start=int(is_counted and cells[0] == "1")):
-        is_counted = is_counted and cell == str(number)
-    if is_counted and any(layout.decimal in line for line in below):
+    has_decimals = any(layout.decimal in line for line in below)
+    if len(cells) > 1 and cells == counted and has_decimals:
         number = layout.first + 1
         raise InputError(
             f"{name}:{number}: {', '.join(cells)}: names (type `skip_lines` {number}) or a row "
@@ -276,10 +273,14 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
         return 0.0, layout
     layout.width = max(shares, key=lambda width: (shares[width], width))
     rows = [k for k in range(len(table)) if len(table[k]) == layout.width]
-    total = sum(weights[k] for k in rows)
     numeric, empty = [], []
     for n in range(layout.width):
         column = [(table[k][n], weights[k]) for k in rows]
+        if n == 0 and _is_mostly_one_kind([cell for cell, _ in column], sign):
+            column = [
+                (cell, 1.0) for cell, _ in column
+            ]  # the last rows may have labels
+        total = sum(weight for _, weight in column)
         if 2.0 * sum(w for cell, w in column if is_number(cell, sign)) >= total:
             numeric.append(n)
         elif sum(w for cell, w in column if not cell) > 0.5 * total:
@@ -294,18 +295,11 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
     return (shares[layout.width] / sum(weights) if numeric else 0.0), layout
 
 
-def _decide_first_column(layout: Layout, sample: Sequence[str]) -> None:
-    """Let the first column be what it is in most rows, where the last ones begin with a label."""
-    first = ["".join(split_cells(line, layout.delimiter)[:1]) for line in sample]
-    numbers = [cell for cell in first if is_number(cell, layout.decimal)]
-    form = stamp_format([(cell, 1.0) for cell in first])
-    if 2 * len(numbers) > len(first):
-        layout.numeric |= {0}
-    elif form is not None:
-        layout.stamps[0] = form
-    else:
-        return
-    layout.texts.pop(0, None)
+def _is_mostly_one_kind(cells: Sequence[str], sign: str) -> bool:
+    """Return whether more than half of the cells are numbers, or stamps of one format."""
+    numbers = sum(is_number(cell, sign) for cell in cells)
+    is_stamped = stamp_format([(cell, 1.0) for cell in cells]) is not None
+    return 2 * numbers > len(cells) or is_stamped
 
 
 def _refuse_thousands(
@@ -314,7 +308,8 @@ def _refuse_thousands(
     """Refuse marks that may stand between thousands as well as before decimals (InputError)."""
     cells = [cell for row in table for cell in row]
     commas = [cell for cell in cells if "," in cell and is_number(cell, ",")]
-    if layout.decimal == "," and all(_THOUSANDS.fullmatch(cell) for cell in commas):
+    has_groups = bool(commas) and all(_THOUSANDS.fullmatch(cell) for cell in commas)
+    if layout.decimal == "," and has_groups:
         cell = commas[0]
         raise InputError(
             f"{name}: '{cell}' may be {cell.replace(',', '.')} (type `decimal` comma) or "

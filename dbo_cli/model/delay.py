@@ -54,15 +54,6 @@ def between_even(values: Floats, place: int, part: float) -> Floats:
     return out
 
 
-def _place_of(whole: int) -> int:
-    """Return which step of six samples a delay of ``whole`` samples and a part lies in.
-
-    Three of the six come after the time wanted (place 2) where they have come already,
-    else two or one.
-    """
-    return max(BEFORE, WINDOW - 2 - whole)
-
-
 @dataclass(frozen=True)
 class Delay:
     """A pure delay of the output, in seconds; negative in an inverse model, which reads ahead by it.
@@ -135,9 +126,12 @@ class Delay:
         if not step > 0.0:
             raise InputError(f"time step: {step!r} s is not greater than 0")
         whole, part = self._samples(step)
+        # which step of six samples the time wanted lies in: three of them come after it
+        # (place 2) where they have come already, else two or one
+        place = max(BEFORE, WINDOW - 2 - whole)
         needed = whole  # samples before the one that has just come
         if part:
-            needed = whole + 1 + _place_of(whole)
+            needed = whole + 1 + place
         missing = needed - (values.size - count)
         if missing > 0:
             earlier = times[0] - step * np.arange(missing, 0, -1)
@@ -146,7 +140,7 @@ class Delay:
         begin = values.size - count - needed
         if part:
             six = values[begin : begin + count + WINDOW - 1]
-            y = between_even(six, _place_of(whole), 1.0 - part)
+            y = between_even(six, place, 1.0 - part)
         else:
             y = values[begin : begin + count].copy()
         kept = max(needed, 1)

@@ -160,15 +160,11 @@ def notes(value: Any, path: str) -> Json:
     return value
 
 
-def choice(*words: str) -> Reader:
-    """Return the reader of a value that must be one of some words."""
-
-    def read(value: Any, path: str) -> str:
-        if value not in words:
-            raise ModelError(f"{path}: {value!r} is not one of {', '.join(words)}")
-        return str(value)
-
-    return read
+def choice(value: Any, path: str, words: tuple[str, ...]) -> str:
+    """Return one of some words."""
+    if value not in words:
+        raise ModelError(f"{path}: {value!r} is not one of {', '.join(words)}")
+    return str(value)
 
 
 def unless_null(read: Reader) -> Reader:
@@ -176,46 +172,35 @@ def unless_null(read: Reader) -> Reader:
     return lambda value, path: None if value is None else read(value, path)
 
 
-def listed(read: Reader) -> Reader:
-    """Return the reader of a list, as a tuple, each item by ``read``."""
-
-    def read_list(items: Any, path: str) -> tuple[Any, ...]:
-        if not isinstance(items, list):
-            raise ModelError(f"{path}: is not a list")
-        return tuple(read(item, f"{path}[{k}]") for k, item in enumerate(items))
-
-    return read_list
+def listed(items: Any, path: str, read: Reader) -> tuple[Any, ...]:
+    """Return the items of a list, each as ``read`` returns it."""
+    if not isinstance(items, list):
+        raise ModelError(f"{path}: is not a list")
+    return tuple(read(item, f"{path}[{k}]") for k, item in enumerate(items))
 
 
-numbers = listed(number)
+def numbers(items: Any, path: str) -> tuple[float, ...]:
+    """Return a list of finite numbers."""
+    return listed(items, path, number)
 
 
 def widths(items: Any, path: str) -> list[float]:
     """Return widths, of which a run of equal ones may stand once (``repeat`` and ``value``)."""
-    if not isinstance(items, list):
-        raise ModelError(f"{path}: is not a list")
     values: list[float] = []
-    for place, item in enumerate(items):
-        values += _run(item, f"{path}[{place}]")
-        if len(values) > MOST_WIDTHS:
-            raise ModelError(f"{path}: has more than {MOST_WIDTHS:,} entries")
+
+    def read(item: Any, path: str) -> None:
+        count, value = 1, item
+        if isinstance(item, dict):
+            run = build(dict, item, path, repeat=lambda count, _: count, value=number)
+            count, value = run["repeat"], run["value"]
+        if type(count) is not int or not 1 <= count <= MOST_WIDTHS - len(values):
+            raise ModelError(
+                f"{path}.repeat: is not a whole number from 1 on, or more than {MOST_WIDTHS:,} widths in all"
+            )
+        values.extend([number(value, path)] * count)
+
+    listed(items, path, read)
     return values
-
-
-def _run(item: Any, path: str) -> list[float]:
-    """Return a width, or a run of equal ones."""
-    if not isinstance(item, dict):
-        return [number(item, path)]
-
-    def repeated(repeat: int, value: float) -> list[float]:
-        if type(repeat) is not int or not 1 <= repeat <= MOST_WIDTHS:
-            raise ModelError(f"repeat: is not a whole number from 1 to {MOST_WIDTHS:,}")
-        return [value] * repeat
-
-    run: list[float] = build(
-        repeated, item, path, repeat=lambda value, _: value, value=number
-    )
-    return run
 
 
 # ---- writing ----

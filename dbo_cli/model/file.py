@@ -28,6 +28,7 @@ from dbo_cli.model.state import Held, Quantity, State
 MODEL_FORMAT = "dbo-model"
 SET_FORMAT = "dbo-model-set"
 STATE_FORMAT = "dbo-state"
+TYPES = ("backlash", "point", "scale", "dynamics", "delay")
 # equal widths in a row are written once from this many on: two are shorter as they are
 SHORTEST_RUN = 3
 
@@ -113,12 +114,12 @@ def _model(values: Any, path: str) -> Model:
         values,
         path,
         ("fit", "candidates", "provenance"),
-        direction=fields.choice("forward", "inverse"),
+        direction=partial(fields.choice, words=("forward", "inverse")),
         input=_quantity,
         output=_quantity,
-        stages=fields.listed(partial(_stage, axis=axis)),
+        stages=partial(fields.listed, read=partial(_stage, axis=axis)),
         fit=_fit,
-        candidates=fields.listed(_candidate),
+        candidates=partial(fields.listed, read=_candidate),
         provenance=fields.notes,
     )
     return model
@@ -141,21 +142,21 @@ def _quantity(values: Any, path: str) -> Any:
 
 
 def _candidate(values: Any, path: str) -> Any:
-    return build(Candidate, values, path, weight=number, stages=fields.listed(_stage))
+    stages = partial(fields.listed, read=_stage)
+    return build(Candidate, values, path, weight=number, stages=stages)
 
 
 def _stage(values: Any, path: str, axis: Axis = "input") -> Any:
     """Return a stage; ``axis`` is the side of the gears on which the voltage is."""
     rest = dict(fields.notes(values, path))
-    kind = fields.choice("backlash", "point", "scale", "dynamics", "delay")(
-        rest.pop("type", None), f"{path}.type"
-    )
+    kind = fields.choice(rest.pop("type", None), f"{path}.type", TYPES)
     if kind == "scale":
         return build(Scale, rest, path, gain=number, offset=number)
     if kind == "delay":
         return build(Delay, rest, path, seconds=number)
     if kind == "dynamics":
-        return build(Dynamics, rest, path, sections=fields.listed(_section))
+        sections = partial(fields.listed, read=_section)
+        return build(Dynamics, rest, path, sections=sections)
     table = {"dx": fields.widths, "dy": fields.widths, "x0": number, "y0": number}
     if kind == "point":
         return build(Points, rest, path, **table)

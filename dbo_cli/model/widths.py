@@ -21,27 +21,24 @@ _NARROWEST = 2.0**-42
 _LARGEST_TOLERANCE = 1.0 / 16.0  # what 64 steps of rounding are of such a width
 
 
-def checked_widths(key: str, widths: ArrayLike) -> Floats:
-    """Return a read-only copy of ``widths``; raise ModelError naming the key of what is wrong in it."""
-    values = np.array(widths, dtype=np.float64).reshape(-1)
-    if values.size == 0:
-        raise ModelError(f"{key}: is empty")
-    wrong = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
-    if wrong.size:
-        place = int(wrong[0])
-        raise ModelError(
-            f"{key}[{place}]: {float(values[place])!r} is not a finite width greater than 0"
-        )
-    values.flags.writeable = False
-    return values
-
-
 def checked_pair(
     dx: ArrayLike, dy: ArrayLike, x0: float, y0: float
 ) -> tuple[Floats, Floats]:
-    """Return both axes' widths, checked against each other and the origins."""
-    widths = checked_widths("dx", dx)
-    heights = checked_widths("dy", dy)
+    """Return read-only copies of both axes' widths; raise ModelError naming the key of what is wrong."""
+    pair = []
+    for key, widths in (("dx", dx), ("dy", dy)):
+        values = np.array(widths, dtype=np.float64).reshape(-1)
+        if values.size == 0:
+            raise ModelError(f"{key}: is empty")
+        wrong = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
+        if wrong.size:
+            place = int(wrong[0])
+            raise ModelError(
+                f"{key}[{place}]: {float(values[place])!r} is not a finite width greater than 0"
+            )
+        values.flags.writeable = False
+        pair.append(values)
+    widths, heights = pair
     if widths.size != heights.size:
         raise ModelError(f"dy: has {heights.size} entries where dx has {widths.size}")
     for key, value in (("x0", x0), ("y0", y0)):

@@ -4,15 +4,15 @@ from dbo_cli.reports.expected import Expected, expected_in, expected_of
 from dbo_cli.reports.matching import match
 from dbo_cli.reports.pair import Pair, predict
 from dbo_cli.reports.report import Report
-from dbo_cli.reports.show import show_model
+from dbo_cli.reports.show import ShownModel
 
 __all__ = [
     "Expected",
     "Pair",
     "Report",
+    "ShownModel",
     "expected_in",
     "expected_of",
     "match",
     "predict",
-    "show_model",
 ]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dbo_cli.errors import LimitError, UsageError
+from dbo_cli.errors import LimitError
 from dbo_cli.reports.expected import Expected
 from dbo_cli.reports.merits import Merits, merits
 from dbo_cli.reports.pair import Pair, scored
@@ -209,8 +209,6 @@ class Report:
         ------
         InputError
             There is nothing to compare.
-        UsageError
-            A limit is not a number of 0 or more.
         """
         logs: list[LogReport] = []
         for pair in pairs:
@@ -275,8 +273,6 @@ class Report:
 
     def render(self, form: str) -> str:
         """Return the report as ``text``, ``json``, ``csv`` or ``html``."""
-        if form not in FORMS:
-            raise UsageError(f"`format` {form}: give {', '.join(FORMS)}")
         return FORMS[form](self)
 
     def to_html(self) -> str:
@@ -344,8 +340,6 @@ def _verdicts(
         for figure, limit, behind in limits:
             if limit is None:
                 continue
-            if not 0.0 <= limit < math.inf:
-                raise UsageError(f"`max_{figure}` {limit:g}: give a number from 0")
             value = getattr(log.merits, figure)
             verdicts.append(Verdict(log.name, figure, value, limit, behind))
     return tuple(verdicts)

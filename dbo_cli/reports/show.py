@@ -19,17 +19,12 @@ APART = ("logs", "validation", "warnings", "notes")
 """Keys of ``fit`` that stand beside it in the JSON form."""
 
 
-def show_model(model: Model, name: str = "model") -> Shown:
-    """Return what is in a model, ready to be shown."""
-    return Shown(model, name)
-
-
 @dataclass(frozen=True)
-class Shown:
+class ShownModel:
     """A model to be shown under a name."""
 
     model: Model
-    name: str
+    name: str = "model"
 
     def values(self) -> dict[str, Any]:
         """Return what is in it as plain values, times in s (``dbo-show`` version 1)."""

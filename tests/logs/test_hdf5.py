@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import DboWarning, InputError
 from dbo_cli.logs.hdf5 import open_hdf5
 from dbo_cli.logs.source import Reading, Source
 from dbo_cli.logs.write import create
@@ -236,7 +236,8 @@ def test_attributes_that_are_not_applied_are_refused(
     source.close()
     scaled = Reading(scale={"voltage": "0.125"})
     source = open_hdf5(str(tmp_path / "run.h5"), "", scaled)
-    np.testing.assert_array_equal(values(source, "packed"), [0.0, 100.0, np.nan])
+    with pytest.warns(DboWarning, match="`scale`"):
+        np.testing.assert_array_equal(values(source, "packed"), [0.0, 100.0, np.nan])
     source.close()
 
 

@@ -22,7 +22,7 @@ from dbo_cli.model import (
     Relaxation,
     Resonance,
 )
-from dbo_cli.reports import Report, predict, show_model
+from dbo_cli.reports import Report, ShownModel, predict
 from dbo_cli.reports.plots import draw, model_plots, plot_model, slow_loop
 
 FIT = {
@@ -132,7 +132,7 @@ def test_figures_of_a_model(tmp_path):
     assert [plot.key for plot in plots] == ["model-loop", "model-hysteresis"]
     loop = draw(plots[0], "inline").decode()
     assert "Voltage (V)" in loop and "Displacement (µm)" in loop
-    files = show_model(model()).figures(tmp_path)
+    files = ShownModel(model()).figures(tmp_path)
     assert {path.suffix for path in files} == {".png", ".svg"}
     for path in files:
         assert path.stat().st_size > 1000
@@ -143,7 +143,7 @@ def test_figures_into_a_file_are_refused(tmp_path):
     file = tmp_path / "file"
     file.write_text("x")
     with pytest.raises(DboError, match="`figures`"):
-        show_model(model()).figures(file)
+        ShownModel(model()).figures(file)
 
 
 def test_show_as_text():
@@ -152,7 +152,7 @@ def test_show_as_text():
         Dynamics((Resonance(800.0, 0.02),)),
         Delay(0.002),
     )
-    shown = show_model(
+    shown = ShownModel(
         model(*stages, relaxation=Relaxation(0.0, (0.05, 2.0), (0.02, 0.03))), "m.json"
     )
     text = shown.text()
@@ -166,7 +166,7 @@ def test_show_as_text():
 
 def test_show_as_json():
     stages = (Dynamics((Resonance(800.0, 0.02), Lag(1e-4))), Delay(0.002))
-    content = json.loads(show_model(model(*stages)).json())
+    content = json.loads(ShownModel(model(*stages)).json())
     assert (content["format"], content["version"]) == ("dbo-show", 1)
     assert content["input"] == {
         "quantity": "voltage",
@@ -183,7 +183,7 @@ def test_show_as_json():
 
 
 def test_show_an_inverse_and_a_bare_model():
-    inverse = show_model(model().inverse())
+    inverse = ShownModel(model().inverse())
     assert "inverse model" in inverse.text()
     assert json.loads(inverse.json())["input"]["unit"] == "um"
     bare = Model(
@@ -192,5 +192,5 @@ def test_show_an_inverse_and_a_bare_model():
         Quantity("x", None, 0.0, 95.0),
         (gears(),),
     )
-    assert "expected" not in show_model(bare).text()
-    assert show_model(bare).json() == show_model(bare).json()
+    assert "expected" not in ShownModel(bare).text()
+    assert ShownModel(bare).json() == ShownModel(bare).json()
