@@ -17,7 +17,6 @@ from dbo_cli.identification.solve import Fit, Rows, solve
 
 WIDTH = 0.15  # of the score: a fit that is worse by so much weighs exp(-1)
 LEAST_WEIGHT = 1e-3
-MOST_FITS = 60
 CANDIDATES = 5  # that travel in the model file
 INVENTED_ROWS = 1500
 INVENTED_WEIGHT = 0.5  # of a row, beside one of the logs
@@ -41,7 +40,7 @@ class Average:
         scores = np.asarray([fit.score for fit in fits])
         weights = np.exp(-(scores - scores.min()) / WIDTH)
         weights /= weights.sum()
-        order = np.argsort(-weights, kind="stable")[:MOST_FITS]
+        order = np.argsort(-weights, kind="stable")
         order = order[weights[order] > LEAST_WEIGHT]
         some = weights[order] / weights[order].sum()
         return Average(tuple(fits[place] for place in order), some)

@@ -31,7 +31,7 @@ SEARCH_ROWS = 900  # of all logs: means of more
 STEADY = 0.02  # of a swing's rows, over which a mean is taken at most
 MOST_ROWS = 100_000  # of all logs at full rate: a longer log is thinned by means
 BLOCKS = 6  # of time, each left out in turn
-SMALL, TINY = 0.75, 0.4  # of the largest swing: swings below are left out together
+SMALL = 0.75  # of the largest swing: swings below are left out together
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 BOTH_WAYS = 2  # swings, up and down: less shows no loop
 NEAR_END = 0.02  # of the log's range
@@ -101,19 +101,14 @@ class Problem:
         return float(np.average(seconds, weights=weights))
 
     @cached_property
-    def smaller(self) -> list[Booleans]:
-        """Which of the fitted rows belong to smaller loops, for up to two bounds of their size."""
+    def smaller(self) -> Booleans:
+        """Which of the fitted rows belong to loops of less than three quarters of the largest."""
         sizes = []
         for log, swings in zip(self.logs, self.swings, strict=True):
             sizes.append(swings.loops[swings.number[log.rows]])
         size = np.concatenate(sizes)
-        masks: list[Booleans] = []
-        for share in (SMALL, TINY):
-            small = size < share * size.max()
-            new = not masks or not np.array_equal(small, masks[-1])
-            if new and LEAST_PART < small.mean() < MOST_PART:
-                masks.append(small)
-        return masks
+        small: Booleans = size < SMALL * size.max()
+        return small
 
     @cached_property
     def parts(self) -> list[Booleans]:
@@ -124,8 +119,9 @@ class Problem:
         count = len(self.output)
         block = np.arange(count) * BLOCKS // count
         parts = [block == number for number in range(BLOCKS)]
-        if self.swing_count > BOTH_WAYS:
-            parts += self.smaller
+        many = LEAST_PART < self.smaller.mean() < MOST_PART
+        if many and self.swing_count > BOTH_WAYS:
+            parts.append(self.smaller)
         return parts
 
     @cached_property
@@ -138,7 +134,7 @@ class Problem:
     @property
     def one_amplitude(self) -> bool:
         """Whether all swings go over one range, so that other amplitudes cannot be left out and judged."""
-        return not self.smaller and self.swing_count >= BOTH_WAYS
+        return self.smaller.mean() <= LEAST_PART and self.swing_count >= BOTH_WAYS
 
     def columns(self, structure: Structure) -> Floats:
         """Return the columns of the fitted rows; stored for each delay and bend."""
