@@ -308,7 +308,8 @@ def _refuse_thousands(
     """Refuse marks that may stand between thousands as well as before decimals (InputError)."""
     cells = [cell for row in table for cell in row]
     commas = [cell for cell in cells if "," in cell and is_number(cell, ",")]
-    if layout.decimal == "," and all(_THOUSANDS.fullmatch(cell) for cell in commas):
+    has_groups = bool(commas) and all(_THOUSANDS.fullmatch(cell) for cell in commas)
+    if layout.decimal == "," and has_groups:
         cell = commas[0]
         raise InputError(
             f"{name}: '{cell}' may be {cell.replace(',', '.')} (type `decimal` comma) or "

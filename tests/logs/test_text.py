@@ -149,6 +149,20 @@ def test_rows_of_statistics_are_no_rows(rows: int, tmp_path: Path) -> None:
     assert read(path, sample_rate=1000.0, skip_bad=True)[0].rows == rows
 
 
+@pytest.mark.parametrize("block", [1 << 9, 1 << 22])
+def test_a_torn_line_is_refused_where_the_time_is_counted(
+    block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(text, "_BLOCK", block)
+    path = tmp_path / "run.csv"
+    lines = [f"{k % 97}.5,{k % 89}.25" for k in range(8000)]
+    for place in range(7000, 7040):  # so that one begins and one ends a block
+        cut = [*lines[:place], "restarted", *lines[place:]]
+        path.write_text("\n".join(["voltage_V,position_um", *cut, ""]))
+        with pytest.raises(InputError, match=f"`rows` 1:{place}"):
+            read(path, sample_rate=1000.0, skip_bad=True)
+
+
 def test_short_and_long_rows_do_not_make_up_for_each_other(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text(
