@@ -177,8 +177,11 @@ class Log:
             raise InputError(f"{place}{more} (`skip_bad` drops such rows)")
         self._first_dropped = self._first_dropped or place
         self._dropped += count
-        numbers = numbers[good]
-        for row in self._source.torn:
+        all_numbers, numbers = numbers, numbers[good]
+        torn = list(self._source.torn)
+        if len(columns) > len(self._picks) + self.clock.is_read:
+            torn += all_numbers[bad[-1]].tolist()  # the first column alone shows them
+        for row in torn:
             is_first = not self._count and (not len(numbers) or row < numbers[0])
             if self._torn is None and not is_first:
                 self._torn = row, self._source.where(row, columns[0])
