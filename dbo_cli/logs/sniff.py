@@ -339,6 +339,8 @@ def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int
         place = next(partly, 0)
     while place > 0 and layout.partly_fits(lines[rows[place - 1]]):
         place -= 1
+    if lines[rows[min(place + 1, len(rows) - 1)]].rstrip().endswith(":"):
+        place = min(place + 2, len(rows) - 1)  # figures above "data:" are no row
     return rows[place]
 
 
