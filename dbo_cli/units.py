@@ -125,11 +125,6 @@ class Unit:
     size: Fraction
 
     @property
-    def factor(self) -> float:
-        """Its size in the base unit (``um``: 1e-6)."""
-        return float(self.size)
-
-    @property
     def base(self) -> str:
         """The base unit of its kind (``um``: ``m``); the unit itself where there is none."""
         return _BASE_OF.get(self.kind, self.text)

@@ -105,7 +105,9 @@ class DboModel:
                 count += stage.m - 1
         if self.model.dynamics is not None:
             for section in self.model.dynamics.sections:
-                count += sum(value is not None for value in vars(section).values())
+                # a lag may have no lead, a resonance no antiresonance
+                count += sum(bool(value) for value in vars(section).values())
+                count += int(getattr(section, "antiresonance", None) is not None)
         return count
 
 

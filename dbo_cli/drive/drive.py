@@ -47,7 +47,7 @@ class Drive:
         The rows of the move itself.
     rows, lead_rows, move_rows : int
         Of the whole drive, before the move, and of the move.
-    range, lead_range : list of float, or None
+    voltage_range, lead_range : list of float, or None
         Least and greatest voltage, of the whole drive and before the move.
     move_range : list of float, or None
         Least and greatest displacement of the move.
@@ -89,7 +89,7 @@ class Drive:
     rows: int = 0
     lead_rows: int = 0
     move_rows: int = 0
-    range: list[float] | None = None
+    voltage_range: list[float] | None = None
     lead_range: list[float] | None = None
     move_range: list[float] | None = None
     lead_seconds: float = 0.0
@@ -130,7 +130,7 @@ class Drive:
         if not voltage.size:
             return
         self.rows += voltage.size
-        self.range = widened(self.range, voltage)
+        self.voltage_range = widened(self.voltage_range, voltage)
         if part == "lead":
             self.lead_rows += voltage.size
             self.lead_range = widened(self.lead_range, voltage)
@@ -229,7 +229,7 @@ class Drive:
     def line(self) -> str:
         """Return what came out: ``4,910 rows, 3.1 to 96.2 V, within limits``."""
         unit = self.limits.suffix
-        low, high = self.range or (math.inf, -math.inf)
+        low, high = self.voltage_range or (math.inf, -math.inf)
         state = "within limits"
         if self.clipped:
             state = f"{self.clipped:,} {'row' if self.clipped == 1 else 'rows'} clipped"
@@ -262,7 +262,7 @@ class Drive:
             "model": self.model.digest,
             "unit": self.model.output.unit,
             "rows": self.rows,
-            "voltage_range": self.range,
+            "voltage_range": self.voltage_range,
             "move_range": self.move_range,
             "limits": self.limits.as_dict(),
             "lead": {

@@ -86,7 +86,7 @@ def _start_warnings(drive: Drive) -> list[str]:
 def _beyond(drive: Drive) -> list[str]:
     """Return a warning where the drive leaves the identified range."""
     (low, high), limits = drive.limits.identified, drive.limits
-    least, greatest = drive.range or (low, high)
+    least, greatest = drive.voltage_range or (low, high)
     if not limits.extrapolate or low <= least <= greatest <= high:
         return []
     unit = limits.suffix

@@ -232,15 +232,13 @@ def with_fewer_gears(model: Model, gears: int) -> tuple[Model, Loss | None]:
         raise UsageError(f"`gears` {gears}: give 1 to {full.n}")
     if gears == full.n:
         return forward, None
-    moved = forward.moved
-    across = np.concatenate([[0.0], np.cumsum(moved.dx)])
-    up = np.concatenate([[0.0], np.cumsum(moved.dy)])
-    ends = across[-1] * np.arange(gears + 1.0) / gears
-    heights = np.diff(np.interp(ends, across, up))
-    below = [bool(forward.empty >> gear & 1) for gear in range(full.n)]
-    begin = full.y0 + math.fsum(full.dy[np.array(below)].tolist())
-    widths = np.full(gears, across[-1] / gears)
-    fewer = Gears(widths, heights, moved.x0, begin, full.relaxation)
+    low, high = forward.moved.x_range
+    width = (high - low) / gears
+    bare = Gears(full.dx, full.dy, full.x0, full.y0)
+    sweep = low + width * np.arange(gears + 1.0)
+    up = bare.run(sweep, State(forward.empty)).y
+    widths, heights = np.full(gears, width), np.diff(up)
+    fewer = Gears(widths, heights, low, float(up[0]), full.relaxation)
     stages = tuple(
         fewer if isinstance(part, Gears) else part for part in forward.stages
     )

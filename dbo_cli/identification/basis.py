@@ -45,7 +45,7 @@ class Structure:
     delay : seconds
     bend : of the drive
     segments : of the curve
-    drift : order of the polynomial in time fitted beside the model
+    drift : whether a straight drift in time is fitted beside the model
     """
 
     slopes: str = "growing"
@@ -55,7 +55,7 @@ class Structure:
     delay: float = 0.0
     bend: float = 0.0
     segments: int = SEGMENTS
-    drift: int = 0
+    drift: bool = False
 
 
 @dataclass(frozen=True)

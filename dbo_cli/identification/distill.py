@@ -59,7 +59,7 @@ class Average:
         return [
             f"mean of {len(self.fits)} structures; the heaviest: {best.slopes} slopes and {curve},"
             f" {'creep' if best.memories else 'no creep'}, delay {best.delay:.3g} s,"
-            f" bend {best.bend:g}, drift {best.drift}"
+            f" bend {best.bend:g}, {'drift' if best.drift else 'no drift'}"
         ]
 
     def frames(self, dt: float) -> list[tuple[float, float]]:

@@ -96,7 +96,7 @@ def least_score(problem: Problem, fit: Fit) -> float:
 
 def price(problem: Problem, fit: Fit) -> float:
     """Return what the families of terms of a structure cost."""
-    families = len(fit.structure.memories) + (fit.structure.drift > 0)
+    families = len(fit.structure.memories) + fit.structure.drift
     cost = PRICE * families
     smooth = fit.structure.smooth_curve
     if np.isfinite(smooth) and not problem.one_amplitude:

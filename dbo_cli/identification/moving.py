@@ -154,7 +154,7 @@ def _around(problem: Problem, best: Fit, delay: float) -> list[Fit]:
         slopes=(structure.slopes,),
         memories=tuple(memories) if len(problem.taus) else ("",),
         bends=(structure.bend,) if structure.bend else (),
-        drifts=(structure.drift,) if structure.drift else (),
+        drift=structure.drift,
         delay=delay,
     )
     return Search(problem, choices).run()

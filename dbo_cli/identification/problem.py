@@ -158,20 +158,21 @@ class Problem:
             self._sums[bend] = sums
         return self._sums[bend]
 
-    def drift(self, order: int) -> Floats:
-        """Return a polynomial in time for each log, and an offset for each but the first; (rows, k)."""
+    def drift(self, straight: bool) -> Floats:
+        """Return offsets of all logs but the first, and straight drifts where asked for; (rows, k)."""
         owner = self.owner
-        columns = [np.zeros((len(owner), 0))]
+        columns = []
         for place, log in enumerate(self.logs):
-            mine = owner == place
             clock = log.time[log.rows]
-            middle, half = (clock[-1] + clock[0]) / 2.0, np.ptp(clock) / 2.0
-            powers = np.arange(1 if place == 0 else 0, order + 1)
-            part = np.zeros((len(owner), len(powers)))
-            scaled = (clock - middle) / max(half, 1e-300)
-            part[mine] = scaled[:, None] ** powers
-            columns.append(part)
-        return np.hstack(columns)
+            ramp = np.zeros(len(owner))
+            ramp[owner == place] = (
+                2.0 * (clock - clock.mean()) / max(np.ptp(clock), 1e-300)
+            )
+            if place:
+                columns.append((owner == place).astype(float))
+            if straight:
+                columns.append(ramp)
+        return np.array(columns).reshape(-1, len(owner)).T
 
     def rows(self, structure: Structure) -> Rows:
         """Return the rows that a structure is fitted to."""
@@ -302,7 +303,9 @@ def without_unknown_past(problem: Problem, notes: list[str]) -> Problem:
     probe = PROBE if len(problem.taus) else replace(PROBE, memories="")
     fit = solve(later.rows(probe), probe)
     columns = problem.columns(probe)[:, : problem.cells.count + len(fit.gains)]
-    error = problem.output - fit.predict(columns) - times(problem.drift(0), fit.drift)
+    error = (
+        problem.output - fit.predict(columns) - times(problem.drift(False), fit.drift)
+    )
     usual = float(np.mean(fit.error**2))
     strange = []
     for place, rows in enumerate(early):

@@ -15,21 +15,19 @@ from dbo_cli.identification.recording import Options
 from dbo_cli.identification.solve import Equations, Fit, solve
 
 RULES = ("growing", "falling")  # for the slopes
-CURVES = (np.inf, 1e1, 1e-1, 1e-4, 1e-7)
+CURVES = (np.inf, 1e1, 1e-1, 1e-4)
 SLOPE_SMOOTHNESS = (2e-1, 2e-4, 1e-8)  # the last for springs that slip at a few forces
 SMOOTHER = 10.0 ** np.arange(-2.0, 4.5, 0.5)  # of one amplitude, tried in turn
 ONE_AMPLITUDE_CURVE = 1e-1
 AS_GOOD = 1.2  # of the roughest one's error: so much may smoothness cost
 BENDS = (-0.4, -0.25, -0.12, 0.12, 0.25, 0.4)
-DRIFTS = (1, 3)
 DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
-REFINED = (0.6, 0.8, 1.25, 1.6, 0.9, 1.1, 0.95, 1.05)
+REFINED = (0.6, 0.8, 1.25, 1.6)
 """Times the best delay, tried in turn."""
 ROUNDS = (2, 1)  # of neighbours: of how many kinds of structures
 HOPELESS = 1.0  # of the score: a fit that is worse at best weighs nothing
 FEWEST_SWINGS = 4  # with fewer neither bend nor drift can be told from the loop
 ONE_WAY = 2  # swings, up and down once: a curve cannot be told from the loop, either
-SWINGS_FOR_DRIFT = 4  # of each log, for each order
 SLOWEST = 3.0  # swings: the slowest memory that a log of one amplitude can tell
 OTHER_SMOOTHNESS = (0.01, 0.1, 1.0, 10.0, 100.0)  # of the candidates of one amplitude
 
@@ -43,7 +41,7 @@ class Choices:
     smoothness: tuple[float, ...] = SLOPE_SMOOTHNESS
     curves: tuple[float, ...] = CURVES
     bends: tuple[float, ...] = BENDS
-    drifts: tuple[int, ...] = ()
+    drift: bool = False
     segments: int = SEGMENTS
     delay: float | None = None
 
@@ -53,8 +51,7 @@ def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
     choices = Choices()
     if problem.clock:
         swings = min(len(swings.sizes) for swings in problem.swings)
-        drifts = [order for order in DRIFTS if swings >= SWINGS_FOR_DRIFT * order]
-        choices = replace(choices, drifts=tuple(drifts))
+        choices = replace(choices, drift=swings >= FEWEST_SWINGS)
     if problem.swing_count < FEWEST_SWINGS:
         choices = replace(choices, bends=())
     if problem.swing_count <= ONE_WAY:
@@ -84,8 +81,6 @@ def _for_one_amplitude(problem: Problem, choices: Choices) -> tuple[Problem, Cho
         slopes=(rule,),
         memories=("", "t"),
         smoothness=(smooth,),
-        curves=CURVES[:4],
-        drifts=choices.drifts[:1],
     )
     return replace(problem, taus=fast), choices
 
@@ -192,7 +187,8 @@ class Search:
         """Fit what differs from a good fit in one thing."""
         structure, choices = fit.structure, self.choices
         trials = [replace(structure, bend=bend) for bend in (0.0, *choices.bends)]
-        trials += [replace(structure, drift=order) for order in (0, *choices.drifts)]
+        if choices.drift:
+            trials.append(replace(structure, drift=not structure.drift))
         if choices.delay is None and self.problem.clock:
             dt, swing = self.problem.dt, self.problem.swing
             for part in DELAYS:

@@ -133,7 +133,7 @@ def minimum(
     scaled = np.ascontiguousarray(matrix * scale * scale[:, None])
     goal = right * scale
     tolerance = 1e-10 * float(np.abs(goal).max())
-    for ridge in (0.0, 1e-12, 1e-10, 1e-8, 1e-6):
+    for ridge in (0.0, 1e-8):
         tried, x = states.copy(), np.zeros(len(right))
         damped = scaled
         if ridge:
@@ -151,7 +151,8 @@ def products(table: Floats) -> Floats:
     kernel.require("identification").add_products(
         np.ascontiguousarray(table), size, gram
     )
-    return np.triu(gram) + np.triu(gram, 1).T
+    below = np.tri(size, k=-1, dtype=bool)
+    return np.where(below, gram.T, gram)
 
 
 class Equations:

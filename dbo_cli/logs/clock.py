@@ -417,7 +417,7 @@ def _stated_unit(name: str, column: Column) -> str | None:
     """
     stated = column.unit
     if stated is not None and stated.lower() not in _NO_UNIT:
-        unit = time_unit(stated)
+        unit = time_unit(stated.partition(" since ")[0])  # netCDF: s since 2026-01-02
     else:
         parts = words(column.quantity)
         units = {time_unit(part) for part in parts if len(part) > 1} - {None, "min"}

@@ -82,7 +82,8 @@ class Log:
         self._skip_bad = reading.skip_bad
         self._dropped = 0
         self._first_dropped = ""
-        self._rows = 0
+        self._torn: tuple[int, str] | None = None
+        self._count = 0
 
     def provided(self, role: str) -> bool:
         """Return whether the log has a column for a role, or a clock for ``time``."""
@@ -104,7 +105,6 @@ class Log:
             A row holds no number, time goes back, or there is no row.
         """
         for block in self._blocks():
-            self._rows += len(block)
             for start in range(0, len(block), rows):
                 yield block.part(start, start + rows)
 
@@ -116,9 +116,7 @@ class Log:
         InputError
             As for ``blocks``.
         """
-        blocks = list(self._blocks())
-        self._rows = sum(map(len, blocks))
-        return Block.joined(blocks)
+        return Block.joined(list(self._blocks()))
 
     def _blocks(self) -> Iterator[Block]:
         """Read the file once, in its own blocks."""
@@ -128,14 +126,15 @@ class Log:
         time_place = len(columns) - 1
         if self._source.guard is not None and self._source.guard not in columns:
             columns.append(self._source.guard)
-        noted, row, count = len(self.remarks), 1, 0
+        noted, row = len(self.remarks), 1
         for arrays in self._source.blocks(columns):
             numbers = np.arange(row, row + len(arrays[0]))
             row += len(numbers)
             numbers, arrays = self._asked(numbers, arrays)
             numbers, arrays = self._good(numbers, arrays, columns)
-            count += len(numbers)
             if len(numbers):
+                self._refuse_torn(numbers)
+                self._count += len(numbers)
                 time, dt = self.clock.read(numbers, arrays[time_place])
                 values = {}
                 for role, array in zip(self._scales, arrays, strict=False):
@@ -144,7 +143,7 @@ class Log:
             if self._last is not None and row > self._last:
                 break
         self.doubtful += self.remarks[noted:]
-        self._finish(row - 1, count)
+        self._finish(row - 1)
 
     def _asked(self, numbers: Numbers, arrays: Arrays) -> tuple[Numbers, Arrays]:
         """Return the rows inside ``rows``."""
@@ -163,8 +162,7 @@ class Log:
         Raises
         ------
         InputError
-            A row does not, and such rows are not to be left out; or where one is left
-            out, the time of those behind it is not known.
+            A row does not, and such rows are not to be left out.
         """
         if all(map(_is_good, arrays)):
             return numbers, arrays
@@ -179,16 +177,28 @@ class Log:
             raise InputError(f"{place}{more} (`skip_bad` drops such rows)")
         self._first_dropped = self._first_dropped or place
         self._dropped += count
-        numbers = numbers[good]
-        for row in self._source.torn if self.clock.kind == "rate" else ():
-            if len(numbers) and numbers[0] < row < numbers[-1]:
-                place = self._source.where(row, columns[0])
-                raise InputError(
-                    f"{place}: the time behind it is not known: cut with `rows` {numbers[0]}:{row - 1}"
-                )
+        all_numbers, numbers = numbers, numbers[good]
+        torn = list(self._source.torn)
+        is_guarded = len(columns) > len(self._picks) + self.clock.is_read
+        if is_guarded and columns[-1].kind == "number":
+            torn += all_numbers[bad[-1]].tolist()  # the first column alone shows them
+        for row in torn:
+            is_first = not self._count and (not len(numbers) or row < numbers[0])
+            if self._torn is None and not is_first:
+                self._torn = row, self._source.where(row, columns[-1])
         return numbers, [array[good] for array in arrays]
 
-    def _finish(self, rows: int, count: int) -> None:
+    def _refuse_torn(self, numbers: Numbers) -> None:
+        """Refuse rows whose time is counted behind a line that may be no sample (InputError)."""
+        if self._torn is None or self.clock.kind != "rate":
+            return
+        row, place = self._torn
+        if numbers[-1] > row:
+            raise InputError(
+                f"{place}: the time behind it is not known: cut with `rows` {self._first}:{row - 1}"
+            )
+
+    def _finish(self, rows: int) -> None:
         """Remark on what was left out of so many rows (InputError where nothing is left)."""
         if self._dropped:
             s = "" if self._dropped == 1 else "s"
@@ -197,11 +207,11 @@ class Log:
             )
             self.remarks.append(text)
             self.doubtful.append(text)
-        if not count and self._first > rows > 0:
+        if not self._count and self._first > rows > 0:
             raise InputError(
                 f"{self.name}: `rows` {self._first}: the log has {rows:,} data rows"
             )
-        if not count:
+        if not self._count:
             raise InputError(f"{self.name}: no row holds only numbers")
         self.clock.close()
         self.remarks += self.clock.remarks
@@ -211,8 +221,8 @@ class Log:
         names = []
         for role, column in self.columns.items():
             names.append(column.name or f"column {column.number} ({role})")
-        s = "" if self._rows == 1 else "s"
-        line = f"{self.name}: {self._rows:,} row{s}, {self.clock.describe()}"
+        s = "" if self._count == 1 else "s"
+        line = f"{self.name}: {self._count:,} row{s}, {self.clock.describe()}"
         if self.clock_offset is not None:
             line += f", {self.clock_offset.describe()}"
         return f"{line}; {', '.join(names)}"
@@ -247,6 +257,7 @@ class TableLog(Log):
         self._table = table
 
     def _blocks(self) -> Iterator[Block]:
+        self._count = len(self._table)
         yield self._table
 
 

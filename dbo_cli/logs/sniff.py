@@ -301,7 +301,8 @@ def _refuse_thousands(
     """Refuse marks that may stand between thousands as well as before decimals (InputError)."""
     cells = [cell for row in table for cell in row]
     commas = [cell for cell in cells if "," in cell and is_number(cell, ",")]
-    if layout.decimal == "," and all(_THOUSANDS.fullmatch(cell) for cell in commas):
+    has_groups = bool(commas) and all(_THOUSANDS.fullmatch(cell) for cell in commas)
+    if layout.decimal == "," and has_groups:
         cell = commas[0]
         raise InputError(
             f"{name}: '{cell}' may be {cell.replace(',', '.')} (type `decimal` comma) or "
@@ -331,6 +332,8 @@ def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int
         place = next(partly, 0)
     while place > 0 and layout.partly_fits(lines[rows[place - 1]]):
         place -= 1
+    if lines[rows[min(place + 1, len(rows) - 1)]].rstrip().endswith(":"):
+        place = min(place + 2, len(rows) - 1)  # figures above "data:" are no row
     return rows[place]
 
 

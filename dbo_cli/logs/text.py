@@ -57,6 +57,7 @@ class TextSource(Source):
         self._stream = stream
         self._encoding = ""
         self._decoder: Any = None
+        self._ends_in_cr = False
         self._ended = False
         self._seen = 0  # bytes of rows
         try:
@@ -83,8 +84,7 @@ class TextSource(Source):
             head += data
             if self._ended or (self._stream.is_pipe and self._is_enough(head, reading)):
                 break
-        if b"\r" in head and b"\n" not in head:
-            raise InputError(f"{self.name}: its lines end in CR: convert them to LF")
+        self._ends_in_cr = b"\r" in head[:-1] and b"\n" not in head  # Igor's do
         self._encoding = _find_encoding(self.name, head, reading.encoding)
         if self._encoding not in _ASCII:
             self._decoder = codecs.getincrementaldecoder(self._encoding)("replace")
@@ -109,7 +109,9 @@ class TextSource(Source):
         """Turn bytes into a superset of ASCII with plain line ends."""
         if self._decoder is not None:
             data = self._decoder.decode(data, final=self._ended).encode()
-        return data.replace(b"\r\n", b"\n") if b"\r" in data else data
+        if b"\r" in data:
+            data = data.replace(b"\r\n", b"\n")
+        return data.replace(b"\r", b"\n") if self._ends_in_cr else data
 
     def _lines_of(self, text: bytes) -> list[str]:
         encoding = "utf-8" if self._decoder else self._encoding

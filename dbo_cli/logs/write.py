@@ -161,11 +161,13 @@ class Outputs:
                 for file in self._files:
                     file.rename()
         finally:
-            for writer in self._writers:
-                with contextlib.suppress(Exception):
-                    writer.close()
-            for file in self._files:
-                file.remove()
+            try:
+                for writer in self._writers:
+                    with contextlib.suppress(Exception):
+                        writer.close()
+            finally:  # a library may raise an interrupt a second time
+                for file in self._files:
+                    file.remove()
 
 
 class Output:

@@ -34,21 +34,18 @@ def check_order(stages: Sequence[Stage], direction: Direction) -> None:
         raise ModelError("stages: one of type backlash is missing")
     if len(gears) > 1:
         raise ModelError(f"stages[{gears[1]}]: a second backlash stage")
-    turned = stages[gears[0]]
-    on = "input" if direction == "forward" else "output"
-    if isinstance(turned, Gears) and turned.on != on:
-        raise ModelError(
-            f"stages[{gears[0]}].relaxation.on: must be {on!r} in this direction"
-        )
-    places = list(range(len(stages)))
-    sign = 1.0
+    places, sign, on = list(range(len(stages))), 1.0, "input"
     if direction == "inverse":
         places.reverse()
-        sign = -1.0
+        sign, on = -1.0, "output"
     beyond = 0
     for place in places:
         stage = stages[place]
         rank = 0
+        if isinstance(stage, Gears) and stage.on != on:
+            raise ModelError(
+                f"stages[{place}].relaxation.on: must be {on!r} in this direction"
+            )
         if isinstance(stage, Dynamics):
             rank = 1
         elif isinstance(stage, Delay):

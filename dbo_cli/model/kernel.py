@@ -10,8 +10,6 @@ from dbo_cli.errors import DboError, warn
 INTERFACE = 2
 """Of the extension's functions, as ``_kernel.c`` has it: raised with every change of their arguments."""
 
-_REBUILD = "build it again with `pip install -e .` in the checkout"
-
 
 def _load() -> Any:
     """Return the extension, or None where it was not built.
@@ -26,7 +24,9 @@ def _load() -> Any:
     except ImportError:
         return None
     if getattr(_kernel, "INTERFACE", None) != INTERFACE:
-        raise DboError(f"the compiled part is of another version: {_REBUILD}")
+        raise DboError(
+            "the compiled part is of another version: build it again with `pip install -e .` in the checkout"
+        )
     return _kernel
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,8 +21,7 @@ Held = tuple[tuple[float, ...], tuple[float, ...]]
 # what undoing dynamics and delay remembers: the step (s) of its clock, (y, a, b) of each
 # section, and the last two values wanted, for the delay
 Undoing = tuple[float, SectionStates, tuple[float, ...]]
-StartName = Literal["auto", "empty", "full", "settled"]
-START_NAMES: tuple[StartName, ...] = ("auto", "empty", "full", "settled")
+START_NAMES = ("auto", "empty", "full", "settled")
 
 _EVEN = 1e-6  # of a step: stamps this near to an even clock are one
 # of a step: decimals no coarser than this are the rounding of an even clock

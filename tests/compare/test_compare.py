@@ -8,7 +8,21 @@ import numpy as np
 import pytest
 
 from dbo_cli.compare import Comparison, Row, compare
+from dbo_cli.compare.compare import DboModel
 from dbo_cli.identification import Recording
+from dbo_cli.model import (
+    Delay,
+    Dynamics,
+    Gears,
+    Lag,
+    Mode,
+    Model,
+    Points,
+    Quantity,
+    Relaxation,
+    Resonance,
+    Scale,
+)
 
 KEYS = """name words rmse expected_rmse validation_rmse parameters forward_ns inverse_ns
 refused""".split()
@@ -70,6 +84,18 @@ def test_a_row_says_why_there_is_none():
     assert "clock" in rate.refused and rate.rmse is None
     assert f"rate: {rate.refused}" in first.text()
     assert all(row.validation_rmse is None for row in first.rows)
+
+
+def test_the_numbers_of_the_dbo_are_counted():
+    memory = Relaxation(0.0, (0.1, 1.0), (0.01, 0.01))
+    gears = Gears([1.0, 2.0, 3.0], [1.0, 2.0, 6.0], 0.0, 0.0, memory)  # two slopes
+    points = Points([3.0, 3.0, 3.0], [2.0, 3.0, 4.0])
+    moving = Dynamics((Lag(1e-3), Resonance(100.0, 0.1, Mode(80.0, 0.1))))
+    stages = (gears, points, Scale(2.0, 1.0), moving, Delay(0.1))
+    sides = (Quantity("voltage", "V", 0.0, 6.0), Quantity("displacement", "um", 0, 9))
+    model = DboModel(Model("forward", *sides, stages))
+    # slopes, offset, delay, memories, knots, a lag and two modes
+    assert model.parameters == 2 + 1 + 1 + 2 + 2 + 1 + 4
 
 
 def test_a_table_of_refusals_is_a_table():

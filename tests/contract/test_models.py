@@ -190,13 +190,6 @@ def test_an_error_in_a_set_names_model_and_key() -> None:
     assert "y" in error and "stages[0].dx[0]" in error
 
 
-def test_a_set_of_the_library() -> None:
-    models = dbo_cli.read_model(model("set"))
-    assert list(models) == ["x", "y"]
-    assert models["x"].simulate([0.0, 5.0]).tolist() == [1.0, 4.2]
-    assert dbo_cli.read_model(f"{model('set')}::y").output.max == 12.0
-
-
 # --- show ---
 
 

@@ -148,15 +148,19 @@ def test_codes_of_fewer_bits(drive_file: Path) -> None:
 
 def test_keysight_arb_is_text(drive_file: Path) -> None:
     text = waveform("keysight-arb", "d.arb", "--gain", 20).decode()
-    assert "1000" in text
-    body = [line for line in text.splitlines() if line.lstrip("-").isdigit()]
-    assert len(body) == 1000
-    assert max(map(int, body)) <= 32767
+    head, body = text.split("Data:\r\n")
+    assert head.startswith("File Format:1.10\r\n")
+    assert "Sample Rate:1000\r\n" in head and "High Level:4.5\r\n" in head
+    codes = [int(line) for line in body.split()]
+    assert (len(codes), min(codes), max(codes)) == (1000, -32767, 32767)
 
 
 def test_pi_gcs_is_text(drive_file: Path) -> None:
-    text = waveform("pi-gcs", "d.txt", "--gain", 20).decode()
-    assert "WAV" in text or "PI_CSV" in text.upper() or len(text.splitlines()) > 999
+    lines = waveform("pi-gcs", "d.txt", "--gain", 20).decode().splitlines()
+    assert lines[0].startswith("WAV 1 X PNT 1 10 0.5 ")
+    assert lines[1].startswith("WAV 1 & PNT 11 10 ")
+    points = [float(word) for line in lines for word in line.split()[6:]]
+    np.testing.assert_allclose(points, DRIVE / 20.0, rtol=1e-12)
 
 
 def test_another_number_of_points(drive_file: Path) -> None:

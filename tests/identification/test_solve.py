@@ -73,6 +73,19 @@ def test_bounded_problem_meets_its_conditions() -> None:
         assert (gradient[ended == AT_ZERO] > -1e-8 * np.abs(right).max()).all()
 
 
+@pytest.mark.parametrize("width", [5.0, 20.0, 40.0])
+def test_unknowns_that_are_alike_are_solved(width: float) -> None:
+    rng = np.random.default_rng(1)
+    place = np.arange(130.0)
+    matrix = np.exp(-(((place[:, None] - place) / width) ** 2)) + 1e-9 * np.eye(130)
+    right = matrix @ np.maximum(rng.standard_normal(130), 0.0)
+    right += 1e-6 * rng.standard_normal(130)
+    x, states = minimum(matrix, right, np.full(130, POSITIVE, np.uint8))
+    gradient = matrix @ x - right
+    assert x.min() >= 0.0 and gradient.min() > -1e-9
+    assert np.abs(gradient[states == POSITIVE]).max() < 1e-9
+
+
 def test_products_are_those_of_numpy() -> None:
     table = np.random.default_rng(1).normal(size=(301, 23))
     assert np.allclose(products(table), table.T @ table, rtol=1e-12)
@@ -156,7 +169,16 @@ def test_slopes_keep_their_floor() -> None:
 def test_turning_points_and_swings() -> None:
     drive = np.asarray([0.0, 1.0, 2.0, 1.9, 2.1, 0.0, 0.0, 1.0])
     assert turning_points(drive, 0.5).tolist() == [0, 4, 6, 7]
-    assert Swings.of(drive).sizes.tolist() == [2.1, 2.1, 1.0]
+    swings = Swings.of(drive)
+    assert swings.sizes.tolist() == [2.1, 2.1, 1.0]
+    assert swings.loops.tolist() == [2.1, 2.1, 2.1]  # the last one is broken off
+
+
+@pytest.mark.parametrize("periods", [4.0, 4.8, 5.2])
+def test_where_a_log_ends_makes_no_other_amplitude(periods: float) -> None:
+    drive = 50.0 - 50.0 * np.cos(2.0 * np.pi * periods * np.linspace(0.0, 1.0, 2000))
+    log = Recording("log", drive, hysteresis(drive), np.arange(2000) / 200.0)
+    assert prepare([log], Options()).one_amplitude
 
 
 def test_groups_of_rows() -> None:
@@ -164,3 +186,9 @@ def test_groups_of_rows() -> None:
     begins, ends = groups_of(rows, 3, 3)
     assert begins.tolist() == [0, 3, 6, 9] and ends.tolist() == [3, 5, 9, 10]
     assert means(np.arange(10.0), begins, ends).tolist() == [1.0, 3.5, 7.0, 9.0]
+
+
+def test_groups_of_rows_are_not_in_step_with_a_log() -> None:
+    begins, ends = groups_of(np.ones(1000, bool), 5, 1)
+    assert np.array_equal(begins // 5, np.arange(200))
+    assert np.bincount(begins % 5).min() >= 35 and np.all(ends - begins == 1)

@@ -95,7 +95,7 @@ def test_large_files_of_many_ways(change: Callable[[str], str], tmp_path: Path) 
         ("20.000,inf,20000.25", 20002, "'voltage_V'"),
         ("20.000,nan,20000.25", 20002, "'voltage_V'"),
         ("20.000,9.9E37,20000.25", 20002, "'voltage_V'"),
-        ('20.000,",20000.25', 20002, "1 cell where"),
+        ('20.000,",20000.25', 20002, "'voltage_V'"),
         ("20.000,1_000,20000.25", 20002, "'voltage_V'"),
         ("20.000,1,5,20000.25", 20002, "4 cells where"),
         (HEAD.strip(), 20002, "'voltage_V'"),
@@ -147,6 +147,20 @@ def test_rows_of_statistics_are_no_rows(rows: int, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"run.csv:{rows + 2}: .*'Mean'"):
         read(path, sample_rate=1000.0)
     assert read(path, sample_rate=1000.0, skip_bad=True)[0].rows == rows
+
+
+@pytest.mark.parametrize("block", [1 << 9, 1 << 22])
+def test_a_torn_line_is_refused_where_the_time_is_counted(
+    block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(text, "_BLOCK", block)
+    path = tmp_path / "run.csv"
+    lines = [f"{k % 97}.5,{k % 89}.25" for k in range(8000)]
+    for place in range(7000, 7040):  # so that one begins and one ends a block
+        cut = [*lines[:place], "restarted", *lines[place:]]
+        path.write_text("\n".join(["voltage_V,position_um", *cut, ""]))
+        with pytest.raises(InputError, match=f"`rows` 1:{place}"):
+            read(path, sample_rate=1000.0, skip_bad=True)
 
 
 def test_short_and_long_rows_do_not_make_up_for_each_other(tmp_path: Path) -> None:
@@ -287,7 +301,8 @@ def test_rows_above_the_table_are_not_passed_over(tmp_path: Path) -> None:
 def test_cells() -> None:
     assert split_cells('"a, b", c ,"d"', ",") == ["a, b", "c", "d"]
     assert split_cells('1"2"3,4', ",") == ['1"2"3', "4"]
-    assert split_cells('1,"4', ",") == ['1,"4']
+    assert split_cells('1,"4', ",") == ["1", '"4']
+    assert split_cells('t,"DB".Drive [V]', ",") == ["t", '"DB".Drive [V]']
     assert split_cells(' 1 \t "2 3"  4 ', " ") == ["1", "2 3", "4"]
     assert to_number("1.5D-3", ".") == 0.0015
     assert np.isnan(

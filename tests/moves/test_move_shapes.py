@@ -106,6 +106,15 @@ def test_a_staircase_holds_its_levels():
     assert rows.tolist() == [202, 202, 202, 202, 101]
 
 
+def test_a_rise_is_one_period_of_a_sine_in_acceleration():
+    options = {"rate": RATE, "range": (0.0, 1.0), "steps": 1, "dwell": 0.01}
+    rise = trajectory("staircase", bandwidth=10.0, **options).axes[0][10:111]
+    bend = np.sin(2.0 * np.pi * np.arange(1, 100) / 100.0)
+    found = np.diff(rise, 2)
+    np.testing.assert_allclose(found, found.max() * bend, atol=1e-12)
+    assert rise[0] == 0.0 and rise[50] == pytest.approx(0.5) and rise[-1] == 1.0
+
+
 def test_a_spiral_goes_from_the_middle_to_the_edge_at_even_turns():
     made = trajectory("spiral", rate=RATE, range=ENDS, frequency=5.0, duration=4.0)
     x, y = made.axes

@@ -110,12 +110,3 @@ def test_a_constant_drive_needs_volts():
         made("wav", np.full(5, 3.0))
     written = made("wav", np.full(5, 3.0), volts=(0.0, 6.0))
     assert written.volts == pytest.approx(3.0, abs=1e-4)
-
-
-def test_the_text_of_commands_and_headers():
-    commands = made("pi-gcs").data.decode().splitlines()
-    assert commands[0].startswith("WAV 1 X PNT 1 10 10 ")
-    assert commands[1].startswith("WAV 1 & PNT 11 10 ")
-    head = made("keysight-arb").data.decode().split("\r\n")
-    assert head[0] == "File Format:1.10"
-    assert "Sample Rate:1000" in head and "High Level:90" in head
