@@ -116,7 +116,7 @@ class ArraySource(Source):
     ----------
     path
         The file, for messages.
-    found
+    members
         Its columns.
     statements
         What it states beside them of the sample rate and the first row's time.
@@ -137,12 +137,12 @@ class ArraySource(Source):
         for column in members:
             self.add(column)
 
-    def add(self, members: StoredColumn) -> Column:
+    def add(self, stored: StoredColumn) -> Column:
         """Add a column."""
-        unit = spell(members.unit) or split_header(members.name.rsplit("/", 1)[-1])[1]
-        column = Column(len(self.columns) + 1, members.name, unit, members.kind)
+        unit = spell(stored.unit) or split_header(stored.name.rsplit("/", 1)[-1])[1]
+        column = Column(len(self.columns) + 1, stored.name, unit, stored.kind)
         self.columns.append(column)
-        self._members.append(members)
+        self._members.append(stored)
         return column
 
     def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
@@ -189,12 +189,12 @@ class ArraySource(Source):
         self._close()
 
 
-def array_columns(name: str, array: Any, unit: str | None = None) -> list[StoredColumn]:
+def array_columns(name: str, array: Any) -> list[StoredColumn]:
     """Take a vector, a matrix (its longer axis is time) or records apart; nothing for text."""
     columns: list[StoredColumn] = []
     if array.dtype.names is not None:
         for label in array.dtype.names:
-            columns += array_columns(label, array[label], unit)
+            columns += array_columns(label, array[label])
         return columns
     if array.dtype.kind not in "fiubM" or array.ndim not in (1, 2) or not array.size:
         return []
@@ -206,7 +206,7 @@ def array_columns(name: str, array: Any, unit: str | None = None) -> list[Stored
     for number in range(width):
         label = f"{name}[{number + 1}]" if name and width > 1 else name
         fetch = rows_of(table[:, number])
-        columns.append(StoredColumn(label, rows, fetch, unit, kind))
+        columns.append(StoredColumn(label, rows, fetch, kind=kind))
     return columns
 
 
@@ -443,15 +443,9 @@ _PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
 _PICKLED = "Python pickles are not read (they can run code): df.to_parquet(), or dbo.identify(df)"
 _JSON = "JSON is not read: pandas.read_json(FILE).to_csv(OUT, index=False)"
 _EXPORT = "this format is not read: export it as CSV"
+_NO_HDF5 = "this is no HDF5 file: write it again, or look at its name"
 _REFUSED = {
-    ".pkl": _PICKLED,
-    ".pickle": _PICKLED,
-    ".json": _JSON,
-    ".jsonl": _JSON,
-    ".uff": _EXPORT,
-    ".unv": _EXPORT,
-    ".itx": _EXPORT,
-    ".h5": "this is no HDF5 file: write it again, or look at its name",
-    ".hdf5": "this is no HDF5 file: write it again, or look at its name",
-}
+    ".pkl": _PICKLED, ".pickle": _PICKLED, ".json": _JSON, ".jsonl": _JSON,
+    ".uff": _EXPORT, ".unv": _EXPORT, ".itx": _EXPORT, ".h5": _NO_HDF5, ".hdf5": _NO_HDF5,
+}  # fmt: skip
 """By suffix, what to do with a file of a format that is not read."""
