@@ -29,6 +29,8 @@ Fetch = Callable[[int, int], Any]
 
 PLAIN_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".lvm", ".gz", "")
 STRETCH = 1 << 19  # rows that polars hands out at once
+MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
+                  "uint32", "uint64", "logical")  # fmt: skip
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
@@ -215,7 +217,7 @@ def rows_of(stored: Any) -> Fetch:
     return lambda start, stop: stored[start:stop]
 
 
-def source_of(path: str, arrays: Mapping[str, Any], advice: str = "") -> Source:
+def source_of(path: str, arrays: Mapping[str, Any]) -> Source:
     """Return a source of arrays by name; a single value beside longer ones is a statement."""
     members: list[StoredColumn] = []
     statements: list[Statement] = []
@@ -229,7 +231,7 @@ def source_of(path: str, arrays: Mapping[str, Any], advice: str = "") -> Source:
         contents = [
             f"{name} ({np.asarray(array).dtype})" for name, array in arrays.items()
         ]
-        raise no_columns(path, contents, advice)
+        raise no_columns(path, contents)
     return ArraySource(path, members, statements)
 
 
@@ -278,18 +280,27 @@ def open_zip(path: str, part: str, reading: Reading) -> Source:
 
 
 def open_matlab(path: str, part: str, reading: Reading) -> Source:
-    """Open a MATLAB file before version 7.3: vectors, and columns of matrices (InputError)."""
+    """Open a MATLAB file before version 7.3: vectors, and columns of matrices (InputError).
+
+    Structs and objects are not even loaded: scipy ends the process at damaged ones.
+    """
     import scipy.io
 
     _refuse_part(path, part)
+    arrays: dict[str, Any] = {}
     with fenced(path, "MATLAB"):
         try:
-            stored = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
+            contents = scipy.io.whosmat(path)
+            names = [name for name, _, kind in contents if kind in MATLAB_NUMBERS]
+            if names:
+                arrays = scipy.io.loadmat(path, squeeze_me=True, variable_names=names)
         except (IndexError, EOFError):
             raise ValueError("it ends early") from None
-    arrays = {name: value for name, value in stored.items() if name[:2] != "__"}
-    advice = " (structs and objects are not read: save('run.mat', '-struct', 'NAME') saves the fields)"
-    return source_of(path, arrays, advice)
+    if not arrays:
+        listed = [f"{name} ({kind})" for name, _, kind in contents]
+        advice = ": save('run.mat', '-struct', 'NAME') saves the fields of a struct"
+        raise no_columns(path, listed, advice)
+    return source_of(path, {n: a for n, a in arrays.items() if n[:2] != "__"})
 
 
 # --- Parquet and Feather ---
