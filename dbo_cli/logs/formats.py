@@ -438,6 +438,9 @@ def _channels(groups: Sequence[Any]) -> tuple[list[StoredColumn], list[Statement
                 for key in ("wf_increment", "wf_start_offset"):
                     if isinstance(stated.get(key), int | float):
                         statements.append((key, stated[key], "s"))
+                if isinstance(stated.get("wf_start_time"), np.datetime64):
+                    start = stated["wf_start_time"].astype("datetime64[us]")
+                    statements.append(("wf_start_time", start.astype(int) / 1e6, "s"))
     return members, statements
 
 

@@ -33,7 +33,7 @@ MOST_HOPS = 16  # soft links behind each other; more are a circle
 CHUNK_CACHE = 1 << 22
 _NOT_APPLIED = {
     "scale_factor": 1.0, "add_offset": 0.0, "scale": 1.0, "offset": 0.0, "gain": 1.0, "factor": 1.0,
-    "sensitivity": 1.0, "calibration": 1.0, "YInc": 1.0,
+    "sensitivity": 1.0, "calibration": 1.0, "conversion": 1.0, "scaling_factor": 1.0, "YInc": 1.0,
 }  # fmt: skip
 _EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
 
@@ -104,7 +104,7 @@ class Hdf5Source(ArraySource):
                 prefix = f"{group.path}/" if len(chosen) > 1 else ""
                 members.append(replace(column, name=prefix + column.name))
         above = groups[0].statements or _attributes(file)
-        statements = chosen[0].statements or above
+        statements = [text for group in chosen for text in group.statements] or above
         super().__init__(path, members, statements, file.close)
         if len(chosen) > 1:
             self.hint = f" (or one group alone: {path}::{chosen[0].path})"
@@ -231,21 +231,24 @@ def _column(
         values = _attribute(node, key)
         if len(values) == 1 and values[0] != nothing:
             problem = f"has an attribute {key}, {values[0]}, which is not applied: type `scale` ROLE=FACTOR"
+    for beside in (f"{dataset.name}_scaling_factor", f"{dataset.name}_offset"):
+        if beside in dataset.file:  # NeXus
+            problem = f"has {beside} beside it, which is not applied: type `scale` ROLE=FACTOR"
     units = _texts(dataset, "units", "unit", "Units", "Unit")
     if len(units) == 1:
         units = units * (number + 1)
     unit = units[number] if number < len(units) else None
-    fill = _attribute(dataset, "_FillValue")
-    fetch = _without(rows, fill[0]) if len(fill) == 1 else rows
+    missing = _attribute(dataset, "_FillValue") + _attribute(dataset, "missing_value")
+    fetch = _without(rows, missing) if missing else rows
     return StoredColumn(name, length, fetch, unit, problem=problem)
 
 
-def _without(rows: Fetch, fill: Any) -> Fetch:
+def _without(rows: Fetch, missing: Sequence[float]) -> Fetch:
     """Make NaN of what stands where a number is missing."""
 
     def fetch(start: int, stop: int) -> Any:
         stored = np.asarray(rows(start, stop), dtype=np.float64)
-        return np.where(stored == fill, np.nan, stored)
+        return np.where(np.isin(stored, missing), np.nan, stored)
 
     return fetch
 
