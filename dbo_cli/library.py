@@ -481,10 +481,9 @@ def report(
         drive = None if voltage is None else floats(voltage, "voltage")
         pair = Pair(name, values, moved, clock, drive, rows)
         return Report.of([pair], unit=unit, **options)
-    actuator, start = model.actuator, model._state(state)
-    pair = predict(
-        actuator, values, moved, name=name, time=clock, state=start, rows=rows
-    )
+    actuator = model.actuator
+    recording = Pair(name, moved, moved, clock, values, rows)
+    pair = predict(recording, actuator, model._state(state))
     return Report.of(
         [pair],
         unit=actuator.output.unit,

@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import OUTPUT, Text, column, flag, option, rare
-from dbo_cli.cli.say import detail, say
+from dbo_cli.cli.say import detail, say, say_doubts
 from dbo_cli.errors import InputError, UsageError, warn
 
 if TYPE_CHECKING:
-    from dbo_cli.logs import Block
-    from dbo_cli.model import Model
-    from dbo_cli.reports import Pair
+    from dbo_cli.reports import Pair, Report
 
 COMPARED, BOUNDS = "Comparison", "Bounds (exit 3)"
 Columns = dict[str, str | None]
@@ -72,9 +70,10 @@ def report(
     Examples: dbo report uncompensated.csv compensated.csv -o report.html;
     dbo report tracked.csv --trajectory drive.csv --max-nrmse-percent 1
     """
-    from dbo_cli.logs import parse_rows, write_text
+    from dbo_cli.logs import parse_rows
     from dbo_cli.model import read_model
-    from dbo_cli.reports import Report, expected_in
+    from dbo_cli.reports import Report, expected_in, predict
+    from dbo_cli.reports import match as matched
 
     if model is not None and trajectory is not None:
         raise UsageError("give either `model` or `trajectory`")
@@ -85,21 +84,27 @@ def report(
     # a lag, a model and a match by rows need the rows around those that count
     rows = None if reading.rows is None else parse_rows(reading.rows)
     reading = dataclasses.replace(reading, rows=None)
-    roles = {"time": time, "measured": measured, "voltage": voltage}
-    actuator = None
-    if model is not None:
-        actuator = read_model(model)
-        actuator.require("forward", model)
+    roles: Columns = {"time": time, "measured": measured, "voltage": voltage}
+    units: Units = {}
+    actuator = None if model is None else read_model(model)
+    if actuator is not None:
+        actuator.require("forward", model or "")
+        units = opt.units_of(voltage=actuator.input, measured=actuator.output)
         start = opt.state_of(state, actuator)
-        pairs, units = predicted(logs, reading, roles, actuator, start, model)
     elif trajectory is not None:
-        pairs, units = followed(logs, reading, roles, trajectory, desired, match)
+        wanted, unit = read_trajectory(trajectory, desired)
+        units = {} if unit is None else {"measured": unit}
     else:
         roles["desired"] = desired
-        pairs, units = side_by_side(logs, reading, roles)
-    for number, pair in enumerate(pairs):
-        name = short_name(pair.name, logs)
-        pairs[number] = dataclasses.replace(pair, name=name, rows=rows)
+    pairs = []
+    for log in logs:
+        pair, log_units = read_pair(log, reading, roles, units, model is not None)
+        units = {**log_units, **units}
+        if actuator is not None:
+            pair = predict(pair, actuator, start, model or "")
+        elif trajectory is not None:
+            pair = matched(pair, *wanted, match, trajectory)
+        pairs.append(dataclasses.replace(pair, name=short_name(log, logs), rows=rows))
     unit = units.get("measured")
     result = Report.of(
         pairs,
@@ -114,7 +119,14 @@ def report(
         model=actuator,
         command=shlex.join(["dbo", *sys.argv[1:]]),
     )
-    write_text(output, result.render(opt.form_of(form, output)))
+    publish(result, output, opt.form_of(form, output), figures)
+
+
+def publish(result: Report, output: str, form: str, figures: str | None) -> None:
+    """Write a report and its figures, say what came out, and refuse a bound that is missed."""
+    from dbo_cli.logs import write_text
+
+    write_text(output, result.render(form))
     if figures is not None:
         detail(*map(str, result.figures(figures)))
     if output != "-":
@@ -125,108 +137,46 @@ def report(
     result.require_passed()
 
 
-def read(
-    path: str, reading: opt.Reading, roles: Columns, units: Units, *optional: str
-) -> tuple[Block, Units]:
-    """Return a whole log, and the units of its columns."""
+def read_pair(
+    path: str, reading: opt.Reading, roles: Columns, units: Units, needs_drive: bool
+) -> tuple[Pair, Units]:
+    """Read a log, a desired displacement beside the measured one in its unit; return the units, too."""
     from dbo_cli.logs import open_log
-
-    with open_log(path, roles, reading, units, ("time", *optional)) as log:
-        table = log.read()
-        columns = {role: entry for role, entry in log.columns.items() if role != "time"}
-    for doubt in log.doubtful:
-        warn(f"{path}: {doubt}")
-    detail(*log.remarks)
-    return table, opt.units_of(**columns)
-
-
-def predicted(
-    logs: list[str],
-    reading: opt.Reading,
-    roles: Columns,
-    actuator: Model,
-    state: Any,
-    name: str,
-) -> tuple[list[Pair], Units]:
-    """Read logs of drive and displacement, and run the model over the drive."""
-    from dbo_cli.reports import predict
-
-    units = opt.units_of(voltage=actuator.input, measured=actuator.output)
-    pairs = []
-    for log in logs:
-        table, _ = read(log, reading, roles, units)
-        pair = predict(
-            actuator,
-            table["voltage"],
-            table["measured"],
-            name=log,
-            time=table.time,
-            state=state,
-            model_name=name,
-        )
-        pairs.append(pair)
-    return pairs, units
-
-
-def followed(
-    logs: list[str],
-    reading: opt.Reading,
-    roles: Columns,
-    trajectory: str,
-    desired: str | None,
-    match_by: str,
-) -> tuple[list[Pair], Units]:
-    """Read measured logs and the trajectory that they should have followed."""
-    from dbo_cli.logs import Reading
-    from dbo_cli.reports import match
-
-    wish = {"time": None, "trajectory": desired}
-    wanted, wish_units = read(trajectory, Reading(), wish, {})
-    units = {}
-    if "trajectory" in wish_units:
-        units["measured"] = wish_units["trajectory"]
-    pairs = []
-    for log in logs:
-        table, log_units = read(log, reading, roles, units, "voltage")
-        units = log_units
-        pair = match(
-            log,
-            table["measured"],
-            wanted["trajectory"],
-            measured_time=table.time,
-            desired_time=wanted.time,
-            match=match_by,
-            trajectory_name=trajectory,
-            voltage=table.values.get("voltage"),
-        )
-        pairs.append(pair)
-    return pairs, units
-
-
-def side_by_side(
-    logs: list[str], reading: opt.Reading, roles: Columns
-) -> tuple[list[Pair], Units]:
-    """Read logs of desired and measured displacement, in the unit of the first desired one."""
     from dbo_cli.reports import Pair
     from dbo_cli.units import conversion
 
-    units: Units = {}
-    pairs = []
-    for log in logs:
-        table, log_units = read(log, reading, roles, units, "voltage")
-        unit = log_units.get("desired", log_units.get("measured"))
-        try:
-            factor = conversion(log_units.get("measured"), unit)
-        except InputError as problem:
-            raise InputError(
-                f"{log}: measured and desired: {problem}: choose `measured` and `desired`"
-            ) from None
-        if unit is not None:
-            log_units["measured"] = unit
-        units = units or log_units
-        moved, drive = factor * table["measured"], table.values.get("voltage")
-        pairs.append(Pair(log, table["desired"], moved, table.time, drive))
-    return pairs, units
+    optional = ("time",) if needs_drive else ("time", "voltage")
+    with open_log(path, roles, reading, units, optional) as log:
+        table = log.read()
+        columns = {role: entry for role, entry in log.columns.items() if role != "time"}
+    say_doubts(log)
+    detail(*log.remarks)
+    read_units = opt.units_of(**columns)
+    moved, drive = table["measured"], table.values.get("voltage")
+    if "desired" not in roles:
+        return Pair(path, moved, moved, table.time, drive), read_units
+    unit = read_units.get("desired", read_units.get("measured"))
+    try:
+        moved = conversion(read_units.get("measured"), unit) * moved
+    except InputError as problem:
+        raise InputError(
+            f"{path}: measured and desired: {problem}: choose `measured` and `desired`"
+        ) from None
+    if unit is not None:
+        read_units["measured"] = unit
+    return Pair(path, table["desired"], moved, table.time, drive), read_units
+
+
+def read_trajectory(
+    path: str, column: str | None
+) -> tuple[tuple[Any, Any], str | None]:
+    """Read the desired displacement of a file of its own: its values and time, and its unit."""
+    from dbo_cli.logs import open_log
+
+    with open_log(path, {"time": None, "trajectory": column}) as log:
+        table = log.read()
+    say_doubts(log)
+    return (table["trajectory"], table.time), log.columns["trajectory"].unit
 
 
 def short_name(log: str, logs: list[str]) -> str:

@@ -60,10 +60,15 @@ def say_logs(logs: Sequence[Any], rows: int, behind: str = "") -> None:
 
 
 def say_log(log: Any) -> None:
-    """Print what was read; warn of rows that were left out, cut or guessed."""
+    """Print what was read, and warn of what is doubtful."""
+    say_doubts(log)
+    say_logs([log], 0)
+
+
+def say_doubts(log: Any) -> None:
+    """Warn of rows that were left out, cut or guessed."""
     for doubt in log.doubtful:
         warn(f"{log.name}: {doubt}")
-    say_logs([log], 0)
 
 
 def detail(*texts: str) -> None:

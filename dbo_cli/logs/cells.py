@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import re
 from collections.abc import Sequence
@@ -50,16 +51,17 @@ def split_cells(line: str, delimiter: str) -> list[str]:
     """
     if delimiter == " ":  # no-break blanks stand between thousands
         return [word.strip('"') for word in re.findall(r'"[^"]*"|[^ \t\r]+', line)]
-    if '"' not in line:
-        return [cell.strip() for cell in line.split(delimiter)]
-    # blanks may stand in front of a quote
-    reader = csv.reader(
-        [line.strip(" \r")], delimiter=delimiter, skipinitialspace=True, strict=True
-    )
-    try:
-        return [cell.strip() for cell in next(reader)]
-    except csv.Error:  # a quote without its end
-        return [line]
+    cells = line.split(delimiter)
+    if '"' in line:  # blanks may stand in front of a quote
+        reader = csv.reader(
+            [line.strip(" \r")],
+            delimiter=delimiter,
+            skipinitialspace=True,
+            strict=True,
+        )
+        with contextlib.suppress(csv.Error):  # else quotes are letters of their cells
+            cells = next(reader)
+    return [cell.strip() for cell in cells]
 
 
 def is_number(cell: str, decimal: str) -> bool:

@@ -22,7 +22,7 @@ from dbo_cli.logs.columns import listed, named, words
 from dbo_cli.logs.source import Column, FloatArray, Reading, Source
 from dbo_cli.units import kind_of, multiplied, ratio, time_unit
 
-_NAMES = frozenset(
+TIME_NAMES = frozenset(
     "time t x_value zeit timestamp time_stamp timestamps elapsed seconds sec secs millis micros milliseconds "
     "microseconds nanoseconds nanosec msec usec nsec sekunden datetime zeitstempel uhrzeit temps tiempo "
     "tempo date datum datenum tijd tid czas čas cas время 时间 時間 x-axis utc ts epoch clock".split()
@@ -227,11 +227,16 @@ class Clock:
         if self.kind != "column" or self.unit is not None:
             return
         is_epoch = _EPOCH[0] < self.first < _EPOCH[1]
+        is_days = abs(86400.0 * self.usual_step - 1.0) < _SAME  # rows a second apart
         beside = self.usual_step * (self.rate_beside or 0.0)
         thousands = round(math.log10(beside) / 3.0) if beside else 0
         if thousands and abs(beside / 1e3**thousands - 1.0) < _SAME:
             odd = f"its steps contradict the stated rate by a factor of 1e{3 * abs(thousands)}"
-        elif self.usual_step >= _LONG_STEP or 0.0 < self.usual_step < _SHORT_STEP:
+        elif (
+            self.usual_step >= _LONG_STEP
+            or 0.0 < self.usual_step < _SHORT_STEP
+            or is_days
+        ):
             odd = f"its usual step would be {self.usual_step:.4g} s"
         elif reach > _LATEST and not is_epoch:
             odd = f"its stamps would reach {reach:.6g} s"
@@ -329,7 +334,10 @@ def find_clock(
     if len(matches) > 1:
         typed = [f"`time` {column.number} ('{column.name}')" for column in matches]
         which = " or ".join(typed)
-        raise InputError(f"{name}: which column is the time? Type {which}{source.hint}")
+        raise InputError(
+            f"{name}: which column is the time? Type {which}{source.hint}; columns of two clocks belong into "
+            "two files (`clock_offset`)"
+        )
     if matches:
         return _clock_of(source, matches[0], reading.time_unit)
     return _stated_clock(source, reading)
@@ -359,8 +367,8 @@ def _time_columns(source: Source, used: Sequence[Column], needed: bool) -> list[
     """
     free = [column for column in source.columns if column not in used]
     fitting = [c for c in free if kind_of(c.unit) in _KINDS or time_unit(c.unit)]
-    called = [c for c in fitting if c.quantity.lower() in _NAMES]
-    called = called or [c for c in fitting if words(c.quantity) & _NAMES]
+    called = [c for c in fitting if c.quantity.lower() in TIME_NAMES]
+    called = called or [c for c in fitting if words(c.quantity) & TIME_NAMES]
     matches = [c for c in called if c.kind == "number"]
     matches = matches or [c for c in called if c.kind == "stamp"]
     matches = matches or [c for c in free if c.kind == "stamp"]
@@ -409,7 +417,7 @@ def _stated_unit(name: str, column: Column) -> str | None:
     """
     stated = column.unit
     if stated is not None and stated.lower() not in _NO_UNIT:
-        unit = time_unit(stated)
+        unit = time_unit(stated.partition(" since ")[0])  # netCDF: s since 2026-01-02
     else:
         parts = words(column.quantity)
         units = {time_unit(part) for part in parts if len(part) > 1} - {None, "min"}

@@ -16,10 +16,13 @@ from dbo_cli.logs.source import Column, Source
 from dbo_cli.units import DRIVING_KINDS, MOVED_KINDS, kind_of
 
 _LISTED = 20  # names of columns that a message holds at most
-_HEAT = "temperature temp temperatur température temperatura temperatuur teplota 温度 thermocouple thermistor"
+_BESIDE = (
+    "temperature temp temperatur température temperatura temperatuur teplota 温度 thermocouple thermistor "
+    "status enable"
+)
 _ORDERS = (
     "desired target setpoint commanded wanted demand demanded reference soll sollwert sollposition consigne "
-    "command nominal trajectory"
+    "command cmd nominal trajectory"
 )
 _PLACES = frozenset(("length", "angle", "voltage", "share", "count"))
 
@@ -64,7 +67,7 @@ _VOLTAGE = Role(
     ),
     against=_set(
         "sensor position displacement feedback photodiode interferometer supply "
-        + _HEAT
+        + _BESIDE
     ),
     allowed=frozenset(("voltage", "share", "count")),
     proving=frozenset(("voltage",)),
@@ -76,7 +79,7 @@ _DISPLACEMENT = Role(
         "deplacement déplacement desplazamiento spostamento posición posizione verplaatsing przemieszczenie "
         "перемещение 位移 変位 deflection stroke elongation interferometer encoder capacitive lvdt"
     ),
-    against=_set(_ORDERS + " error fehler digits " + _HEAT),
+    against=_set(_ORDERS + " error fehler digits " + _BESIDE),
     allowed=_PLACES,
     proving=frozenset(("length", "angle")),
     more=MOVED_KINDS,
@@ -86,7 +89,7 @@ _DESIRED = Role(
         "desired reference setpoint target trajectory wanted ref soll sollwert sollposition sollweg consigne "
         "demand commanded"
     ),
-    against=_set(_HEAT),
+    against=_set(_BESIDE),
     allowed=_PLACES,
 )
 ROLES = {

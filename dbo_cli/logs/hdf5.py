@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, warn
 from dbo_cli.logs.formats import (
+    MATLAB_NUMBERS,
     ArraySource,
     Fetch,
     StoredColumn,
@@ -32,10 +33,8 @@ MOST_HOPS = 16  # soft links behind each other; more are a circle
 CHUNK_CACHE = 1 << 22
 _NOT_APPLIED = {
     "scale_factor": 1.0, "add_offset": 0.0, "scale": 1.0, "offset": 0.0, "gain": 1.0, "factor": 1.0,
-    "sensitivity": 1.0, "calibration": 1.0, "YInc": 1.0,
+    "sensitivity": 1.0, "calibration": 1.0, "conversion": 1.0, "scaling_factor": 1.0, "YInc": 1.0,
 }  # fmt: skip
-_MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
-                   "uint32", "uint64", "logical")  # fmt: skip
 _EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
 
 
@@ -105,7 +104,7 @@ class Hdf5Source(ArraySource):
                 prefix = f"{group.path}/" if len(chosen) > 1 else ""
                 members.append(replace(column, name=prefix + column.name))
         above = groups[0].statements or _attributes(file)
-        statements = chosen[0].statements or above
+        statements = [text for group in chosen for text in group.statements] or above
         super().__init__(path, members, statements, file.close)
         if len(chosen) > 1:
             self.hint = f" (or one group alone: {path}::{chosen[0].path})"
@@ -232,21 +231,24 @@ def _column(
         values = _attribute(node, key)
         if len(values) == 1 and values[0] != nothing:
             problem = f"has an attribute {key}, {values[0]}, which is not applied: type `scale` ROLE=FACTOR"
+    for beside in (f"{dataset.name}_scaling_factor", f"{dataset.name}_offset"):
+        if beside in dataset.file:  # NeXus
+            problem = f"has {beside} beside it, which is not applied: type `scale` ROLE=FACTOR"
     units = _texts(dataset, "units", "unit", "Units", "Unit")
     if len(units) == 1:
         units = units * (number + 1)
     unit = units[number] if number < len(units) else None
-    fill = _attribute(dataset, "_FillValue")
-    fetch = _without(rows, fill[0]) if len(fill) == 1 else rows
+    missing = _attribute(dataset, "_FillValue") + _attribute(dataset, "missing_value")
+    fetch = _without(rows, missing) if missing else rows
     return StoredColumn(name, length, fetch, unit, problem=problem)
 
 
-def _without(rows: Fetch, fill: Any) -> Fetch:
+def _without(rows: Fetch, missing: Sequence[float]) -> Fetch:
     """Make NaN of what stands where a number is missing."""
 
     def fetch(start: int, stop: int) -> Any:
         stored = np.asarray(rows(start, stop), dtype=np.float64)
-        return np.where(stored == fill, np.nan, stored)
+        return np.where(np.isin(stored, missing), np.nan, stored)
 
     return fetch
 
@@ -290,7 +292,7 @@ def _holds_numbers(dataset: Any) -> bool:
     if name and name[0].startswith(_EMPTY_DIMENSION):
         return False
     matlab = _texts(dataset, "MATLAB_class")
-    is_number = not matlab or matlab[0] in _MATLAB_NUMBERS
+    is_number = not matlab or matlab[0] in MATLAB_NUMBERS
     return is_number and "MATLAB_empty" not in dataset.attrs
 
 

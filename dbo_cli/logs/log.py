@@ -177,11 +177,15 @@ class Log:
             raise InputError(f"{place}{more} (`skip_bad` drops such rows)")
         self._first_dropped = self._first_dropped or place
         self._dropped += count
-        numbers = numbers[good]
-        for row in self._source.torn:
+        all_numbers, numbers = numbers, numbers[good]
+        torn = list(self._source.torn)
+        is_guarded = len(columns) > len(self._picks) + self.clock.is_read
+        if is_guarded and columns[-1].kind == "number":
+            torn += all_numbers[bad[-1]].tolist()  # the first column alone shows them
+        for row in torn:
             is_first = not self._count and (not len(numbers) or row < numbers[0])
             if self._torn is None and not is_first:
-                self._torn = row, self._source.where(row, columns[0])
+                self._torn = row, self._source.where(row, columns[-1])
         return numbers, [array[good] for array in arrays]
 
     def _refuse_torn(self, numbers: Numbers) -> None:

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cells import is_number, split_cells
+from dbo_cli.logs.clock import TIME_NAMES
+from dbo_cli.logs.columns import ROLES, words
 from dbo_cli.logs.settings import (
     NAME_KEYS,
     TIME_UNIT_KEYS,
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
 _LINES = 3  # names, units and a remark stand above the rows at most
 _BESIDE = 40  # rows beside which settings may stand
 _PASSED = 3  # comments that may stand between the names and the rows
+_KNOWN = TIME_NAMES.union(*(role.names for role in ROLES.values()))
 _LABEL = re.compile(
     r"(?:column[ _]?(?:names|headers)?|columns|names|fields|header|units?)\s*[:=]\s*",
     re.IGNORECASE,
@@ -74,11 +77,13 @@ def read_header(
         layout.units = headers[units]
         layout.names = headers[units + 1] if units + 1 < len(headers) else headers[0][:]
     elif headers:
-        layout.names = headers[0]
+        with_units = (cells for cells in headers if _units_in(cells) > 1)
+        layout.names = next(with_units, headers[0])  # a remark may stand below names
     else:
         _refuse_unclear(name, above, layout)
     has_names = bool(headers) and (units is None or len(headers) > 1)
-    _fill_from_settings(layout, settings, has_names)
+    has_decimals = any(layout.decimal in line for line in rows[:_BESIDE])
+    _fill_from_settings(layout, settings, has_names, has_decimals)
 
 
 def _header_lines(above: Sequence[str], layout: Layout) -> list[list[str]]:
@@ -93,14 +98,18 @@ def _header_lines(above: Sequence[str], layout: Layout) -> list[list[str]]:
             continue
         if is_channel_key(split_cells(plain, layout.delimiter)[0]):
             break
-        cells = _as_header(plain, layout, bool(headers) and _are_units(headers[-1]))
-        if cells is not None:
-            headers.append(cells)
+        cells = split_cells(plain.lstrip("#% "), layout.delimiter)
+        is_remark = any(map(_is_amount, cells))
+        above_units = bool(headers) and _are_units(headers[-1])
+        header = None if is_remark else _as_header(plain, layout, above_units)
+        if header is not None:
+            headers.append(header)
             if len(headers) == _LINES:
                 break
             continue
         passed += 1
-        if headers or plain[0] not in "#%" or passed > _PASSED:
+        is_remark = is_remark or plain[0] in "#%"
+        if headers or not is_remark or passed > _PASSED:
             break
     return headers
 
@@ -118,10 +127,11 @@ def _as_header(line: str, layout: Layout, above_units: bool) -> list[str] | None
         line = line[label.end() :]
     elif is_comment and re.match(r"[\w .]+=", line):
         return None  # a setting
-    for cells in _ways_to_split(line, layout.delimiter, is_comment):
+    is_sure = label is not None or '"' in line
+    for cells in _ways_to_split(line, layout.delimiter, is_comment, is_sure):
         cells = _fitted([cell.strip("'") for cell in cells], layout)
-        words = [cell for cell in cells if cell and not is_number(cell, ".")]
-        if len(cells) != layout.width or not words:
+        is_text = any(cell and not is_number(cell, ".") for cell in cells)
+        if len(cells) != layout.width or not is_text:
             continue
         figures = {cells[n] for n in layout.numeric if _is_figure(cells[n])}
         if above_units or not figures or (figures == {"1"} and _are_units(cells)):
@@ -129,14 +139,52 @@ def _as_header(line: str, layout: Layout, above_units: bool) -> list[str] | None
     return None
 
 
-def _ways_to_split(line: str, delimiter: str, is_comment: bool) -> list[list[str]]:
-    """Return how a line may be split: as the rows, and in other ways beside blanks or in a comment."""
-    ways = [split_cells(line, delimiter)]
+def _ways_to_split(
+    line: str, delimiter: str, is_comment: bool, is_sure: bool
+) -> list[list[str]]:
+    """Return how a line may be split: as the rows, and in other ways beside blanks or in a comment.
+
+    At single blanks it is split only where it is sure, or all of its words are names: else it is a title.
+    """
+    ways = [] if delimiter == " " else [split_cells(line, delimiter)]
     if is_comment or delimiter == " ":
         ways = [split_cells(line, mark) for mark in ";," if mark in line] + ways
         ways.append([cell.strip() for cell in re.split(r"\s{2,}|\t", line)])
-        ways.append(re.findall(r"[^\s(\[]+(?:\s*[(\[][^)\]]*[)\]])?", line))
+        for cells in (
+            split_cells(line, " "),
+            re.findall(r"[^\s(\[]+(?:\s*[(\[][^)\]]*[)\]])?", line),
+        ):
+            if is_sure or all(map(_is_name, cells)):
+                ways.append(cells)
     return ways
+
+
+def _is_name(word: str) -> bool:
+    """Return whether a word names a column: a known one, a letter, or with a unit, a digit or ``_``."""
+    if len(word) == 1 or re.search(r"[\d_]", word) or split_header(word)[1]:
+        return True
+    is_unit = parse_unit(word) is not None or time_unit(word) is not None
+    return is_unit or bool(words(word) & _KNOWN)
+
+
+def _is_amount(cell: str) -> bool:
+    """Return whether a cell is an amount and no name: ``0.1 mm``, ``Range: 0 V to 100 V``, ``2 mV rms``."""
+    amount = re.split("[:=]", cell)[-1]
+    match = re.fullmatch(
+        r"[^\w.,]*\d[\d.,]*(?:[eE][-+]?\d+)?\s*([^\W\d_]+)[^\[]*", amount
+    )
+    is_short = all(len(word) < 4 for word in words(amount))
+    return match is not None and is_short and parse_unit(match[1]) is not None
+
+
+def begins_run(comment: str) -> bool:
+    """Return whether a comment among the rows states a setting or names, as above another run."""
+    return bool(re.search("[:=]", comment) or words(comment) & _KNOWN)
+
+
+def _units_in(cells: Sequence[str]) -> int:
+    """Return how many names carry a unit."""
+    return sum(split_header(cell)[1] is not None for cell in cells)
 
 
 def _fitted(cells: list[str], layout: Layout) -> list[str]:
@@ -148,7 +196,7 @@ def _fitted(cells: list[str], layout: Layout) -> list[str]:
         if not layout.first_row[-1]:
             return [*cells, ""]  # the rows end in a delimiter
         if layout.counts and len(cells) > 1:
-            return ["", *cells]  # the rows are numbered by a column without a name
+            return ["", *cells]  # R numbers the rows by a quoted column without a name
     return cells
 
 
@@ -178,8 +226,8 @@ def _are_units(cells: Sequence[str]) -> bool:
     filled = [cell for cell in cells if cell.strip("()[]- ")]
     if filled and re.fullmatch(r"units?:?|sequence", filled[0].lower()):
         filled = filled[1:]
-    words = [cell for cell in filled if not is_number(cell, ".")]
-    return bool(words) and all(parse_unit(cell) or time_unit(cell) for cell in words)
+    texts = [cell for cell in filled if not is_number(cell, ".")]
+    return bool(texts) and all(parse_unit(cell) or time_unit(cell) for cell in texts)
 
 
 def _is_figure(cell: str) -> bool:
@@ -205,7 +253,10 @@ def _refuse_unclear(name: str, above: Sequence[str], layout: Layout) -> None:
 
 
 def _fill_from_settings(
-    layout: Layout, settings: dict[str, list[str]], has_names: bool
+    layout: Layout,
+    settings: dict[str, list[str]],
+    has_names: bool,
+    has_decimals: bool,
 ) -> None:
     """Take names and units that are stated by channel where no line above the rows has them."""
     names, units, time = (
@@ -217,12 +268,15 @@ def _fill_from_settings(
         if re.fullmatch(r"name\d+", plain_key(key)) and values[0]:
             numbered.append(values[0])  # Name1: a line a channel
     places = sorted(layout.numeric)
+    if not time or len(places) > 2 or not has_decimals:
+        # a single one is of the file, or of what has become a count
+        names, units = (text if len(text) > 1 else [] for text in (names, units))
     if numbered or not has_names:
         _give(layout.names, numbered or names, places)
     has_units = any(split_header(cell)[1] for cell in layout.names)
     if not any(layout.units) and not has_units:
         _give(layout.units, units, places)
-        if len(units) == len(places) - 1 and time and time_unit(time[0]):
+        if 0 < len(units) == len(places) - 1 and time and time_unit(time[0]):
             layout.units[places[0]] = time[0]
 
 

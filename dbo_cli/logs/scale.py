@@ -8,7 +8,7 @@ from fractions import Fraction
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.source import Column
-from dbo_cli.units import parse_unit, ratio, spell, units_in
+from dbo_cli.units import parse_unit, ratio, spell, split_header, units_in
 
 Scale = tuple[Fraction, str | None]  # a factor, and the unit behind it
 
@@ -87,6 +87,13 @@ def _refuse_unclear_unit(name: str, role: str, column: Column) -> None:
     camel = re.search(r"[a-z]([KMN][mv]|Uv)$", column.name)
     if camel and not unit:  # VoltageMv
         stated = [camel[1].lower().replace("v", "V"), camel[1]]
+    bare = column.name if re.search(r"[\[(]", column.name) is None else ""
+    amounts = re.findall(r"(?<!\S)\d[\d.,]*(?:\s+(\S+)|$)", bare)  # at 100 V, kV x 1000
+    for behind in amounts if split_header(bare)[1] == unit else ():
+        if spell(behind) in (unit, None):
+            raise InputError(
+                f"{name}: is {column.label} in {unit}? add `scale` {role}=FACTORUNIT/{unit}"
+            )
     if len(stated) > 1:
         raise InputError(
             f"{name}: {column.label} may be in {' or '.join(stated)}: add `scale` "

@@ -19,7 +19,7 @@ Statement = tuple[str, object, str]  # what a file states: key, value, unit
 # keys without blanks and signs, in lower case
 RATES = frozenset(
     "samplerate samplingrate samplingfrequency samplefrequency samplingfreq samplefreq acqrate fs srate "
-    "sfreq acquisitionrate acquisitionfrequency scanrate abtastrate abtastfrequenz messfrequenz messrate "
+    "sfreq acquisitionrate acquisitionfrequency abtastrate abtastfrequenz messfrequenz messrate "
     "framerate framespersecond samplespersecond bildrate".split()
 )
 STEPS = frozenset(
@@ -27,7 +27,9 @@ STEPS = frozenset(
     "deltat deltax timeincrement tinterval xincrement xinc tinc increment abtastintervall abtastzeit "
     "abtastperiode timeinterval timeresolution hresolution".split()
 )
-STARTS = frozenset("x0 hoffset xorg t0 start xorigin tstart wfstartoffset".split())
+STARTS = frozenset(
+    "x0 hoffset xorg t0 start xorigin tstart wfstartoffset wfstarttime".split()
+)
 NAME_KEYS = frozenset("tracename name source channelname label".split())
 UNIT_KEYS = frozenset(
     "vunit yunitlabel verticalunits verticalunit unit units yunits yunit".split()
@@ -115,14 +117,21 @@ def stated_clock(statements: Sequence[Statement], decimal: str = ".") -> StatedC
         return clock
     if rates and max(rates.values()) > (1.0 + _SAME) * min(rates.values()):
         listed = " and ".join(rates)
-        clock.problem = f"two sample rates, {listed}: type `sample_rate` HZ"
+        clock.problem = f"two sample rates, {listed}: type `sample_rate` HZ, or export each channel to a file"
     elif rates:
         clock.rate = next(iter(rates.values()))
+    starts: dict[str, float] = {}
     for key, value, _ in statements:
         text = str(value).replace(",", ".")
         if plain_key(key) in STARTS and is_number(text, "."):
             start = to_number(text, ".")
-            clock.start = start if abs(start) < _LATEST_START else 0.0
+            if starts.setdefault(key, start) != start:
+                clock.problem = (
+                    f"two starts, '{key}' {starts[key]:.9g} and {start:.9g}: export each channel to "
+                    "a file (`clock_offset`)"
+                )
+            if abs(start) < _LATEST_START:
+                clock.start = start
     return clock
 
 
@@ -207,8 +216,10 @@ def read_settings(lines: Sequence[str], delimiter: str) -> dict[str, list[str]]:
         match = _KEYED.fullmatch(line)
         is_scan = match and plain_key(match[1]) == "increment"  # of what it steps
         if match and match[3].strip() and not is_scan:
-            values = _values(match[3], match[2], delimiter)
-            settings.setdefault(match[1].strip(), values)
+            key, values = match[1].strip(), _values(match[3], match[2], delimiter)
+            if is_clock_setting(key):  # two that differ are refused
+                values = settings.pop(key, []) + values
+            settings.setdefault(key, values)
         before = cells
     return settings
 
@@ -236,7 +247,7 @@ def clock_of_settings(settings: dict[str, list[str]], decimal: str) -> StatedClo
         unit = beside if plain_key(key) in _IN_TIME_UNIT else ""
         if len(filled) == 2 and re.fullmatch(r"[^\d=:\[]{1,12}", filled[1]):
             unit = filled.pop()  # 1,kHz
-        if plain_key(key) in STARTS:
+        if plain_key(key) in STARTS and not all(is_number(x, ".") for x in filled):
             filled = filled[:1]
         statements += [(key, value, unit) for value in filled]
     clock = stated_clock(statements, decimal)

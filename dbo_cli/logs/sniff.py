@@ -55,7 +55,7 @@ class Layout:
     first
         The index of the line of the first row.
     first_row, counts
-        Its cells; whether the first column counts the rows.
+        Its cells; whether the first of them is a number in quotes.
     names, units, clock
         What the lines above the rows say.
     """
@@ -139,7 +139,7 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     _refuse_other_rows(name, layout, lines, rows)
     layout.names, layout.units = [""] * layout.width, [""] * layout.width
     layout.first_row = split_cells(lines[layout.first], layout.delimiter)
-    layout.counts = _counts(layout, lines[layout.first + 1 :][:1])
+    layout.counts = lines[layout.first].startswith('"') and 0 in layout.numeric
     above, below = lines[skipped : layout.first], lines[layout.first :]
     read_header(name, above, below, layout)
     is_named = any(layout.names)
@@ -183,13 +183,6 @@ def _refuse_two_readings(name: str, layout: Layout, sample: Sequence[str]) -> No
             f"{name}: '{sample[-1].strip()}' may be two columns (`delimiter` comma) or one number "
             "(`decimal` comma)"
         )
-
-
-def _counts(layout: Layout, below: Sequence[str]) -> bool:
-    """Return whether the first cells of the first two rows are 0 or 1 and a larger whole number."""
-    first = layout.first_row[0]
-    second = "".join(split_cells("".join(below), layout.delimiter)[:1])
-    return first in ("0", "1") and second.isdigit() and int(second) > int(first)
 
 
 def delimiter_of(text: str) -> str:
@@ -339,6 +332,8 @@ def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int
         place = next(partly, 0)
     while place > 0 and layout.partly_fits(lines[rows[place - 1]]):
         place -= 1
+    if lines[rows[min(place + 1, len(rows) - 1)]].rstrip().endswith(":"):
+        place = min(place + 2, len(rows) - 1)  # figures above "data:" are no row
     return rows[place]
 
 

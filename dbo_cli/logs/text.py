@@ -7,6 +7,7 @@ line by line. A small file is read line by line at once, and does without polars
 from __future__ import annotations
 
 import codecs
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import split_cells, to_number
-from dbo_cli.logs.names import describe_columns
+from dbo_cli.logs.names import begins_run, describe_columns
 from dbo_cli.logs.sniff import is_no_row, sniff
 from dbo_cli.logs.source import Column, Reading, Source
 from dbo_cli.logs.stream import ByteStream
@@ -26,6 +27,7 @@ _BLOCK = 1 << 22  # bytes of text at a time; of 1 to 8 MB the fastest
 _LONGEST_LINE = 1 << 24  # what is longer has no line ends
 _SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
 _TINY = 1 << 12  # bytes that are read faster in Python than by polars
+_COMMENT = re.compile(rb"(?m)^[ \t]*[#%].*\n?")
 _ASCII = ("utf-8", "cp1252", "ascii", "iso8859-1")  # their digits and signs are ASCII's
 
 
@@ -55,6 +57,7 @@ class TextSource(Source):
         self._stream = stream
         self._encoding = ""
         self._decoder: Any = None
+        self._ends_in_cr = False
         self._ended = False
         self._seen = 0  # bytes of rows
         try:
@@ -81,8 +84,7 @@ class TextSource(Source):
             head += data
             if self._ended or (self._stream.is_pipe and self._is_enough(head, reading)):
                 break
-        if b"\r" in head and b"\n" not in head:
-            raise InputError(f"{self.name}: its lines end in CR: convert them to LF")
+        self._ends_in_cr = b"\r" in head[:-1] and b"\n" not in head  # Igor's do
         self._encoding = _find_encoding(self.name, head, reading.encoding)
         if self._encoding not in _ASCII:
             self._decoder = codecs.getincrementaldecoder(self._encoding)("replace")
@@ -107,7 +109,9 @@ class TextSource(Source):
         """Turn bytes into a superset of ASCII with plain line ends."""
         if self._decoder is not None:
             data = self._decoder.decode(data, final=self._ended).encode()
-        return data.replace(b"\r\n", b"\n") if b"\r" in data else data
+        if b"\r" in data:
+            data = data.replace(b"\r\n", b"\n")
+        return data.replace(b"\r", b"\n") if self._ends_in_cr else data
 
     def _lines_of(self, text: bytes) -> list[str]:
         encoding = "utf-8" if self._decoder else self._encoding
@@ -169,7 +173,9 @@ class TextSource(Source):
         self._seen += len(text)
         self.torn = ()
         is_small = self._seen <= _SMALL and "polars" not in sys.modules
-        if not is_small and len(text) > _TINY:
+        comments = self._lines_of(b"".join(_COMMENT.findall(text)))
+        is_plain = all(map(self._is_passed, comments))
+        if is_plain and not is_small and len(text) > _TINY:
             from dbo_cli.logs.fast_text import read_fast
 
             block = read_fast(text, self.layout, chosen)
@@ -177,12 +183,18 @@ class TextSource(Source):
                 return block
         return self._read_lines(text, chosen), text.count(b"\n")
 
+    def _is_passed(self, line: str) -> bool:
+        """Return whether a line among the rows is blank, a comment, or a row that is commented out."""
+        comment = line.strip("#% \t")
+        is_comment = self.layout.partly_fits(comment) or not begins_run(comment)
+        return is_no_row(line) and is_comment
+
     def _read_lines(self, text: bytes, chosen: Sequence[Column]) -> list[NDArray[Any]]:
         """Read a block in Python; cells that are no numbers become NaN."""
         width = self.layout.width
         rows = []
         for line in self._lines_of(text):
-            if not is_no_row(line):
+            if not self._is_passed(line):
                 rows.append(split_cells(line, self.layout.delimiter))
         torn = [k for k, cells in enumerate(rows) if len(cells) != width]
         self.torn = [self.first_row + k for k in torn]
@@ -206,7 +218,7 @@ class TextSource(Source):
     def where(self, row: int, column: Column) -> str:
         """Say in which line a row of the last block is, and what stands in a column of it."""
         lines = self._lines_of(self._text)
-        places = [k for k, line in enumerate(lines) if not is_no_row(line)]
+        places = [k for k, line in enumerate(lines) if not self._is_passed(line)]
         place = places[row - self.first_row]
         at = f"{self.name}:{self._line + place}"
         cells = split_cells(lines[place], self.layout.delimiter)
@@ -226,10 +238,11 @@ class TextSource(Source):
 
 
 def _last_row_end(text: bytes, end: int) -> int:
-    """Return where the last line ends that holds more than delimiters, as spreadsheets end a table."""
+    """Return where the last row ends: comments and lines of delimiters may end a table."""
     while end:
         begin = text.rfind(b"\n", 0, end - 1) + 1
-        if text[begin:end].strip(b"\t ;,|\r\n"):
+        line = text[begin:end].decode("latin-1")
+        if line.strip("\t ;,|\r\n") and not is_no_row(line):
             break
         end = begin
     return end

@@ -27,32 +27,28 @@ PLAYS = (0.02, 0.05, 0.1, 0.2, 0.4)
 
 
 def match(
-    name: str,
-    measured: Floats,
+    recording: Pair,
     desired: Floats,
-    *,
-    measured_time: Floats | None = None,
     desired_time: Floats | None = None,
     match: str = "auto",
     trajectory_name: str = "the trajectory",
-    voltage: Floats | None = None,
 ) -> Pair:
     """Give every row of a recording the desired value that belongs to it.
 
     Parameters
     ----------
-    name, trajectory_name
-        How messages call the two.
-    measured, voltage : array of shape (rows,)
-        The recording.
+    recording
+        The measured values, perhaps with a clock.
     desired : array of shape (other rows,)
         The trajectory, perhaps with rows before the move at negative times.
-    measured_time, desired_time : array, optional
+    desired_time : array, optional
         Seconds.
     match : {"auto", "time", "rows"}
         "rows": the first belongs to the first. "time": by two clocks that agree.
         "auto": by time where both have one, else by rows; a recorder that was started
         earlier or later is found, taken off and noted.
+    trajectory_name
+        How messages call the trajectory.
 
     Raises
     ------
@@ -60,14 +56,12 @@ def match(
         The rates differ where rows are matched, a clock is missing, or no row of one
         belongs to a row of the other.
     """
-    recording = Pair(
-        name, measured, measured, measured_time, voltage, on_drive_clock=True
-    )
-    clocked = measured_time is not None and desired_time is not None
+    name, recording = recording.name, replace(recording, on_drive_clock=True)
+    clocked = recording.time is not None and desired_time is not None
     if match == "rows" or (match == "auto" and not clocked):
         return _by_rows(recording, desired, desired_time, trajectory_name)
-    if measured_time is None or desired_time is None:
-        lacking = name if measured_time is None else trajectory_name
+    if recording.time is None or desired_time is None:
+        lacking = name if recording.time is None else trajectory_name
         raise InputError(f"{lacking}: has no time: add `sample_rate`, or `match` rows")
     if match == "auto":
         recording = _on_one_clock(recording, desired, desired_time, trajectory_name)

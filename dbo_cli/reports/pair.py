@@ -33,7 +33,7 @@ class Pair:
     name
         What the report calls it.
     desired, measured : array of shape (rows,)
-        In one unit, all finite.
+        In one unit, all finite; a recording has measured values in both places.
     time : array of shape (rows,), optional
         Seconds.
     voltage : array of shape (rows,), optional
@@ -163,44 +163,35 @@ def _move_of(pair: Pair) -> Pair:
 
 
 def predict(
+    recording: Pair,
     model: Model,
-    voltage: Floats,
-    measured: Floats,
-    *,
-    name: str = "log",
-    time: Floats | None = None,
     state: str | State = "auto",
-    rows: RowRange | None = None,
     model_name: str = "the model",
 ) -> Pair:
-    """Put a model's prediction in the place of the desired signal.
+    """Put a model's prediction from the drive in the place of the desired signal.
 
     The model runs from the first row on, whatever ``rows`` count.
 
     Parameters
     ----------
+    recording
+        Drive and displacement in the model's units.
     model
         Forward.
-    voltage, measured : array of shape (rows,)
-        In the model's units.
-    time : array of shape (rows,), optional
-        Seconds.
     state
         What was before the first row.
-    rows : (first, last), optional
-        The rows that are scored.
 
     Raises
     ------
     ModelError
         The model is inverse, or it needs a clock.
-    InputError
-        Lengths differ.
     """
     model.require("forward", model_name)
+    voltage, time = recording.voltage, recording.time
+    assert voltage is not None
     predicted, _ = model.simulate(voltage, time=time, state=state)
     steps = None
     if time is not None and len(time) > 1:
         steps = np.diff(time, prepend=2.0 * time[0] - time[1])
     expected = expected_of_drive(model, voltage, steps, model_name)
-    return Pair(name, predicted, measured, time, voltage, rows, expected=expected)
+    return replace(recording, desired=predicted, expected=expected)

@@ -95,7 +95,7 @@ def test_large_files_of_many_ways(change: Callable[[str], str], tmp_path: Path) 
         ("20.000,inf,20000.25", 20002, "'voltage_V'"),
         ("20.000,nan,20000.25", 20002, "'voltage_V'"),
         ("20.000,9.9E37,20000.25", 20002, "'voltage_V'"),
-        ('20.000,",20000.25', 20002, "1 cell where"),
+        ('20.000,",20000.25', 20002, "'voltage_V'"),
         ("20.000,1_000,20000.25", 20002, "'voltage_V'"),
         ("20.000,1,5,20000.25", 20002, "4 cells where"),
         (HEAD.strip(), 20002, "'voltage_V'"),
@@ -301,7 +301,8 @@ def test_rows_above_the_table_are_not_passed_over(tmp_path: Path) -> None:
 def test_cells() -> None:
     assert split_cells('"a, b", c ,"d"', ",") == ["a, b", "c", "d"]
     assert split_cells('1"2"3,4', ",") == ['1"2"3', "4"]
-    assert split_cells('1,"4', ",") == ['1,"4']
+    assert split_cells('1,"4', ",") == ["1", '"4']
+    assert split_cells('t,"DB".Drive [V]', ",") == ["t", '"DB".Drive [V]']
     assert split_cells(' 1 \t "2 3"  4 ', " ") == ["1", "2 3", "4"]
     assert to_number("1.5D-3", ".") == 0.0015
     assert np.isnan(

@@ -22,7 +22,8 @@ from dbo_cli.model import (
     Relaxation,
     Resonance,
 )
-from dbo_cli.reports import Report, ShownModel, predict
+from dbo_cli.reports import Pair, Report, ShownModel
+from dbo_cli.reports import predict as predicted
 from dbo_cli.reports.plots import draw, model_plots, plot_model, slow_loop
 
 FIT = {
@@ -55,6 +56,12 @@ def model(*behind, relaxation=None, candidates=()):
     return Model(
         "forward", drive, way, stages, FIT, candidates, {"program": "dbo 1.0.0"}
     )
+
+
+def predict(actuator, drive, measured, time=None, rows=None, model_name="the model"):
+    """Predict a recording of these columns."""
+    recording = Pair("log", measured, measured, time, drive, rows)
+    return predicted(recording, actuator, model_name=model_name)
 
 
 def run(rows=4000, rate=1000.0):

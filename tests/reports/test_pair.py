@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError
-from dbo_cli.reports import Expected, Pair, Report, match
+from dbo_cli.reports import Expected, Pair, Report
+from dbo_cli.reports import match as matched
 
 RATE = 1000.0
 
@@ -26,6 +27,12 @@ def play(x, radius):
         state = min(max(state, value - radius), value + radius)
         y[place] = state
     return y
+
+
+def match(name, measured, desired, measured_time=None, desired_time=None, **options):
+    """Match a recording of these columns."""
+    recording = Pair(name, measured, measured, measured_time)
+    return matched(recording, desired, desired_time, **options)
 
 
 def rmse(pair, **options):
