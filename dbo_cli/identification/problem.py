@@ -134,7 +134,8 @@ class Problem:
     @property
     def one_amplitude(self) -> bool:
         """Whether all swings go over one range, so that other amplitudes cannot be left out and judged."""
-        return self.smaller.mean() <= LEAST_PART and self.swing_count >= BOTH_WAYS
+        few = float(self.smaller.mean()) <= LEAST_PART
+        return few and self.swing_count >= BOTH_WAYS
 
     def columns(self, structure: Structure) -> Floats:
         """Return the columns of the fitted rows; stored for each delay and bend."""

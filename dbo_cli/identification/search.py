@@ -17,7 +17,8 @@ from dbo_cli.identification.solve import Equations, Fit, solve
 RULES = ("growing", "falling")  # for the slopes
 CURVES = (np.inf, 1e1, 1e-1, 1e-4)
 SLOPE_SMOOTHNESS = (2e-1, 2e-4, 1e-8)  # the last for springs that slip at a few forces
-SMOOTHER = 10.0 ** np.arange(-2.0, 4.5, 0.5)  # of one amplitude, tried in turn
+SMOOTHER = 10.0 ** np.arange(-2.0, 2.5, 0.5)
+"""Of one amplitude, tried in turn: beyond, creep hides what smoothness costs."""
 ONE_AMPLITUDE_CURVE = 1e-1
 AS_GOOD = 1.2  # of the roughest one's error: so much may smoothness cost
 BENDS = (-0.4, -0.25, -0.12, 0.12, 0.25, 0.4)
