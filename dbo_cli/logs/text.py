@@ -221,6 +221,8 @@ class TextSource(Source):
         places = [k for k, line in enumerate(lines) if not self._is_passed(line)]
         place = places[row - self.first_row]
         at = f"{self.name}:{self._line + place}"
+        if is_no_row(lines[place]):
+            return f"{at}: a comment as above another run: cut with `rows` :{row - 1}"
         cells = split_cells(lines[place], self.layout.delimiter)
         if len(cells) != self.layout.width:
             s = "" if len(cells) == 1 else "s"
