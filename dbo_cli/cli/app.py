@@ -38,7 +38,9 @@ class Command(TyperCommand):
         """Run the command, unless a word is empty: a script's variable that was not set."""
         for parameter in self.params:
             if ctx.params.get(parameter.name) == "":
-                ctx.fail(f"{parameter.opts[-1]} is empty: give a value, or leave it out")
+                ctx.fail(
+                    f"{parameter.opts[-1]} is empty: give a value, or leave it out"
+                )
         return super().invoke(ctx)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
