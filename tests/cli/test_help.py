@@ -48,6 +48,7 @@ def test_help_lists_each_command_on_one_line():
         ("compensate m.json a.csv --on-limit stop", "'auto', 'clip', 'error'"),
         ("compensate m.json", "'TRAJECTORY'"),
         ("report a.csv --lag soon", "integer"),
+        ("identify a.csv --zero nan", "--zero nan: give none"),
     ],
 )
 def test_a_wrong_word_is_named(line, words, capsys):
