@@ -34,6 +34,15 @@ HELP = ("-h, --help, --help-all", "This page; --help-all lists every option.")
 class Command(TyperCommand):
     """A command whose ``-h`` is one screen, grouped; ``--help-all`` shows every option."""
 
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command, unless a word is empty: a script's variable that was not set."""
+        for parameter in self.params:
+            if ctx.params.get(parameter.name) == "":
+                ctx.fail(
+                    f"{parameter.opts[-1]} is empty: give a value, or leave it out"
+                )
+        return super().invoke(ctx)
+
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the arguments, and the options under their headings, those of the output last."""
         groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import math
 import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -231,10 +232,13 @@ def number(name: str, text: str | None, kind: type, *words: str) -> Any:
     if text is None or text in words:
         return text
     try:
-        return kind(text)
+        value = kind(text)
     except ValueError:
-        wanted = ", ".join([*words, "a whole number" if kind is int else "a number"])
-        raise UsageError(f"`{name}` {text}: give {wanted}") from None
+        value = math.nan
+    if math.isfinite(value):
+        return value
+    wanted = ", ".join([*words, "a whole number" if kind is int else "a number"])
+    raise UsageError(f"`{name}` {text}: give {wanted}")
 
 
 def quantity(name: str, text: str | None, unit: str | None, *words: str) -> Any:

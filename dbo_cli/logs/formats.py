@@ -29,6 +29,8 @@ Fetch = Callable[[int, int], Any]
 
 PLAIN_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".lvm", ".gz", "")
 STRETCH = 1 << 19  # rows that polars hands out at once
+MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
+                  "uint32", "uint64", "logical")  # fmt: skip
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 
@@ -116,7 +118,7 @@ class ArraySource(Source):
     ----------
     path
         The file, for messages.
-    found
+    members
         Its columns.
     statements
         What it states beside them of the sample rate and the first row's time.
@@ -137,12 +139,12 @@ class ArraySource(Source):
         for column in members:
             self.add(column)
 
-    def add(self, members: StoredColumn) -> Column:
+    def add(self, stored: StoredColumn) -> Column:
         """Add a column."""
-        unit = spell(members.unit) or split_header(members.name.rsplit("/", 1)[-1])[1]
-        column = Column(len(self.columns) + 1, members.name, unit, members.kind)
+        unit = spell(stored.unit) or split_header(stored.name.rsplit("/", 1)[-1])[1]
+        column = Column(len(self.columns) + 1, stored.name, unit, stored.kind)
         self.columns.append(column)
-        self._members.append(members)
+        self._members.append(stored)
         return column
 
     def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
@@ -189,12 +191,12 @@ class ArraySource(Source):
         self._close()
 
 
-def array_columns(name: str, array: Any, unit: str | None = None) -> list[StoredColumn]:
+def array_columns(name: str, array: Any) -> list[StoredColumn]:
     """Take a vector, a matrix (its longer axis is time) or records apart; nothing for text."""
     columns: list[StoredColumn] = []
     if array.dtype.names is not None:
         for label in array.dtype.names:
-            columns += array_columns(label, array[label], unit)
+            columns += array_columns(label, array[label])
         return columns
     if array.dtype.kind not in "fiubM" or array.ndim not in (1, 2) or not array.size:
         return []
@@ -206,7 +208,7 @@ def array_columns(name: str, array: Any, unit: str | None = None) -> list[Stored
     for number in range(width):
         label = f"{name}[{number + 1}]" if name and width > 1 else name
         fetch = rows_of(table[:, number])
-        columns.append(StoredColumn(label, rows, fetch, unit, kind))
+        columns.append(StoredColumn(label, rows, fetch, kind=kind))
     return columns
 
 
@@ -215,7 +217,7 @@ def rows_of(stored: Any) -> Fetch:
     return lambda start, stop: stored[start:stop]
 
 
-def source_of(path: str, arrays: Mapping[str, Any], advice: str = "") -> Source:
+def source_of(path: str, arrays: Mapping[str, Any]) -> Source:
     """Return a source of arrays by name; a single value beside longer ones is a statement."""
     members: list[StoredColumn] = []
     statements: list[Statement] = []
@@ -229,7 +231,7 @@ def source_of(path: str, arrays: Mapping[str, Any], advice: str = "") -> Source:
         contents = [
             f"{name} ({np.asarray(array).dtype})" for name, array in arrays.items()
         ]
-        raise no_columns(path, contents, advice)
+        raise no_columns(path, contents)
     return ArraySource(path, members, statements)
 
 
@@ -278,18 +280,27 @@ def open_zip(path: str, part: str, reading: Reading) -> Source:
 
 
 def open_matlab(path: str, part: str, reading: Reading) -> Source:
-    """Open a MATLAB file before version 7.3: vectors, and columns of matrices (InputError)."""
+    """Open a MATLAB file before version 7.3: vectors, and columns of matrices (InputError).
+
+    Structs and objects are not even loaded: scipy ends the process at damaged ones.
+    """
     import scipy.io
 
     _refuse_part(path, part)
+    arrays: dict[str, Any] = {}
     with fenced(path, "MATLAB"):
         try:
-            stored = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False)
+            contents = scipy.io.whosmat(path)
+            names = [name for name, _, kind in contents if kind in MATLAB_NUMBERS]
+            if names:
+                arrays = scipy.io.loadmat(path, squeeze_me=True, variable_names=names)
         except (IndexError, EOFError):
             raise ValueError("it ends early") from None
-    arrays = {name: value for name, value in stored.items() if name[:2] != "__"}
-    advice = " (structs and objects are not read: save('run.mat', '-struct', 'NAME') saves the fields)"
-    return source_of(path, arrays, advice)
+    if not arrays:
+        listed = [f"{name} ({kind})" for name, _, kind in contents]
+        advice = ": save('run.mat', '-struct', 'NAME') saves the fields of a struct"
+        raise no_columns(path, listed, advice)
+    return source_of(path, {n: a for n, a in arrays.items() if n[:2] != "__"})
 
 
 # --- Parquet and Feather ---
@@ -446,15 +457,9 @@ _PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
 _PICKLED = "Python pickles are not read (they can run code): df.to_parquet(), or dbo.identify(df)"
 _JSON = "JSON is not read: pandas.read_json(FILE).to_csv(OUT, index=False)"
 _EXPORT = "this format is not read: export it as CSV"
+_NO_HDF5 = "this is no HDF5 file: write it again, or look at its name"
 _REFUSED = {
-    ".pkl": _PICKLED,
-    ".pickle": _PICKLED,
-    ".json": _JSON,
-    ".jsonl": _JSON,
-    ".uff": _EXPORT,
-    ".unv": _EXPORT,
-    ".itx": _EXPORT,
-    ".h5": "this is no HDF5 file: write it again, or look at its name",
-    ".hdf5": "this is no HDF5 file: write it again, or look at its name",
-}
+    ".pkl": _PICKLED, ".pickle": _PICKLED, ".json": _JSON, ".jsonl": _JSON,
+    ".uff": _EXPORT, ".unv": _EXPORT, ".itx": _EXPORT, ".h5": _NO_HDF5, ".hdf5": _NO_HDF5,
+}  # fmt: skip
 """By suffix, what to do with a file of a format that is not read."""

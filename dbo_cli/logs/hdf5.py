@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, warn
 from dbo_cli.logs.formats import (
+    MATLAB_NUMBERS,
     ArraySource,
     Fetch,
     StoredColumn,
@@ -34,8 +35,6 @@ _NOT_APPLIED = {
     "scale_factor": 1.0, "add_offset": 0.0, "scale": 1.0, "offset": 0.0, "gain": 1.0, "factor": 1.0,
     "sensitivity": 1.0, "calibration": 1.0, "conversion": 1.0, "scaling_factor": 1.0, "YInc": 1.0,
 }  # fmt: skip
-_MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
-                   "uint32", "uint64", "logical")  # fmt: skip
 _EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
 
 
@@ -293,7 +292,7 @@ def _holds_numbers(dataset: Any) -> bool:
     if name and name[0].startswith(_EMPTY_DIMENSION):
         return False
     matlab = _texts(dataset, "MATLAB_class")
-    is_number = not matlab or matlab[0] in _MATLAB_NUMBERS
+    is_number = not matlab or matlab[0] in MATLAB_NUMBERS
     return is_number and "MATLAB_empty" not in dataset.attrs
 
 

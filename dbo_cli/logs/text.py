@@ -173,8 +173,10 @@ class TextSource(Source):
         self._seen += len(text)
         self.torn = ()
         is_small = self._seen <= _SMALL and "polars" not in sys.modules
-        comments = self._lines_of(b"".join(_COMMENT.findall(text)))
-        is_plain = all(map(self._is_passed, comments))
+        is_plain = True
+        if b"#" in text or b"%" in text:
+            comments = self._lines_of(b"".join(_COMMENT.findall(text)))
+            is_plain = all(map(self._is_passed, comments))
         if is_plain and not is_small and len(text) > _TINY:
             from dbo_cli.logs.fast_text import read_fast
 

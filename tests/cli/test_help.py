@@ -43,10 +43,12 @@ def test_help_lists_each_command_on_one_line():
     [
         ("simulate m.json a.csv --outsid hold", "did you mean --outside"),
         ("simulate m.json a.csv --foo 3", "no such option: --foo"),
+        ("compensate m.json a.csv --from=", "--from is empty"),
         ("identify a.csv --samplerate 5", "did you mean --sample-rate"),
         ("compensate m.json a.csv --on-limit stop", "'auto', 'clip', 'error'"),
         ("compensate m.json", "'TRAJECTORY'"),
         ("report a.csv --lag soon", "integer"),
+        ("identify a.csv --zero nan", "--zero nan: give none"),
     ],
 )
 def test_a_wrong_word_is_named(line, words, capsys):

@@ -48,12 +48,15 @@ def test_no_code_lies_outside_the_limits(to, gain):
     assert written.volts.min() >= ends[0] and written.volts.max() <= ends[1]
 
 
-def test_a_limit_between_two_codes_is_kept():
-    limits = within(0.0, 89.999)
-    drive = np.minimum(DRIVE, 89.999)
+def test_limits_between_two_codes_are_kept():
+    limits = within(0.001, 89.999)
+    drive = np.clip(DRIVE - 10.0, 0.001, 89.999)
+    written = made("uint16", drive, limits, volts=(0.0, 100.0), codes=(0, 254))
+    step = 100.0 / 254.0
+    assert 0.001 <= written.volts.min() < 0.001 + step
+    drive = np.clip(DRIVE, 0.001, 89.999)
     written = made("uint16", drive, limits, volts=(0.0, 100.0), codes=(0, 255))
-    assert written.volts.max() <= 89.999
-    assert written.volts.max() > 89.999 - 100.0 / 255.0
+    assert 89.999 - 100.0 / 255.0 < written.volts.max() <= 89.999
 
 
 @pytest.mark.parametrize(
