@@ -311,7 +311,9 @@ def _typed(column: Column | None, columns: Sequence[Column]) -> str:
         return "FILE::COLUMN"
     same = [twin for twin in columns if twin.name == column.name]
     if not column.name or len(same) > 1 or column.name.isdigit():
-        return str(column.number)
+        number = str(column.number)
+        is_name = any(twin.name == number != column.name for twin in columns)
+        return f"number={number}" if is_name else number
     return shlex.quote(column.name)
 
 

@@ -83,7 +83,8 @@ def read_header(
         _refuse_unclear(name, above, layout)
     has_names = bool(headers) and (units is None or len(headers) > 1)
     has_decimals = any(layout.decimal in line for line in rows[:_BESIDE])
-    _fill_from_settings(layout, settings, has_names, has_decimals)
+    if len(layout.numeric) > 1 or has_decimals:  # else they are counts, and no volts
+        _fill_from_settings(layout, settings, has_names)
 
 
 def _header_lines(above: Sequence[str], layout: Layout) -> list[list[str]]:
@@ -127,8 +128,7 @@ def _as_header(line: str, layout: Layout, above_units: bool) -> list[str] | None
         line = line[label.end() :]
     elif is_comment and re.match(r"[\w .]+=", line):
         return None  # a setting
-    is_sure = label is not None or '"' in line
-    for cells in _ways_to_split(line, layout.delimiter, is_comment, is_sure):
+    for cells in _ways_to_split(line, layout.delimiter, is_comment, bool(label)):
         cells = _fitted([cell.strip("'") for cell in cells], layout)
         is_text = any(cell and not is_number(cell, ".") for cell in cells)
         if len(cells) != layout.width or not is_text:
@@ -140,21 +140,19 @@ def _as_header(line: str, layout: Layout, above_units: bool) -> list[str] | None
 
 
 def _ways_to_split(
-    line: str, delimiter: str, is_comment: bool, is_sure: bool
+    line: str, delimiter: str, is_comment: bool, is_labelled: bool
 ) -> list[list[str]]:
     """Return how a line may be split: as the rows, and in other ways beside blanks or in a comment.
 
-    At single blanks it is split only where it is sure, or all of its words are names: else it is a title.
+    At single blanks it is split only where a label, quotes or all words say that it is no title.
     """
     ways = [] if delimiter == " " else [split_cells(line, delimiter)]
     if is_comment or delimiter == " ":
         ways = [split_cells(line, mark) for mark in ";," if mark in line] + ways
         ways.append([cell.strip() for cell in re.split(r"\s{2,}|\t", line)])
-        for cells in (
-            split_cells(line, " "),
-            re.findall(r"[^\s(\[]+(?:\s*[(\[][^)\]]*[)\]])?", line),
-        ):
-            if is_sure or all(map(_is_name, cells)):
+        with_units = re.findall(r"[^\s(\[]+(?:\s*[(\[][^)\]]*[)\]])?", line)
+        for cells in (split_cells(line, " "), with_units):
+            if is_labelled or '"' in line or all(map(_is_name, cells)):
                 ways.append(cells)
     return ways
 
@@ -253,10 +251,7 @@ def _refuse_unclear(name: str, above: Sequence[str], layout: Layout) -> None:
 
 
 def _fill_from_settings(
-    layout: Layout,
-    settings: dict[str, list[str]],
-    has_names: bool,
-    has_decimals: bool,
+    layout: Layout, settings: dict[str, list[str]], has_names: bool
 ) -> None:
     """Take names and units that are stated by channel where no line above the rows has them."""
     names, units, time = (
@@ -268,8 +263,7 @@ def _fill_from_settings(
         if re.fullmatch(r"name\d+", plain_key(key)) and values[0]:
             numbered.append(values[0])  # Name1: a line a channel
     places = sorted(layout.numeric)
-    if not time or len(places) > 2 or not has_decimals:
-        # a single one is of the file, or of what has become a count
+    if not time or len(places) > 2:  # a single statement is the file's
         names, units = (text if len(text) > 1 else [] for text in (names, units))
     if numbered or not has_names:
         _give(layout.names, numbered or names, places)

@@ -82,8 +82,10 @@ def _refuse_unclear_unit(name: str, role: str, column: Column) -> None:
     """Refuse a unit whose capitals are those of the name (``VOLTAGE (MV)``), and several units."""
     unit = column.unit or ""
     stated = sorted(units_in(column.name)) if parse_unit(unit) is None else []
-    if unit.startswith("M") and unit.lower() in ("mv", "mm"):
-        stated = [f"m{unit[1:]}", unit]
+    if unit in ("MV", "Mv"):
+        stated = ["mV", "MV"]
+    if unit in ("MM", "Mm"):
+        stated = ["mm", "Mm"]
     camel = re.search(r"[a-z]([KMN][mv]|Uv)$", column.name)
     if camel and not unit:  # VoltageMv
         stated = [camel[1].lower().replace("v", "V"), camel[1]]

@@ -173,8 +173,10 @@ class TextSource(Source):
         self._seen += len(text)
         self.torn = ()
         is_small = self._seen <= _SMALL and "polars" not in sys.modules
-        comments = self._lines_of(b"".join(_COMMENT.findall(text)))
-        is_plain = all(map(self._is_passed, comments))
+        is_plain = True
+        if b"#" in text or b"%" in text:
+            comments = self._lines_of(b"".join(_COMMENT.findall(text)))
+            is_plain = all(map(self._is_passed, comments))
         if is_plain and not is_small and len(text) > _TINY:
             from dbo_cli.logs.fast_text import read_fast
 
@@ -221,6 +223,8 @@ class TextSource(Source):
         places = [k for k, line in enumerate(lines) if not self._is_passed(line)]
         place = places[row - self.first_row]
         at = f"{self.name}:{self._line + place}"
+        if is_no_row(lines[place]):
+            return f"{at}: a comment as above another run: cut with `rows` :{row - 1}"
         cells = split_cells(lines[place], self.layout.delimiter)
         if len(cells) != self.layout.width:
             s = "" if len(cells) == 1 else "s"

@@ -242,6 +242,28 @@ def test_rates_that_files_state(tmp_path: Path) -> None:
         source.close()
 
 
+@pytest.mark.parametrize("key", ["wf_start_offset", "wf_start_time"])
+def test_starts_that_disagree_are_no_clock(tmp_path: Path, key: str) -> None:
+    import nptdms
+
+    starts = {
+        "wf_start_offset": (0.0, 0.25),
+        "wf_start_time": (
+            np.datetime64(FIRST, "ns"),
+            np.datetime64(FIRST + 10**6, "ns"),
+        ),
+    }
+    channels = []
+    for name, start in zip("vx", starts[key], strict=True):
+        timing = {"wf_increment": 0.001, key: start}
+        channels.append(nptdms.ChannelObject("g", name, np.array(V), timing))
+    with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
+        file.write_segment(channels)
+    source = opened(tmp_path / "a.tdms")
+    assert "two starts" in source.stated.problem
+    source.close()
+
+
 def test_rates_that_disagree_are_no_rate(tmp_path: Path) -> None:
     import nptdms
 

@@ -221,7 +221,8 @@ def test_a_single_value_is_a_statement_and_no_column(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "attributes", [{"scale_factor": 0.125}, {"scale": 20.0}, {"gain": 5.0}]
+    "attributes",
+    [{"scale_factor": 0.125}, {"scale": 20.0}, {"gain": 5.0}, {"conversion": 0.001}],
 )
 def test_attributes_that_are_not_applied_are_refused(
     tmp_path: Path, attributes: dict[str, float]
@@ -238,6 +239,35 @@ def test_attributes_that_are_not_applied_are_refused(
     source = open_hdf5(str(tmp_path / "run.h5"), "", scaled)
     with pytest.warns(DboWarning, match="`scale`"):
         np.testing.assert_array_equal(values(source, "packed"), [0.0, 100.0, np.nan])
+    source.close()
+
+
+def test_a_scale_beside_a_dataset_is_not_passed_over(tmp_path: Path) -> None:
+    def fill(file: Any) -> None:
+        file["x"], file["x_scaling_factor"] = np.arange(3.0), 0.001
+        file["y"] = np.array([0, -32768, 2], dtype="i2")
+        file["y"].attrs["missing_value"] = np.int16(-32768)
+
+    source = opened(tmp_path, fill)
+    with pytest.raises(InputError, match=r"x_scaling_factor.*`scale`"):
+        values(source, "x")
+    np.testing.assert_array_equal(values(source, "y"), [0.0, np.nan, 2.0])
+    source.close()
+
+
+@pytest.mark.parametrize(
+    ("key", "pair"), [("sample_rate", (1000.0, 2000.0)), ("t0", (0.0, 0.25))]
+)
+def test_clocks_that_differ_by_column_are_no_clock(
+    tmp_path: Path, key: str, pair: tuple[float, float]
+) -> None:
+    def fill(file: Any) -> None:
+        for name, value in zip("vx", pair, strict=True):
+            file[f"{name}/data"] = np.arange(3.0)
+            file[name].attrs.update({"sample_rate": 1000.0, key: value})
+
+    source = opened(tmp_path, fill)
+    assert key in source.stated.problem
     source.close()
 
 
