@@ -285,10 +285,11 @@ def _paint_loop(report: Report, log: LogReport, axes: Axes) -> None:
         name = axis_label(f"{first.capitalize()} displacement", report.unit)
     # many points become a picture inside the SVG, or the file takes megabytes
     as_picture = len(measured) > MOST_POINTS
-    label = second if compared else None
-    axes.plot(x, measured, rasterized=as_picture, label=label, **SOLID)
     if compared:
-        axes.plot(x, log.pair.desired, rasterized=as_picture, label=first, **DASHED)
+        axes.plot(x, log.pair.desired, rasterized=as_picture, label=first, **SOLID)
+        axes.plot(x, measured, rasterized=as_picture, label=second, **DASHED)
+    else:
+        axes.plot(x, measured, rasterized=as_picture, **SOLID)
     axes.set(xlabel=name, ylabel=axis_label("Displacement", report.unit))
 
 
