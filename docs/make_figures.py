@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dbo_cli.library import Model, identify, read_log
-from dbo_cli.model import Gears, Points, Relaxation
+from dbo_cli.model import Gears, Points, Relaxation, State
 from dbo_cli.reports.plots import (
     DASHED,
     FIRST,
@@ -57,7 +57,7 @@ def even_gears(count: int, relaxation: Relaxation | None = None) -> Gears:
 
 def played(gears: Gears, drive: Floats, bits: int = 0, **options: Any) -> Floats:
     """Return the output of gears that start empty, or with these bits."""
-    return gears.run(drive, bits, **options).y
+    return gears.run(drive, State(bits), **options).y
 
 
 def corner(gears: Gears, bits: int) -> tuple[float, float]:
