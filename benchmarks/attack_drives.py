@@ -30,14 +30,14 @@ from random_actuators import (
 from dbo_cli.drive import Limits, plan, stream
 from dbo_cli.drive.gate import GateError
 from dbo_cli.errors import DboError
-from dbo_cli.model import Model, State
+from dbo_cli.model import Cascade, State
 
 DT = 1e-3  # s
 A_MODEL = 20  # drives
 ROUNDING = 1e-12  # of the largest voltage: what a step may exceed its limit by
 
 
-def random_options(rng: Random, model: Model, last: State | None) -> dict[str, Any]:
+def random_options(rng: Random, model: Cascade, last: State | None) -> dict[str, Any]:
     """Return options of ``plan``, of which some exclude each other."""
     voltage = model.input
     reach = 0.6 if rng.random() < 0.2 else 0.02  # beyond the identified range
@@ -96,7 +96,7 @@ def steps_of(clock: Any, time_s: Any) -> Any:
 
 
 def whole(
-    model: Model, desired: Floats, clock: Any, limits: Limits, options: dict[str, Any]
+    model: Cascade, desired: Floats, clock: Any, limits: Limits, options: dict[str, Any]
 ) -> tuple[str, State | None]:
     """Plan one drive from arrays; return what is wrong with it, and the state after it."""
     drive = plan(model, desired, clock, limits, **options)
@@ -118,7 +118,11 @@ def whole(
 
 
 def in_blocks(
-    rng: Random, model: Model, desired: Floats, limits: Limits, options: dict[str, Any]
+    rng: Random,
+    model: Cascade,
+    desired: Floats,
+    limits: Limits,
+    options: dict[str, Any],
 ) -> str:
     """Plan one drive block by block; what has left before a refusal counts."""
     for name in ("periodic", "passes", "bandwidth"):
@@ -146,7 +150,7 @@ def in_blocks(
 
 
 def trial(
-    rng: Random, number: int, model: Model, last: State | None
+    rng: Random, number: int, model: Cascade, last: State | None
 ) -> tuple[str, State | None]:
     """Make one drive; return what is wrong with it, and the state after it."""
     limits = Limits.within(model.input, **random_limits(rng, model.input))  # type: ignore[arg-type]

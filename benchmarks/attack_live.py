@@ -23,7 +23,7 @@ from random_actuators import Random, random_actuator, random_limits
 
 from dbo_cli.drive.live import Controller
 from dbo_cli.errors import DboError, InputError, UsageError
-from dbo_cli.model import Model
+from dbo_cli.model import Cascade
 
 DT = 1e-3  # s
 CALLS = 200  # of a controller
@@ -39,7 +39,7 @@ class Wrong(Exception):
 class Machine:
     """One controller, its twin, and what may happen to them."""
 
-    def __init__(self, rng: Random, model: Model, **options: Any) -> None:
+    def __init__(self, rng: Random, model: Cascade, **options: Any) -> None:
         self.rng = rng
         self.model = model
         self.options = options

@@ -25,7 +25,7 @@ import numpy as np
 from dbo_cli.drive import Limits
 from dbo_cli.export import export_model
 from dbo_cli.export.text import array, real, whole
-from dbo_cli.model import Gears, Model, Points, Quantity, Relaxation
+from dbo_cli.model import Cascade, Gears, Points, Quantity, Relaxation
 
 HERE = Path(__file__).resolve().parent / "cortex"
 GEARS = (64, 1152)
@@ -66,7 +66,7 @@ CHIPS = (
 )
 
 
-def actuator(gears: int) -> Model:
+def actuator(gears: int) -> Cascade:
     """Return a model of a piezo stage of 100 V and some 12 um."""
     slopes = np.repeat(np.linspace(0.05, 0.15, SLOPES), gears // SLOPES)
     width = np.full(gears, 100.0 / gears)
@@ -78,7 +78,9 @@ def actuator(gears: int) -> Model:
         Points(bend, bend * np.linspace(1.2, 1.6, 8), 0.0, 0.0),
     )
     voltage = Quantity("voltage", "V", 0.0, 100.0)
-    return Model("forward", voltage, Quantity("displacement", "um", 0.0, 12.0), stages)
+    return Cascade(
+        "forward", voltage, Quantity("displacement", "um", 0.0, 12.0), stages
+    )
 
 
 def moves_header(arithmetic: str) -> str:

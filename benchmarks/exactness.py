@@ -18,7 +18,7 @@ import numpy as np
 from random_actuators import Floats, Random, random_actuator
 from random_models import DT, random_drive, random_model
 
-from dbo_cli.model import Model
+from dbo_cli.model import Cascade
 
 ROWS = 300
 REST = 25  # rows at either end, longer than any delay here
@@ -42,7 +42,7 @@ def static(count: int) -> float:
     return worst
 
 
-def round_trip(rng: Random, model: Model) -> tuple[float, float]:
+def round_trip(rng: Random, model: Cascade) -> tuple[float, float]:
     """Return the worst errors of drive and displacement, each over its range."""
     low, high = model.input.min, model.input.max
     drive = random_drive(rng, low, high, ROWS)
@@ -56,7 +56,7 @@ def round_trip(rng: Random, model: Model) -> tuple[float, float]:
     return float(there), float(np.abs(again - displacement)[:-REST].max() / span)
 
 
-def driven(model: Model, wanted: Floats, state: str = "auto") -> Floats:
+def driven(model: Cascade, wanted: Floats, state: str = "auto") -> Floats:
     """Return the drive of a whole move without limits; the last value is held."""
     ahead = np.full(model.inverter(DT).ahead, wanted[-1])
     undone, _ = model.inverter(DT).run(np.concatenate([wanted, ahead]))
@@ -84,7 +84,7 @@ def dynamics(count: int) -> float:
     return float(most)
 
 
-def between_rests(rng: Random, model: Model) -> Floats:
+def between_rests(rng: Random, model: Cascade) -> Floats:
     """Return a smooth move from rest at the lower end of the drive to a rest inside the reach."""
     bottom, _ = model.simulate([model.input.min], dt=DT, state="empty")
     knots = rng.uniform(0.25, 0.75, 12)

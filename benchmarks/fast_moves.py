@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.drive.lowpass import low_pass
 from dbo_cli.identification import Options, Recording, identify
-from dbo_cli.model import Model
+from dbo_cli.model import Cascade
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "sample_data"))
 from virtual_positioner import PRESETS, PositionerParameters, VirtualPositioner
@@ -75,7 +75,7 @@ def sweep(low: float, high: float, highest: float) -> Floats:
     return low + (high - low) * np.concatenate([way, rest, moving, rest, way[::-1]])
 
 
-def compensated(model: Model, wanted: Floats) -> Floats:
+def compensated(model: Cascade, wanted: Floats) -> Floats:
     """Return the drive of a move, from the lower end, within the identified range."""
     dt = 1.0 / FAST_RATE
     ahead = np.full(model.inverter(dt).ahead, wanted[-1])
@@ -85,7 +85,7 @@ def compensated(model: Model, wanted: Floats) -> Floats:
     return np.asarray(model.drive(undone, state, dt, (low, high)).y)
 
 
-def models_of(p: PositionerParameters, seconds: float) -> tuple[Model, Model]:
+def models_of(p: PositionerParameters, seconds: float) -> tuple[Cascade, Cascade]:
     """Return the model without dynamics and the model as identified."""
     stage = VirtualPositioner(p)
     turns = plants.nested(1, seconds)

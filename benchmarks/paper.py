@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from dbo_cli.errors import DboError, InputError
 from dbo_cli.identification import Options, Recording, identify
 from dbo_cli.logs import write_text
-from dbo_cli.model import Model, Scale
+from dbo_cli.model import Cascade, Scale
 from dbo_cli.reports import Pair, Report
 
 Floats = NDArray[np.float64]
@@ -72,7 +72,7 @@ def rows_of(table: Floats, rows: tuple[int, int], column: int) -> Floats:
     return np.ascontiguousarray(table[rows[0] - 1 : rows[1], column])
 
 
-def identified(table: Floats) -> Model:
+def identified(table: Floats) -> Cascade:
     """Identify as the paper does: 25 gears from one cycle, the sensor's mean as zero."""
     voltage = rows_of(table, CYCLE, VOLTAGE)
     displacement = rows_of(table, CYCLE, MEASURED)
@@ -81,7 +81,7 @@ def identified(table: Floats) -> Model:
     return identify([recording], Options(method="paper", gears=25, zero="mean"))
 
 
-def fit_of(table: Floats, model: Model) -> Report:
+def fit_of(table: Floats, model: Cascade) -> Report:
     """Compare the model with its cycle; the cycle before it sets the state."""
     rows = (CYCLE[0] - 200, CYCLE[1])
     voltage = rows_of(table, rows, VOLTAGE)

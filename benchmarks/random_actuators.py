@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.model import (
+    Cascade,
     Delay,
     Dynamics,
     Lag,
-    Model,
     Quantity,
     Resonance,
     Section,
@@ -27,7 +27,7 @@ Random = np.random.Generator
 MOVES = ("sine", "walk", "jumps", "rest", "beyond", "ramp")
 
 
-def random_actuator(rng: Random, dt: float) -> Model:
+def random_actuator(rng: Random, dt: float) -> Cascade:
     """Return a random model, perhaps with dynamics and a delay; ``dt`` (s) is its step."""
     while True:
         try:
@@ -38,7 +38,7 @@ def random_actuator(rng: Random, dt: float) -> Model:
             if rng.random() < 0.3:
                 stages.append(Delay(float(rng.choice([1.0, 1.23, 7.0])) * dt))
             reached = reach_of(static)
-            return Model("forward", static.input, reached, tuple(stages))
+            return Cascade("forward", static.input, reached, tuple(stages))
         except ModelError:  # stages that do not fit together
             continue
 
@@ -52,7 +52,7 @@ def random_sections(rng: Random, dt: float) -> tuple[Section, ...]:
     return choices[int(rng.integers(3))]
 
 
-def reach_of(static: Model) -> Quantity:
+def reach_of(static: Cascade) -> Quantity:
     """Return the output range that a static model reaches at rest."""
     ends = []
     for end, start in ((static.input.min, "empty"), (static.input.max, "full")):
@@ -61,7 +61,7 @@ def reach_of(static: Model) -> Quantity:
     return Quantity("displacement", "um", min(ends), max(ends))
 
 
-def random_move(rng: Random, model: Model, rows: int) -> Floats:
+def random_move(rng: Random, model: Cascade, rows: int) -> Floats:
     """Return a displacement of some kind, in and beyond what the model reaches."""
     low, span = model.output.min, model.output.span
     part = np.arange(rows) / rows

@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 
 from dbo_cli.drive.live import Controller
 from dbo_cli.model import (
+    Cascade,
     Delay,
     Dynamics,
     Gears,
-    Model,
     Points,
     Quantity,
     Relaxation,
@@ -133,7 +133,7 @@ def kernel(samples: int) -> bool:
 
 def actuator(
     gears: int, terms: int = 0, segments: int = 0, behind: tuple[Stage, ...] = ()
-) -> Model:
+) -> Cascade:
     """Return a model of a piezo stage of 100 V and 12 um."""
     heights = np.linspace(0.5, 1.5, gears) / gears
     memory = None
@@ -149,10 +149,10 @@ def actuator(
     stages.append(Scale(12.0, 0.0))
     voltage = Quantity("voltage", "V", 0.0, 100.0)
     displacement = Quantity("displacement", "um", 0.0, 12.0)
-    return Model("forward", voltage, displacement, (*stages, *behind))
+    return Cascade("forward", voltage, displacement, (*stages, *behind))
 
 
-def cost(model: Model, wanted: list[float], applied: bool) -> float:
+def cost(model: Cascade, wanted: list[float], applied: bool) -> float:
     """Return microseconds a sample."""
 
     def run() -> None:

@@ -13,18 +13,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import DboError, InputError, ModelError, UsageError
 from dbo_cli.model.state import START_NAMES
 from dbo_cli.units import split_header
 
 if TYPE_CHECKING:
     from dbo_cli.logs import Block, Reading
-    from dbo_cli.model import Model
+    from dbo_cli.model import Cascade
 
-Floats = NDArray[np.float64]
 Result = tuple[str, str | None, Floats]
 """A column of the result: its name, unit and values."""
 Columns = Mapping[str, str | None]
@@ -88,7 +85,7 @@ def _matches(pattern: str, headers: Sequence[str]) -> list[str]:
     return channels
 
 
-def models_of(path: str, channels: Iterable[str]) -> dict[str, Model]:
+def models_of(path: str, channels: Iterable[str]) -> dict[str, Cascade]:
     """Return the model of each channel: of a set, or one that serves all."""
     from dbo_cli.model import is_set, read_model, read_models
 
@@ -165,7 +162,7 @@ def refuse(options: Mapping[str, object]) -> None:
 
 def _each(
     model_path: str, log_path: str, reading: Reading, columns: Columns, role: str
-) -> Iterator[tuple[str, Model, Block]]:
+) -> Iterator[tuple[str, Cascade, Block]]:
     """Yield name, model and log of each channel, the signal of a role in the unit of the model."""
     from dbo_cli.logs import open_log
 

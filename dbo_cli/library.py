@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli import model as room
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model.state import START_NAMES
 
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from dbo_cli.identification import Recording
     from dbo_cli.reports import Report
 
-Floats = NDArray[np.float64]
 Clock = float | Floats | None
 """Seconds a sample, or the time of each sample (s)."""
 SHOWN = "direction input output stages fit sign provenance digest"
@@ -39,7 +38,7 @@ class Model:
 
     Parameters
     ----------
-    actuator : dbo_cli.model.Model
+    actuator : dbo_cli.model.Cascade
         The cascade of stages that computes.
 
     Attributes
@@ -49,7 +48,7 @@ class Model:
         and the figures of its identification.
     """
 
-    def __init__(self, actuator: room.Model) -> None:
+    def __init__(self, actuator: room.Cascade) -> None:
         self.actuator = actuator
 
     def __getattr__(self, name: str) -> Any:

@@ -6,9 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import warn
 from dbo_cli.logs import Reading, open_log
 from dbo_cli.units import quantity_name
@@ -18,7 +16,6 @@ if TYPE_CHECKING:
     from dbo_cli.identification import Recording
     from dbo_cli.logs import Log
 
-Floats = NDArray[np.float64]
 Units = Mapping[str, str | None]
 
 

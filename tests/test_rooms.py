@@ -10,6 +10,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parent.parent / "dbo_cli"
 LEVELS = {
     "errors": 0,
+    "arrays": 0,
     "version": 0,
     "units": 0.5,
     "model": 1,

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from dbo_cli.drive import Drive, Limits
     from dbo_cli.drive.learning import PassRecord, Tracked
     from dbo_cli.logs import Log, Outputs
-    from dbo_cli.model import Model
+    from dbo_cli.model import Cascade
 
 
 def compensate(
@@ -154,7 +154,7 @@ def compensate(
 
 
 def write_drive(
-    actuator: Model,
+    actuator: Cascade,
     wanted: Log,
     limits: Limits,
     outputs: Outputs,
@@ -183,7 +183,7 @@ def write_drive(
     return drive
 
 
-def table_of(actuator: Model, limits: Limits, time: Any) -> tuple[Any, Any]:
+def table_of(actuator: Cascade, limits: Limits, time: Any) -> tuple[Any, Any]:
     """Return names and units of the columns of a drive, and what an HDF5 file says of it."""
     columns: list[tuple[str, str | None]] = [] if time is None else [("time", "s")]
     columns.append(("desired", actuator.output.unit))
@@ -203,7 +203,7 @@ def read_tracked(
     paths: list[str],
     reading: opt.Reading,
     columns: dict[str, str | None],
-    actuator: Model,
+    actuator: Cascade,
 ) -> list[Tracked]:
     """Read recordings of the last pass in the model's units."""
     from dbo_cli.drive.learning import Tracked

@@ -14,7 +14,7 @@ from dbo_cli.errors import UsageError
 if TYPE_CHECKING:
     from dbo_cli.identification import Options
     from dbo_cli.logs import Log
-    from dbo_cli.model import Model
+    from dbo_cli.model import Cascade
 
 STRUCTURE = "Structure of the model"
 
@@ -128,7 +128,7 @@ def identified(
     reading: opt.Reading,
     columns: dict[str, str | None],
     options: Options,
-) -> tuple[Model, list[Log]]:
+) -> tuple[Cascade, list[Log]]:
     """Return the model of one actuator, and the logs that it was identified from."""
     from dbo_cli.identification import identify as fit
     from dbo_cli.recordings import provenance, read_recordings
@@ -143,7 +143,7 @@ def identified(
     return replace(model, provenance=source), logs[:count]
 
 
-def summary_of(model: Model) -> str:
+def summary_of(model: Cascade) -> str:
     """Return the figures of the fit as JSON."""
     values = {
         "format": "dbo-summary",

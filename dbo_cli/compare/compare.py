@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from dbo_cli.arrays import Floats
 from dbo_cli.compare.fitting import (
     RIVALS,
     Design,
@@ -17,10 +18,9 @@ from dbo_cli.compare.fitting import (
     fit,
     prepare,
 )
-from dbo_cli.compare.plays import Floats
 from dbo_cli.errors import DboError
 from dbo_cli.identification import Options, Recording, identify
-from dbo_cli.model import Model, Points, kernel
+from dbo_cli.model import Cascade, Points, kernel
 from dbo_cli.reports.render import digits, json_text, text_table
 
 JSON_VERSION = 1  # of the form dbo-compare
@@ -63,7 +63,7 @@ class Row:
 class DboModel:
     """The DBO with the functions of a rival."""
 
-    model: Model
+    model: Cascade
 
     def _dt(self, clock: Floats | None) -> float | None:
         if not self.model.needs_time:

@@ -17,9 +17,10 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
-from dbo_cli.compare.plays import NOTHING, Floats, Integers, Plays, places
+from dbo_cli.arrays import Booleans, Floats, Integers
+from dbo_cli.compare.plays import NOTHING, Plays, places
 from dbo_cli.errors import FitError
-from dbo_cli.identification.recording import Booleans, Recording, Swings
+from dbo_cli.identification.recording import Recording, Swings
 from dbo_cli.model import Points, Scale
 from dbo_cli.model.points import Curves, through
 

@@ -23,12 +23,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats, Integers
 from dbo_cli.model import kernel
-
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 
 NOTHING: Floats = np.empty(0)
 LANES = 8  # plays that the kernel adds up side by side: tables are padded to it

@@ -10,12 +10,12 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.drive.gate import Gate
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import InputError, LimitError
 from dbo_cli.model import steps_of
 
-Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 TOLERANCE = 1e-3

@@ -10,26 +10,26 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, OnLimit
 from dbo_cli.drive.lead import Lead, Seconds, standing_at
 from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.stream import Block, Rows, drive_blocks, require_numbers
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.model import Model, State, Steps, steps_of
+from dbo_cli.model import Cascade, State, Steps, steps_of
 
 if TYPE_CHECKING:
     from dbo_cli.drive.learning import PassRecord, Tracked
 
-Floats = NDArray[np.float64]
 Clock = float | ArrayLike | None
 
 BLOCK_ROWS = 65_536  # that are driven at once: what they take stays in caches
 
 
 def plan(
-    model: Model,
+    model: Cascade,
     desired: ArrayLike,
     clock: Clock,
     limits: Limits,
@@ -140,7 +140,7 @@ def plan(
 
 
 def stream(
-    model: Model,
+    model: Cascade,
     blocks: Iterable[tuple[Floats | None, Steps, Floats]],
     limits: Limits,
     *,

@@ -7,18 +7,17 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.drive.gate import Gate
 from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.outlook import would_fit
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.model import Model, Run, State, Steps
+from dbo_cli.model import Cascade, Run, State, Steps
 
 if TYPE_CHECKING:
     from dbo_cli.drive.learning import PassRecord
 
-Floats = NDArray[np.float64]
 OnLimit = Literal["auto", "clip", "error"]
 
 ALLOWED_PART = 0.01
@@ -78,7 +77,7 @@ class Drive:
         ``on_limit`` is unknown.
     """
 
-    model: Model = field(repr=False)
+    model: Cascade = field(repr=False)
     limits: Limits
     on_limit: OnLimit = "auto"
     name: str = "trajectory"

@@ -19,12 +19,11 @@ import math
 import random
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.drive.swings import swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
 
-Floats = NDArray[np.float64]
 # a turning point as a part of the range, and the rows on the way there
 Leg = tuple[float, int]
 

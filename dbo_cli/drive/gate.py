@@ -9,13 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import DboError, LimitError
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 ROUNDING = 8.0 * 2.0**-52
 """Of the larger of two voltages: the last digits of a step, each voltage being rounded once or twice on its
@@ -50,7 +47,7 @@ class Gate:
 
     def broken(
         self, voltage: Floats, dt: float | Floats | None = None, part: str = "move"
-    ) -> Bools:
+    ) -> Booleans:
         """Return which rows break a limit; the gate goes on behind the last row.
 
         Parameters
@@ -71,7 +68,7 @@ class Gate:
             return np.zeros(0, dtype=np.bool_)
         low, high = self.limits.range_of(part)
         inside = np.isfinite(voltage) & (voltage >= low) & (voltage <= high)
-        bad: Bools = ~inside
+        bad: Booleans = ~inside
         most = self.limits.largest_step(dt)
         if most is not None:
             before = self._before(voltage)

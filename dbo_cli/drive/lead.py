@@ -13,14 +13,13 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.swings import swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
-from dbo_cli.model import Lag, Model, State
+from dbo_cli.model import Cascade, Lag, State
 
-Floats = NDArray[np.float64]
 Seconds = float | Literal["auto"] | None
 
 SWEEP_SECONDS = 1.0
@@ -93,7 +92,7 @@ def _seconds(name: str, value: Any) -> Seconds:
 
 
 def plan_lead(
-    model: Model, first: float, dt: float, limits: Limits, lead: Lead
+    model: Cascade, first: float, dt: float, limits: Limits, lead: Lead
 ) -> tuple[State | None, Floats, int, float]:
     """Return what stands before a move.
 
@@ -159,7 +158,7 @@ def plan_lead(
 
 
 def _conditioning(
-    model: Model, last: float | None, dt: float, limits: Limits, lead: Lead
+    model: Cascade, last: float | None, dt: float, limits: Limits, lead: Lead
 ) -> Floats:
     """Return the voltages of a sweep, with the way there from where the amplifier stands."""
     swept = sweep(model, limits, dt)
@@ -183,7 +182,7 @@ def standing_at(limits: Limits, lead: Lead) -> float | None:
     return limits.standing(lead.start, left_at)
 
 
-def _played(model: Model, voltage: Floats, dt: float, state: State) -> State:
+def _played(model: Cascade, voltage: Floats, dt: float, state: State) -> State:
     """Return the state after voltages; without a clock the model does not need one."""
     return model.run(voltage, state, dt if dt > 0.0 else None).state
 
@@ -217,7 +216,7 @@ def ramp(
     return swings([begin, end], [count])[1:]
 
 
-def sweep(model: Model, limits: Limits, dt: float) -> Floats:
+def sweep(model: Cascade, limits: Limits, dt: float) -> Floats:
     """Return the voltages of a sweep of the move's range: its lower end, its upper one, and back.
 
     At or below the first gear's origin every bit is clear, so that the past is wiped
@@ -240,7 +239,7 @@ def sweep(model: Model, limits: Limits, dt: float) -> Floats:
 
 
 def way(
-    model: Model,
+    model: Cascade,
     state: State,
     first: float,
     dt: float,
@@ -280,7 +279,7 @@ def way(
     return way_to(end)
 
 
-def rest_rows(model: Model, dt: float) -> int:
+def rest_rows(model: Cascade, dt: float) -> int:
     """Return the rows (0 without dynamics) after which lags and resonances have died away."""
     if model.dynamics is None:
         return 0

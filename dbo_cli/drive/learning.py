@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.lowpass import low_pass
@@ -26,7 +26,6 @@ from dbo_cli.drive.swings import soft_rise
 from dbo_cli.errors import InputError, warn
 from dbo_cli.model import Resonance, State
 
-Floats = NDArray[np.float64]
 FORMAT, VERSION = "dbo-history", 1
 
 # of Q, run both ways; at 4 what is learned neither grows nor is lost (measured in benchmarks)

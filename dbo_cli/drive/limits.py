@@ -13,15 +13,12 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.model import Quantity
 from dbo_cli.model.gears import largest_step
 from dbo_cli.units import parse_quantity, parse_unit
 
-Floats = NDArray[np.float64]
 Figure = float | str | None
 """A limit: a number in the unit of the drive, or a text with a unit (``1.2kV``, ``2V/ms``)."""
 

@@ -12,15 +12,13 @@ import math
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.drive.gate import ROUNDING, GateError
 from dbo_cli.drive.limits import Figure, Limits, voltage_in
 from dbo_cli.errors import InputError, ModelError, UsageError
-from dbo_cli.model import Model, State, Undoing
+from dbo_cli.model import Cascade, State, Undoing
 from dbo_cli.model.points import value_through
-
-Floats = NDArray[np.float64]
 
 WANTED_SPANS = 1e12
 """A wanted value so many ranges away is no displacement but a fault of the loop."""
@@ -72,7 +70,7 @@ class Controller:
 
     def __init__(
         self,
-        model: Model,
+        model: Cascade,
         sample_rate: float,
         *,
         v_min: Figure = None,

@@ -16,17 +16,16 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import ALLOWED_PART, Drive
 from dbo_cli.drive.lead import MOST_ROWS, Lead, ramp, standing_at
 from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.outlook import conclude
 from dbo_cli.drive.swings import soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
-from dbo_cli.model import Model, Run, State
+from dbo_cli.model import Cascade, Run, State
 
-Floats = NDArray[np.float64]
 NOTHING = np.zeros(0)
 
 # relaxation settles within 60; limits that bind now and then take longer
@@ -272,7 +271,7 @@ class Settled(NamedTuple):
 
 
 def settled_drive(
-    model: Model, undone: Floats, dt: float, state: State, limits: Limits
+    model: Cascade, undone: Floats, dt: float, state: State, limits: Limits
 ) -> Settled:
     """Return the drive of one period whose end is its own beginning.
 
@@ -306,7 +305,7 @@ def apart(values: Floats, beside: Floats) -> float:
     return float(np.abs(values - beside).max())
 
 
-def looped_state(model: Model, voltage: Floats, dt: float, state: State) -> State:
+def looped_state(model: Cascade, voltage: Floats, dt: float, state: State) -> State:
     """Return gears and memory before a pass of a drive that was repeated for ever, begun in a state."""
     static = model.static
     begun = static.run(voltage, state, dt).state
@@ -322,7 +321,7 @@ def looped_state(model: Model, voltage: Floats, dt: float, state: State) -> Stat
     return replace(after, memory=tuple(memory))
 
 
-def settled_run(model: Model, voltage: Floats, dt: float, state: State) -> Floats:
+def settled_run(model: Cascade, voltage: Floats, dt: float, state: State) -> Floats:
     """Return the displacement of one period of a drive that was repeated for ever."""
     before = looped_state(model, voltage, dt, state)
     return model.follow_loop(model.static.run(voltage, before, dt).y, dt)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import UsageError
-
-Floats = NDArray[np.float64]
 
 REACH = 10.0
 """Periods of the cut-off, over which what a sample does to others dies away."""

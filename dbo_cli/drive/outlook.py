@@ -7,15 +7,14 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import warn
 from dbo_cli.model import Steps
 
 if TYPE_CHECKING:
     from dbo_cli.drive.drive import Drive
 
-Floats = NDArray[np.float64]
 
 OFF_AT_FIRST = 1e-3  # of the range: so far off its first value may a drive begin unsaid
 LONG_HOLD = 100.0  # times the longest time constant: what creeps has come to rest

@@ -8,11 +8,9 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dbo_cli.model import Model, Outside, State, Undoing, read_ahead
-
-Floats = NDArray[np.float64]
+from dbo_cli.arrays import Floats
+from dbo_cli.model import Cascade, Outside, State, Undoing, read_ahead
 
 
 @dataclass
@@ -36,7 +34,7 @@ class Simulation:
 
 
 def simulate_blocks(
-    model: Model,
+    model: Cascade,
     blocks: Iterable[tuple[Any, Floats, float | Floats | None]],
     run: Simulation,
     start: str = "auto",

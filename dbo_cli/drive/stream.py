@@ -11,8 +11,8 @@ from dataclasses import replace
 from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import (
     CHOSEN_MOVES,
@@ -23,9 +23,8 @@ from dbo_cli.drive.lead import (
 )
 from dbo_cli.drive.outlook import conclude
 from dbo_cli.errors import InputError, LimitError
-from dbo_cli.model import Model, State, Steps, Undoing, read_ahead
+from dbo_cli.model import Cascade, State, Steps, Undoing, read_ahead
 
-Floats = NDArray[np.float64]
 # consecutive rows of a trajectory: seconds (None without a clock), seconds since the row
 # before (a number where they are even), what is desired, and what is asked for it
 Block = tuple[Floats | None, Steps, Floats, Floats]
@@ -145,7 +144,7 @@ def _usual_step(drive: Drive, dt: Steps, timed: bool) -> float:
     return 0.0
 
 
-def _aged(model: Model, state: State, time: Floats | None, step: float) -> State:
+def _aged(model: Cascade, state: State, time: Floats | None, step: float) -> State:
     """Return a state after the pause between its last row and the first one: the voltage was held."""
     if state.time is None or state.drive is None or time is None:
         return state

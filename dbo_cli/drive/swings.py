@@ -6,9 +6,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from dbo_cli.arrays import Floats
 
 WHOLE = 1e-9  # of a row: what rounding may add to a number of rows
 

@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.export import text as c
@@ -18,8 +17,6 @@ from dbo_cli.export.plan import Plan, trial_moves
 from dbo_cli.model import Points, Quantity, Scale
 from dbo_cli.model.points import Curves
 from dbo_cli.model.widths import kernel_table
-
-Floats = NDArray[np.float64]
 
 MOST_LOOKUP_GEARS = 12
 """2^12 states are 70 kB of table; one gear more doubles it."""

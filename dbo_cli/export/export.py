@@ -11,7 +11,7 @@ from dbo_cli.export import text as c
 from dbo_cli.export.double import double_sources
 from dbo_cli.export.plan import Loss, Plan, plan_of, with_fewer_gears
 from dbo_cli.export.q31 import q31_sources
-from dbo_cli.model import Model, Quantity
+from dbo_cli.model import Cascade, Quantity
 
 NUMBERS = {"double": "double", "q31": "int32_t"}
 """The arithmetics, and the type of what goes in and comes out."""
@@ -34,7 +34,7 @@ class Export:
 
 
 def export_model(
-    model: Model,
+    model: Cascade,
     limits: Limits,
     *,
     name: str = "actuator",

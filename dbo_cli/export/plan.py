@@ -8,17 +8,15 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import ModelError, UsageError
-from dbo_cli.model import Gears, Model, State
+from dbo_cli.model import Cascade, Gears, State
 from dbo_cli.model.delay import AFTER, whole_and_part
 from dbo_cli.model.gears import Window, largest_step
 from dbo_cli.model.points import through
 from dbo_cli.model.undoing import SectionInverse, section_inverse
-
-Floats = NDArray[np.float64]
 
 TRIALS = 20  # test moves over which the loss of fewer gears is taken: 5,000 samples
 MORE_REST = 5  # samples before a move, from which on a delay knows its past
@@ -38,12 +36,12 @@ class Plan:
         Of the drive; the move's range and the slew count.
     """
 
-    forward: Model
+    forward: Cascade
     dt: float | None
     limits: Limits
 
     @cached_property
-    def model(self) -> Model:
+    def model(self) -> Cascade:
         """The inverse model, whose output is the drive."""
         return self.forward.inverse()
 
@@ -164,7 +162,7 @@ class Plan:
         return static.drive(undone[MORE_REST:], state, self.dt, move, slew).y
 
 
-def plan_of(model: Model, sample_rate: float | None, limits: Limits) -> Plan:
+def plan_of(model: Cascade, sample_rate: float | None, limits: Limits) -> Plan:
     """Return the plan of a model.
 
     Raises
@@ -215,7 +213,7 @@ class Loss(NamedTuple):
     rms: float
 
 
-def with_fewer_gears(model: Model, gears: int) -> tuple[Model, Loss | None]:
+def with_fewer_gears(model: Cascade, gears: int) -> tuple[Cascade, Loss | None]:
     """Return a forward model with ``gears`` even gears on the same loading curve, and what is lost.
 
     The loading curve keeps its value at every new breakpoint; turns between them are
@@ -246,7 +244,7 @@ def with_fewer_gears(model: Model, gears: int) -> tuple[Model, Loss | None]:
     return reduced, _loss(forward, reduced)
 
 
-def _loss(full: Model, fewer: Model) -> Loss:
+def _loss(full: Cascade, fewer: Cascade) -> Loss:
     """Return the difference of two forward models."""
     step = None
     if full.gears.relaxation is not None:

@@ -20,8 +20,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
 from dbo_cli.export.plan import Plan
 from dbo_cli.export.q31_tables import (
@@ -31,8 +31,6 @@ from dbo_cli.export.q31_tables import (
     counts_of_range,
     shift_for,
 )
-
-Floats = NDArray[np.float64]
 
 INTERPOLATED = 4.0
 """Counts by which a value between two samples is rounded: dbo_q31_interpolation.h rounds so often."""

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
 from dbo_cli.export.plan import Plan
 from dbo_cli.model import Quantity, Scale
 from dbo_cli.model.points import Curves, through
-
-Floats = NDArray[np.float64]
 
 COUNTS = 2.0**30
 MOST_FINE_BITS = 12

@@ -13,12 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dbo_cli.identification.recording import Floats
+from dbo_cli.arrays import Floats, Integers
 from dbo_cli.model import Relaxation, kernel
-
-Integers = NDArray[np.int64]
 
 GEARS = 2048  # of a model inside its range, all of one width
 SPARE = 0.125  # of the drive's range: gears beyond either end

@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.errors import FitError, UsageError
 from dbo_cli.identification.recording import (
     FEWEST_ROWS,
-    Booleans,
-    Floats,
     Options,
     Recording,
     turning_points,

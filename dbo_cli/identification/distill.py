@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dbo_cli.arrays import Floats
 from dbo_cli.identification.basis import PreparedLog, Structure, columns_of, sums_of
 from dbo_cli.identification.judge import error_left_out
 from dbo_cli.identification.problem import GOLDEN, Problem
-from dbo_cli.identification.recording import Floats
 from dbo_cli.identification.search import CURVES
 from dbo_cli.identification.solve import Fit, Rows, solve
 

@@ -31,7 +31,7 @@ from dbo_cli.identification.sections import (
     phase_delay,
     sections_of,
 )
-from dbo_cli.model import Gears, Lag, Model, Relaxation, Resonance, Section
+from dbo_cli.model import Cascade, Gears, Lag, Relaxation, Resonance, Section
 
 MOST_RESONANCES = 2  # one sweep does not tell more apart
 EARNED = 0.9  # of the error left out: what a resonance must lower it to
@@ -47,7 +47,7 @@ UNEXPLAINED = 0.1  # of what the fast rows do: more is a warning
 
 
 def find(
-    static: Model, fast: Sequence[FastPart], wanted: str | int
+    static: Cascade, fast: Sequence[FastPart], wanted: str | int
 ) -> tuple[tuple[Section, ...], float, dict[str, Any]]:
     """Return sections, delay (s) and figures of the dynamics that the fast rows ask for.
 
@@ -80,7 +80,7 @@ def find(
 
 
 def refine(
-    static: Model,
+    static: Cascade,
     fast: Sequence[FastPart],
     sections: Sequence[Section],
     delay: float,
@@ -107,7 +107,7 @@ def least_relaxation(fast: Sequence[FastPart]) -> float:
     return FAST_LAGS / _band(fast)[0]
 
 
-def without_fast_lags(model: Model, shortest: float) -> Model:
+def without_fast_lags(model: Cascade, shortest: float) -> Cascade:
     """Return a model whose relaxation of less than ``shortest`` (s) is immediate.
 
     A memory of milliseconds stands in a slow model for what dynamics say better. At
@@ -131,7 +131,7 @@ def without_fast_lags(model: Model, shortest: float) -> Model:
 
 
 def _signals(
-    static: Model, fast: Sequence[FastPart], creep: Sequence[Lag] = ()
+    static: Cascade, fast: Sequence[FastPart], creep: Sequence[Lag] = ()
 ) -> list[Signals]:
     """Return the fast parts beside a static model without fast memories."""
     still = without_fast_lags(static.static, least_relaxation(fast))

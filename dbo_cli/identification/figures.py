@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError, LimitError
 from dbo_cli.identification.distill import Average, invented_log
 from dbo_cli.identification.judge import error_left_out
 from dbo_cli.identification.problem import Problem, falling
-from dbo_cli.identification.recording import Floats, Options, Recording, Swings
-from dbo_cli.model import Model
+from dbo_cli.identification.recording import Options, Recording, Swings
+from dbo_cli.model import Cascade
 from dbo_cli.model.expect import expected_error, fastest_drive, longest_rest
 
 NO_BETTER = 0.95  # of a straight line's error: above it there is nothing but a line
@@ -36,8 +37,8 @@ def refuse_other_sign(logs: Sequence[Recording], options: Options) -> None:
 
 
 def stated(
-    model: Model, problem: Problem, average: Average, logs: Sequence[Recording]
-) -> Model:
+    model: Cascade, problem: Problem, average: Average, logs: Sequence[Recording]
+) -> Cascade:
     """Return the model with the error to expect on an invented move.
 
     No part that was left out is predicted better than the logs are followed, row by row.
@@ -67,8 +68,8 @@ def left_out_rmse(problem: Problem, average: Average) -> float:
 
 
 def measured(
-    model: Model, logs: Sequence[Recording], options: Options, notes: Sequence[str]
-) -> Model:
+    model: Cascade, logs: Sequence[Recording], options: Options, notes: Sequence[str]
+) -> Cascade:
     """Return the model with its figures on the logs; refuse (FitError) what is no better than a line."""
     residuals = [residual_of(model, log) for log in logs]
     rmse, line = pooled(residuals), line_rmse(logs)
@@ -107,7 +108,7 @@ def _refuse_no_better(
     )
 
 
-def _warnings(model: Model, figures: dict[str, Any]) -> list[str]:
+def _warnings(model: Cascade, figures: dict[str, Any]) -> list[str]:
     """Return what to be careful about."""
     found = []
     expected, line = figures.get("expected_rmse"), figures["line_rmse"]
@@ -141,14 +142,14 @@ def _warnings(model: Model, figures: dict[str, Any]) -> list[str]:
     return found
 
 
-def predicted(model: Model, log: Recording) -> Floats:
+def predicted(model: Cascade, log: Recording) -> Floats:
     """Return what a model makes of a log's drive."""
     dt = None if log.time is not None else 1.0
     played, _ = model.simulate(log.voltage, time=log.time, dt=dt)
     return played
 
 
-def residual_of(model: Model, log: Recording) -> dict[str, Any]:
+def residual_of(model: Cascade, log: Recording) -> dict[str, Any]:
     """Return what a model leaves of a log beside an offset, and a straight drift where swings can tell it.
 
     Name, rows that count, RMS error, and how far the drift goes along the log, in the
@@ -186,7 +187,7 @@ def line_rmse(logs: Sequence[Recording]) -> float:
     return math.sqrt(float(np.mean((y - gain * v) ** 2)))
 
 
-def validated(model: Model, validation: Sequence[Recording]) -> Model:
+def validated(model: Cascade, validation: Sequence[Recording]) -> Cascade:
     """Return the model with its errors on logs that it was not made from."""
     if not validation:
         return model
@@ -203,7 +204,7 @@ def validated(model: Model, validation: Sequence[Recording]) -> Model:
     return replace(model, fit={**model.fit, "validation": entries})
 
 
-def describe(model: Model) -> str:
+def describe(model: Cascade) -> str:
     """Return in one line what to expect of a model."""
     fit, unit = model.fit, model.output.suffix
     expected = fit.get("expected_rmse")

@@ -19,14 +19,14 @@ from dbo_cli.identification.problem import prepare, without_unknown_past
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.search import Search, choices_for
 from dbo_cli.identification.stages import model_of
-from dbo_cli.model import Model
+from dbo_cli.model import Cascade
 
 
 def identify(
     recordings: Sequence[Recording],
     options: Options | None = None,
     validation: Sequence[Recording] = (),
-) -> Model:
+) -> Cascade:
     """Identify a model from logs of one actuator.
 
     Parameters
@@ -64,7 +64,7 @@ def identify(
 
 def _searched(
     logs: Sequence[Recording], options: Options, notes: list[str]
-) -> tuple[Model, list[Recording]]:
+) -> tuple[Cascade, list[Recording]]:
     """Return the model that structures judged on parts left out add up to, and its slow logs."""
     slow, fast = split(logs)
     prepared = without_unknown_past(prepare(slow, options), notes)

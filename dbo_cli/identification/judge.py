@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.errors import FitError
 from dbo_cli.identification.problem import Problem
-from dbo_cli.identification.recording import Booleans, Floats
 from dbo_cli.identification.solve import Equations, Fit, products
 
 WORSE_ALLOWED = 1.3  # mean square on the rows kept, over that of the whole fit

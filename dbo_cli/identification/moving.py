@@ -16,20 +16,21 @@ from typing import Any
 import numpy as np
 from scipy.optimize import nnls
 
+from dbo_cli.arrays import Floats
 from dbo_cli.identification.basis import Structure
 from dbo_cli.identification.dynamics import find, least_relaxation, refine
 from dbo_cli.identification.fast import FastPart, even_step
 from dbo_cli.identification.problem import Problem
-from dbo_cli.identification.recording import Floats, Options, Recording
+from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.search import CURVES, Choices, Search
 from dbo_cli.identification.solve import Fit
 from dbo_cli.identification.stages import model_of
 from dbo_cli.model import (
     Candidate,
+    Cascade,
     Delay,
     Dynamics,
     Lag,
-    Model,
     Relaxation,
     Section,
     Stage,
@@ -64,7 +65,7 @@ class Moving:
     delay: float
     figures: dict[str, Any]
 
-    def applied(self, model: Model) -> Model:
+    def applied(self, model: Cascade) -> Cascade:
         """Return a model of the slow rows with the sections and the delay, in its candidates, too."""
         model = replace(model, fit={"dynamics": self.figures})
         if not self.sections:

@@ -16,10 +16,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import nnls
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError
-from dbo_cli.identification.recording import Floats, Options, Recording
+from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.stages import zero_of
-from dbo_cli.model import Gears, Model, Points, Quantity, Scale
+from dbo_cli.model import Cascade, Gears, Points, Quantity, Scale
 
 GEARS = 25  # the paper's
 FINE_GEARS, GROUP = 1280, 20  # gears of the fine operator, and how many share a slope
@@ -32,7 +33,7 @@ LEAST_CURVE = 0.03  # slope of a segment's inverse, of the mean slope
 EXACT = 1e3  # weight of the condition that the curve keeps its ends
 
 
-def identify_paper(recording: Recording, options: Options) -> Model:
+def identify_paper(recording: Recording, options: Options) -> Cascade:
     """Return the model of one cycle.
 
     Parameters
@@ -77,7 +78,7 @@ def identify_paper(recording: Recording, options: Options) -> Model:
         "gears": count,
         "range": [low, low + swing],
     }
-    model = Model(
+    model = Cascade(
         direction="forward",
         input=Quantity(*recording.input, low, low + swing),
         output=Quantity(*recording.output, 0.0, 1.0),

@@ -19,16 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError, UsageError
 from dbo_cli.identification.recording import (
     FEWEST_ROWS,
-    Floats,
     Options,
     Recording,
     Swings,
     white_noise,
 )
-from dbo_cli.model import Candidate, Delay, Dynamics, Model, Scale, steps_of
+from dbo_cli.model import Candidate, Cascade, Delay, Dynamics, Scale, steps_of
 
 STUDENT = 2.0  # standard errors of a 95 % interval
 BROKEN = 2.0
@@ -88,7 +88,9 @@ class Change:
     delay: float
 
 
-def rescale(prior: Model, recordings: Sequence[Recording], options: Options) -> Model:
+def rescale(
+    prior: Cascade, recordings: Sequence[Recording], options: Options
+) -> Cascade:
     """Return the prior with gain, offset and delay of cleaned recordings; its candidates go along.
 
     Raises
@@ -110,7 +112,7 @@ def rescale(prior: Model, recordings: Sequence[Recording], options: Options) -> 
     return _refreshed(prior, shrunk, _left_over(prior, shrunk, predictions), warnings)
 
 
-def _prediction(prior: Model, log: Recording) -> Prediction:
+def _prediction(prior: Cascade, log: Recording) -> Prediction:
     """Return what the prior predicts between both ends of what may have been before a log.
 
     By the row by which the drive has been at both ends of its range, the past only
@@ -130,7 +132,7 @@ def _prediction(prior: Model, log: Recording) -> Prediction:
     return Prediction(log, middle, past, rows, len(different))
 
 
-def _played(prior: Model, log: Recording, before: float, start: str) -> Floats:
+def _played(prior: Cascade, log: Recording, before: float, start: str) -> Floats:
     """Return a prediction without delay, after a long rest at a voltage and a jump to the log's first."""
     voltage = np.concatenate([[before], log.voltage])
     steps = None
@@ -143,13 +145,15 @@ def _played(prior: Model, log: Recording, before: float, start: str) -> Floats:
     return moved
 
 
-def _stated(prior: Model) -> float:
+def _stated(prior: Cascade) -> float:
     """Return the error (RMS) that the prior states of itself, at least ``EXACT``."""
     stated = prior.fit.get("expected_rmse") or prior.fit.get("rmse") or 0.0
     return max(float(stated), EXACT * prior.output.span)
 
 
-def _changes(prior: Model, predictions: Sequence[Prediction]) -> tuple[Change, Change]:
+def _changes(
+    prior: Cascade, predictions: Sequence[Prediction]
+) -> tuple[Change, Change]:
     """Return the change of least squares, and what its uncertainty leaves of it.
 
     A number with a standard error u becomes d (1 - (2 u / d)^2), 0 within the interval
@@ -212,7 +216,7 @@ def _solved(
 
 
 def _left_over(
-    prior: Model, change: Change, predictions: Sequence[Prediction]
+    prior: Cascade, change: Change, predictions: Sequence[Prediction]
 ) -> list[Floats]:
     """Return what a change leaves of each log, drift and past aside."""
     left = []
@@ -227,7 +231,7 @@ def _left_over(
 
 
 def _check_shape(
-    prior: Model, change: Change, predictions: Sequence[Prediction], force: bool
+    prior: Cascade, change: Change, predictions: Sequence[Prediction], force: bool
 ) -> list[str]:
     """Refuse logs that the prior's shape does not follow, the sensor's noise aside; warn where forced."""
     left = _left_over(prior, change, predictions)
@@ -246,8 +250,8 @@ def _check_shape(
 
 
 def _refreshed(
-    prior: Model, change: Change, left: Sequence[Floats], warnings: list[str]
-) -> Model:
+    prior: Cascade, change: Change, left: Sequence[Floats], warnings: list[str]
+) -> Cascade:
     """Return the prior's model, candidates and figures with the change."""
     candidates = []
     for candidate in prior.candidates:

@@ -9,6 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
+from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.identification.basis import (
     Cells,
     PreparedLog,
@@ -17,14 +18,7 @@ from dbo_cli.identification.basis import (
     sums_of,
     time_constants,
 )
-from dbo_cli.identification.recording import (
-    Booleans,
-    Floats,
-    Integers,
-    Options,
-    Recording,
-    Swings,
-)
+from dbo_cli.identification.recording import Options, Recording, Swings
 from dbo_cli.identification.solve import Rows, solve, times
 
 SEARCH_ROWS = 900  # of all logs: means of more

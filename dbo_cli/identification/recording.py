@@ -7,14 +7,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.errors import FitError, InputError, UsageError
-from dbo_cli.model import Model
-
-Floats = NDArray[np.float64]
-Booleans = NDArray[np.bool_]
-Integers = NDArray[np.int64]
+from dbo_cli.model import Cascade
 
 FEWEST_ROWS = 20  # fewer tell nothing of a loop
 SMALLEST_SWING = 0.05  # of the drive's range
@@ -105,7 +101,7 @@ Slopes = Literal["auto", "growing", "falling", "free"]
 class Options:
     """What the user fixed of an identification; see DESIGN, ``identify``."""
 
-    prior: Model | None = None
+    prior: Cascade | None = None
     sign: Literal["rising", "falling"] | None = None
     skip: float = 0.0
     zero: float | Literal["none", "mean", "first"] = "none"

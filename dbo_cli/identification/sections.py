@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import csd, welch
 
+from dbo_cli.arrays import Floats
 from dbo_cli.identification.fast import FastPart
-from dbo_cli.identification.recording import Floats, white_noise
-from dbo_cli.model import Delay, Dynamics, Lag, Mode, Model, Resonance, Section
+from dbo_cli.identification.recording import white_noise
+from dbo_cli.model import Cascade, Delay, Dynamics, Lag, Mode, Resonance, Section
 
 Band = tuple[float, float]  # lowest and highest frequency swept, Hz
 
@@ -80,7 +81,7 @@ class Signals:
     """Of one fast part: what the static model predicts, and what was measured."""
 
     def __init__(
-        self, static: Model, part: FastPart, creep: Sequence[Lag] = ()
+        self, static: Cascade, part: FastPart, creep: Sequence[Lag] = ()
     ) -> None:
         log, rows = part.recording, part.rows
         moved, _ = static.simulate(log.voltage[: rows.stop], dt=part.dt)

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import Structure
-from dbo_cli.identification.recording import Floats
 from dbo_cli.model import kernel
 
 LEAST_SLOPE = 1e-3  # of the mean slope of the cells

@@ -7,15 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from dbo_cli.arrays import Floats
 from dbo_cli.identification.basis import BEND_SEGMENTS, bent
 from dbo_cli.identification.problem import Problem
-from dbo_cli.identification.recording import Floats, Options, Recording
+from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.solve import LEAST_WITH_NEGATIVE, Fit
 from dbo_cli.model import (
     Candidate,
+    Cascade,
     Delay,
     Gears,
-    Model,
     Points,
     Quantity,
     Relaxation,
@@ -94,13 +95,13 @@ def model_of(
     log: Recording,
     options: Options,
     others: Sequence[tuple[float, Fit]] = (),
-) -> Model:
+) -> Cascade:
     """Return the forward model of a fit, with ``others`` (weight and fit) as candidates."""
     zero = zero_of(log, options)
     candidates = []
     for weight, other in others:
         candidates.append(Candidate(float(weight), stages_of(problem, other, zero)))
-    model = Model(
+    model = Cascade(
         "forward",
         Quantity(*log.input, problem.low, problem.high),
         Quantity(*log.output, 0.0, 1.0),

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs.columns import listed, named, words
-from dbo_cli.logs.source import Column, FloatArray, Reading, Source
+from dbo_cli.logs.source import Column, Reading, Source
 from dbo_cli.units import kind_of, multiplied, ratio, time_unit
 
 TIME_NAMES = frozenset(
@@ -117,7 +118,7 @@ class Clock:
 
     def read(
         self, numbers: NDArray[np.int64], stored: NDArray[Any]
-    ) -> tuple[FloatArray | None, float | FloatArray | None]:
+    ) -> tuple[Floats | None, float | Floats | None]:
         """Return the times of rows (s), and the time since the row before each.
 
         Parameters
@@ -151,7 +152,7 @@ class Clock:
         self.last = float(time[-1])
         return time, steps if self.step is None else self.step
 
-    def _seconds(self, numbers: NDArray[np.int64], stored: NDArray[Any]) -> FloatArray:
+    def _seconds(self, numbers: NDArray[np.int64], stored: NDArray[Any]) -> Floats:
         if self.rate is not None:
             return np.asarray(self.start + (numbers - 1.0) / self.rate, np.float64)
         if self.kind == "column":
@@ -162,9 +163,7 @@ class Clock:
                 self.origin = self.first_stamp / 1e9
         return np.asarray((stored - self.first_stamp) / 1e9)
 
-    def _watch(
-        self, steps: FloatArray, time: FloatArray, numbers: NDArray[np.int64]
-    ) -> None:
+    def _watch(self, steps: Floats, time: Floats, numbers: NDArray[np.int64]) -> None:
         """Refuse a time that goes back; find out whether it is even, else count repeats and gaps."""
         numbers = numbers[len(numbers) - len(steps) :]
         low, high = float(steps.min()), float(steps.max())
@@ -198,7 +197,7 @@ class Clock:
         return f"{self.name}: the time {self.column.label}"
 
     def _even_step(
-        self, low: float, high: float, mean: float, time: FloatArray
+        self, low: float, high: float, mean: float, time: Floats
     ) -> float | None:
         """Return the one step of rows that are even to rounding; None where they are not."""
         if self.rate is not None:
@@ -212,7 +211,7 @@ class Clock:
         return step if is_even else None
 
     @staticmethod
-    def _resolution(time: FloatArray, step: float) -> float:
+    def _resolution(time: Floats, step: float) -> float:
         """Return the last decimal place of the times, where it is a small part of a step."""
         times = time[:50]
         for places in range(1, 13):

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
-from dbo_cli.logs.source import FloatArray
 
 PLAYS = np.geomspace(0.003, 0.7, 24)  # half widths, in parts of the drive's range
 FINE = 20_000  # places at which the drive is followed
@@ -55,20 +55,20 @@ class Pair:
     ``slower`` is the usual step (s) of the slower recorder.
     """
 
-    drive_time: FloatArray
-    drive: FloatArray
-    columns: FloatArray
-    time: FloatArray
-    displacement: FloatArray
+    drive_time: Floats
+    drive: Floats
+    columns: Floats
+    time: Floats
+    displacement: Floats
     slower: float
 
     @classmethod
     def of(
         cls,
-        drive_time: FloatArray,
-        drive: FloatArray,
-        time: FloatArray,
-        displacement: FloatArray,
+        drive_time: Floats,
+        drive: Floats,
+        time: Floats,
+        displacement: Floats,
     ) -> Pair:
         """Prepare two records, whose times (s) do not fall.
 
@@ -112,7 +112,7 @@ class Pair:
         inside = self._inside(offset)
         return 0.0 if inside is None else self._part(self._left(offset, inside), inside)
 
-    def _part(self, left: FloatArray, inside: NDArray[np.bool_]) -> float:
+    def _part(self, left: Floats, inside: NDArray[np.bool_]) -> float:
         variance = max(float(np.var(self.displacement[inside])), 1e-300)
         return float(np.mean(left**2)) / variance
 
@@ -171,7 +171,7 @@ class Pair:
         is_enough = np.count_nonzero(inside) >= max(0.1 * len(at), FEWEST_ROWS)
         return inside if is_enough else None
 
-    def _left(self, offset: float, inside: NDArray[np.bool_]) -> FloatArray:
+    def _left(self, offset: float, inside: NDArray[np.bool_]) -> Floats:
         """Return what the columns, moved by an offset (s), cannot explain of the displacement."""
         place = (self.time[inside] - offset - self.drive_time[0]) / (
             self.drive_time[1] - self.drive_time[0]
@@ -182,7 +182,7 @@ class Pair:
         made = np.column_stack([made, np.ones(len(row)), place / FINE])
         y = self.displacement[inside]
         basis = np.linalg.qr(made)[0]
-        left: FloatArray = y - basis @ (basis.T @ y)
+        left: Floats = y - basis @ (basis.T @ y)
         return left
 
 
@@ -234,7 +234,7 @@ def apart(pair: Pair) -> float:
     return best.offset if is_better and is_apart else 0.0
 
 
-def _columns(drive: FloatArray) -> FloatArray:
+def _columns(drive: Floats) -> Floats:
     """Return what the displacement may be made of: powers of the drive, and plays of it.
 
     The plays begin where a drive of this range leaves them: one that starts at the lower
@@ -250,7 +250,7 @@ def _columns(drive: FloatArray) -> FloatArray:
     return np.column_stack([u, u**2, u**3, plays])
 
 
-def _scatter(left: FloatArray, slope: FloatArray) -> float:
+def _scatter(left: Floats, slope: Floats) -> float:
     """Return how the pull on the offset scatters between parts of the record.
 
     What is wrong with the description of the loop scatters so, and so does a clock that
@@ -261,7 +261,7 @@ def _scatter(left: FloatArray, slope: FloatArray) -> float:
     return math.sqrt(float(pulls @ pulls) * PARTS / (PARTS - 1))
 
 
-def _known_from(part: FloatArray) -> int:
+def _known_from(part: Floats) -> int:
     """Return the first place whose past no longer matters.
 
     That is where the drive has been at both ends of its range, if more than half of the

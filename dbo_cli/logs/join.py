@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, warn
 from dbo_cli.logs.clock_offset import Pair, apart, find_offset
 from dbo_cli.logs.log import Log, TableLog
-from dbo_cli.logs.source import Block, FloatArray
+from dbo_cli.logs.source import Block
 
 SENSORS = ("displacement", "measured")  # the rows are those of their file
 DRIVES = ("voltage", "desired", "input")
@@ -86,7 +87,7 @@ def joined(log: Log, second: Log, clock_offset: float | str | None) -> Log:
 
 def _time_beside(
     base: Log, log: Log, table: Block, clock_offset: float | str | None
-) -> FloatArray:
+) -> Floats:
     """Return a log's times on the clock of the base (InputError)."""
     for part in (base, log):
         if part.clock.kind == "none":
@@ -98,7 +99,7 @@ def _time_beside(
     base_stamp, log_stamp = base.clock.first_stamp, log.clock.first_stamp
     if base_stamp is not None and log_stamp is not None:
         if (base.clock.origin is None) == (log.clock.origin is None):
-            shifted: FloatArray = table.time + (log_stamp - base_stamp) / 1e9
+            shifted: Floats = table.time + (log_stamp - base_stamp) / 1e9
             return shifted
     if base_stamp is log_stamp or clock_offset is not None:
         return table.time
@@ -108,7 +109,7 @@ def _time_beside(
     )
 
 
-def _beside(rows: Block, time: FloatArray, table: Block, place: str) -> Block:
+def _beside(rows: Block, time: Floats, table: Block, place: str) -> Block:
     """Put another log's signals beside rows, where it has some; none in its gaps.
 
     Raises
@@ -144,7 +145,7 @@ def _beside(rows: Block, time: FloatArray, table: Block, place: str) -> Block:
     return Block(times, values, dt=dt)
 
 
-def _pair(rows: Block, time: FloatArray, table: Block) -> Pair | None:
+def _pair(rows: Block, time: Floats, table: Block) -> Pair | None:
     """Return drive and displacement of two logs, if one has each (InputError)."""
     drives = [table.values[role] for role in DRIVES if role in table.values]
     sensors = [rows.values[role] for role in SENSORS if role in rows.values]
@@ -154,7 +155,7 @@ def _pair(rows: Block, time: FloatArray, table: Block) -> Pair | None:
 
 
 def _offset(
-    place: str, rows: Block, time: FloatArray, table: Block, typed: float | str
+    place: str, rows: Block, time: Floats, table: Block, typed: float | str
 ) -> tuple[float, float]:
     """Return the offset (s) that is typed, or that the signals show, and two standard deviations of it.
 
@@ -177,7 +178,7 @@ def _offset(
     return fit.offset, 2.0 * fit.deviation
 
 
-def _warn_if_apart(place: str, rows: Block, time: FloatArray, table: Block) -> None:
+def _warn_if_apart(place: str, rows: Block, time: Floats, table: Block) -> None:
     """Warn where the drive explains the displacement much better when its clock is moved."""
     try:
         pair = _pair(rows, time, table)

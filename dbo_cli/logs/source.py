@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.units import split_header
 
-FloatArray = NDArray[np.float64]
 BLOCK_ROWS = 65536
 NOT_A_TIME = int(np.iinfo(np.int64).min)
 """A stamp that is missing or cannot be read."""
@@ -97,16 +97,16 @@ class Block:
         array; None without a clock.
     """
 
-    time: FloatArray | None
-    values: dict[str, FloatArray]
+    time: Floats | None
+    values: dict[str, Floats]
     first_row: int = 1
-    dt: float | FloatArray | None = None
+    dt: float | Floats | None = None
 
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(next(iter(self.values.values()), ()))
 
-    def __getitem__(self, role: str) -> FloatArray:
+    def __getitem__(self, role: str) -> Floats:
         """Return the array of a role."""
         return self.values[role]
 
@@ -132,7 +132,7 @@ class Block:
             values[role] = np.concatenate([block.values[role] for block in blocks])
         times = [block.time for block in blocks if block.time is not None]
         steps = [block.dt for block in blocks if block.dt is not None]
-        dt: float | FloatArray | None = steps[0] if steps else None
+        dt: float | Floats | None = steps[0] if steps else None
         if any(isinstance(step, np.ndarray) or step != dt for step in steps):
             pairs = zip(steps, map(len, blocks), strict=True)
             dt = np.concatenate([np.broadcast_to(step, rows) for step, rows in pairs])

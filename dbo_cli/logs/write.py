@@ -26,12 +26,12 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.units import split_header
 
-FloatArray = NDArray[np.float64]
 Named = tuple[str, str | None]  # a column's name and its unit
 Attributes = dict[str, str | float]
 
@@ -317,7 +317,7 @@ class Writer:
     def close(self) -> None:
         """Complete the format."""
 
-    def _append(self, block: Sequence[FloatArray]) -> None:
+    def _append(self, block: Sequence[Floats]) -> None:
         raise NotImplementedError
 
 
@@ -343,7 +343,7 @@ class TextWriter(Writer):
             with telling(self.path):
                 self._stream.close()
 
-    def _append(self, block: Sequence[FloatArray]) -> None:
+    def _append(self, block: Sequence[Floats]) -> None:
         cells = (self.rows + len(block[0])) * len(block)
         if cells < PLAIN_CELLS and "polars" not in sys.modules:
             columns = [map(repr, array.tolist()) for array in block]
@@ -408,7 +408,7 @@ class Hdf5Writer(Writer):
         with telling(self.path):
             self._stream.tell_problem()
 
-    def _append(self, block: Sequence[FloatArray]) -> None:
+    def _append(self, block: Sequence[Floats]) -> None:
         for dataset, array in zip(self._datasets, block, strict=True):
             dataset.resize(self.rows + len(array), axis=0)
             dataset[self.rows :] = array

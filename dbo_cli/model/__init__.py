@@ -14,7 +14,7 @@ from dbo_cli.model.file import (
     read_state,
 )
 from dbo_cli.model.gears import Gears
-from dbo_cli.model.model import Candidate, Model, Outside
+from dbo_cli.model.model import Candidate, Cascade, Outside
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
 from dbo_cli.model.state import (
@@ -30,12 +30,12 @@ from dbo_cli.model.undoing import read_ahead
 
 __all__ = [
     "Candidate",
+    "Cascade",
     "Delay",
     "Dynamics",
     "Gears",
     "Lag",
     "Mode",
-    "Model",
     "Outside",
     "Points",
     "Quantity",

@@ -15,13 +15,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.state import Held
-
-Floats = NDArray[np.float64]
 
 WINDOW = 6
 """Samples that a value between two samples is made of."""

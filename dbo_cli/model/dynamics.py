@@ -26,12 +26,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.relaxation import checked_steps
 from dbo_cli.model.state import SectionStates
 
-Floats = NDArray[np.float64]
 Complexes = NDArray[np.complexfloating]
 
 LAG_ZERO = 0.4

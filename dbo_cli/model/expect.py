@@ -11,11 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dbo_cli.model.model import Model
-
-Floats = NDArray[np.float64]
+from dbo_cli.arrays import Floats
+from dbo_cli.model.model import Cascade
 
 MOST_ROWS = 131_072  # of a move that are played
 STARTS = ("empty", "full", "settled")
@@ -24,7 +22,7 @@ LONGER = 1.1  # times the log's fastest drive or longest rest: less is not worth
 
 
 def expected_error(
-    model: Model,
+    model: Cascade,
     voltage: Floats,
     dt: float | Floats | None,
     past_known: bool = False,
@@ -49,7 +47,7 @@ def expected_error(
     if isinstance(dt, np.ndarray):
         steps = dt[:last]
 
-    def played(candidate: Model, start: str = "auto") -> Floats:
+    def played(candidate: Cascade, start: str = "auto") -> Floats:
         return candidate.simulate(drive, dt=steps, state=start)[0][begin:]
 
     expected = played(model)
@@ -62,7 +60,7 @@ def expected_error(
     return math.sqrt(squares)
 
 
-def _begins_inside(model: Model, voltage: float) -> bool:
+def _begins_inside(model: Cascade, voltage: float) -> bool:
     """Whether a move begins where the past shows: at the ends of the range it does not."""
     near = NEAR_END * model.input.span
     return model.input.min + near < voltage < model.input.max - near
@@ -74,7 +72,7 @@ def _mean_square(values: Floats) -> float:
 
 
 def move_warnings(
-    model: Model, voltage: Floats, dt: float | Floats | None
+    model: Cascade, voltage: Floats, dt: float | Floats | None
 ) -> list[str]:
     """Return what of a move the logs did not show: a faster drive, a longer rest; in words.
 

@@ -12,9 +12,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.model import kernel
 
-Floats = NDArray[np.float64]
 Words = NDArray[np.uint64]
 
 

@@ -20,7 +20,7 @@ from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics, Lag, Mode, Resonance, Section
 from dbo_cli.model.fields import VERSION, Json, build, number, numbers
 from dbo_cli.model.gears import Axis, Gears
-from dbo_cli.model.model import Candidate, Model
+from dbo_cli.model.model import Candidate, Cascade
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
 from dbo_cli.model.state import Held, Quantity, State
@@ -39,7 +39,7 @@ FIGURES = "rmse expected_rmse line_rmse left_out_rmse fastest longest_rest".spli
 # ---- models ----
 
 
-def read_model(path: str) -> Model:
+def read_model(path: str) -> Cascade:
     """Read a model file, or one model of a set (``FILE::CHANNEL``); ``-`` is standard input.
 
     Raises
@@ -60,7 +60,7 @@ def read_model(path: str) -> Model:
     return parse_model(values, name)
 
 
-def read_models(path: str) -> dict[str, Model]:
+def read_models(path: str) -> dict[str, Cascade]:
     """Read a set of models: channels and their models (errors as of ``read_model``)."""
     name, values = fields.load(path, "model")
     models = {}
@@ -87,7 +87,7 @@ def is_set(path: str) -> bool:
     return isinstance(values, dict) and values.get("format") == SET_FORMAT
 
 
-def parse_model(values: object, name: str = "the model") -> Model:
+def parse_model(values: object, name: str = "the model") -> Cascade:
     """Return the model that JSON values describe, checked to the last key.
 
     Raises
@@ -105,12 +105,12 @@ def parse_model(values: object, name: str = "the model") -> Model:
         raise ModelError(f"{name}: {problem}") from None
 
 
-def _model(values: Any, path: str) -> Model:
+def _model(values: Any, path: str) -> Cascade:
     """Return the model that an object describes."""
     values = fields.contents(values, path, MODEL_FORMAT, "a model")
     axis: Axis = "output" if values.get("direction") == "inverse" else "input"
-    model: Model = build(
-        Model,
+    model: Cascade = build(
+        Cascade,
         values,
         path,
         ("fit", "candidates", "provenance"),
@@ -195,18 +195,18 @@ def _mode(values: Any, path: str) -> Any:
     return build(Mode, values, path, frequency=number, damping=number)
 
 
-def dumps_model(model: Model) -> str:
+def dumps_model(model: Cascade) -> str:
     """Return the text of a model file: the same model gives the same text."""
     return fields.dumps(model_values(model))
 
 
-def dumps_set(models: Mapping[str, Model]) -> str:
+def dumps_set(models: Mapping[str, Cascade]) -> str:
     """Return the text of a file that holds the models of several channels."""
     content = {channel: model_values(model) for channel, model in models.items()}
     return fields.dumps({"format": SET_FORMAT, "version": VERSION, "models": content})
 
 
-def model_values(model: Model) -> Json:
+def model_values(model: Cascade) -> Json:
     """Return the keys and values of a model file."""
     values: Json = {
         "format": MODEL_FORMAT,
@@ -291,7 +291,7 @@ def _runs(widths: list[float]) -> list[float | Json]:
 # ---- states ----
 
 
-def dumps_state(state: State, model: Model) -> str:
+def dumps_state(state: State, model: Cascade) -> str:
     """Return the text of a state file; it names the model that it belongs to by a hash."""
     sections = held = None
     if state.sections is not None:
@@ -313,7 +313,7 @@ def dumps_state(state: State, model: Model) -> str:
     return fields.dumps(values)
 
 
-def read_state(path: str, model: Model) -> State:
+def read_state(path: str, model: Cascade) -> State:
     """Read a state file for a model or its inverse; ``-`` is standard input.
 
     Raises
@@ -330,7 +330,7 @@ def read_state(path: str, model: Model) -> State:
         raise ModelError(f"{name}: {problem}") from None
 
 
-def _state(values: Json, model: Model) -> State:
+def _state(values: Json, model: Cascade) -> State:
     """Return the state that an object describes, which must be one of ``model``."""
     parts = build(
         dict,

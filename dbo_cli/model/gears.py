@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.relaxation import Relaxation
@@ -30,7 +31,6 @@ from dbo_cli.model.widths import (
     on_binary_grid,
 )
 
-Floats = NDArray[np.float64]
 Words = NDArray[np.uint64]
 Axis = Literal["input", "output"]
 Window = tuple[float, float]  # least and greatest voltage

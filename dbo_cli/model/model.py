@@ -18,6 +18,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model.cascade import Direction, Stage, check_order, digest_of
 from dbo_cli.model.delay import Delay
@@ -28,7 +29,6 @@ from dbo_cli.model.state import START_NAMES, Quantity, Run, State, Steps, steps_
 from dbo_cli.model.undoing import Inverter
 from dbo_cli.model.widths import CROSSING_TOLERANCE
 
-Floats = NDArray[np.float64]
 Outside = Literal["extend", "hold", "error"]
 Sign = Literal["rising", "falling"]
 
@@ -54,7 +54,7 @@ class Candidate:
 
 
 @dataclass(eq=False)
-class Model:
+class Cascade:
     """A cascade of stages from voltage to displacement (forward) or back (inverse); never changed.
 
     Parameters
@@ -109,7 +109,7 @@ class Model:
     dynamics: Dynamics | None = field(init=False, default=None)
     delay: Delay | None = field(init=False, default=None)
     delay_seconds: float = field(init=False, default=0.0)
-    _inverse: Model | None = field(init=False, repr=False, default=None)
+    _inverse: Cascade | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
         """Check the cascade, and name its parts."""
@@ -164,35 +164,35 @@ class Model:
 
     # ---- other models made of it ----
 
-    def inverse(self) -> Model:
+    def inverse(self) -> Cascade:
         """Return the inverse model (17)-(18): every stage inverted, the order reversed."""
         if self._inverse is None:
             direction: Direction = "inverse" if self.is_forward else "forward"
             stages = tuple(stage.inverse() for stage in reversed(self.stages))
             ends = self.output, self.input
-            self._inverse = Model(
+            self._inverse = Cascade(
                 direction, *ends, stages, self.fit, provenance=self.provenance
             )
         return self._inverse
 
-    def forward(self) -> Model:
+    def forward(self) -> Cascade:
         """Return the forward model: itself, or its inverse."""
         if self.is_forward:
             return self
         return self.inverse()
 
     @functools.cached_property
-    def static(self) -> Model:
+    def static(self) -> Cascade:
         """The same model without dynamics and delay: gears, relaxation and curves."""
         if self.dynamics is None and self.delay is None:
             return self
         return self.with_stages((*self.head, self.gears, *self.tail))
 
-    def with_stages(self, stages: tuple[Stage, ...]) -> Model:
+    def with_stages(self, stages: tuple[Stage, ...]) -> Cascade:
         """Return a model of the same quantities with other stages, without candidates."""
         return replace(self, stages=stages, candidates=())
 
-    def candidate_models(self) -> list[tuple[float, Model]]:
+    def candidate_models(self) -> list[tuple[float, Cascade]]:
         """Return weight and model of every candidate of a forward model."""
         return [
             (part.weight, self.with_stages(part.stages)) for part in self.candidates

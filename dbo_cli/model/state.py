@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
 
-Floats = NDArray[np.float64]
 # seconds since the sample before: one number, or one each
 Steps = float | Floats | None
 # three numbers of each section of the dynamics

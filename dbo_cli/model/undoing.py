@@ -16,8 +16,8 @@ from itertools import chain
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.model import kernel
 from dbo_cli.model.delay import BEFORE, Delay
@@ -30,7 +30,6 @@ from dbo_cli.model.dynamics import (
 )
 from dbo_cli.model.state import SectionStates, State, Undoing
 
-Floats = NDArray[np.float64]
 Payload = TypeVar("Payload")
 
 HIGHEST_PART = 0.3

@@ -7,9 +7,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
-
-Floats = NDArray[np.float64]
 
 CROSSING_TOLERANCE = 1e-9
 """A gear counts as crossed when all but this fraction of it is travelled (more where rounding is coarse)."""

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import UsageError
 
-Floats = NDArray[np.float64]
 Codes = NDArray[np.int64]
 Span = tuple[float, float]
 

@@ -12,11 +12,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import UsageError
 
-Floats = NDArray[np.float64]
 Range = tuple[float, float]
 
 NEEDS = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dbo_cli.errors import UsageError
-from dbo_cli.model import Model
+from dbo_cli.model import Cascade
 from dbo_cli.moves.shapes import Trajectory
 
 RESONANCE_PART = 3.0
@@ -13,7 +13,7 @@ RESONANCE_PART = 3.0
 REACH_SLACK = 1e-8  # of the range: rounding reaches no further
 
 
-def trusted_frequency(models: Sequence[Model]) -> float | None:
+def trusted_frequency(models: Sequence[Cascade]) -> float | None:
     """Return the frequency (Hz) to which all models can be trusted; None where none has a resonance."""
     lowest = []
     for model in models:
@@ -22,7 +22,7 @@ def trusted_frequency(models: Sequence[Model]) -> float | None:
     return min(lowest, default=None)
 
 
-def check_reach(move: Trajectory, models: Sequence[Model]) -> None:
+def check_reach(move: Trajectory, models: Sequence[Cascade]) -> None:
     """Refuse a move that a model does not reach, its turns included.
 
     Parameters

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from dbo_cli.errors import InputError
 
 if TYPE_CHECKING:
-    from dbo_cli.model import Model
-    from dbo_cli.reports.merits import Floats
+    from dbo_cli.arrays import Floats
+    from dbo_cli.model import Cascade
 
 SAME_MOVE = 0.01
 """Part of the move by which the ends of a summary's move may differ from the log's."""
@@ -52,7 +52,7 @@ class Expected:
 
 
 def expected_of_drive(
-    model: Model, voltage: Floats, dt: Floats | None, name: str
+    model: Cascade, voltage: Floats, dt: Floats | None, name: str
 ) -> Expected:
     """Return what a model states for this very drive; unknown where the drive leaves its range.
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
-from dbo_cli.reports.merits import Floats
 from dbo_cli.reports.pair import Pair, mean_step, rows_text, stretch
 
 SAME_RATE = 1e-3

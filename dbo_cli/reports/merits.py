@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from dbo_cli.arrays import Floats
 
 LOOP_BINS = 32
 """Bins of the desired signal in which both directions are compared."""

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.reports.expected import Expected, expected_of_drive
-from dbo_cli.reports.merits import Floats
 
 if TYPE_CHECKING:
-    from dbo_cli.model import Model, State
+    from dbo_cli.model import Cascade, State
 
 RowRange = tuple[int | None, int | None]
 """First and last row that count, from 1, both included; None: no end."""
@@ -164,7 +164,7 @@ def _move_of(pair: Pair) -> Pair:
 
 def predict(
     recording: Pair,
-    model: Model,
+    model: Cascade,
     state: str | State = "auto",
     model_name: str = "the model",
 ) -> Pair:

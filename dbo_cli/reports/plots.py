@@ -21,15 +21,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import OutputError
-from dbo_cli.reports.merits import Floats
 from dbo_cli.reports.render import digits, shown_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from dbo_cli.model import Model, Quantity
+    from dbo_cli.model import Cascade, Quantity
     from dbo_cli.reports.report import LogReport, Report
 
 SCHEME = {
@@ -326,7 +326,7 @@ def _paint_spectrum(report: Report, log: LogReport, axes: Axes) -> None:
 # --- a model ---
 
 
-def model_plots(model: Model) -> list[Plot]:
+def model_plots(model: Cascade) -> list[Plot]:
     """Return the figures of a model: its loop, and what is bent and wide in it."""
     drive = model.input if model.is_forward else model.output
     title = f"The model's loop, {quantity_range(drive)}"
@@ -343,7 +343,7 @@ def quantity_range(quantity: Quantity) -> str:
     return f"{quantity.min:.4g} to {quantity.max:.4g}{unit}"
 
 
-def slow_loop(model: Model) -> tuple[Floats, Floats, Floats]:
+def slow_loop(model: Cascade) -> tuple[Floats, Floats, Floats]:
     """Return the drive on the way up, and the displacement there and on the way down.
 
     Slowly: creep has come to rest; dynamics and delay take no part. Of an inverse model
@@ -360,7 +360,7 @@ def slow_loop(model: Model) -> tuple[Floats, Floats, Floats]:
     return up, rising, falling
 
 
-def _paint_model(model: Model, deviation: bool, axes: Axes) -> None:
+def _paint_model(model: Cascade, deviation: bool, axes: Axes) -> None:
     """Paint both ways of the loop, or by how much they deviate from a straight line."""
     forward = model.forward()
     drive, rising, falling = slow_loop(model)
@@ -378,7 +378,7 @@ def _paint_model(model: Model, deviation: bool, axes: Axes) -> None:
     )
 
 
-def plot_model(model: Model) -> Figure:
+def plot_model(model: Cascade) -> Figure:
     """Return the model's loop as a figure of matplotlib, for a notebook."""
     with style():
         return figure_of(model_plots(model)[0])

@@ -18,7 +18,7 @@ from dbo_cli.reports.render import FORMS, digits, short_name
 if TYPE_CHECKING:
     import pandas
 
-    from dbo_cli.model import Model
+    from dbo_cli.model import Cascade
 
 BEYOND_EXPECTED = 2.0
 """Times the expected error, from which on a warning says so."""
@@ -170,7 +170,7 @@ class Report:
     labels: tuple[str, str] = ("desired", "measured")
     remove_offset: bool = False
     verdicts: tuple[Verdict, ...] = ()
-    model: Model | None = None
+    model: Cascade | None = None
     command: str | None = None
 
     @classmethod

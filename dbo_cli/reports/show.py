@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from dbo_cli.reports.render import digits, json_text
 
 if TYPE_CHECKING:
-    from dbo_cli.model import Model, Quantity
+    from dbo_cli.model import Cascade, Quantity
 
 WIDTH = 96  # characters of a line
 APART = ("logs", "validation", "warnings", "notes")
@@ -23,7 +23,7 @@ APART = ("logs", "validation", "warnings", "notes")
 class ShownModel:
     """A model to be shown under a name."""
 
-    model: Model
+    model: Cascade
     name: str = "model"
 
     def values(self) -> dict[str, Any]:

@@ -11,12 +11,12 @@ from dbo_cli.compare import Comparison, Row, compare
 from dbo_cli.compare.compare import DboModel
 from dbo_cli.identification import Recording
 from dbo_cli.model import (
+    Cascade,
     Delay,
     Dynamics,
     Gears,
     Lag,
     Mode,
-    Model,
     Points,
     Quantity,
     Relaxation,
@@ -93,7 +93,7 @@ def test_the_numbers_of_the_dbo_are_counted():
     moving = Dynamics((Lag(1e-3), Resonance(100.0, 0.1, Mode(80.0, 0.1))))
     stages = (gears, points, Scale(2.0, 1.0), moving, Delay(0.1))
     sides = (Quantity("voltage", "V", 0.0, 6.0), Quantity("displacement", "um", 0, 9))
-    model = DboModel(Model("forward", *sides, stages))
+    model = DboModel(Cascade("forward", *sides, stages))
     # slopes, offset, delay, memories, knots, a lag and two modes
     assert model.parameters == 2 + 1 + 1 + 2 + 2 + 1 + 4
 

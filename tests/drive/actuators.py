@@ -9,11 +9,11 @@ import numpy as np
 from hypothesis import strategies as st
 
 from dbo_cli.model import (
+    Cascade,
     Delay,
     Dynamics,
     Gears,
     Lag,
-    Model,
     Points,
     Quantity,
     Relaxation,
@@ -36,7 +36,7 @@ def actuator(
     sections: tuple[Any, ...] = (),
     delay: float = 0.0,
     fit: dict[str, Any] | None = None,
-) -> Model:
+) -> Cascade:
     """Return a forward model; ``bend`` and ``curve`` are slopes of points before and behind the gears."""
     dx = np.full(gears, (high - low) / gears)
     slopes = np.linspace(1.0, growth, gears)
@@ -56,10 +56,10 @@ def actuator(
         stages.append(Delay(delay))
     voltage = Quantity("voltage", "V", low, high)
     guess = Quantity("displacement", "um", -1e3, 1e3)
-    model = Model("forward", voltage, guess, tuple(stages), fit or {})
+    model = Cascade("forward", voltage, guess, tuple(stages), fit or {})
     ends = reach(model, low, high)
     reached = Quantity("displacement", "um", min(ends), max(ends))
-    return Model("forward", voltage, reached, tuple(stages), fit or {})
+    return Cascade("forward", voltage, reached, tuple(stages), fit or {})
 
 
 def _points(slopes: tuple[float, ...], low: float, high: float) -> Points:
@@ -69,7 +69,7 @@ def _points(slopes: tuple[float, ...], low: float, high: float) -> Points:
     return Points(dx, dy * (high - low) / dy.sum(), low, low)
 
 
-def reach(model: Model, low: float, high: float) -> tuple[float, float]:
+def reach(model: Cascade, low: float, high: float) -> tuple[float, float]:
     """Return the displacement at rest at two voltages."""
     static = model.static
     bottom = static.run(np.array([low]), static.start(low, "empty"), 1.0).y[0]
@@ -78,7 +78,11 @@ def reach(model: Model, low: float, high: float) -> tuple[float, float]:
 
 
 def ripple(
-    model: Model, rows: int, part: float = 0.8, cycles: float = 3.0, phase: float = 0.0
+    model: Cascade,
+    rows: int,
+    part: float = 0.8,
+    cycles: float = 3.0,
+    phase: float = 0.0,
 ) -> np.ndarray:
     """Return a sine over a part of what a model reaches."""
     middle = 0.5 * (model.output.min + model.output.max)
@@ -87,7 +91,7 @@ def ripple(
     return middle + swing * np.sin(2.0 * math.pi * (cycles * t + phase))
 
 
-def gentle(model: Model, rows: int, part: float = 0.3) -> np.ndarray:
+def gentle(model: Cascade, rows: int, part: float = 0.3) -> np.ndarray:
     """Return a hump that begins and ends at rest."""
     t = np.clip((np.arange(rows) / rows - 0.2) / 0.6, 0.0, 1.0)
     base = model.output.min + 0.4 * model.output.span
@@ -115,7 +119,7 @@ SECTIONS = st.sampled_from(
 
 
 @st.composite
-def actuators(draw: st.DrawFn, static: bool = False) -> Model:
+def actuators(draw: st.DrawFn, static: bool = False) -> Cascade:
     """Draw a model of any kind."""
     tau, gain = draw(MEMORIES)
     low = draw(st.sampled_from([0.0, -20.0, 0.236]))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from dbo_cli.drive import Limits, plan, stream
 from dbo_cli.errors import DboWarning, InputError, LimitError, UsageError
-from dbo_cli.model import Lag, Model, Resonance
+from dbo_cli.model import Cascade, Lag, Resonance
 
 from .actuators import actuator, actuators, blocks_of, gentle, ripple
 
@@ -21,12 +21,12 @@ RATE = 1000.0
 DT = 1.0 / RATE
 
 
-def limits_of(model: Model, *typed: Any, **named: Any) -> Limits:
+def limits_of(model: Cascade, *typed: Any, **named: Any) -> Limits:
     return Limits.within(model.input, *typed, **named)
 
 
 def played(
-    model: Model, voltage: np.ndarray, dt: float | None = DT, state: Any = "auto"
+    model: Cascade, voltage: np.ndarray, dt: float | None = DT, state: Any = "auto"
 ) -> np.ndarray:
     """Return what a model makes of a whole drive."""
     if isinstance(state, str):
@@ -36,7 +36,7 @@ def played(
 
 @given(actuators(static=True), st.sampled_from(["auto", "empty", "settled"]))
 @settings(max_examples=60, deadline=None, derandomize=True)
-def test_compensate_then_simulate_is_the_identity(model: Model, state: str) -> None:
+def test_compensate_then_simulate_is_the_identity(model: Cascade, state: str) -> None:
     wanted = ripple(model, 700, 0.9)
     if state == "empty":
         wanted[:100] = np.linspace(model.output.min, wanted[100], 100)
@@ -64,7 +64,7 @@ def test_dynamics_and_delay_are_undone() -> None:
 
 @given(actuators(), st.sampled_from([1, 7, 60, 333]), st.booleans())
 @settings(max_examples=40, deadline=None, derandomize=True)
-def test_values_do_not_depend_on_blocks(model: Model, rows: int, slow: bool) -> None:
+def test_values_do_not_depend_on_blocks(model: Cascade, rows: int, slow: bool) -> None:
     wanted = gentle(model, 300, 0.5)
     slew = 3.0 * model.input.span if slow else None
     limits = limits_of(model, max_slew=slew)

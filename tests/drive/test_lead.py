@@ -11,7 +11,7 @@ from dbo_cli.drive import Limits, plan
 from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.swings import swings
 from dbo_cli.errors import LimitError, UsageError
-from dbo_cli.model import Lag, Model, Resonance
+from dbo_cli.model import Cascade, Lag, Resonance
 
 from .actuators import actuator, actuators, ripple
 
@@ -19,12 +19,12 @@ pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 DT = 2e-4
 
 
-def limits_of(model: Model, *typed: float | None, **named: float | bool) -> Limits:
+def limits_of(model: Cascade, *typed: float | None, **named: float | bool) -> Limits:
     return Limits.within(model.input, *typed, **named)  # type: ignore[arg-type]
 
 
 def played(
-    model: Model, voltage: np.ndarray, dt: float = DT, start: str = "auto"
+    model: Cascade, voltage: np.ndarray, dt: float = DT, start: str = "auto"
 ) -> np.ndarray:
     return np.asarray(model.run(voltage, model.start(float(voltage[0]), start), dt).y)
 
@@ -252,7 +252,7 @@ def test_swings_stay_between_their_turns(turns: list[float], rows: int) -> None:
 )
 @settings(max_examples=60, deadline=None, derandomize=True)
 def test_the_way_joins_the_move(
-    model: Model, stands: float, begins: float, slew: float | None
+    model: Cascade, stands: float, begins: float, slew: float | None
 ) -> None:
     """Where the move is at rest, the way ends without a step larger than those within."""
     start = model.input.min + stands * model.input.span

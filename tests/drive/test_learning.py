@@ -14,7 +14,7 @@ from dbo_cli.drive.learning import (
 )
 from dbo_cli.drive.lowpass import low_pass
 from dbo_cli.errors import DboWarning, InputError, UsageError
-from dbo_cli.model import Model, Resonance
+from dbo_cli.model import Cascade, Resonance
 
 from .actuators import actuator
 
@@ -29,7 +29,9 @@ def move(rows: int = 6000) -> np.ndarray:
     return 5.0 + 2.5 * np.sin(2 * np.pi * 19 * u) * np.sin(np.pi * u) ** 2
 
 
-def learned(model: Model, plant: Model, passes: int, noise: float = 0.0) -> list[float]:
+def learned(
+    model: Cascade, plant: Cascade, passes: int, noise: float = 0.0
+) -> list[float]:
     """Return the error of each pass in % of the move, the model being wrong about the plant."""
     wanted, limits = move(), Limits.within(model.input)
     rng = np.random.default_rng(1)

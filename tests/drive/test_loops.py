@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from dbo_cli.drive import Limits, plan
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.model import Model, Resonance
+from dbo_cli.model import Cascade, Resonance
 
 from .actuators import actuator, actuators, ripple
 
@@ -15,12 +15,12 @@ pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 DT = 1e-3
 
 
-def limits_of(model: Model, slew: float | None = None) -> Limits:
+def limits_of(model: Cascade, slew: float | None = None) -> Limits:
     return Limits.within(model.input, max_slew=slew)
 
 
 def passes_of(
-    model: Model, drive: np.ndarray, lead: int, passes: int, start: str = "auto"
+    model: Cascade, drive: np.ndarray, lead: int, passes: int, start: str = "auto"
 ) -> np.ndarray:
     """Return what a model makes of a lead and so many passes of the period, a row a pass."""
     period = drive[lead:]
@@ -32,7 +32,7 @@ def passes_of(
 @given(actuators(static=True), st.floats(0.0, 1.0), st.sampled_from([0, 1, 2]))
 @settings(max_examples=40, deadline=None, derandomize=True)
 def test_a_loop_is_a_fixed_point_of_the_pass(
-    model: Model, phase: float, passes: int
+    model: Cascade, phase: float, passes: int
 ) -> None:
     wanted = ripple(model, 250, 0.6, 1.0, phase)
     try:
@@ -74,7 +74,7 @@ def test_a_run_in_leads_to_the_loop() -> None:
 )
 @settings(max_examples=60, deadline=None, derandomize=True)
 def test_a_loop_and_its_run_in_keep_the_slew(
-    model: Model, phase: float, passes: int, spans: float
+    model: Cascade, phase: float, passes: int, spans: float
 ) -> None:
     wanted = ripple(model, 500, 0.8, 1.0, phase)
     slew = spans * model.input.span

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from dbo_cli.drive import Limits, plan, stream
 from dbo_cli.drive.gate import GateError
 from dbo_cli.errors import DboError, InputError, LimitError, ModelError, UsageError
-from dbo_cli.model import Model
+from dbo_cli.model import Cascade
 
 from .actuators import actuators, blocks_of
 
@@ -22,7 +22,7 @@ MANY = int(os.environ.get("DBO_DRIVES", "400"))  # by hand: DBO_DRIVES=100000
 
 
 @st.composite
-def moves(draw: st.DrawFn, model: Model) -> np.ndarray:
+def moves(draw: st.DrawFn, model: Cascade) -> np.ndarray:
     """Draw a trajectory: smooth, jumping, beyond what can be reached, short, constant."""
     rows = draw(st.integers(1, 300))
     seed = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
@@ -48,7 +48,7 @@ def moves(draw: st.DrawFn, model: Model) -> np.ndarray:
 
 
 @st.composite
-def wishes(draw: st.DrawFn) -> tuple[Model, np.ndarray, Any, Limits, dict[str, Any]]:
+def wishes(draw: st.DrawFn) -> tuple[Cascade, np.ndarray, Any, Limits, dict[str, Any]]:
     """Draw a model, a move, a clock, limits and options."""
     model = draw(actuators())
     voltage = model.input

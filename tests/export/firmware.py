@@ -14,12 +14,12 @@ import numpy as np
 
 from dbo_cli.drive import Limits, plan
 from dbo_cli.model import (
+    Cascade,
     Delay,
     Dynamics,
     Gears,
     Lag,
     Mode,
-    Model,
     Points,
     Quantity,
     Relaxation,
@@ -57,10 +57,12 @@ def curve(low, high, bend):
 def model_of(*stages, low=LOW, high=HIGH):
     """Return a forward model whose displacement range is what it reaches slowly."""
     voltage = Quantity("voltage", "V", low, high)
-    wide = Model("forward", voltage, Quantity("displacement", "um", -1e3, 1e3), stages)
+    wide = Cascade(
+        "forward", voltage, Quantity("displacement", "um", -1e3, 1e3), stages
+    )
     y, _ = wide.static.simulate([low, high], dt=1e9)
     ends = sorted(y.tolist())
-    return Model("forward", voltage, Quantity("displacement", "um", *ends), stages)
+    return Cascade("forward", voltage, Quantity("displacement", "um", *ends), stages)
 
 
 CREEP = Relaxation(0.0, (0.01, 0.3), (0.004, 0.006))

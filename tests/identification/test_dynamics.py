@@ -10,12 +10,12 @@ from dbo_cli.identification import dynamics
 from dbo_cli.identification.fast import FastPart, split
 from dbo_cli.identification.recording import Recording
 from dbo_cli.model import (
+    Cascade,
     Delay,
     Dynamics,
     Gears,
     Lag,
     Mode,
-    Model,
     Quantity,
     Relaxation,
     Resonance,
@@ -25,7 +25,7 @@ from dbo_cli.model import (
 RATE = 2_000.0
 
 
-def plant(*sections: Lag | Resonance, delay: float = 0.0) -> Model:
+def plant(*sections: Lag | Resonance, delay: float = 0.0) -> Cascade:
     """An actuator of 80 gears with dynamics."""
     widths = np.full(80, 100.0 / 80.0)
     gears = Gears(widths, 0.1 * widths * np.linspace(0.6, 1.4, 80), 0.0, 0.0)
@@ -35,7 +35,7 @@ def plant(*sections: Lag | Resonance, delay: float = 0.0) -> Model:
     if delay:
         stages.append(Delay(delay))
     drive, moved = Quantity("voltage", "V", 0.0, 100.0), Quantity("x", "um", 0.5, 10.5)
-    return Model("forward", drive, moved, tuple(stages))
+    return Cascade("forward", drive, moved, tuple(stages))
 
 
 def swept(slow_seconds: float = 2.0) -> np.ndarray:
@@ -51,13 +51,13 @@ def swept(slow_seconds: float = 2.0) -> np.ndarray:
     return np.concatenate([slow, way, rest, sweep, rest, way[::-1]])
 
 
-def recorded(model: Model, drive: np.ndarray, noise: float = 0.002) -> Recording:
+def recorded(model: Cascade, drive: np.ndarray, noise: float = 0.002) -> Recording:
     moved, _ = model.simulate(drive, dt=1.0 / RATE, state="empty")
     moved = moved + np.random.default_rng(1).normal(0.0, noise, moved.size)
     return Recording("log.csv", drive, moved, np.arange(moved.size) / RATE)
 
 
-def found(model: Model, wanted: str | int = "auto") -> tuple:
+def found(model: Cascade, wanted: str | int = "auto") -> tuple:
     _, fast = split([recorded(model, swept())])
     return dynamics.find(plant(), fast, wanted)
 

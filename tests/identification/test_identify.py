@@ -13,7 +13,7 @@ from dbo_cli.errors import FitError, InputError, LimitError, UsageError
 from dbo_cli.identification import Options, Recording, describe
 from dbo_cli.identification.clean import clean, spiked_rows
 from dbo_cli.identification.identify import identify
-from dbo_cli.model import Model, dumps_model
+from dbo_cli.model import Cascade, dumps_model
 from dbo_cli.model.expect import expected_error, longest_rest, move_warnings
 
 Floats = NDArray[np.float64]
@@ -21,30 +21,30 @@ NOISE = 0.005 * np.random.default_rng(7).normal(size=len(TIME))
 NEW = 50.0 - 50.0 * np.cos(2.0 * np.pi * 0.4 * TIME) * np.cos(0.12 * TIME) ** 2
 
 
-def quiet(log: Recording, options: Options | None = None) -> Model:
+def quiet(log: Recording, options: Options | None = None) -> Cascade:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return identify([log], options)
 
 
 @pytest.fixture(scope="module")
-def model() -> Model:
+def model() -> Cascade:
     return quiet(Recording("log", DRIVE, hysteresis(DRIVE) + NOISE, TIME))
 
 
-def error(model: Model, drive: Floats, displacement: Floats) -> float:
+def error(model: Cascade, drive: Floats, displacement: Floats) -> float:
     played, _ = model.simulate(drive, time=TIME)
     return float(np.sqrt(np.mean((played - displacement) ** 2)))
 
 
-def test_new_moves_are_predicted(model: Model) -> None:
+def test_new_moves_are_predicted(model: Cascade) -> None:
     actual = error(model, NEW, hysteresis(NEW))
     assert actual < 0.01 * 4.0
     assert actual < 0.05 * model.fit["line_rmse"]
     assert 0.05 < actual / model.fit["expected_rmse"] < 3.0
 
 
-def test_figures_are_complete(model: Model) -> None:
+def test_figures_are_complete(model: Cascade) -> None:
     fit = model.fit
     assert fit["sign"] == "rising" and not fit["one_amplitude"]
     assert 0.004 < fit["rmse"] < 0.012
@@ -55,7 +55,7 @@ def test_figures_are_complete(model: Model) -> None:
     assert "expected error" in describe(model)
 
 
-def test_same_log_same_bytes(model: Model) -> None:
+def test_same_log_same_bytes(model: Cascade) -> None:
     again = quiet(Recording("log", DRIVE, hysteresis(DRIVE) + NOISE, TIME))
     assert dumps_model(again) == dumps_model(model)
 
@@ -69,7 +69,7 @@ def test_falling_displacement() -> None:
         quiet(log, Options(sign="rising"))
 
 
-def test_one_amplitude_states_more_and_warns(model: Model) -> None:
+def test_one_amplitude_states_more_and_warns(model: Cascade) -> None:
     drive = 50.0 - 50.0 * np.cos(2.0 * np.pi * 0.5 * TIME)
     with pytest.warns(UserWarning, match="one amplitude"):
         one = identify([Recording("log", drive, hysteresis(drive) + NOISE, TIME)])
@@ -144,7 +144,7 @@ def test_recordings_are_checked() -> None:
         Recording("log", DRIVE, DRIVE, np.floor(np.arange(len(DRIVE)) / 5.0))
 
 
-def test_unknown_past_is_part_of_the_expected_error(model: Model) -> None:
+def test_unknown_past_is_part_of_the_expected_error(model: Cascade) -> None:
     dt = 0.005
     inside = 50.0 + 10.0 * np.sin(TIME)
     known = expected_error(model, inside, dt, past_known=True)
@@ -156,7 +156,7 @@ def test_unknown_past_is_part_of_the_expected_error(model: Model) -> None:
     )
 
 
-def test_moves_unlike_the_logs_warn(model: Model) -> None:
+def test_moves_unlike_the_logs_warn(model: Cascade) -> None:
     assert move_warnings(model, DRIVE, 0.005) == []
     assert "faster" in move_warnings(model, DRIVE, 0.0005)[0]
     held = np.concatenate((DRIVE, np.full(4000, DRIVE[-1])))
@@ -166,7 +166,7 @@ def test_moves_unlike_the_logs_warn(model: Model) -> None:
     )
 
 
-def test_validation_logs_are_measured(model: Model) -> None:
+def test_validation_logs_are_measured(model: Cascade) -> None:
     log = Recording("log", DRIVE, hysteresis(DRIVE) + NOISE, TIME)
     new = Recording("new", NEW, hysteresis(NEW), TIME)
     with warnings.catch_warnings():

@@ -12,7 +12,7 @@ import pytest
 from dbo_cli.errors import FitError
 from dbo_cli.identification.paper import identify_paper
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.model import Gears, Model, Scale, State
+from dbo_cli.model import Cascade, Gears, Scale, State
 
 PAPER = Path(
     os.environ.get(
@@ -35,7 +35,7 @@ def played(voltage: np.ndarray) -> np.ndarray:
     return np.asarray(moved)
 
 
-def of_cycle(**options: object) -> tuple[Model, np.ndarray]:
+def of_cycle(**options: object) -> tuple[Cascade, np.ndarray]:
     moved = played(sine(cycles=2))[200:]
     recording = Recording("cycle.csv", sine(), moved)
     return identify_paper(recording, dataclasses.replace(Options(), **options)), moved

@@ -12,9 +12,9 @@ from dbo_cli.identification.prior import rescale
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.model import (
     Candidate,
+    Cascade,
     Delay,
     Gears,
-    Model,
     Quantity,
     Relaxation,
     Scale,
@@ -26,7 +26,7 @@ NOISE = 0.005
 
 def actuator(
     gain: float = 1.0, offset: float = 0.0, delay: float = 0.004, grow: float = 0.8
-) -> Model:
+) -> Cascade:
     """An actuator of 60 gears; ``grow`` widens its loop."""
     widths = np.full(60, 100.0 / 60.0)
     slopes = 1.0 + grow * np.linspace(-0.5, 0.5, 60)
@@ -38,7 +38,7 @@ def actuator(
     moved = Quantity("displacement", "um", offset, offset + 10.0 * gain)
     fit = {"expected_rmse": 0.01, "rmse": 0.01, "line_rmse": 0.6}
     other = Candidate(0.5, (gears, Scale(1.02 * gain, offset)))
-    return Model("forward", drive, moved, tuple(stages), fit, (other,))
+    return Cascade("forward", drive, moved, tuple(stages), fit, (other,))
 
 
 def waves(low: float, high: float, cycles: int = 4, shape: str = "sine") -> np.ndarray:
@@ -51,7 +51,7 @@ def waves(low: float, high: float, cycles: int = 4, shape: str = "sine") -> np.n
 
 
 def recorded(
-    model: Model, drive: np.ndarray, seed: int = 1, skip: int = 0
+    model: Cascade, drive: np.ndarray, seed: int = 1, skip: int = 0
 ) -> Recording:
     moved, _ = model.simulate(drive, dt=1.0 / RATE, state="empty")
     moved = moved + np.random.default_rng(seed).normal(0.0, NOISE, moved.size)
@@ -59,7 +59,7 @@ def recorded(
     return Recording("new.csv", drive[skip:], moved[skip:], time[skip:])
 
 
-def error(model: Model, truth: Model) -> float:
+def error(model: Cascade, truth: Cascade) -> float:
     """RMS error of new moves."""
     rng = np.random.default_rng(5)
     levels = np.concatenate([[0.0, 100.0], rng.uniform(0.0, 100.0, 12)])

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.model import (
+    Cascade,
     Delay,
     Gears,
-    Model,
     Points,
     Quantity,
     Relaxation,
@@ -60,7 +60,7 @@ def random_points(rng: np.random.Generator, low: float, high: float) -> Points:
 
 def random_model(
     rng: np.random.Generator, delays: bool = True, negative: bool | None = None
-) -> Model:
+) -> Cascade:
     """A forward model of gears, points on either side, a scale, and a delay of whole samples."""
     gears = random_gears(rng, negative)
     low, high = gears.x_range
@@ -77,7 +77,7 @@ def random_model(
         stages.append(Delay(DT * int(rng.integers(0, 20))))
     drive = Quantity("voltage", "V", low, high)
     span = 100.0 * float(np.abs(gears.y_range).max()) + 10.0
-    return Model(
+    return Cascade(
         "forward", drive, Quantity("displacement", "um", -span, span), tuple(stages)
     )
 

@@ -9,11 +9,11 @@ import pytest
 
 from dbo_cli.errors import DboError, DboWarning
 from dbo_cli.model import (
+    Cascade,
     Delay,
     Dynamics,
     Gears,
     Lag,
-    Model,
     Quantity,
     Resonance,
     State,
@@ -123,7 +123,7 @@ def test_another_voltage_that_was_applied_is_followed(seed: int) -> None:
 
 def test_a_model_of_many_gears_runs() -> None:
     gears = Gears(np.full(100_000, 1e-4), np.full(100_000, 2e-4))
-    model = Model(
+    model = Cascade(
         "forward",
         Quantity("voltage", "V", 0.0, 10.0),
         Quantity("x", None, 0.0, 20.0),

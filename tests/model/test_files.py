@@ -16,12 +16,12 @@ import pytest
 from dbo_cli.errors import DboError, InputError, ModelError
 from dbo_cli.model import (
     Candidate,
+    Cascade,
     Delay,
     Dynamics,
     Gears,
     Lag,
     Mode,
-    Model,
     Points,
     Quantity,
     Relaxation,
@@ -47,7 +47,7 @@ SCHEMA = jsonschema.Draft202012Validator(
 Change = Callable[[dict[str, Any]], object]
 
 
-def full_model() -> Model:
+def full_model() -> Cascade:
     """A model that has everything."""
     gears = Gears(
         [0.1] * 50,
@@ -65,7 +65,7 @@ def full_model() -> Model:
         Dynamics(sections),
         Delay(0.00207),
     )
-    return Model(
+    return Cascade(
         "forward",
         Quantity("voltage", "V", 0.0, 5.0),
         Quantity("displacement", None, -20.0, 5.0),

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import (
     Candidate,
+    Cascade,
     Delay,
     Dynamics,
     Gears,
     Lag,
     Mode,
-    Model,
     Points,
     Quantity,
     Relaxation,
@@ -35,12 +35,12 @@ DISPLACEMENT = Quantity("displacement", "um", 0.0, 20.0)
 TERMS = Relaxation(1.0, (1e-3, 0.05, 2.0), (0.2, -0.3, 0.1))
 
 
-def plant(*behind: Stage, relaxation: Relaxation | None = TERMS) -> Model:
+def plant(*behind: Stage, relaxation: Relaxation | None = TERMS) -> Cascade:
     """A scanner of 100 gears, a few curves, and what stands behind them."""
     gears = Gears([0.1] * 100, np.linspace(0.1, 0.3, 100), 0.0, 0.0, relaxation)
     low, high = gears.y_range
     curve = Points([1.0, high - low - 1.0], [1.2, high - low - 1.2], low, low)
-    return Model("forward", VOLTAGE, DISPLACEMENT, (gears, curve, *behind))
+    return Cascade("forward", VOLTAGE, DISPLACEMENT, (gears, curve, *behind))
 
 
 @pytest.mark.parametrize("batch", range(10))
@@ -51,7 +51,7 @@ def test_the_inverse_is_exact(batch: int) -> None:
         assert round_trip_error(rng, random_model(rng, negative=seed % 2 == 0)) <= 1e-12
 
 
-def round_trip_error(rng: np.random.Generator, model: Model) -> float:
+def round_trip_error(rng: np.random.Generator, model: Cascade) -> float:
     """The worst error of the drive after the model and its inverse, over the range."""
     low, high = model.input.min, model.input.max
     drive = random_drive(rng, low, high, 300)
@@ -130,7 +130,7 @@ def test_a_drive_in_blocks_is_the_drive(seed: int) -> None:
     assert cut_state.undoing[2] == state.undoing[2]
 
 
-def smooth_move(model: Model, rows: int) -> Floats:
+def smooth_move(model: Cascade, rows: int) -> Floats:
     """A sine that grows out of a rest at the lower end, where the start is known."""
     lowest = model.simulate([0.0], dt=DT)[0][0]
     k = np.maximum(np.arange(rows) - 100, 0)
@@ -390,7 +390,7 @@ def test_signs_and_digests() -> None:
 )
 def test_bad_cascades_are_named(stages: tuple[Stage, ...], place: str) -> None:
     with pytest.raises(ModelError) as problem:
-        Model("forward", VOLTAGE, DISPLACEMENT, stages)
+        Cascade("forward", VOLTAGE, DISPLACEMENT, stages)
     assert str(problem.value).startswith(place)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dbo_cli.model import (
+    Cascade,
     Gears,
-    Model,
     Points,
     Quantity,
     Relaxation,
@@ -25,7 +25,7 @@ SPARE = 10  # beyond either end
 STARTS = ("auto", "empty", "full", "settled")
 
 
-def plain_and_spare(seed: int) -> tuple[Model, Model]:
+def plain_and_spare(seed: int) -> tuple[Cascade, Cascade]:
     """A model of 0 to 10 V, and the same one with gears to spare."""
     rng = np.random.default_rng(seed)
     dy = rng.uniform(0.1, 0.3, GEARS)
@@ -45,8 +45,8 @@ def plain_and_spare(seed: int) -> tuple[Model, Model]:
     drive = Quantity("voltage", "V", 0.0, 10.0)
     reach = Quantity("displacement", "um", 0.0, plain.height)
     return (
-        Model("forward", drive, reach, (*before, plain)),
-        Model("forward", drive, reach, (*before, spare)),
+        Cascade("forward", drive, reach, (*before, plain)),
+        Cascade("forward", drive, reach, (*before, spare)),
     )
 
 
@@ -66,7 +66,7 @@ def test_inside_the_range_spare_gears_play_no_part(seed: int, start: str) -> Non
     np.testing.assert_allclose(voltages[1], voltages[0], rtol=0, atol=1e-9)
 
 
-def driven(model: Model, wanted: Floats, start: str) -> Floats:
+def driven(model: Cascade, wanted: Floats, start: str) -> Floats:
     """The drive within limits, which a slow one clips."""
     state = model.start_drive(float(wanted[0]), start, 0.5, 9.5)
     return model.drive(wanted, state, DT, (0.5, 9.5), 2000.0).y

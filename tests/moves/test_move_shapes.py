@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import UsageError
-from dbo_cli.model import Dynamics, Gears, Model, Quantity, Resonance, Scale
+from dbo_cli.model import Cascade, Dynamics, Gears, Quantity, Resonance, Scale
 from dbo_cli.moves import check_reach, trajectory, trusted_frequency
 
 RATE = 1000.0
@@ -24,7 +24,9 @@ def actuator(low=0.0, high=10.0, dynamics=()):
     gears = Gears(np.full(10, 10.0), np.full(10, (high - low) / 10.0))
     stages = (gears, Scale(1.0, low), *dynamics)
     voltage = Quantity("voltage", "V", 0.0, 100.0)
-    return Model("forward", voltage, Quantity("displacement", "um", low, high), stages)
+    return Cascade(
+        "forward", voltage, Quantity("displacement", "um", low, high), stages
+    )
 
 
 def cornered(axis):

@@ -9,14 +9,14 @@ import pytest
 
 import dbo_cli as dbo
 from dbo_cli.errors import DboError
-from dbo_cli.library import Model as Public
+from dbo_cli.library import Cascade as Public
 from dbo_cli.model import (
     Candidate,
+    Cascade,
     Delay,
     Dynamics,
     Gears,
     Lag,
-    Model,
     Points,
     Quantity,
     Relaxation,
@@ -53,7 +53,7 @@ def model(*behind, relaxation=None, candidates=()):
         Quantity("voltage", "V", 0.0, 100.0),
         Quantity("displacement", "um", 0.0, high),
     )
-    return Model(
+    return Cascade(
         "forward", drive, way, stages, FIT, candidates, {"program": "dbo 1.0.0"}
     )
 
@@ -193,7 +193,7 @@ def test_show_an_inverse_and_a_bare_model():
     inverse = ShownModel(model().inverse())
     assert "inverse model" in inverse.text()
     assert json.loads(inverse.json())["input"]["unit"] == "um"
-    bare = Model(
+    bare = Cascade(
         "forward",
         Quantity("voltage", None, 0.0, 100.0),
         Quantity("x", None, 0.0, 95.0),
