@@ -9,7 +9,7 @@ import pytest
 
 import dbo_cli as dbo
 from dbo_cli.errors import DboError
-from dbo_cli.library import Cascade as Public
+from dbo_cli.library import Model as Public
 from dbo_cli.model import (
     Candidate,
     Cascade,
