@@ -46,7 +46,8 @@ def check(
     """
     from dbo_cli.drive.check import check_drive, check_played, tolerance_of
     from dbo_cli.drive.limits import figure_in
-    from dbo_cli.logs import Reading, write_text
+    from dbo_cli.files import write_text
+    from dbo_cli.logs import Reading
 
     if not math.isfinite(gain) or not gain or (gain != 1.0 and against is None):
         raise UsageError(f"`gain` {gain:g}: give a factor, together with `against`")
