@@ -28,7 +28,7 @@ HALVINGS = 5
 NOT_SOLVED = "the least-squares solver did not converge; leave out bad rows"
 EXACT = 1e-10  # of the largest right side: gradients below are zero
 DAMPED = 1e-13
-"""Added to the diagonal, which is 1, of a matrix whose unknowns rounding cannot tell apart; then in hundreds."""
+"""Added to a diagonal of ones where rounding cannot tell the unknowns apart; then hundreds of times that."""
 
 
 @dataclass(frozen=True)
