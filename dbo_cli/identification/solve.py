@@ -128,7 +128,7 @@ def minimum(
     FitError
         The exchange of unknowns does not end.
     """
-    compiled = kernel.require("identification")
+    compiled = kernel.extension
     scale = 1.0 / np.sqrt(np.diag(matrix))
     scaled = np.ascontiguousarray(matrix * scale * scale[:, None])
     goal = right * scale
@@ -148,9 +148,7 @@ def products(table: Floats) -> Floats:
     """Return the products of all pairs of columns, summed over rows in one fixed order."""
     size = table.shape[1]
     gram = np.zeros((size, size))
-    kernel.require("identification").add_products(
-        np.ascontiguousarray(table), size, gram
-    )
+    kernel.extension.add_products(np.ascontiguousarray(table), size, gram)
     below = np.tri(size, k=-1, dtype=bool)
     return np.where(below, gram.T, gram)
 
