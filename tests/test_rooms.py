@@ -14,6 +14,7 @@ LEVELS = {
     "version": 0,
     "signals": 0.5,
     "units": 0.5,
+    "alignment": 0.75,
     "model": 1,
     "logs": 1,
     "identification": 2,
