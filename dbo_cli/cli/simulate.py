@@ -40,7 +40,7 @@ def simulate(
     from dbo_cli import channels
     from dbo_cli.drive.simulate import Simulation, simulate_blocks
     from dbo_cli.logs import Outputs, check_outputs, open_log
-    from dbo_cli.model import State, dumps_state, read_model
+    from dbo_cli.model import State, dumps_state, read_model, state_of
 
     columns = {"time": time, "input": input}
     if channels.is_pattern(columns):
@@ -49,7 +49,7 @@ def simulate(
         say_output(output, text)
         return
     actuator = read_model(model)
-    run, start = Simulation(), opt.state_of(state, actuator)
+    run, start = Simulation(), state_of(state, actuator)
     if isinstance(start, State):
         run.state, start = start, "auto"
     check_outputs(*opt.present(output, save_state))
