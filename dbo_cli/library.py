@@ -32,16 +32,16 @@ from dbo_cli import model as room
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs import (
-    FrameSource,
+    FrameTable,
     Reading,
-    frame_source,
+    frame_table,
     is_frame,
     numbers,
     open_log,
     stated_unit,
 )
 from dbo_cli.logs.frame import dtype_kind
-from dbo_cli.logs.source import OVERLOAD
+from dbo_cli.logs.table import OVERLOAD
 from dbo_cli.model import Quantity
 from dbo_cli.units import multiplied, parse_quantity, to_model_unit
 
@@ -724,7 +724,7 @@ def identify(
     else:
         sources = _listed(data)
         if time is not None:
-            sources = [frame_source(source, _seconds(time)) for source in sources]
+            sources = [frame_table(source, _seconds(time)) for source in sources]
     recordings, logs = recordings_of(sources, columns, reading, units)
     if delay == "auto" and any(log.has_found_offset for log in logs):
         delay = 0.0  # the offset between the clocks holds it
@@ -762,9 +762,9 @@ def _arrays(
     units: Mapping[str, str | None],
     time: Signal | None,
     reading: Reading,
-) -> tuple[FrameSource, Mapping[str, str | None]]:
+) -> tuple[FrameTable, Mapping[str, str | None]]:
     """Return the arrays of a recording as a table, and which column has which role."""
-    from dbo_cli.recordings import arrays_source
+    from dbo_cli.recordings import arrays_table
 
     stated = {}
     for role, values in signals.items():
@@ -774,7 +774,7 @@ def _arrays(
     rate = reading.sample_rate
     clock = clock_of(signals["voltage"], time, rate, len(signals["voltage"]))
     stamps = clock if isinstance(clock, np.ndarray) else None
-    return arrays_source("the arrays", signals, stated, stamps)
+    return arrays_table("the arrays", signals, stated, stamps)
 
 
 @with_known_words
@@ -932,7 +932,7 @@ def timed(
 
     if unit is not None:
         raise UsageError("`unit` is of arrays: a frame has its own units")
-    source = frame_source(data, None if time is None else _seconds(time))
+    source = frame_table(data, None if time is None else _seconds(time))
     columns = dict.fromkeys(("time", roles[1]))
     units = {roles[1]: quantity.unit}
     _, table = read_table(source, columns, Reading(sample_rate=rate), units)

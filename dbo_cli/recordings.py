@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import InputError, warn
-from dbo_cli.logs import FrameSource, Reading, frame_source, is_frame, open_log
+from dbo_cli.logs import FrameTable, Reading, frame_table, is_frame, open_log
 from dbo_cli.units import quantity_name
 from dbo_cli.version import __version__
 
@@ -43,7 +43,7 @@ def read_table(
 
     Parameters
     ----------
-    source : str, Path, FrameSource, or pandas or polars frame
+    source : str, Path, FrameTable, or pandas or polars frame
         The log.
     columns : mapping
         The roles that are needed.
@@ -61,16 +61,16 @@ def read_table(
     """
     wanted = {role: unit for role, unit in (units or {}).items() if unit}
     if is_frame(source):
-        source = frame_source(source)
+        source = frame_table(source)
     elif isinstance(source, Path):
         source = str(source)
-    elif not isinstance(source, (str, FrameSource)):
+    elif not isinstance(source, (str, FrameTable)):
         raise InputError("give a file, or a frame of pandas or polars")
     with open_log(source, columns, reading, wanted, optional) as log:
         table = log.read()
     for doubt in log.doubtful:
         warn(f"{log.name}: {doubt}")
-    if isinstance(source, FrameSource):
+    if isinstance(source, FrameTable):
         log.columns = source.as_in_file(log.columns)
     return log, table
 
@@ -124,9 +124,9 @@ def recordings_of(
     return recordings, logs
 
 
-def arrays_source(
+def arrays_table(
     name: str, signals: Mapping[str, Any], units: Units, time: Any = None
-) -> tuple[FrameSource, dict[str, str | None]]:
+) -> tuple[FrameTable, dict[str, str | None]]:
     """Return arrays as a table, and which of its columns has which role.
 
     Parameters
@@ -149,7 +149,7 @@ def arrays_source(
     if time is not None:
         entries.append(("time", time, "s"))
         columns["time"] = f"number={len(entries)}"
-    return FrameSource(name, entries), columns
+    return FrameTable(name, entries), columns
 
 
 def tracked_of(

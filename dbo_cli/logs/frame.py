@@ -18,14 +18,14 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.logs.clock import TIME_NAMES
 from dbo_cli.logs.columns import words
-from dbo_cli.logs.source import Column, Source
+from dbo_cli.logs.table import Column, Table
 from dbo_cli.units import spell, split_header, time_unit
 
 Entry = tuple[str, Any, str | None]
 """A column: its name, its values, and its unit."""
 
 
-class FrameSource(Source):
+class FrameTable(Table):
     """Columns in memory.
 
     Parameters
@@ -49,7 +49,7 @@ class FrameSource(Source):
         names: Mapping[str, str] | None = None,
         has_found_offset: bool = False,
     ) -> None:
-        super().__init__(name, ())
+        super().__init__(name)
         self.has_found_offset = has_found_offset
         self._names = names or {}
         self._arrays: list[NDArray[Any]] = []
@@ -58,25 +58,24 @@ class FrameSource(Source):
             sample = str(next(iter(values), "")) if kind == "text" else ""
             if dtype_kind(values) == "m":
                 unit = "s"
-            number = len(self.columns) + 1
-            self.columns.append(Column(number, title, unit, kind, sample))
+            self.add_column(title, unit, kind, sample)
             self._arrays.append(array)
 
-    def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
-        """Return all rows of the chosen columns as one block.
+    def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
+        """Return all rows of the columns columns as one block.
 
         Raises
         ------
         InputError
             The columns have different lengths.
         """
-        arrays = [self._arrays[column.number - 1] for column in chosen]
-        for column, array in zip(chosen, arrays, strict=True):
+        arrays = [self._arrays[column.number - 1] for column in columns]
+        for column, array in zip(columns, arrays, strict=True):
             self.last_block[column.number] = array
             if len(array) != len(arrays[0]):
                 raise InputError(
                     f"{self.name}: {column.label} has {len(array):,} rows, "
-                    f"{chosen[0].label} {len(arrays[0]):,}"
+                    f"{columns[0].label} {len(arrays[0]):,}"
                 )
         yield arrays
 
@@ -95,8 +94,8 @@ def is_frame(data: object) -> bool:
     return hasattr(data, "columns") and has_series
 
 
-def frame_source(frame: Any, time: Any = None) -> FrameSource:
-    """Return a frame as a source; its time index is a column where it has no other time.
+def frame_table(frame: Any, time: Any = None) -> FrameTable:
+    """Return a frame as a table; its time index is a column where it has no other time.
 
     Parameters
     ----------
@@ -110,8 +109,7 @@ def frame_source(frame: Any, time: Any = None) -> FrameSource:
     series = frame.items() if hasattr(frame, "items") else _named(frame.iter_columns())
     entries: list[Entry] = []
     for title, values in series:
-        unit = units[title] if title in units else split_header(str(title))[1]
-        entries.append((str(title), values, unit))
+        entries.append((str(title), values, units.get(title)))
     has_clock = any(map(_is_clock, entries))
     index = getattr(frame, "index", None)
     if time is not None:
@@ -122,7 +120,7 @@ def frame_source(frame: Any, time: Any = None) -> FrameSource:
         entries.insert(0, (title, index, split_header(title)[1] or "s"))
     name = str(attrs.get("name", "the frame"))
     has_found_offset = bool(attrs.get("holds_delay"))
-    return FrameSource(name, entries, attrs.get("columns"), has_found_offset)
+    return FrameTable(name, entries, attrs.get("columns"), has_found_offset)
 
 
 def _named(columns: Iterable[Any]) -> Iterator[tuple[str, Any]]:
@@ -134,7 +132,8 @@ def _named(columns: Iterable[Any]) -> Iterator[tuple[str, Any]]:
 def _is_clock(entry: Entry) -> bool:
     """Return whether a column is a time by its name or its unit."""
     title, _, unit = entry
-    return bool(words(title) & TIME_NAMES) or time_unit(unit) is not None
+    is_named = bool(words(title) & TIME_NAMES)
+    return is_named or time_unit(unit or split_header(title)[1]) is not None
 
 
 # --- values ---

@@ -1,6 +1,6 @@
 """A log: opened by what its first bytes say, a column for every role, and its rows in blocks.
 
-The story: a reader makes a ``Source`` of the file; the clock and the columns of the
+The story: a reader makes a ``Table`` of the file; the clock and the columns of the
 roles are chosen; blocks come as arrays by role, in seconds and in the units asked for.
 """
 
@@ -21,14 +21,14 @@ from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import choose, named
 from dbo_cli.logs.formats import reader_of
 from dbo_cli.logs.scale import Scale, scales_of
-from dbo_cli.logs.source import (
+from dbo_cli.logs.table import (
     BLOCK_ROWS,
     NOT_A_TIME,
     OVERLOAD,
     Block,
     Column,
     Reading,
-    Source,
+    Table,
 )
 from dbo_cli.logs.text import open_text
 from dbo_cli.units import multiplied
@@ -63,7 +63,7 @@ class Log:
 
     def __init__(
         self,
-        source: Source,
+        source: Table,
         clock: Clock,
         picks: Mapping[str, Column],
         scales: Mapping[str, Scale],
@@ -253,7 +253,7 @@ class TableLog(Log):
         remarks: list[str],
     ) -> None:
         scales = {role: (Fraction(1), c.unit) for role, c in columns.items()}
-        super().__init__(Source(name, ()), clock, columns, scales, Reading())
+        super().__init__(Table(name), clock, columns, scales, Reading())
         self.remarks = remarks
         self._table = table
 
@@ -300,7 +300,7 @@ def parse_rows(rows: str | None) -> tuple[int, int | None]:
 
 
 def open_log(
-    path: str | os.PathLike[str] | Source,
+    path: str | os.PathLike[str] | Table,
     roles: Mapping[str, str | None],
     reading: Reading | None = None,
     units: Mapping[str, str] | None = None,
@@ -341,7 +341,7 @@ def open_log(
         if role not in roles:
             raise UsageError(f"`scale` {role}=...: give one of {', '.join(roles)}")
     roles = {role: text for role, text in roles.items() if role not in elsewhere}
-    opened = path if isinstance(path, Source) else os.fspath(path)
+    opened = path if isinstance(path, Table) else os.fspath(path)
     log = _open_file(opened, roles, reading, units, optional)
     if elsewhere:
         log = _with_columns_of(log, elsewhere, reading, units)
@@ -372,7 +372,7 @@ def _with_columns_of(
 
 
 def _open_file(
-    name: str | Source,
+    name: str | Table,
     roles: Mapping[str, str | None],
     reading: Reading,
     units: Mapping[str, str],
@@ -380,7 +380,7 @@ def _open_file(
 ) -> Log:
     """Open one file or table as a log."""
     factors = {role: text for role, text in reading.scale.items() if role in roles}
-    source = name if isinstance(name, Source) else open_source(name, reading)
+    source = name if isinstance(name, Table) else open_source(name, reading)
     try:
         clock, picks = _chosen(source, roles, reading, units, optional)
         scales = scales_of(source.name, picks, factors, units, source.remarks)
@@ -390,7 +390,7 @@ def _open_file(
         raise
 
 
-def open_source(name: str, reading: Reading) -> Source:
+def open_source(name: str, reading: Reading) -> Table:
     """Open a file with the reader that its first bytes ask for (InputError)."""
     path, _, part = name.partition("::")
     if os.path.isfile(path):
@@ -407,7 +407,7 @@ def open_source(name: str, reading: Reading) -> Source:
 
 
 def _chosen(
-    source: Source,
+    source: Table,
     roles: Mapping[str, str | None],
     reading: Reading,
     units: Mapping[str, str],

@@ -18,7 +18,7 @@ from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.logs import clock_offset
 from dbo_cli.logs.clock_offset import Fit
 from dbo_cli.logs.log import Log, open_log
-from dbo_cli.logs.source import Block, Reading
+from dbo_cli.logs.table import Block, Reading
 
 ROLES = {"voltage": None, "displacement": None}
 
