@@ -198,7 +198,7 @@ class Model:
 
     def save(self, path: str | Path) -> None:
         """Write the model file, whole or not at all."""
-        from dbo_cli.logs import write_text
+        from dbo_cli.files import write_text
 
         write_text(str(path), room.dumps_model(self.actuator))
 
@@ -420,7 +420,7 @@ class Model:
             drive.state = dataclasses.replace(drive.state, model=self.digest)
         if file is not None:
             from dbo_cli.drive.learning import dumps_history
-            from dbo_cli.logs import write_text
+            from dbo_cli.files import write_text
 
             write_text(str(file), dumps_history(drive.history))
         return drive if details else drive.voltage
@@ -496,7 +496,7 @@ class Model:
 
     def save_state(self, state: room.State, path: str | Path) -> None:
         """Write a state file; ModelError where the state is of another model."""
-        from dbo_cli.logs import write_text
+        from dbo_cli.files import write_text
 
         checked = room.state_of(state, self.actuator)
         assert isinstance(checked, room.State)
@@ -508,7 +508,7 @@ class ModelSet(dict[str, Model]):
 
     def save(self, path: str | Path) -> None:
         """Write all models into one file."""
-        from dbo_cli.logs import write_text
+        from dbo_cli.files import write_text
 
         actuators = {name: model.actuator for name, model in self.items()}
         write_text(str(path), room.dumps_set(actuators))

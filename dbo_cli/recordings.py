@@ -179,9 +179,11 @@ def tracked_of(
 def read_history(path: str | None) -> list[PassRecord]:
     """Return the passes so far; none where there is no file yet."""
     from dbo_cli.drive.learning import parse_history
+    from dbo_cli.files import note_input
 
     if path is None or not Path(path).exists():
         return []
+    note_input(path, "history")
     return parse_history(Path(path).read_bytes(), path)
 
 
