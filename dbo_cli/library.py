@@ -1040,6 +1040,6 @@ def _passes(history: str | Path | Sequence[PassRecord]) -> Sequence[PassRecord]:
     """Return the passes so far; none where there is no file yet."""
     if not isinstance(history, (str, Path)):
         return history
-    from dbo_cli.recordings import read_history
+    from dbo_cli.drive.learning import read_history
 
     return read_history(str(history))

@@ -17,7 +17,7 @@ from dbo_cli.units import quantity_name
 from dbo_cli.version import __version__
 
 if TYPE_CHECKING:
-    from dbo_cli.drive.learning import PassRecord, Tracked
+    from dbo_cli.drive.learning import Tracked
     from dbo_cli.identification import Recording
     from dbo_cli.logs import Block, Log
     from dbo_cli.model import Cascade
@@ -174,17 +174,6 @@ def tracked_of(
             Tracked(log.name, table["voltage"], table["measured"], table.time)
         )
     return recordings
-
-
-def read_history(path: str | None) -> list[PassRecord]:
-    """Return the passes so far; none where there is no file yet."""
-    from dbo_cli.drive.learning import parse_history
-    from dbo_cli.files import note_input
-
-    if path is None or not Path(path).exists():
-        return []
-    note_input(path, "history")
-    return parse_history(Path(path).read_bytes(), path)
 
 
 def short_name(name: str) -> str:

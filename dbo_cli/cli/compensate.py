@@ -91,10 +91,11 @@ def compensate(
     """
     from dbo_cli import channels
     from dbo_cli.drive import Limits, voltage_in
+    from dbo_cli.drive.learning import read_history
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.logs import open_log
     from dbo_cli.model import dumps_state, read_model, state_of
-    from dbo_cli.recordings import read_history, tracked_of
+    from dbo_cli.recordings import tracked_of
 
     columns = {"time": time, "displacement": displacement}
     ranges = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
@@ -135,7 +136,7 @@ def compensate(
             "passes": passes,
             "absolute": absolute,
             "tracked": tracked_of(tracked or [], roles, reading, actuator),
-            "history": read_history(history),
+            "history": () if history is None else read_history(history),
         }
     check_outputs(output, summary, state=save_state, history=history)
     units = opt.units_of(displacement=actuator.output)
