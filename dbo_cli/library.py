@@ -517,12 +517,17 @@ class ModelSet(dict[str, Model]):
 def read_model(path: str | Path) -> Model:
     """Read a model file, or ``FILE::NAME`` of a set.
 
+    A whole set gives a ``ModelSet``, as it always did; ``read_models`` says so in its type.
+
     Raises
     ------
     ModelError
-        The file is no model of version 1, with the key; or a set of models.
+        The file is no model of version 1; the message names the key.
     """
-    return Model(room.read_model(str(path)))
+    name = str(path)
+    if "::" not in name and room.is_set(name):
+        return cast(Model, read_models(name))
+    return Model(room.read_model(name))
 
 
 def read_models(path: str | Path) -> ModelSet:
