@@ -6,7 +6,6 @@ time, and back.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -106,17 +105,17 @@ class Model:
         -------
         ndarray, or (ndarray, State)
         """
+        from dbo_cli.drive.simulate import Simulator
+
         values = floats(x, "x")
-        dt = clock = clock_of(x, time, sample_rate, len(values))
-        begun, last = self._state(state), None
+        clock = clock_of(x, time, sample_rate, len(values))
+        dt, stamps = clock, None
         if isinstance(clock, np.ndarray):
-            dt, last = room.steps_of(clock), float(clock[-1])
-            if isinstance(begun, room.State):
-                dt = room.steps_behind(begun.time, clock, dt)
-        y, after = self.actuator.simulate(values, dt=dt, state=begun, outside=outside)
-        if return_state:
-            return y, dataclasses.replace(after, time=last)
-        return y
+            dt, stamps = room.steps_of(clock), clock
+        simulator = Simulator(self.actuator, self._state(state), outside)
+        parts = simulator.rows(values, dt, stamps), simulator.finish()
+        y = np.concatenate([part.y for part in parts])
+        return (y, simulator.state) if return_state else y
 
     def compensate(
         self,
