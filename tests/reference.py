@@ -54,7 +54,7 @@ class Backlash:
         y_b = sum((self.dy[i] for i in crossed), self.y0)
         return x_b, y_b
 
-    def step(self, value: float) -> Fraction:
+    def step(self, value: float | Fraction) -> Fraction:
         """Steps 1 to 4 of the procedure, repeated until there is an output."""
         x = Fraction(value)
         n = len(self.bits)
@@ -84,7 +84,7 @@ class Relaxed:
         self.gain = [Fraction(c) for c in gain]
         self.memory: list[Fraction] | None = None  # at rest at the first sample
 
-    def step(self, value: float, decay: Sequence[float]) -> Fraction:
+    def step(self, value: float | Fraction, decay: Sequence[float]) -> Fraction:
         """One sample of the voltage."""
         drive = Fraction(value) - self.reference
         if self.memory is None:
@@ -95,6 +95,33 @@ class Relaxed:
             (c * m for c, m in zip(self.gain, self.memory, strict=True)), Fraction(0)
         )
         return self.gears.step(value) + known
+
+    def undo(
+        self, target: float, decay: Sequence[float], low: float, high: float
+    ) -> Fraction:
+        """The voltage in [low, high] whose output is nearest to a target; after it the state is ``step``'s.
+
+        What the memories keep of the past is known. What is left is
+        Gamma(v) + kappa (v - reference), kappa = sum c_j (1 - a_j): an operator with
+        heights dY + kappa dX, undone by exchanging its axes.
+        """
+        a = [Fraction(value) for value in decay]
+        if self.memory is None:
+            a = [Fraction(0) for _ in self.gain]
+        past = self.memory or a
+        terms = list(zip(self.gain, a, past, strict=True))
+        known = sum((c * keep * old for c, keep, old in terms), Fraction(0))
+        kappa = sum((c * (1 - keep) for c, keep, _ in terms), Fraction(0))
+        gears = self.gears
+        steep = [h + kappa * w for w, h in zip(gears.dx, gears.dy, strict=True)]
+        height = gears.y0 + kappa * (gears.x0 - self.reference)
+        exchanged = Backlash([], [], 0.0, 0.0)
+        exchanged.dx, exchanged.dy = steep, gears.dx
+        exchanged.x0, exchanged.y0, exchanged.bits = height, gears.x0, gears.bits[:]
+        voltage = exchanged.step(Fraction(target) - known)
+        voltage = min(max(voltage, Fraction(low)), Fraction(high))
+        self.step(voltage, decay)
+        return voltage
 
 
 def point(

@@ -74,13 +74,15 @@ def report(
     from dbo_cli.model import read_model
     from dbo_cli.reports import Report, expected_in, predict
     from dbo_cli.reports import match as matched
+    from dbo_cli.units import split_quantity
 
     if model is not None and trajectory is not None:
         raise UsageError("give either `model` or `trajectory`")
     opt.require("model", model, {"state": state != "auto"})
     opt.require("trajectory", trajectory, {"match": match != "auto"})
-    # wrong words are refused before any work
-    most = opt.quantity("max_rmse", max_rmse, None)
+    most = None
+    if max_rmse is not None:  # a wrong word is refused before any work
+        most, _ = split_quantity(max_rmse, "max_rmse")
     most_percent = opt.number("max_nrmse_percent", max_nrmse_percent, float)
     for name, bound in (("max_rmse", most), ("max_nrmse_percent", most_percent)):
         if bound is not None and bound < 0.0:

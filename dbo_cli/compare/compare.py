@@ -20,7 +20,7 @@ from dbo_cli.compare.fitting import (
 )
 from dbo_cli.errors import DboError
 from dbo_cli.identification import Options, Recording, identify
-from dbo_cli.model import Cascade, Points, kernel
+from dbo_cli.model import Cascade, Points
 from dbo_cli.reports.render import digits, json_text, text_table
 
 JSON_VERSION = 1  # of the form dbo-compare
@@ -170,10 +170,7 @@ def compare(
     ------
     FitError
         Nothing can be fitted to such logs.
-    DboError
-        The compiled part is missing.
     """
-    kernel.require("compare")
     problem = prepare(logs, skip)
     rows = []
     for rival in (Design("dbo", "Discrete Backlash Operator"), *RIVALS):

@@ -83,14 +83,14 @@ class Plays:
     def run(self, x: Floats, share: Floats = NOTHING) -> Floats:
         """Return the output for a scaled drive from its start; ``share`` of ``by_rate`` a sample."""
         z, y = self.start(float(x[0])), np.empty_like(x)
-        extension = kernel.require("compare")
+        extension = kernel.extension
         extension.plays_run(self.radii.size, self.table, self.curve, z, x, y, share)
         return y
 
     def solve(self, y: Floats, first: float, share: Floats = NOTHING) -> Floats:
         """Return the scaled drive whose output is ``y``; it stands at ``first`` before."""
         z, x = self.start(first), np.empty_like(y)
-        extension = kernel.require("compare")
+        extension = kernel.extension
         no_limits = (False, 0.0, 0.0, 0.0, NOTHING, np.nan)
         size = self.radii.size
         extension.plays_solve(size, self.table, self.curve, z, y, x, share, *no_limits)
@@ -108,7 +108,7 @@ class Plays:
         beyond = np.append(np.cumsum((w * z)[:0:-1])[::-1], 0.0)
         table, state = np.stack([reach, reach, weights]), sums * z + beyond
         x = np.empty_like(y)
-        extension = kernel.require("compare")
+        extension = kernel.extension
         extension.plays_run(self.radii.size, table, NOTHING, state, y, x, NOTHING)
         return x
 
@@ -117,7 +117,7 @@ def places(radii: Floats, one_sided: bool, x: Floats, rows: Integers) -> Floats:
     """Return plays under a scaled drive in some rows (increasing), shape (rows, n)."""
     plays = Plays(radii, np.ones_like(radii), one_sided)
     z = plays.start(float(x[0]))
-    extension = kernel.require("compare")
+    extension = kernel.extension
     taken = []
     for begin in range(0, len(x), BLOCK_ROWS):
         block = x[begin : begin + BLOCK_ROWS]

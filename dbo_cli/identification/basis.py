@@ -203,7 +203,7 @@ def columns_of(log: PreparedLog, sums: Floats, cells: Cells, delay: float) -> Fl
 
 def sums_of(log: PreparedLog, cells: Cells, taus: Floats, bend: float) -> Floats:
     """Return the sums of plays, lags and what is beyond the gears over the rows before each row."""
-    compiled = kernel.require("identification")
+    compiled = kernel.extension
     drive, reach = bent(log.drive, bend), cells.reach
     inside = np.clip(drive, -cells.beyond, 1.0 + cells.beyond)
     table, state = _play_table(reach, float(inside[0]))

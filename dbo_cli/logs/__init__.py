@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dbo_cli.logs.log import Log, columns_of, columns_of_names, open_log, parse_rows
-from dbo_cli.logs.source import Block, Column, Reading
+from dbo_cli.logs.table import Block, Column, Reading
 from dbo_cli.logs.write import Outputs, check_outputs, create, write_text
 
 __all__ = [

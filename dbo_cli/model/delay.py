@@ -48,7 +48,7 @@ def between_even(values: Floats, place: int, part: float) -> Floats:
     the six before the step as behind it, 4 none behind it.
     """
     out = np.empty(values.size - (WINDOW - 1))
-    kernel.recursions().between_even(np.ascontiguousarray(values), out, place, part)
+    kernel.extension.between_even(np.ascontiguousarray(values), out, place, part)
     return out
 
 
@@ -113,7 +113,7 @@ class Delay:
         wanted = np.ascontiguousarray(times[-count:] - self.seconds)
         y = np.empty(count)
         newest = values.size - count
-        before = kernel.recursions().between(times, values, wanted, y, newest, WHOLE)
+        before = kernel.extension.between(times, values, wanted, y, newest, WHOLE)
         begin = max(before - (WINDOW - 1), 0)
         return y, (tuple(times[begin:].tolist()), tuple(values[begin:].tolist()))
 

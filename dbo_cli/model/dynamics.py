@@ -255,7 +255,7 @@ class Dynamics:
         else:
             rows = _even_row(self.sections, dt)
         signal = np.ascontiguousarray(x, dtype=np.float64)
-        kernel.recursions().dynamics_run(self._output, memory, signal, y, rows)
+        kernel.extension.dynamics_run(self._output, memory, signal, y, rows)
         return y, as_states(memory)
 
     def loop(self, x: Floats, dt: float) -> Floats:

@@ -199,7 +199,7 @@ class Gears:
         if voltage >= high:
             return (1 << self.n) - 1
         words = self.words(0)
-        kernel.recursions().backlash_decay(*self.constants(True), words, float(voltage))
+        kernel.extension.backlash_decay(*self.constants(True), words, float(voltage))
         return bits_of(words)
 
     def run(
@@ -278,7 +278,7 @@ class Gears:
         words = self.words(state.bits)
         before = math.nan if state.drive is None else state.drive
         low, high = window or OPEN
-        counts = kernel.recursions().backlash_run(
+        counts = kernel.extension.backlash_run(
             *self.constants(extend), words, memories, before, x, y, decay,
             window is not None, low, high, self.slack(low, high), steps,
         )  # fmt: skip
@@ -300,13 +300,13 @@ class Gears:
         ``slew``, and ``clipped`` tells whether they held it back; ``follow(y)`` works
         out the state that this output leads to. Nothing changes until ``commit()``.
         The values are those of ``run``, which checks, allocates and converts for every
-        block. Needs the compiled part (DboError).
+        block.
         """
         decay = np.zeros((0, 0))
         if self.relaxation is not None:
             decay = self.relaxation.decay(dt)
         step = largest_step(slew, dt)
-        stepper = kernel.require("live control").Stepper(
+        stepper = kernel.extension.Stepper(
             *self.constants(True), decay, True, *window, self.slack(*window),
             math.nan if step is None else step,
         )  # fmt: skip
@@ -331,13 +331,13 @@ class Gears:
         an open one, a fraction for the engaged one, so that heights are linear unknowns
         of the output. With ``group_size`` > 1 that many neighbours share one column
         (len(x) x ceil(n / group_size)), their mean. Relaxation is not in them (see
-        ``Relaxation.lags``). Needs the compiled part (DboError).
+        ``Relaxation.lags``).
         """
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         words = self.words(bits)
         crossed = np.empty(-(-self.n // group_size))
         rows = np.empty((x.size, crossed.size))
-        kernel.require("identification").backlash_engagement(
+        kernel.extension.backlash_engagement(
             *self.kernel_rows, self.n, 1, self.x0, True, words, x, rows, crossed, group_size
         )  # fmt: skip
         return rows, bits_of(words)

@@ -64,13 +64,13 @@ class Points:
         """Return the output of (13)-(16) for one block."""
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         y = np.empty_like(x)
-        kernel.recursions().point_run(self.segments, self.x0, self.y0, x, y)
+        kernel.extension.point_run(self.segments, self.x0, self.y0, x, y)
         return y
 
     def value(self, x: float) -> float:
         """Return the output for one number."""
         y = np.array([x])
-        kernel.recursions().point_run(self.segments, self.x0, self.y0, y, y)
+        kernel.extension.point_run(self.segments, self.x0, self.y0, y, y)
         return float(y[0])
 
 

@@ -122,8 +122,7 @@ class Relaxation:
     ) -> tuple[Floats, tuple[float, ...]]:
         """Return L_j after each sample (rows x terms), and after the last.
 
-        Without ``memory`` the actuator rests at the first sample. Needs the compiled
-        part (DboError).
+        Without ``memory`` the actuator rests at the first sample.
         """
         drive = np.ascontiguousarray(voltage, dtype=np.float64)
         memories = np.zeros(len(self.tau))
@@ -138,7 +137,7 @@ class Relaxation:
         decay = self.decay(dt)
         if len(decay) > 1:
             decay = np.ascontiguousarray(decay[start:])
-        kernel.require("identification").memory_run(
+        kernel.extension.memory_run(
             self.reference, memories, drive[start:], rows[start:], decay
         )
         return rows, tuple(memories.tolist())

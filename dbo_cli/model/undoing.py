@@ -210,7 +210,7 @@ class Inverter:
     def _undone(self, y: Floats, memory: SectionStates) -> tuple[Floats, SectionStates]:
         """Return the input of all sections but for what they read ahead, and the memory after it."""
         count = y.size - sum(part.weight.size for part in self.parts)
-        undo = kernel.recursions().dynamics_undo
+        undo = kernel.extension.dynamics_undo
         signal = np.ascontiguousarray(y)
         states = list(memory)
         for place, part in reversed(list(enumerate(self.parts))):

@@ -15,7 +15,7 @@ import pytest
 
 from dbo_cli import __version__
 
-from .program import PROGRAM, done, listing, model, process, started, table, write
+from .program import PROGRAM, listing, model, process, started, table, write
 
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals and pipes")
 SMALL = model("small")
@@ -208,23 +208,11 @@ def without_the_kernel(*words: object) -> subprocess.CompletedProcess[bytes]:
     return subprocess.run(line, capture_output=True, check=False, timeout=120)
 
 
-def test_without_a_compiler_the_numbers_are_the_same() -> None:
-    time_ = np.arange(60) / 1000.0
-    drive = 50.0 - 50.0 * np.cos(40.0 * time_)
-    write("drive.csv", "time_s,voltage_V", time_, drive)
-    write("wish.csv", "time_s,displacement_um", time_, 2.5 - 1.5 * np.cos(40.0 * time_))
-    for command, name in (("simulate", "drive.csv"), ("compensate", "wish.csv")):
-        words = (command, model("creep"), name, "-o")
-        done(*words, "fast.csv")
-        slow = without_the_kernel(*words, "slow.csv")
-        assert slow.returncode == 0, slow.stderr
-        fast, found = table("fast.csv"), table("slow.csv")
-        for column, values in fast.items():
-            np.testing.assert_allclose(found[column], values, atol=1e-9)
-
-
-def test_without_a_compiler_identify_says_what_it_needs(log: Path) -> None:
-    ended = without_the_kernel("identify", log, "-o", "model.json")
-    assert ended.returncode == 1
-    assert b"compil" in ended.stderr and b"Traceback" not in ended.stderr
-    assert not Path("model.json").exists()
+def test_without_the_compiled_part_one_line_says_what_to_type() -> None:
+    write("drive.csv", "voltage_V", [0.0, 5.0, 10.0])
+    for words in (("simulate", SMALL, "drive.csv"), ("identify", "drive.csv")):
+        ended = without_the_kernel(*words, "-o", "out")
+        assert ended.returncode == 1
+        assert ended.stderr.startswith(b"dbo: error: the compiled part of dbo")
+        assert b"`pip install -e .`" in ended.stderr and ended.stderr.count(b"\n") == 1
+        assert not Path("out").exists()

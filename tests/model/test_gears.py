@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,8 +11,9 @@ from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import Gears, Relaxation, State
+from dbo_cli.model.gears import OPEN
 from tests import reference
-from tests.model.random_models import random_drive, random_gears, random_points
+from tests.model.random_models import DT, random_drive, random_gears, random_points
 
 ROWS = 40  # exact rationals grow with every sample of a memory
 widths = st.lists(st.integers(1, 6).map(lambda k: k / 4), min_size=1, max_size=9)
@@ -33,25 +36,25 @@ def test_gears_are_the_papers(dx: list[float], signal: list[float], state: int) 
     np.testing.assert_allclose(done.y, expected, rtol=0, atol=1e-9)
 
 
+def paper_of(gears: Gears) -> reference.Relaxed:
+    """The same gears, as the paper has them, with their memories."""
+    dx, dy = gears.table[:, 0].tolist(), gears.table[:, 1].tolist()
+    paper = reference.Backlash(dx, dy, gears.x0, gears.y0)
+    if gears.relaxation is None:
+        return reference.Relaxed(paper, 0.0, ())
+    return reference.Relaxed(paper, gears.relaxation.reference, gears.relaxation.gain)
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_gears_with_memory_are_the_papers(seed: int) -> None:
     rng = np.random.default_rng(seed)
     gears = random_gears(rng)
     drive = random_drive(rng, *gears.x_range, ROWS)
     steps = rng.uniform(1e-4, 1e-2, ROWS)
-    gain: tuple[float, ...] = ()
     decay = np.empty((ROWS, 0))
-    reference_voltage = 0.0
     if gears.relaxation is not None:
-        gain, reference_voltage = gears.relaxation.gain, gears.relaxation.reference
         decay = np.exp(-steps[:, None] / np.asarray(gears.relaxation.tau))
-    paper = reference.Relaxed(
-        reference.Backlash(
-            gears.table[:, 0].tolist(), gears.table[:, 1].tolist(), gears.x0, gears.y0
-        ),
-        reference_voltage,
-        gain,
-    )
+    paper = paper_of(gears)
     expected = [
         float(paper.step(value, row))
         for value, row in zip(drive.tolist(), decay.tolist(), strict=True)
@@ -60,6 +63,29 @@ def test_gears_with_memory_are_the_papers(seed: int) -> None:
     low, high = gears.y_range
     np.testing.assert_allclose(done.y, expected, rtol=0, atol=1e-9 * (high - low))
     assert done.state.bits == paper.gears.state
+
+
+@pytest.mark.parametrize("seed", range(24))
+def test_the_inverse_within_limits_is_the_papers(seed: int) -> None:
+    """The window holds back some rows; what follows starts from the voltage that was applied."""
+    rng = np.random.default_rng(seed)
+    forward = random_gears(rng)
+    low, high = forward.x_range
+    window = low + 0.15 * (high - low), high - 0.2 * (high - low)
+    targets = random_drive(rng, *forward.y_range, ROWS)
+    paper = paper_of(forward)
+    decay = np.empty((ROWS, 0))
+    if forward.relaxation is not None:
+        decay = np.repeat(forward.relaxation.decay(DT), ROWS, axis=0)
+    expected = [
+        float(paper.undo(target, row, *window))
+        for target, row in zip(targets.tolist(), decay.tolist(), strict=True)
+    ]
+    done = forward.inverse().run(targets, State(0), DT, window=window)
+    np.testing.assert_allclose(done.y, expected, rtol=0, atol=1e-9 * (high - low))
+    assert done.state.bits == paper.gears.state
+    at_an_end = np.isin(done.y, window)
+    assert done.clipped == int(at_an_end.sum())
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -98,6 +124,51 @@ def test_blocks_change_nothing(seed: int) -> None:
         begin = end
     assert np.array_equal(np.concatenate(parts), whole.y)
     assert (state, clipped) == (whole.state, whole.clipped)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_steps_are_those_of_blocks(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    inverse = random_gears(rng).inverse()
+    wanted = random_drive(rng, *inverse.x_range, 200)
+    low, high = inverse.y_range
+    window, slew = (low, low + 0.8 * (high - low)), 0.05 * (high - low) / DT
+    memory = None
+    if inverse.relaxation is not None:
+        memory = (0.1,) * inverse.gain.size
+    begun = State(0, memory, low)
+    blocks = inverse.run(wanted, begun, DT, window=window, slew=slew)
+    live = inverse.stepper(begun, DT, window, slew)
+    values = []
+    for value in wanted.tolist():
+        live.plan(float(rng.normal()))  # what is not committed leaves nothing behind
+        values.append(live.plan(value))
+        live.commit()
+    assert np.array_equal(values, blocks.y)
+    last = blocks.state.drive
+    assert replace(inverse.committed(live), drive=last) == blocks.state
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_another_voltage_that_was_applied_is_followed(seed: int) -> None:
+    """``commit(applied)``: the state is that of the forward gears driven by what was applied."""
+    rng = np.random.default_rng(seed)
+    forward = random_gears(rng, negative=True)
+    applied = random_drive(rng, *forward.x_range, 100)
+    assert forward.relaxation is not None
+    memory = (0.1,) * forward.gain.size
+    begun = State(0, memory, float(applied[0]))
+    live = forward.inverse().stepper(begun, DT, OPEN, None)
+    for value in applied.tolist():
+        live.plan(float(forward.y_range[0]))
+        live.follow(value)
+        live.commit()
+    done = forward.run(applied, begun, DT).state
+    after = forward.inverse().committed(live)
+    assert after.bits == done.bits
+    assert after.memory == pytest.approx(done.memory, rel=1e-12, abs=1e-12)
+    with pytest.raises(ValueError, match="nothing was planned"):
+        live.commit()
 
 
 def test_a_settled_state_is_a_decaying_oscillation() -> None:

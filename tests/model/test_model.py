@@ -211,6 +211,21 @@ def test_loops_are_settled() -> None:
     np.testing.assert_allclose(late[-200:], back, rtol=0, atol=1e-9)
 
 
+def test_a_model_of_many_gears_runs() -> None:
+    gears = Gears(np.full(100_000, 1e-4), np.full(100_000, 2e-4))
+    model = Cascade(
+        "forward",
+        Quantity("voltage", "V", 0.0, 10.0),
+        Quantity("x", None, 0.0, 20.0),
+        (gears,),
+    )
+    drive = random_drive(np.random.default_rng(0), 0.0, 10.0, 2000)
+    y, _ = model.simulate(drive)
+    back, _ = model.inverse().simulate(y, state=model.start(float(drive[0])))
+    np.testing.assert_allclose(back, drive, rtol=0, atol=1e-11)
+    assert replace(model, fit={}).digest == model.digest
+
+
 # ---- limits ----
 
 
