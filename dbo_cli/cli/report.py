@@ -130,11 +130,12 @@ def report(
 
 def publish(result: Report, output: str, form: str, figures: str | None) -> None:
     """Write a report and its figures, say what came out, and refuse a bound that is missed."""
-    from dbo_cli.logs import write_text
+    from dbo_cli.files import check_outputs, write_text
 
-    write_text(output, result.render(form))
+    check_outputs(output)
     if figures is not None:
         detail(*map(str, result.figures(figures)))
+    write_text(output, result.render(form))
     if output != "-":
         say(result.line())
     detail(*result.notes)

@@ -34,7 +34,8 @@ def simulate(
     """
     from dbo_cli import channels
     from dbo_cli.drive.simulate import Simulator
-    from dbo_cli.logs import Outputs, check_outputs, open_log
+    from dbo_cli.files import Outputs, check_outputs
+    from dbo_cli.logs import add_table, open_log
     from dbo_cli.model import State, dumps_state, read_model
 
     columns = {"time": time, "input": input}
@@ -45,7 +46,7 @@ def simulate(
         return
     actuator = read_model(model)
     start = opt.state_of(state, actuator)
-    check_outputs(*opt.present(output, save_state))
+    check_outputs(output, state=save_state)
     units = opt.units_of(input=actuator.input)
     with open_log(log, columns, reading, units) as signal, Outputs() as outputs:
         blocks = progress(signal.blocks(), "simulated")
@@ -58,14 +59,15 @@ def simulate(
         names: list[tuple[str, str | None]] = [("time", "s")] if clocked else []
         names.append((actuator.input.quantity, signal.columns["input"].unit))
         names.append((actuator.output.quantity, actuator.output.unit))
-        table = outputs.create(output, names)
+        table = add_table(outputs, output, names)
         simulator = Simulator(actuator, start, outside, signal.name)
         for block in chain([first], blocks):
             rows = simulator.rows(block.values["input"], block.dt, block.time)
             table.write(*opt.present(*rows))
         table.write(*opt.present(*simulator.finish()))
         if save_state is not None and isinstance(simulator.state, State):
-            outputs.write_text(save_state, dumps_state(simulator.state, actuator))
+            text = dumps_state(simulator.state, actuator)
+            outputs.write_text(save_state, text, "state")
     moved = actuator.output
     say_log(signal)
     say_output(

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.files import note_input
 from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import choose, named
 from dbo_cli.logs.formats import reader_of
@@ -391,6 +392,7 @@ def _open_file(
 def open_source(name: str, reading: Reading) -> Table:
     """Open a file with the reader that its first bytes ask for (InputError)."""
     path, _, part = name.partition("::")
+    note_input(path, "log")
     if os.path.isfile(path):
         try:
             with open(path, "rb") as file:
