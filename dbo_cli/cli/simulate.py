@@ -36,7 +36,7 @@ def simulate(
     from dbo_cli.drive.simulate import Simulator
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.logs import add_table, open_log
-    from dbo_cli.model import State, dumps_state, read_model
+    from dbo_cli.model import State, dumps_state, read_model, state_of
 
     columns = {"time": time, "input": input}
     if channels.is_pattern(columns):
@@ -45,7 +45,7 @@ def simulate(
         say_output(output, text)
         return
     actuator = read_model(model)
-    start = opt.state_of(state, actuator)
+    start = state_of(state, actuator)
     check_outputs(output, state=save_state)
     units = opt.units_of(input=actuator.input)
     with open_log(log, columns, reading, units) as signal, Outputs() as outputs:
