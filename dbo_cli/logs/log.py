@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs import text
 from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import choose, named
 from dbo_cli.logs.formats import reader_of
@@ -29,7 +30,6 @@ from dbo_cli.logs.table import (
     Reading,
     Table,
 )
-from dbo_cli.logs.text import open_text
 from dbo_cli.units import multiplied
 
 if TYPE_CHECKING:
@@ -401,7 +401,7 @@ def open_source(name: str, reading: Reading) -> Table:
         reader = reader_of(path, start)
         if reader is not None:
             return reader(path, part, reading)
-    return open_text(path, part, reading)
+    return text.read(path, part, reading)
 
 
 def _chosen(
