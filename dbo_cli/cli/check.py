@@ -45,7 +45,8 @@ def check(
     dbo check played.csv --against drive.csv
     """
     from dbo_cli.drive.check import check_drive, check_played, tolerance_of
-    from dbo_cli.logs import Reading, write_text
+    from dbo_cli.files import write_text
+    from dbo_cli.logs import Reading
     from dbo_cli.units import parse_quantity
 
     if not math.isfinite(gain) or not gain or (gain != 1.0 and against is None):

@@ -78,12 +78,12 @@ def identify(
     Example: dbo identify run.csv --voltage CH1 --scale displacement=10um/V -o model.json
     """
     from dbo_cli import channels
+    from dbo_cli.files import Outputs, check_outputs, write_text
     from dbo_cli.identification import Options, describe
-    from dbo_cli.logs import Outputs, check_outputs, write_text
     from dbo_cli.model import dumps_model, dumps_set, read_model
     from dbo_cli.reports import ShownModel
 
-    check_outputs(*opt.present(output, summary))
+    check_outputs(output, summary)
     options = Options(
         prior=None if prior is None else read_model(prior),
         sign=sign,
@@ -131,9 +131,13 @@ def identified(
 ) -> tuple[Cascade, list[Log]]:
     """Return the model of one actuator, and the logs that it was identified from."""
     from dbo_cli.identification import identify as fit
-    from dbo_cli.recordings import provenance, read_recordings
+    from dbo_cli.recordings import provenance, recordings_of
 
-    recordings, logs = read_recordings([*paths, *validate], reading, columns)
+    units = {}
+    if options.prior is not None:
+        into, out = options.prior.input, options.prior.output
+        units = {"voltage": into.unit, "displacement": out.unit}
+    recordings, logs = recordings_of([*paths, *validate], columns, reading, units)
     count = len(paths)
     if options.delay == "auto" and any(log.has_found_offset for log in logs):
         options = replace(options, delay=0.0)  # the offset between the clocks holds it
