@@ -381,7 +381,7 @@ def _open_file(
 ) -> Log:
     """Open one file or table as a log."""
     factors = {role: text for role, text in reading.scale.items() if role in roles}
-    source = name if isinstance(name, Table) else open_source(name, reading)
+    source = name if isinstance(name, Table) else open_table(name, reading)
     try:
         clock, picks = _chosen(source, roles, reading, units, optional)
         scales = scales_of(source.name, picks, factors, units, source.remarks)
@@ -391,7 +391,7 @@ def _open_file(
         raise
 
 
-def open_source(name: str, reading: Reading) -> Table:
+def open_table(name: str, reading: Reading) -> Table:
     """Open a file with the reader that its first bytes ask for (InputError)."""
     path, _, part = name.partition("::")
     note_input(path, "log")
@@ -433,6 +433,6 @@ def columns_of(
     InputError
         It cannot be read.
     """
-    source = open_source(os.fspath(path), reading or Reading())
+    source = open_table(os.fspath(path), reading or Reading())
     source.close()
     return source.columns
