@@ -58,6 +58,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 Signal = ArrayLike
 """An array, a Series of pandas or polars, or one of their frames, which is read as a file is."""
+Logs = Signal | Path | Sequence[Signal | Path]
+"""A file, a frame, or a list of them."""
 Figured = float | str
 """A number, or a text with a unit: ``"1.2kV"``, ``"2V/ms"``, ``"5kHz"``."""
 Seconds = float | str | None
@@ -114,7 +116,7 @@ class Move(TypedDict, total=False):
     bandwidth: Figured | None
     periodic: bool
     passes: int
-    tracked: object
+    tracked: Logs | None
     history: str | Path | Sequence[PassRecord]
     absolute: bool
     state: StateLike
@@ -274,20 +276,19 @@ class Model:
         ModelError
             The model needs time and there is none, or the state is of another model.
         """
+        from dbo_cli.drive.simulate import Simulator
+
         role = "voltage" if self.direction == "forward" else "displacement"
         roles = role, "input"
         signal = timed(x, roles, self.input, time, sample_rate, unit)
         begin = room.state_of(state, self.actuator)
-        dt, last = signal.dt, None
-        if signal.time is not None:
-            last = float(signal.time[-1])
-            if isinstance(begin, room.State):
-                dt = room.steps_behind(begin.time, signal.time, dt)
-        y, after = self.actuator.simulate(
-            signal.values, dt=dt, state=begin, outside=outside
-        )
+        simulator = Simulator(self.actuator, begin, outside)
+        parts = [simulator.rows(signal.values, signal.dt, signal.time)]
+        parts.append(simulator.finish())
+        y = np.concatenate([part.y for part in parts])
         if return_state:
-            return y, dataclasses.replace(after, time=last, model=self.digest)
+            after = cast(room.State, simulator.state)
+            return y, dataclasses.replace(after, model=self.digest)
         return y
 
     @overload
@@ -331,7 +332,7 @@ class Model:
         bandwidth: Figured | None = None,
         periodic: bool = False,
         passes: int = 0,
-        tracked: object = None,
+        tracked: Logs | None = None,
         history: str | Path | Sequence[PassRecord] = (),
         absolute: bool = False,
         state: StateLike = "auto",
@@ -425,13 +426,13 @@ class Model:
             write_text(str(file), dumps_history(drive.history))
         return drive if details else drive.voltage
 
-    def _tracked(self, tracked: object) -> list[Any]:
+    def _tracked(self, tracked: Logs | None) -> list[Any]:
         """Return recordings of the last pass in the model's units."""
-        if tracked is None:
+        if tracked is None:  # nothing is loaded for it
             return []
         from dbo_cli.recordings import tracked_of
 
-        sources = tracked if isinstance(tracked, (list, tuple)) else [tracked]
+        sources = _listed(tracked)
         columns = dict.fromkeys(("time", "voltage", "measured"))
         return tracked_of(sources, columns, Reading(), self.actuator)
 
@@ -642,14 +643,14 @@ def read_log(
 
 @with_known_words
 def identify(
-    data: Any,
+    data: Logs,
     displacement: Signal | None = None,
     *,
     time: Signal | None = None,
     sample_rate: Figured | None = None,
     voltage_unit: str | None = None,
     displacement_unit: str | None = None,
-    validate: Any = None,
+    validate: Logs | None = None,
     prior: Model | str | Path | None = None,
     sign: Literal["rising", "falling"] | None = None,
     skip: Figured = 0.0,
@@ -754,7 +755,7 @@ def identify(
     return Model(dataclasses.replace(model, provenance=provenance(recordings, logs)))
 
 
-def _listed(data: Any) -> list[Any]:
+def _listed(data: Logs | None) -> list[Any]:
     """Return one source or several as a list; None as none."""
     if data is None:
         return []

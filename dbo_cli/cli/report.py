@@ -81,9 +81,13 @@ def report(
         raise UsageError("give either `model` or `trajectory`")
     opt.require("model", model, {"state": state != "auto"})
     opt.require("trajectory", trajectory, {"match": match != "auto"})
-    if max_rmse is not None:
-        split_quantity(max_rmse, "max_rmse")  # a wrong word is refused before any work
+    most = None
+    if max_rmse is not None:  # a wrong word is refused before any work
+        most, _ = split_quantity(max_rmse, "max_rmse")
     most_percent = opt.number("max_nrmse_percent", max_nrmse_percent, float)
+    for name, bound in (("max_rmse", most), ("max_nrmse_percent", most_percent)):
+        if bound is not None and bound < 0.0:
+            raise UsageError(f"`{name}` {bound:g}: give 0 or more")
     # a lag, a model and a match by rows need the rows around those that count
     rows = None if reading.rows is None else parse_rows(reading.rows)
     reading = dataclasses.replace(reading, rows=None)

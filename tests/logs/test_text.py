@@ -204,7 +204,7 @@ def test_a_pipe_gives_each_row_as_it_comes() -> None:
             process.stdin.flush()
             assert process.stdout.readline() == f"1 {number}.0\n".encode()
         process.stdin.close()
-        assert process.wait(timeout=30) == 0
+        assert process.wait() == 0
 
 
 def test_packed_and_encoded_files(tmp_path: Path) -> None:
