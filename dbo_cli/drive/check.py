@@ -175,9 +175,8 @@ def check_drive(
         steps = _steps(time)
     low, high = limits.rating
     if start is not None and not low <= start <= high:
-        checked.problems.append(
-            f"the amplifier is at {start:g}, outside {low:g} to {high:g}"
-        )
+        reason = Gate(limits, None).reason(start, start, "return")
+        checked.problems.append(f"the amplifier: {reason}")
     gate = Gate(replace(limits, rating=(low - tolerance, high + tolerance)), start)
     waits = steps
     if tolerance > 0.0 and steps is not None and limits.slew is not None:
