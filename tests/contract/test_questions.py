@@ -65,7 +65,8 @@ def test_channels_are_proposed_where_names_pair() -> None:
 
 
 def test_the_names_of_the_data_stand_right_above_the_numbers() -> None:
-    rows = "".join(f"{v:+09.4f}\t{x:+09.4f}\t{t:08.3f}\n" for v, x, t in zip(VOLTS, MOVED, TIME, strict=True))  # fmt: skip
+    triples = zip(VOLTS, MOVED, TIME, strict=True)
+    rows = "".join(f"{v:+09.4f}\t{x:+09.4f}\t{t:08.3f}\n" for v, x, t in triples)
     above = "R,Ohm\tC,nF\tTemp,C\n0000000000\t0000001000\t+024.50\n"
     Path("log.txt").write_text(f"{above}Drive,V\tGap,um\tTime,s\n{rows}")
     message = refused(1, "identify", "log.txt")
