@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dbo_cli as dbo
+from dbo_cli.recordings import ROLES
 from dbo_cli.units import spell
 
 from .program import dbo as shell
@@ -450,3 +452,70 @@ def test_the_library_reads_what_the_shell_reads(
             dbo.InputError, match=f"is in {unit}, the model in {wanted}"
         ):
             call(series)
+
+
+def test_a_report_of_a_frame_is_that_of_a_file(creep: dbo.Model) -> None:
+    drive = 50.0 - 50.0 * np.cos(30.0 * TIME)
+    moved = 1e3 * creep.simulate(drive, time=TIME) + 7.0
+    write(
+        "log.csv", "time_s,U_mV,desired_um,measured_nm", TIME, 1e3 * drive, MOVE, moved
+    )
+    for words, more in (((), {}), (("--model", model("creep")), {"model": creep})):
+        printed = shell("report", "log.csv", *words, "--format", "json").json
+        for frame in (pl.read_csv("log.csv"), pl.read_csv("log.csv").to_pandas()):
+            found = dbo.report(frame, **more)
+            assert found.rmse == printed["logs"][0]["rmse"]
+            assert found.unit == printed["unit"] == "um"
+    with pytest.raises(dbo.UsageError, match="a frame has its own"):
+        dbo.report(frame, MOVE)
+    with pytest.raises(dbo.UsageError, match="give `desired` and `measured`"):
+        dbo.report(MOVE)
+
+
+def test_learning_is_that_of_the_shell() -> None:
+    actuator = dbo.read_model(model("known"))
+    write("move.csv", "time_s,displacement_um", TIME, MOVE)
+    drive = actuator.compensate(MOVE, time=TIME)
+    moved = 1e3 * (actuator.simulate(drive, time=TIME) + 0.02 * np.sin(60.0 * TIME))
+    write("tracked.csv", "time_s,voltage_mV,measured_nm", TIME, 1e3 * drive, moved)
+    words = ("compensate", model("known"), "move.csv", "--tracked", "tracked.csv")
+    shell(*words, "--history", "shell.json", "--absolute", "-o", "shell.csv", "-q")
+    written = np.loadtxt("shell.csv", delimiter=",", skiprows=1)[:, 2]
+    frame = pl.read_csv("tracked.csv")
+    for source in (
+        "tracked.csv",
+        Path("tracked.csv"),
+        frame,
+        frame.to_pandas(),
+        [frame],
+    ):
+        for history in ("python.json", ()):
+            learned = actuator.compensate(
+                MOVE,
+                time=TIME,
+                tracked=source,
+                history=history,
+                absolute=True,
+                details=True,
+            )
+            np.testing.assert_allclose(learned.voltage, written, rtol=0, atol=1e-9)
+            assert len(learned.history) == 1
+        assert Path("python.json").read_bytes() == Path("shell.json").read_bytes()
+        Path("python.json").unlink()
+    for more in (
+        {"history": learned.history},
+        {"history": "new.json"},
+        {"absolute": True},
+    ):
+        with pytest.raises(dbo.UsageError, match="needs `tracked`"):
+            actuator.compensate(MOVE, time=TIME, **more)
+    assert not Path("new.json").exists()
+
+
+def test_a_role_is_known_to_shell_and_library() -> None:
+    """Who adds a role to recordings adds it to the functions that read them."""
+    from dbo_cli.cli import compare, identify
+
+    for role in ROLES:
+        for call in (dbo.read_log, compare.compare, identify.identify):
+            assert role in inspect.signature(call).parameters
