@@ -49,15 +49,15 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
     low, high = plan.limits.move
     _undo_delay(plan, parts)
     _undo_dynamics(plan, parts)
-    parts.step += _curves(plan.model.head, "before", parts)
+    parts.step += _curves(plan.to_gears, "before", parts)
     parts.reset += _curves(plan.forward.head, "drive", parts)
     if lookup:
         _lookup_gears(plan, parts)
     else:
         _gears(plan, parts)
-    parts.step += _curves(plan.model.tail, "behind", parts)
+    parts.step += _curves(plan.to_drive, "behind", parts)
     least, most = c.real(low), c.real(high)
-    if plan.model.tail:  # rounding on the way back through the points
+    if plan.to_drive:  # rounding on the way back through the points
         parts.step.append(f"x = x < {least} ? {least} : x > {most} ? {most} : x;")
     values = {
         "TABLES": "".join(parts.tables),
@@ -67,8 +67,8 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
         "FIRST_OUTPUT": c.real(plan.first_drive),
         "LEAST": least,
         "MOST": most,
-        "REACH": repr(_ignored_beyond(plan.model.input)),
-        "DRIVE_REACH": repr(_ignored_beyond(plan.model.output)),
+        "REACH": repr(_ignored_beyond(plan.forward.output)),
+        "DRIVE_REACH": repr(_ignored_beyond(plan.forward.input)),
     }
     runs = [_run(plan, None, 1), _run(plan, plan.trimmed, 2)]
     return c.Sources(values, parts.members, parts.kernel, runs)
@@ -87,7 +87,7 @@ def _ignored_beyond(quantity: Quantity) -> float:
 
 def _run(plan: Plan, reset: float | None, seed: int) -> c.Run:
     """Return a run of the self-test, as the library computes it."""
-    moves = trial_moves(plan.model.input.min, plan.model.input.max, seed)
+    moves = trial_moves(plan.forward.output.min, plan.forward.output.max, seed)
     state, start = plan.empty, None
     if reset is not None:
         state, start = plan.settled(reset), c.real(reset)
@@ -101,7 +101,7 @@ def _run(plan: Plan, reset: float | None, seed: int) -> c.Run:
 def _operator(plan: Plan, parts: _Parts, run: int) -> None:
     """Add the table of the gears, the operator, and the limits."""
     gears, terms = plan.gears, plan.gain.size
-    table, _ = kernel_table(gears.table, run)
+    table, _ = kernel_table(gears.exchanged, run)
     parts.tables.append(c.array("dbo_gear", "gears", c.real_structs(table)))
     gain = "0"
     if terms:
@@ -109,7 +109,7 @@ def _operator(plan: Plan, parts: _Parts, run: int) -> None:
         parts.tables.append(c.reals("gain", plan.gain))
     parts.tables.append(
         f"static const dbo_backlash op = {{gears, {gears.n}, {run}, DBO_ROW_FACTOR({run}), 0, 0, 0.0,\n"
-        f"    {c.real(gears.x0)}, {c.real(gears.y0)}, 1, {terms}, {gain}, {c.real(plan.reference)}, 1}};\n"
+        f"    {c.real(gears.y0)}, {c.real(gears.x0)}, 1, {terms}, {gain}, {c.real(plan.reference)}, 1}};\n"
     )
     ends = ", ".join(map(c.real, plan.inner))
     largest = "0"
@@ -124,7 +124,7 @@ def _operator(plan: Plan, parts: _Parts, run: int) -> None:
 
 def _fixed_step(plan: Plan, parts: _Parts, run: int) -> None:
     """Add what the time step makes constant, as dbo_prepare_fixed_step computes it."""
-    rows = kernel_table(plan.gears.table, run)[0][:-1]
+    rows = kernel_table(plan.gears.exchanged, run)[0][:-1]
     wide = rows[:, 0] + plan.kappa * rows[:, 1]
     begins = rows[:, 4] + plan.kappa * rows[:, 5]
     steps = np.column_stack(
@@ -148,7 +148,7 @@ def _gears(plan: Plan, parts: _Parts) -> None:
     _operator(plan, parts, run)
     _fixed_step(plan, parts, run)
     words = "0"
-    spare = c.words_of(plan.forward.empty, n, 64)
+    spare = c.words_of(plan.forward.starts.empty, n, 64)
     if spare:
         words = "spare"
         parts.tables.append(c.array("uint64_t", "spare", spare))
@@ -177,7 +177,7 @@ def _gears(plan: Plan, parts: _Parts) -> None:
         f"dbo_backlash_load(&op, &state->gears, {words});",
         f"state->gears.last = {c.real(plan.at_gears(plan.first_drive))};",
     ]
-    moved = plan.forward.moved.n
+    moved = plan.forward.starts.inside.n
     parts.reset.append(f"dbo_backlash_settle(&op, &state->gears, {moved}, {words}, x);")
     parts.step += [*pointers, step]
 
@@ -190,7 +190,7 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
     ModelError
         There are too many gears, or a memory beside them.
     """
-    n, empty = plan.gears.n, plan.forward.empty
+    n, empty = plan.gears.n, plan.forward.starts.empty
     if n > MOST_LOOKUP_GEARS:
         raise ModelError(
             f"dx: {n} gears are too many for `lookup`: add `gears` {MOST_LOOKUP_GEARS}, or leave "
@@ -204,7 +204,7 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
     states = np.arange(2**n)
     engaged = (states[:, None] >> np.arange(n) & 1).astype(np.float64)
     # exact: the widths lie on one binary grid
-    corners = engaged @ plan.gears.table[:, :2]
+    corners = engaged @ plan.gears.exchanged[:, :2]
     lowest = [str(n)]
     for state in range(1, 2**n):
         lowest.append(str((state & -state).bit_length() - 1))
@@ -218,7 +218,7 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
         f"state->gears.state = {empty}U;",
         f"state->gears.last = {first};",
     ]
-    covered = f"{plan.forward.moved.n}U, {empty}U"
+    covered = f"{plan.forward.starts.inside.n}U, {empty}U"
     parts.reset.append(f"dbo_lookup_settle(&lookup, &state->gears, {covered}, x);")
     parts.step.append("x = dbo_lookup_step(&lookup, &state->gears, x, &limits);")
 

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.model.model import Cascade
+from dbo_cli.model.cascade import Cascade
 
 MOST_ROWS = 131_072  # of a move that are played
 STARTS = ("empty", "full", "settled")
