@@ -67,7 +67,7 @@ class Model:
 
     def save(self, path: str | Path) -> None:
         """Write the model file, whole or not at all."""
-        from dbo_cli.logs import write_text
+        from dbo_cli.files import write_text
 
         write_text(str(path), room.dumps_model(self.actuator))
 
@@ -213,7 +213,7 @@ class Model:
 
     def save_state(self, state: room.State, path: str | Path) -> None:
         """Write a state file."""
-        from dbo_cli.logs import write_text
+        from dbo_cli.files import write_text
 
         write_text(str(path), room.dumps_state(state, self.actuator))
 
@@ -229,7 +229,7 @@ class ModelSet(dict[str, Model]):
 
     def save(self, path: str | Path) -> None:
         """Write all models into one file."""
-        from dbo_cli.logs import write_text
+        from dbo_cli.files import write_text
 
         actuators = {name: model.actuator for name, model in self.items()}
         write_text(str(path), room.dumps_set(actuators))

@@ -249,42 +249,82 @@ def _split_at_end(plain: str) -> tuple[str, str | None]:
     return plain, None
 
 
-def parse_quantity(figure: str | float, unit: str | None, name: str = "value") -> float:
-    """Return a figure in ``unit``: a number is in it already, ``"1.2kV"`` is converted.
+def parse_quantity(
+    typed: str | float, unit: str | None, name: str = "value", largest: float = math.inf
+) -> float:
+    """Return a typed figure in ``unit``: a number is in it already, ``"1.2kV"`` is converted.
 
     Parameters
     ----------
-    figure
+    typed
         A number, or a text with or without a unit.
     unit
         What the result is in; with a stroke and a unit of time it is a speed
-        (``V/s``: ``"2V/ms"`` gives 2000).
+        (``V/s``: ``"2V/ms"`` gives 2000). None: nothing states a unit.
     name
         The parameter, for messages.
+    largest
+        A plain number beyond it was meant in another unit, where ``unit`` has a prefix.
 
     Raises
     ------
     UsageError
-        It is no finite number, or its unit cannot be converted.
+        It is no finite number; or its unit cannot be converted, or is missing.
     """
-    if not isinstance(figure, str):
-        value, stated = float(figure), None
-    else:
-        match = _QUANTITY.fullmatch(figure)
-        value = float(match["number"]) if match else math.nan
-        stated = match["unit"] if match else None
-    if not math.isfinite(value):
-        raise UsageError(
-            f"`{name}` {figure}: give a number, such as 5 or 5{unit or 'V'}"
-        )
-    if stated is None or (unit is None and parse_unit(stated) is None):
+    value, stated = split_quantity(typed, name)
+    if stated is None:
+        _require_plain(value, unit, f"`{name}` {typed}", largest)
         return value
+    if unit is None:
+        raise UsageError(
+            f"`{name}` {typed}: the log or model states no unit: type a plain number"
+        )
     try:
-        return float(multiplied(value, _ratio_of_speeds(stated, unit or stated)))
+        return float(multiplied(value, _ratio_of_speeds(stated, unit)))
     except InputError:
         raise UsageError(
-            f"`{name}` {figure}: not convertible; give a number in {unit}"
+            f"`{name}` {typed}: not convertible; give a number in {unit}"
         ) from None
+
+
+def split_quantity(typed: str | float, name: str = "value") -> tuple[float, str | None]:
+    """Return the number of a typed figure and the unit behind it, None for a plain number.
+
+    Raises
+    ------
+    UsageError
+        It is no finite number; True and False are none.
+    """
+    number, unit = typed, None
+    if isinstance(typed, str):
+        match = _QUANTITY.fullmatch(typed)
+        number, unit = (match["number"], match["unit"]) if match else ("nan", None)
+    is_number = not type(typed).__name__.startswith("bool")  # numpy's is no bool
+    try:
+        value = float(number) if is_number else math.nan
+    except (TypeError, ValueError):
+        value = math.nan
+    if not math.isfinite(value):
+        raise UsageError(
+            f"`{name}` {typed}: give a number, such as 5, or with a unit, such as 5V"
+        )
+    return value, unit
+
+
+def _require_plain(value: float, unit: str | None, label: str, largest: float) -> None:
+    """Refuse (UsageError) a plain number beyond ``largest`` in a unit with a prefix."""
+    above, time = (None, None) if unit is None else _without_time(unit)
+    known = parse_unit(above)
+    if known is None or abs(value) <= largest:
+        return
+    base = known.base
+    if base == known.text or not known.text.endswith(base):  # bar is no prefix of Pa
+        return
+    per = f"/{time}" if time else ""
+    raise UsageError(
+        f"{label}: the drive is in {above}: type the unit, {value:.9g}{base}{per} or "
+        f"{value:.9g}{unit}"
+    )
 
 
 def _ratio_of_speeds(stated: str, wanted: str) -> Fraction:
@@ -318,10 +358,9 @@ def quantity_name(role: str, unit: str | None) -> str:
     return role
 
 
-def drive_unit(figure: str | float) -> str:
+def drive_unit(typed: str | float) -> str:
     """Return the unit of a drive that goes up to a figure: bar for ``4bar``; V for volts and numbers."""
-    match = _QUANTITY.fullmatch(figure) if isinstance(figure, str) else None
-    unit = spell(match["unit"]) if match else None
+    unit = spell(split_quantity(typed, "v_max")[1])
     if kind_of(unit) in DRIVING_KINDS:
         return unit or "V"
     return "V"

@@ -12,6 +12,8 @@ LEVELS = {
     "errors": 0,
     "arrays": 0,
     "version": 0,
+    "files": 0.5,
+    "signals": 0.5,
     "units": 0.5,
     "model": 1,
     "logs": 1,

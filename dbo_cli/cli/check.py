@@ -45,8 +45,9 @@ def check(
     dbo check played.csv --against drive.csv
     """
     from dbo_cli.drive.check import check_drive, check_played, tolerance_of
-    from dbo_cli.drive.limits import figure_in
-    from dbo_cli.logs import Reading, write_text
+    from dbo_cli.files import write_text
+    from dbo_cli.logs import Reading
+    from dbo_cli.units import parse_quantity
 
     if not math.isfinite(gain) or not gain or (gain != 1.0 and against is None):
         raise UsageError(f"`gain` {gain:g}: give a factor, together with `against`")
@@ -57,13 +58,13 @@ def check(
         warn(f"{drive}: {log.clock.assumption}")
     unit = log.columns["voltage"].unit
     limits = limits_in(unit, v_min, v_max, max_slew)
-    position = None if start is None else figure_in("from", start, unit)
+    position = None if start is None else parse_quantity(start, unit, "from", 0.0)
     allowed, slack, played = None, 0.0, signal["voltage"] * gain
     if against is not None:
         roles: dict[str, str | None] = {"time": None, "voltage": None}
         meant, _ = read_drive(against, Reading(), roles, unit)
         if tolerance is not None:
-            allowed = figure_in("tolerance", tolerance, unit)
+            allowed = parse_quantity(tolerance, unit, "tolerance", 0.0)
         slack = tolerance_of(meant["voltage"], played, allowed) / abs(gain)
     checked = check_drive(
         signal["voltage"],
@@ -118,11 +119,15 @@ def limits_in(
     unit: str | None, v_min: str | None, v_max: str | None, max_slew: str | None
 ) -> Limits:
     """Return the limits in the unit of the drive; infinite where not given."""
-    from dbo_cli.drive.limits import Limits, figure_in
+    from dbo_cli.drive.limits import Limits, slew_in
+    from dbo_cli.units import parse_quantity
 
-    low = -math.inf if v_min is None else figure_in("v_min", v_min, unit)
-    high = math.inf if v_max is None else figure_in("v_max", v_max, unit)
+    low, high = -math.inf, math.inf
+    if v_min is not None:
+        low = parse_quantity(v_min, unit, "v_min", 0.0)
+    if v_max is not None:
+        high = parse_quantity(v_max, unit, "v_max", 0.0)
     if not low < high:
         raise UsageError(f"`v_min` {v_min} must be below `v_max` {v_max}")
-    slew = None if max_slew is None else figure_in("max_slew", max_slew, unit, "/s")
+    slew = None if max_slew is None else slew_in("max_slew", max_slew, unit)
     return Limits((low, high), (low, high), (low, high), slew, unit)

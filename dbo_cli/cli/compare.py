@@ -33,7 +33,7 @@ def compare(
     Example: dbo compare recorded.csv --validate other.csv
     """
     from dbo_cli.compare import compare as compare_operators
-    from dbo_cli.logs import write_text
+    from dbo_cli.files import write_text
     from dbo_cli.recordings import read_recordings
 
     columns = {"time": time, "voltage": voltage, "displacement": displacement}

@@ -78,12 +78,12 @@ def identify(
     Example: dbo identify run.csv --voltage CH1 --scale displacement=10um/V -o model.json
     """
     from dbo_cli import channels
+    from dbo_cli.files import Outputs, check_outputs, write_text
     from dbo_cli.identification import Options, describe
-    from dbo_cli.logs import Outputs, check_outputs, write_text
     from dbo_cli.model import dumps_model, dumps_set, read_model
     from dbo_cli.reports import ShownModel
 
-    check_outputs(*opt.present(output, summary))
+    check_outputs(output, summary)
     options = Options(
         prior=None if prior is None else read_model(prior),
         sign=sign,

@@ -74,12 +74,14 @@ def report(
     from dbo_cli.model import read_model
     from dbo_cli.reports import Report, expected_in, predict
     from dbo_cli.reports import match as matched
+    from dbo_cli.units import split_quantity
 
     if model is not None and trajectory is not None:
         raise UsageError("give either `model` or `trajectory`")
     opt.require("model", model, {"state": state != "auto"})
     opt.require("trajectory", trajectory, {"match": match != "auto"})
-    opt.quantity("max_rmse", max_rmse, None)  # a wrong word is refused before any work
+    if max_rmse is not None:
+        split_quantity(max_rmse, "max_rmse")  # a wrong word is refused before any work
     most_percent = opt.number("max_nrmse_percent", max_nrmse_percent, float)
     # a lag, a model and a match by rows need the rows around those that count
     rows = None if reading.rows is None else parse_rows(reading.rows)
@@ -124,11 +126,12 @@ def report(
 
 def publish(result: Report, output: str, form: str, figures: str | None) -> None:
     """Write a report and its figures, say what came out, and refuse a bound that is missed."""
-    from dbo_cli.logs import write_text
+    from dbo_cli.files import check_outputs, write_text
 
-    write_text(output, result.render(form))
+    check_outputs(output)
     if figures is not None:
         detail(*map(str, result.figures(figures)))
+    write_text(output, result.render(form))
     if output != "-":
         say(result.line())
     detail(*result.notes)

@@ -39,7 +39,8 @@ def simulate(
     """
     from dbo_cli import channels
     from dbo_cli.drive.simulate import Simulation, simulate_blocks
-    from dbo_cli.logs import Outputs, check_outputs, open_log
+    from dbo_cli.files import Outputs, check_outputs
+    from dbo_cli.logs import add_table, open_log
     from dbo_cli.model import State, dumps_state, read_model
 
     columns = {"time": time, "input": input}
@@ -52,7 +53,7 @@ def simulate(
     run, start = Simulation(), opt.state_of(state, actuator)
     if isinstance(start, State):
         run.state, start = start, "auto"
-    check_outputs(*opt.present(output, save_state))
+    check_outputs(output, state=save_state)
     units = opt.units_of(input=actuator.input)
     with open_log(log, columns, reading, units) as signal, Outputs() as outputs:
         blocks = progress(signal.blocks(), "simulated")
@@ -65,7 +66,7 @@ def simulate(
         names: list[tuple[str, str | None]] = [("time", "s")] if clocked else []
         names.append((actuator.input.quantity, signal.columns["input"].unit))
         names.append((actuator.output.quantity, actuator.output.unit))
-        table = outputs.create(output, names)
+        table = add_table(outputs, output, names)
         last_time = None
         fed = feed(first, blocks, run)
         name = signal.name
@@ -74,7 +75,7 @@ def simulate(
             last_time = None if block.time is None else float(block.time[-1])
         if save_state is not None and run.state is not None:
             after = dataclasses.replace(run.state, time=last_time)
-            outputs.write_text(save_state, dumps_state(after, actuator))
+            outputs.write_text(save_state, dumps_state(after, actuator), "state")
     drive, moved = actuator.input, actuator.output
     if run.outside:
         warn(

@@ -9,7 +9,6 @@ in and the return may use the rating; nothing leaves it.
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +16,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.model import Quantity
 from dbo_cli.model.gears import largest_step
-from dbo_cli.units import parse_quantity, parse_unit
+from dbo_cli.units import parse_quantity
 
 Figure = float | str | None
 """A limit: a number in the unit of the drive, or a text with a unit (``1.2kV``, ``2V/ms``)."""
@@ -99,7 +98,7 @@ class Limits:
             high = voltage_in("v_max", v_max, quantity)
         slew = None
         if max_slew is not None:
-            slew = slew_in("max_slew", max_slew, quantity)
+            slew = slew_in("max_slew", max_slew, quantity.unit)
         if not low < high:
             raise UsageError(
                 f"`v_min` {low:.6g} must be below `v_max` {high:.6g}{quantity.suffix}"
@@ -214,11 +213,11 @@ def voltage_in(name: str, typed: float | str, quantity: Quantity) -> float:
         unit of the drive has a prefix.
     """
     largest = WRONG_UNIT * max(abs(quantity.min), abs(quantity.max))
-    return figure_in(name, typed, quantity.unit, largest=largest)
+    return parse_quantity(typed, quantity.unit, name, largest)
 
 
-def slew_in(name: str, typed: float | str, quantity: Quantity) -> float:
-    """Return a typed slew limit in the unit of a model's drive per second.
+def slew_in(name: str, typed: float | str, unit: str | None) -> float:
+    """Return a typed slew limit in the unit of a drive per second.
 
     Raises
     ------
@@ -226,30 +225,8 @@ def slew_in(name: str, typed: float | str, quantity: Quantity) -> float:
         It cannot be read or is not above 0; or it is a plain number and the unit of the
         drive has a prefix.
     """
-    value = figure_in(name, typed, quantity.unit, "/s")
+    per_second = None if unit is None else f"{unit}/s"
+    value = parse_quantity(typed, per_second, name, 0.0)
     if not value > 0.0:
         raise UsageError(f"`{name}` {typed}: give a number above 0")
     return value
-
-
-def figure_in(
-    name: str,
-    typed: float | str,
-    unit: str | None,
-    per: str = "",
-    largest: float = 0.0,
-) -> float:
-    """Return a figure in a unit; refuse a plain one beyond ``largest`` where the unit has a prefix."""
-    whole = None if unit is None else unit + per
-    value = parse_quantity(typed, whole, name)
-    with_unit = isinstance(typed, str) and re.search("[^\\W\\deE_]", typed)
-    known = parse_unit(unit)
-    if with_unit or known is None or abs(value) <= largest:
-        return value
-    base = known.base
-    if base == known.text or not known.text.endswith(base):  # bar is no prefix of Pa
-        return value
-    raise UsageError(
-        f"`{name}` {typed}: the drive is in {unit}: type the unit, {value:.9g}{base}{per} or "
-        f"{value:.9g}{whole}"
-    )

@@ -34,11 +34,8 @@ def judge(problem: Problem, fit: Fit, equations: Equations) -> Fit:
     groups, of_row = problem.groups
     grams = np.stack([products(table[of_row == place]) for place in range(len(groups))])
     total = np.add.reduce(grams)
-    equations.step(total, fit)
-    states = equations.states
     left = []
     for number, mask in enumerate(problem.parts):
-        equations.states = states.copy()
         rest = total - np.add.reduce(grams[groups[:, number]])
         kept = rest / (1.0 - float(rows.weights[mask].sum()))
         left.append(_left_out(equations, fit, mask, kept, problem))

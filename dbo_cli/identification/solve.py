@@ -10,12 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.optimize import nnls
 
-from dbo_cli.arrays import Floats
+from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import Structure
-from dbo_cli.model import kernel
 
 LEAST_SLOPE = 1e-3  # of the mean slope of the cells
 LEAST_WITH_NEGATIVE = 0.031  # the same beside negative gains: a model must have 0.03
@@ -25,8 +25,10 @@ RIDGE = 1e-9
 STEPS = 12
 ENOUGH = 1e-4  # relative gain of a step that ends the iteration
 HALVINGS = 5
-MOST_EXCHANGES = 1000
-AT_ZERO, POSITIVE, FREE = 0, 1, 2
+NOT_SOLVED = "the least-squares solver did not converge; leave out bad rows"
+EXACT = 1e-10  # of the largest right side: gradients below are zero
+DAMPED = 1e-13
+"""Added to a diagonal of ones where rounding cannot tell the unknowns apart; then hundreds of times that."""
 
 
 @dataclass(frozen=True)
@@ -119,38 +121,75 @@ def bending(columns: Floats) -> Floats:
 
 
 def minimum(
-    matrix: Floats, right: Floats, states: NDArray[np.uint8]
-) -> tuple[Floats, NDArray[np.uint8]]:
-    """Minimise x'Hx/2 - g'x with x >= 0 but for free unknowns; return x and the states it ends in.
+    matrix: Floats, right: Floats, bounded: Booleans, guess: Booleans | None = None
+) -> Floats:
+    """Minimise x'Hx/2 - g'x with x >= 0 where it is ``bounded``; return x.
+
+    With H = U'U this is |U x - c| for U'c = g. With the free unknowns first, the lower
+    rows of U hold bounded ones alone: non-negative least squares. ``guess`` are unknowns
+    that are tried first as the only ones that are not 0.
 
     Raises
     ------
     FitError
-        The exchange of unknowns does not end.
+        H is not positive definite, or the solver does not end.
     """
-    compiled = kernel.extension
     scale = 1.0 / np.sqrt(np.diag(matrix))
-    scaled = np.ascontiguousarray(matrix * scale * scale[:, None])
-    goal = right * scale
-    tolerance = 1e-10 * float(np.abs(goal).max())
-    for ridge in (0.0, 1e-8):
-        tried, x = states.copy(), np.zeros(len(right))
-        damped = scaled
-        if ridge:
-            damped = scaled + ridge * np.eye(len(right))
-            tried[tried == AT_ZERO] = POSITIVE
-        if compiled.minimise(damped, goal, tried, x, tolerance, MOST_EXCHANGES) > 0:
-            return x * scale, tried
-    raise FitError("the least-squares solver did not converge; leave out bad rows")
+    scaled, target = matrix * scale * scale[:, None], right * scale
+    if guess is not None:
+        x = _guessed(scaled, target, bounded, guess)
+        if x is not None:
+            return x * scale
+    order = np.argsort(bounded, kind="stable")
+    free = len(bounded) - int(np.count_nonzero(bounded))
+    factor = factor_of(scaled[np.ix_(order, order)])
+    target = solve_triangular(factor, target[order], trans=1)
+    try:
+        positive, _ = nnls(factor[free:, free:], target[free:], maxiter=30 * len(right))
+    except RuntimeError as problem:
+        raise FitError(NOT_SOLVED) from problem
+    rest = target[:free] - factor[:free, free:] @ positive
+    x = np.empty(len(right))
+    x[order] = np.append(solve_triangular(factor[:free, :free], rest), positive)
+    return x * scale
+
+
+def _guessed(
+    matrix: Floats, right: Floats, bounded: Booleans, guess: Booleans
+) -> Floats | None:
+    """Return the minimum if no unknown but those guessed differs from 0, else None."""
+    x, some = np.zeros(len(right)), np.flatnonzero(guess)
+    try:
+        factor = cho_factor(matrix[np.ix_(some, some)])
+    except LinAlgError:
+        return None
+    x[some] = cho_solve(factor, right[some])
+    gradient = matrix @ x - right
+    wrong = (x < 0.0) | (~guess & (gradient < -EXACT * np.abs(right).max()))
+    return None if (wrong & bounded).any() else x
+
+
+def factor_of(matrix: Floats) -> Floats:
+    """Return Cholesky's upper factor of a matrix of unit diagonal, damped as little as it needs.
+
+    Raises
+    ------
+    FitError
+        It is not positive definite, either, with what rounding explains.
+    """
+    for damped in (0.0, DAMPED, 1e2 * DAMPED, 1e4 * DAMPED):
+        try:
+            factor: Floats = cholesky(matrix + damped * np.eye(len(matrix)))
+        except (LinAlgError, ValueError):
+            continue
+        return factor
+    raise FitError(NOT_SOLVED)
 
 
 def products(table: Floats) -> Floats:
-    """Return the products of all pairs of columns, summed over rows in one fixed order."""
-    size = table.shape[1]
-    gram = np.zeros((size, size))
-    kernel.extension.add_products(np.ascontiguousarray(table), size, gram)
-    below = np.tri(size, k=-1, dtype=bool)
-    return np.where(below, gram.T, gram)
+    """Return the products of all pairs of columns, summed over rows."""
+    gram: Floats = table.T @ table
+    return gram
 
 
 class Equations:
@@ -172,8 +211,8 @@ class Equations:
         self.variance = max(float(rows.weights @ (rows.output - centre) ** 2), 1e-24)
         self._stepped = self._unknown_columns()
         self.penalty = self._penalty()
-        self.states = np.full(self.size, POSITIVE, np.uint8)
-        self.states[self.free :] = FREE
+        self.bounded = np.arange(self.size) < self.free
+        self.positive = np.ones(self.size, bool)
 
     # --- unknowns ---
 
@@ -308,10 +347,9 @@ class Equations:
             right[self.inner : self.free] += HOLD / self.segments
         least = np.zeros(self.size)
         least[self.inner : self.free] = LEAST_CURVE
-        x, self.states = minimum(matrix, right - times(matrix, least), self.states)
-        x[self.states == AT_ZERO] = 0.0
-        found: Floats = np.where(self.states == FREE, x, np.maximum(x, 0.0)) + least
-        return found
+        x = minimum(matrix, right - matrix @ least, self.bounded, self.positive)
+        self.positive = (x > 0.0) | ~self.bounded
+        return x + least
 
     def solve(self, first: Fit | None = None, steps: int = STEPS) -> Fit:
         """Return the fit at the least penalised squares that Gauss-Newton reaches."""

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dbo_cli.logs.log import Log, columns_of, columns_of_names, open_log, parse_rows
-from dbo_cli.logs.source import Block, Column, Reading
-from dbo_cli.logs.write import Outputs, check_outputs, create, write_text
+from dbo_cli.logs.table import Block, Column, Reading
+from dbo_cli.logs.write import add_table, create
 
 __all__ = [
-    "Block", "Column", "Log", "Outputs", "Reading", "check_outputs", "columns_of",
-    "columns_of_names", "create", "open_log", "parse_rows", "write_text",
+    "Block", "Column", "Log", "Reading", "add_table", "columns_of", "columns_of_names",
+    "create", "open_log", "parse_rows",
 ]  # fmt: skip

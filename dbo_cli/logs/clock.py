@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs.columns import listed, named, words
-from dbo_cli.logs.source import Column, Reading, Source
+from dbo_cli.logs.table import Column, Reading, Table
 from dbo_cli.units import kind_of, multiplied, ratio, time_unit
 
 TIME_NAMES = frozenset(
@@ -293,7 +293,7 @@ def hertz(rate: float) -> str:
 
 
 def find_clock(
-    source: Source, reading: Reading, selector: str | None, used: Sequence[Column]
+    source: Table, reading: Reading, selector: str | None, used: Sequence[Column]
 ) -> Clock:
     """Find the time column, or the rate that the user or the file states.
 
@@ -342,7 +342,7 @@ def find_clock(
     return _stated_clock(source, reading)
 
 
-def _stated_clock(source: Source, reading: Reading) -> Clock:
+def _stated_clock(source: Table, reading: Reading) -> Clock:
     """Return the clock of a file without a time column."""
     name, stated = source.name, source.stated
     if reading.time_unit is not None:
@@ -358,7 +358,7 @@ def _stated_clock(source: Source, reading: Reading) -> Clock:
     return Clock(name, "rate", rate=stated.rate, start=stated.start, remarks=remarks)
 
 
-def _time_columns(source: Source, used: Sequence[Column], needed: bool) -> list[Column]:
+def _time_columns(source: Table, used: Sequence[Column], needed: bool) -> list[Column]:
     """Return the columns that may hold the time, by the surest reason that there is.
 
     A name; a word of the name; dates; the unit of the first column. One that cannot be
@@ -382,7 +382,7 @@ def _time_columns(source: Source, used: Sequence[Column], needed: bool) -> list[
     return matches
 
 
-def _clock_of(source: Source, column: Column, typed: str | None) -> Clock:
+def _clock_of(source: Table, column: Column, typed: str | None) -> Clock:
     """Return the clock of a time column.
 
     Raises

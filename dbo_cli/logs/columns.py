@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.source import Column, Source
+from dbo_cli.logs.table import Column, Table
 from dbo_cli.units import DRIVING_KINDS, MOVED_KINDS, kind_of
 
 _LISTED = 20  # names of columns that a message holds at most
@@ -154,7 +154,7 @@ def listed(columns: Sequence[Column]) -> str:
     return f"it has {', '.join(shown)}{more}"
 
 
-def named(source: Source, selector: str, option: str) -> Column:
+def named(source: Table, selector: str, option: str) -> Column:
     """Return the column that the user names: by its header, its quantity, its path or its number.
 
     Raises
@@ -210,7 +210,7 @@ def _by_name(columns: Sequence[Column], selector: str) -> list[Column]:
 
 
 def choose(
-    source: Source,
+    source: Table,
     selectors: Mapping[str, str | None],
     taken: Sequence[Column],
     units: Mapping[str, str],
@@ -248,14 +248,18 @@ def choose(
     used = [*taken, *chosen.values()]
     free = [column for column in columns if column not in used]
     unclear: dict[str, list[Column]] = {}
-    for role in selectors:
-        if role in chosen:
-            continue
+    open_roles = [role for role in selectors if role not in chosen]
+    for role in (role for role in open_roles if role not in optional):
         matches = candidates(free, role_of(role, units.get(role)))
         if len(matches) == 1:
             chosen[role] = matches[0]
-        elif role not in optional:
+        else:
             unclear[role] = matches
+    for role in (role for role in open_roles if role in optional):  # take what is left
+        left = [column for column in free if column not in chosen.values()]
+        matches = candidates(left, role_of(role, units.get(role)))
+        if len(matches) == 1:
+            chosen[role] = matches[0]
     _refuse_shared(name, columns, chosen)
     if unclear:
         used = [*taken, *chosen.values()]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.logs.cells import STAMPS
 from dbo_cli.logs.sniff import ERROR, Layout
-from dbo_cli.logs.source import NOT_A_TIME, Column
+from dbo_cli.logs.table import NOT_A_TIME, Column
 
 Arrays = list[NDArray[Any]]
 

@@ -16,30 +16,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, warn
-from dbo_cli.logs.formats import (
-    MATLAB_NUMBERS,
-    ArraySource,
+from dbo_cli.logs.formats.stored import (
     Fetch,
     StoredColumn,
+    StoredTable,
     fenced,
     no_columns,
     rows_of,
 )
-from dbo_cli.logs.settings import Statement, is_clock_setting
-from dbo_cli.logs.source import Column, Reading, Source
+from dbo_cli.logs.settings import Statement, is_clock_setting, plain_key
+from dbo_cli.logs.table import Column, Reading, Table
 
 MOST_HOPS = 16  # soft links behind each other; more are a circle
 # bytes a dataset: a compressed chunk is unpacked once, not once a block
 CHUNK_CACHE = 1 << 22
-_NOT_APPLIED = {
-    "scale_factor": 1.0, "add_offset": 0.0, "scale": 1.0, "offset": 0.0, "gain": 1.0, "factor": 1.0,
-    "sensitivity": 1.0, "calibration": 1.0, "conversion": 1.0, "scaling_factor": 1.0, "YInc": 1.0,
+NOT_APPLIED = {
+    "scalefactor": 1.0, "addoffset": 0.0, "scale": 1.0, "offset": 0.0, "gain": 1.0, "factor": 1.0,
+    "sensitivity": 1.0, "calibration": 1.0, "conversion": 1.0, "scalingfactor": 1.0,
 }  # fmt: skip
+"""Attributes that may belong to a dataset's values, by their plain keys, and what changes nothing."""
+MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
+                  "uint32", "uint64", "logical")  # fmt: skip
 _EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
 
 
-def open_hdf5(path: str, part: str, reading: Reading) -> Source:
-    """Open an HDF5 log; ``part`` is a group or a dataset, by its path.
+def read(path: str, part: str, reading: Reading) -> Table:
+    """Read an HDF5 log; ``part`` is a group or a dataset, by its path.
 
     Without it, the columns are those of the shallowest group that has any.
 
@@ -52,7 +54,7 @@ def open_hdf5(path: str, part: str, reading: Reading) -> Source:
         file = h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE)
     try:
         with fenced(path, "HDF5"):
-            return Hdf5Source(path, part, file, bool(reading.scale))
+            return Hdf5Table(path, part, file, bool(reading.scale))
     except BaseException:
         file.close()
         raise
@@ -64,18 +66,39 @@ class _Group:
 
     path: str
     columns: list[StoredColumn] = field(default_factory=list)
+    datasets: list[str] = field(default_factory=list)
     statements: list[Statement] = field(default_factory=list)
+
+    def named(self, by_path: bool) -> Iterator[StoredColumn]:
+        """Return the columns: by short names, or by paths, as columns of the same name are."""
+        names = [column.name for column in self.columns]
+        for column, dataset in zip(self.columns, self.datasets, strict=True):
+            name = column.name
+            if names.count(name) > 1 and name != dataset:
+                name = f"{dataset}/{name}"
+            if by_path and self.path:
+                name = f"{self.path}/{name}"
+            yield replace(column, name=name)
+
+    def take(self, dataset: Any, name: str) -> None:
+        """Take the columns of a dataset, and what it states of the rate."""
+        columns = columns_of(dataset, name)
+        self.columns += columns
+        self.datasets += [name] * len(columns)
+        self.statements += _attributes(dataset)
 
     @property
     def depth(self) -> int:
+        """How far below the part that is read it stands."""
         return self.path.count("/") + bool(self.path)
 
     @property
     def width(self) -> int:
+        """The number of columns of numbers."""
         return sum(column.kind == "number" for column in self.columns)
 
 
-class Hdf5Source(ArraySource):
+class Hdf5Table(StoredTable):
     """The columns of an HDF5 file.
 
     A column whose attributes may belong to its values (``scale_factor``) is refused where
@@ -92,20 +115,19 @@ class Hdf5Source(ArraySource):
         self._is_scaled = is_scaled
         if isinstance(node, h5py.Dataset):
             name = node.name.rsplit("/", 1)[-1]
-            groups = [_Group("", columns_of(node, name), _attributes(node))]
+            groups = [_Group("")]
+            groups[0].take(node, name)
         else:
             groups = list(_groups(path, node, "", set()))
         chosen = _holding(groups)
         if not chosen:
             raise no_columns(path, [_listed(file)])
-        members: list[StoredColumn] = []
+        columns: list[StoredColumn] = []
         for group in chosen:
-            for column in group.columns:
-                prefix = f"{group.path}/" if len(chosen) > 1 else ""
-                members.append(replace(column, name=prefix + column.name))
+            columns += group.named(len(chosen) > 1)
         above = groups[0].statements or _attributes(file)
         statements = [text for group in chosen for text in group.statements] or above
-        super().__init__(path, members, statements, file.close)
+        super().__init__(path, columns, statements, file.close)
         if len(chosen) > 1:
             self.hint = f" (or one group alone: {path}::{chosen[0].path})"
 
@@ -121,15 +143,15 @@ class Hdf5Source(ArraySource):
                     return self.add(members[0])
         return None
 
-    def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
-        """Return all rows of the chosen columns; see ``Source``."""
-        for column in chosen:
-            problem = self._members[column.number - 1].problem
+    def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
+        """Return all rows of the chosen columns; see ``Table``."""
+        for column in columns:
+            problem = self._stored[column.number - 1].problem
             if problem and not self._is_scaled:
                 raise InputError(f"{self.name}: {column.label} {problem}")
             if problem:  # the scale may be another column's
                 warn(f"{self.name}: {column.label} {problem}")
-        yield from super().blocks(chosen)
+        yield from super().blocks(columns)
 
 
 def _node(path: str, base: Any, inner: str, hops: int = 0) -> Any:
@@ -163,7 +185,7 @@ def _groups(path: str, group: Any, inner: str, visited: set[int]) -> Iterator[_G
     if address in visited:
         return  # a circle of hard links
     visited.add(address)
-    place = _Group(inner, statements=_attributes(group))
+    current = _Group(inner, statements=_attributes(group))
     below = []
     for name in group:
         is_external = isinstance(group.get(name, getlink=True), h5py.ExternalLink)
@@ -173,11 +195,10 @@ def _groups(path: str, group: Any, inner: str, visited: set[int]) -> Iterator[_G
         if isinstance(node, h5py.Group):
             below.append((name, node))
         elif isinstance(node, h5py.Dataset) and node.size == 1:
-            place.statements += _single_value(node, name)
+            current.statements += _single_value(node, name)
         elif isinstance(node, h5py.Dataset):
-            place.columns += columns_of(node, name)
-            place.statements += _attributes(node)
-    yield place
+            current.take(node, name)
+    yield current
     for name, node in below:
         yield from _groups(path, node, f"{inner}/{name}".lstrip("/"), visited)
 
@@ -225,22 +246,27 @@ def _column(
     dataset: Any, name: str, number: int, length: int, rows: Fetch
 ) -> StoredColumn:
     """Return a column with its unit."""
-    problem = ""
-    for key, nothing in _NOT_APPLIED.items():
-        node = dataset.parent if key == "YInc" else dataset  # Keysight's counts
-        values = _attribute(node, key)
-        if len(values) == 1 and values[0] != nothing:
-            problem = f"has an attribute {key}, {values[0]}, which is not applied: type `scale` ROLE=FACTOR"
-    for beside in (f"{dataset.name}_scaling_factor", f"{dataset.name}_offset"):
-        if beside in dataset.file:  # NeXus
-            problem = f"has {beside} beside it, which is not applied: type `scale` ROLE=FACTOR"
     units = _texts(dataset, "units", "unit", "Units", "Unit")
     if len(units) == 1:
         units = units * (number + 1)
     unit = units[number] if number < len(units) else None
     missing = _attribute(dataset, "_FillValue") + _attribute(dataset, "missing_value")
     fetch = _without(rows, missing) if missing else rows
-    return StoredColumn(name, length, fetch, unit, problem=problem)
+    return StoredColumn(name, length, fetch, unit, problem=_not_applied(dataset))
+
+
+def _not_applied(dataset: Any) -> str:
+    """Say which factor or offset stands beside a dataset and may belong to its values."""
+    factors = [(key, _attribute(dataset, key)) for key in dataset.attrs]
+    factors.append(("YInc", _attribute(dataset.parent, "YInc")))  # Keysight's counts
+    for key, values in factors:
+        neutral = 1.0 if key == "YInc" else NOT_APPLIED.get(plain_key(key))
+        if neutral is not None and len(values) == 1 and values[0] != neutral:
+            return f"has an attribute {key}, {values[0]}, which is not applied: type `scale` ROLE=FACTOR"
+    for sibling in (f"{dataset.name}_scaling_factor", f"{dataset.name}_offset"):
+        if sibling in dataset.file:  # NeXus
+            return f"has {sibling} beside it, which is not applied: type `scale` ROLE=FACTOR"
+    return ""
 
 
 def _without(rows: Fetch, missing: Sequence[float]) -> Fetch:

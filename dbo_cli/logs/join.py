@@ -11,7 +11,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, warn
 from dbo_cli.logs.clock_offset import Pair, apart, find_offset
 from dbo_cli.logs.log import Log, TableLog
-from dbo_cli.logs.source import Block
+from dbo_cli.logs.table import Block
 
 SENSORS = ("displacement", "measured")  # the rows are those of their file
 DRIVES = ("voltage", "desired", "input")

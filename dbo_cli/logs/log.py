@@ -1,6 +1,6 @@
 """A log: opened by what its first bytes say, a column for every role, and its rows in blocks.
 
-The story: a reader makes a ``Source`` of the file; the clock and the columns of the
+The story: a reader makes a ``Table`` of the file; the clock and the columns of the
 roles are chosen; blocks come as arrays by role, in seconds and in the units asked for.
 """
 
@@ -17,20 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.files import note_input
 from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import choose, named
 from dbo_cli.logs.formats import reader_of
 from dbo_cli.logs.scale import Scale, scales_of
-from dbo_cli.logs.source import (
+from dbo_cli.logs.table import (
     BLOCK_ROWS,
     NOT_A_TIME,
     Block,
     Column,
     Reading,
-    Source,
+    Table,
 )
 from dbo_cli.logs.text import open_text
-from dbo_cli.units import multiplied, split_header
+from dbo_cli.units import multiplied
 
 if TYPE_CHECKING:
     from dbo_cli.logs.join import ClockOffset
@@ -63,7 +64,7 @@ class Log:
 
     def __init__(
         self,
-        source: Source,
+        source: Table,
         clock: Clock,
         picks: Mapping[str, Column],
         scales: Mapping[str, Scale],
@@ -252,7 +253,7 @@ class TableLog(Log):
         remarks: list[str],
     ) -> None:
         scales = {role: (Fraction(1), c.unit) for role, c in columns.items()}
-        super().__init__(Source(name, ()), clock, columns, scales, Reading())
+        super().__init__(Table(name), clock, columns, scales, Reading())
         self.remarks = remarks
         self._table = table
 
@@ -388,9 +389,10 @@ def _open_file(
         raise
 
 
-def open_source(name: str, reading: Reading) -> Source:
+def open_source(name: str, reading: Reading) -> Table:
     """Open a file with the reader that its first bytes ask for (InputError)."""
     path, _, part = name.partition("::")
+    note_input(path, "log")
     if os.path.isfile(path):
         try:
             with open(path, "rb") as file:
@@ -405,7 +407,7 @@ def open_source(name: str, reading: Reading) -> Source:
 
 
 def _chosen(
-    source: Source,
+    source: Table,
     roles: Mapping[str, str | None],
     reading: Reading,
     units: Mapping[str, str],
@@ -446,9 +448,9 @@ def columns_of_names(
     InputError
         It is not clear which columns are meant.
     """
-    source = Source("the frame", ())
-    for number, name in enumerate(names, start=1):
-        source.columns.append(Column(number, name, split_header(name)[1]))
+    source = Table("the frame")
+    for name in names:
+        source.add_column(name)
     clock, picks = _chosen(source, roles, Reading(), units or {}, ("time",))
     if clock.column is not None:
         picks["time"] = clock.column

@@ -26,7 +26,7 @@ from dbo_cli.logs.settings import (
     plain_key,
     read_settings,
 )
-from dbo_cli.logs.source import Column
+from dbo_cli.logs.table import Table
 from dbo_cli.units import kind_of, parse_unit, spell, split_header, time_unit
 
 if TYPE_CHECKING:
@@ -298,15 +298,14 @@ def _give(cells: list[str], stated: Sequence[str], places: Sequence[int]) -> Non
             cells[place] = text
 
 
-def describe_columns(name: str, layout: Layout) -> list[Column]:
-    """Describe every column by its name, its unit and what its cells hold.
+def describe_columns(table: Table, layout: Layout) -> None:
+    """Give a table its columns: their names, their units and what their cells hold.
 
     Raises
     ------
     InputError
         A column's name and its units line state different units.
     """
-    columns = []
     for n in range(layout.width):
         kind = "text"
         if n in layout.numeric:
@@ -319,9 +318,7 @@ def describe_columns(name: str, layout: Layout) -> list[Column]:
         stated = split_header(header)[1]
         if stated and unit and stated != unit and kind_of(unit) == kind_of(stated):
             raise InputError(
-                f"{name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
+                f"{table.name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
                 f"{layout.first}"
             )
-        sample = layout.texts.get(n, "")
-        columns.append(Column(n + 1, header, unit or stated, kind, sample))
-    return columns
+        table.add_column(header, unit, kind, layout.texts.get(n, ""))

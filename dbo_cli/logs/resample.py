@@ -7,7 +7,7 @@ import numpy as np
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.clock import Clock
 from dbo_cli.logs.log import Log, TableLog
-from dbo_cli.logs.source import Block
+from dbo_cli.logs.table import Block
 
 MOST_ROWS = 100_000_000  # some gigabytes
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.source import Column
+from dbo_cli.logs.table import Column
 from dbo_cli.units import parse_unit, ratio, spell, split_header, units_in
 
 Scale = tuple[Fraction, str | None]  # a factor, and the unit behind it

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cells import is_number, split_cells, to_number
-from dbo_cli.logs.source import StatedClock
+from dbo_cli.logs.table import StatedClock
 from dbo_cli.units import conversion, split_header, time_unit
 
 Statement = tuple[str, object, str]  # what a file states: key, value, unit
@@ -47,6 +47,7 @@ _HERTZ = frozenset(
 _LARGE = {"k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
 # rates that differ by less were rounded when the file was written (0.000333333 s, 3000 Hz)
 _SAME = 1e-6
+_SLOWEST = 1e-12  # Hz; times at a rate below may not be finite
 _SLOW = 1.0  # Hz; whoever logs a hysteresis loop so slowly states the unit
 _LATEST_START = 1e6  # s; a start beyond counts from a date in the past
 _LOOKED_AT = 200  # lines in which settings are looked for
@@ -164,7 +165,7 @@ def _stated_rates(
             raise InputError(
                 f"'{key}' {text} is not in a unit of a {kind}: type `sample_rate` HZ"
             )
-        if not 0.0 < rate < math.inf:
+        if not _SLOWEST <= rate < math.inf:
             continue  # what an instrument writes when it does not know
         if not unit and rate <= _SLOW:
             raise InputError(

@@ -15,7 +15,7 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import MISSING, STAMPS, is_number, split_cells, stamp_format
 from dbo_cli.logs.names import read_header
 from dbo_cli.logs.settings import is_setting
-from dbo_cli.logs.source import Reading, StatedClock
+from dbo_cli.logs.table import Reading, StatedClock
 
 COMMENTS = "#%"
 """A line that begins with one of these is a comment."""

@@ -19,8 +19,8 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import split_cells, to_number
 from dbo_cli.logs.names import begins_run, describe_columns
 from dbo_cli.logs.sniff import is_no_row, sniff
-from dbo_cli.logs.source import Column, Reading, Source
 from dbo_cli.logs.stream import ByteStream
+from dbo_cli.logs.table import Column, Reading, Table
 
 _HEAD = 1 << 16  # bytes from which the layout is found; longer than any header
 _BLOCK = 1 << 22  # bytes of text at a time; of 1 to 8 MB the fastest
@@ -31,8 +31,13 @@ _COMMENT = re.compile(rb"(?m)^[ \t]*[#%].*\n?")
 _ASCII = ("utf-8", "cp1252", "ascii", "iso8859-1")  # their digits and signs are ASCII's
 
 
-def open_text(name: str, part: str, reading: Reading) -> TextSource:
-    """Open a text log; see ``Source``.
+def text_table(path: str, reading: Reading, content: bytes) -> TextTable:
+    """Read text in memory (InputError)."""
+    return TextTable(ByteStream(path, content), reading)
+
+
+def open_text(name: str, part: str, reading: Reading) -> TextTable:
+    """Open a text log; see ``Table``.
 
     Raises
     ------
@@ -43,17 +48,17 @@ def open_text(name: str, part: str, reading: Reading) -> TextSource:
         raise UsageError(
             f"{name}::{part}: '::' names a part of a file, and this is a text file"
         )
-    return TextSource(ByteStream(name), reading)
+    return TextTable(ByteStream(name), reading)
 
 
-class TextSource(Source):
+class TextTable(Table):
     """A text log: its columns at once, its rows in blocks.
 
     ``layout`` is how it is written.
     """
 
     def __init__(self, stream: ByteStream, reading: Reading) -> None:
-        super().__init__(stream.name, ())
+        super().__init__(stream.name)
         self._stream = stream
         self._encoding = ""
         self._decoder: Any = None
@@ -63,7 +68,7 @@ class TextSource(Source):
         try:
             head, lines = self._read_head(reading)
             self.layout = sniff(self.name, lines, reading)
-            self.columns = describe_columns(self.name, self.layout)
+            describe_columns(self, self.layout)
         except BaseException:
             stream.close()
             raise
@@ -147,7 +152,7 @@ class TextSource(Source):
     # --- lines to arrays ---
 
     def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
-        """Return all rows of the chosen columns; see ``Source``."""
+        """Return all rows of the chosen columns; see ``Table``."""
         for text in self._texts():
             self._text = text
             if not text.endswith(b"\n"):

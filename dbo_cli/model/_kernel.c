@@ -625,8 +625,6 @@ static PyMethodDef methods[] = {
     {"plays_solve", plays_solve, METH_VARARGS, "The input of a weighted sum of plays from its output."},
     {"between", between, METH_VARARGS, "A signal at other times, smoothly between its samples."},
     {"between_even", between_even, METH_VARARGS, "Evenly spaced samples, shifted by a part of a step."},
-    {"add_products", fit_add_products, METH_VARARGS, "add_products(table, columns, matrix)"},
-    {"minimise", fit_minimise, METH_VARARGS, "minimise(matrix, right, state, x, tolerance, most) -> steps"},
     {NULL, NULL, 0, NULL}};
 
 #define INTERFACE 3 /* of the functions' arguments; kernel.py has the same number and refuses another */

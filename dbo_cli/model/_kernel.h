@@ -10,7 +10,5 @@
 
 PyObject *between(PyObject *module, PyObject *args);      /* _smooth.c */
 PyObject *between_even(PyObject *module, PyObject *args); /* _smooth.c */
-PyObject *fit_add_products(PyObject *module, PyObject *args); /* _fit.c */
-PyObject *fit_minimise(PyObject *module, PyObject *args);     /* _fit.c */
 
 #endif

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from dbo_cli.errors import InputError, ModelError
+from dbo_cli.files import note_input
 
 Json = dict[str, Any]
 Reader = Callable[[Any, str], Any]
@@ -53,6 +54,7 @@ def load(path: str, noun: str) -> tuple[str, Any]:
     def constant(text: str) -> float:
         raise ModelError(f"{name}: {text} is not a number")
 
+    note_input(path, noun)
     try:
         content = sys.stdin.buffer.read() if path == "-" else Path(path).read_bytes()
         return name, json.loads(

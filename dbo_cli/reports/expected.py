@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import InputError
+from dbo_cli.files import note_input
 
 if TYPE_CHECKING:
     from dbo_cli.arrays import Floats
@@ -95,6 +96,7 @@ def expected_in(path: str, unit: str | None = None) -> Expected:
     """
     from dbo_cli.model import read_model
 
+    note_input(path, "summary")
     try:
         content = json.loads(Path(path).read_text("utf-8"))
         kind = content["format"]

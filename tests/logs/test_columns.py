@@ -10,7 +10,7 @@ import pytest
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs import Reading, columns_of, columns_of_names, open_log
 from dbo_cli.logs.columns import candidates, role_of
-from dbo_cli.logs.source import Column
+from dbo_cli.logs.table import Column
 from dbo_cli.units import split_header
 
 BOTH: dict[str, str | None] = {"voltage": None, "displacement": None}

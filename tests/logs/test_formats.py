@@ -16,9 +16,8 @@ import pytest
 import scipy.io
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs import formats
-from dbo_cli.logs.formats import reader_of
-from dbo_cli.logs.source import Reading, Source
+from dbo_cli.logs.formats import arrow, npy, reader_of, stored
+from dbo_cli.logs.table import Reading, Table
 
 T = (0.0, 0.001, 0.002, 0.003)
 V = (0.0, 1.5, -2.5, 4.0)
@@ -28,13 +27,13 @@ STAMPS = [datetime.datetime(2026, 1, 2, 3, 4, 5, 1000 * n) for n in range(4)]
 FIRST = 1_767_323_045_000_000_000  # of STAMPS, ns since 1970
 
 
-def opened(path: Path, part: str = "") -> Source:
+def opened(path: Path, part: str = "") -> Table:
     reader = reader_of(str(path), path.read_bytes()[:1024])
     assert reader is not None
     return reader(str(path), part, Reading())
 
 
-def read(source: Source) -> dict[str, np.ndarray]:
+def read(source: Table) -> dict[str, np.ndarray]:
     try:
         blocks = list(source.blocks(source.columns))
     finally:
@@ -154,7 +153,7 @@ def test_a_matrix_is_read_along_its_longer_axis(
 def test_long_tables_come_in_blocks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(formats, "STRETCH", 100_000)
+    monkeypatch.setattr(arrow, "STRETCH", 100_000)
     values = np.random.default_rng(0).normal(size=330_000)
     frame = pl.DataFrame({"x": values, "n": np.arange(330_000)})
     frame.write_parquet(tmp_path / "a.parquet", row_group_size=70_000)
@@ -368,7 +367,7 @@ def test_a_library_that_is_absent_is_named(
 
     tdms(tmp_path / "a.tdms")
     workbook(tmp_path / "a.xlsx")
-    monkeypatch.setattr(formats.importlib, "import_module", absent)
+    monkeypatch.setattr(stored.importlib, "import_module", absent)
     for name, extra in (("a.tdms", "tdms"), ("a.xlsx", "excel")):
         with pytest.raises(InputError, match=rf"pip install 'dbo-cli\[{extra}\]'"):
             opened(tmp_path / name)
@@ -382,13 +381,13 @@ def test_a_reader_of_another_package_joins(
 
     class Point:
         def load(self) -> Any:
-            return formats.open_npy
+            return npy.read
 
     def entry_points(group: str, name: str) -> list[Point]:
         return [Point()] if (group, name) == ("dbo_cli.readers", ".xyz") else []
 
     monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
-    assert reader_of("run.xyz", b"anything") is formats.open_npy
+    assert reader_of("run.xyz", b"anything") is npy.read
     assert reader_of("run.abc", b"anything") is None
 
 

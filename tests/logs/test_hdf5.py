@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import DboWarning, InputError
-from dbo_cli.logs.hdf5 import open_hdf5
-from dbo_cli.logs.source import Reading, Source
+from dbo_cli.logs.hdf5 import read as open_hdf5
+from dbo_cli.logs.table import Reading, Table
 from dbo_cli.logs.write import create
 
 T = np.arange(200.0) / 1000.0
@@ -27,16 +27,16 @@ def made(path: Path, fill: Callable[[Any], None]) -> Path:
     return path
 
 
-def opened(path: Path, fill: Callable[[Any], None], part: str = "") -> Source:
+def opened(path: Path, fill: Callable[[Any], None], part: str = "") -> Table:
     return open_hdf5(str(made(path / "run.h5", fill)), part, Reading())
 
 
-def values(source: Source, name: str) -> np.ndarray:
+def values(source: Table, name: str) -> np.ndarray:
     (column,) = [column for column in source.columns if column.name == name]
     return np.concatenate([block[0] for block in source.blocks([column])])
 
 
-def names(source: Source) -> list[str]:
+def names(source: Table) -> list[str]:
     return [column.name for column in source.columns]
 
 

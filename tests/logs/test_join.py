@@ -13,16 +13,17 @@ import numpy as np
 import pytest
 
 import dbo_cli
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.logs import clock_offset
 from dbo_cli.logs.clock_offset import Fit
 from dbo_cli.logs.log import Log, open_log
-from dbo_cli.logs.source import Block, FloatArray, Reading
+from dbo_cli.logs.table import Block, Reading
 
 ROLES = {"voltage": None, "displacement": None}
 
 
-def drive(time: FloatArray, slowest: float) -> FloatArray:
+def drive(time: Floats, slowest: float) -> Floats:
     """Return a drive (V) without a period: three tones, the slowest in Hz."""
     tones = ((1.0, 25.0, 0.3), (1.37, 13.0, 1.0), (2.71, 7.0, 2.0))
     volts = 50.0 + 0.0 * time
@@ -31,7 +32,7 @@ def drive(time: FloatArray, slowest: float) -> FloatArray:
     return volts
 
 
-def sensor(time: FloatArray, slowest: float, noise: float = 0.003) -> FloatArray:
+def sensor(time: Floats, slowest: float, noise: float = 0.003) -> Floats:
     """Return what a stack with a loop shows (um): plays of the drive, followed on a fine clock."""
     fine = np.linspace(time[0] - 1.0 / slowest, time[-1], 15_000)
     radii = np.linspace(0.0, 30.0, 16)
@@ -76,7 +77,7 @@ PAIRS = {
 }  # fmt: skip
 
 
-def write(path: Path, header: str, *columns: FloatArray) -> Path:
+def write(path: Path, header: str, *columns: Floats) -> Path:
     np.savetxt(path, np.column_stack(columns), "%.17g", ",", header=header, comments="")
     return path
 
@@ -204,9 +205,7 @@ def test_where_it_cannot_tell_how_much_it_still_tells_that(tmp_path: Path) -> No
         read(seen, sent, Reading(clock_offset="auto"))
 
 
-def find(
-    drive_time: FloatArray, volts: FloatArray, time: FloatArray, moved: FloatArray
-) -> Fit:
+def find(drive_time: Floats, volts: Floats, time: Floats, moved: Floats) -> Fit:
     pair = clock_offset.Pair.of(drive_time, volts, time, moved)
     return clock_offset.find_offset(pair)
 

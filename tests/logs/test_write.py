@@ -17,14 +17,8 @@ import polars as pl
 import pytest
 
 from dbo_cli.errors import DboError, OutputError, UsageError
-from dbo_cli.logs.write import (
-    Outputs,
-    check_outputs,
-    create,
-    header_cell,
-    write_bytes,
-    write_text,
-)
+from dbo_cli.files import Outputs, check_outputs, write_text
+from dbo_cli.logs.write import add_table, create, header_cell
 
 COLUMNS = [("time", "s"), ("desired", "um"), ("voltage", "V")]
 
@@ -185,7 +179,7 @@ def test_several_outputs_appear_together_or_not_at_all(
     assert only(tmp_path) == ["old.csv"]
     assert old.read_text() == "before"
     with Outputs() as outputs:
-        outputs.create(old, [("x", "V")]).write([1.0])
+        add_table(outputs, old, [("x", "V")]).write([1.0])
         outputs.write_text(new, "{}")
         outputs.write_bytes(tmp_path / "figure.png", b"png")
         assert old.read_text() == "before"
@@ -213,16 +207,17 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
             pass
     with pytest.raises(UsageError), create("a.h5::/group", COLUMNS):
         pass
-    write_bytes("/dev/null", b"x")
+    write_text("/dev/null", "x")
     assert only(tmp_path) == ["folder", "link"]
 
 
 KILLED = """
     import sys, time
     import numpy as np
-    from dbo_cli.logs.write import Outputs
+    from dbo_cli.files import Outputs
+    from dbo_cli.logs.write import add_table
     with Outputs() as outputs:
-        out = outputs.create(sys.argv[1], [("x", "V"), ("y", "um")])
+        out = add_table(outputs, sys.argv[1], [("x", "V"), ("y", "um")])
         outputs.write_text(sys.argv[2], "{}")
         while True:
             out.write(np.arange(1000.0), np.arange(1000.0))

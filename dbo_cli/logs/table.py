@@ -1,4 +1,4 @@
-"""The nouns of a log: its columns, how it is to be read, its blocks, and what readers hand over."""
+"""The nouns of a log: columns, blocks of rows, how it is to be read, and the table that a reader makes."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
-from dbo_cli.units import split_header
+from dbo_cli.units import spell, split_header
 
 BLOCK_ROWS = 65536
 NOT_A_TIME = int(np.iinfo(np.int64).min)
 """A stamp that is missing or cannot be read."""
+LONGEST_CELL = 200
+"""Characters; what is longer, padding counted, is no number, no name and no unit."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +163,7 @@ class StatedClock:
     remarks: list[str] = field(default_factory=list)
 
 
-class Source:
+class Table:
     """What a reader makes of a file: columns, and their arrays in blocks.
 
     Attributes
@@ -176,7 +178,9 @@ class Source:
         A column that must hold numbers or stamps in every row, even if nothing is read
         of it: rows that begin with something else are no samples.
     hint
-        What is appended to a refusal about columns, behind a blank.
+        What is appended to a refusal about columns.
+    has_paths
+        Whether names are paths, whose last part holds the unit.
     remarks
         What the user is to be told, without the file's name in front.
     last_block, first_row
@@ -187,20 +191,39 @@ class Source:
 
     guard: Column | None = None
     hint: str = ""
+    has_paths = False
     first_row: int = 1
     torn: Sequence[int] = ()
 
-    def __init__(
-        self, name: str, columns: Sequence[Column], stated: StatedClock | None = None
-    ) -> None:
+    def __init__(self, name: str, stated: StatedClock | None = None) -> None:
         self.name = name
-        self.columns = list(columns)
+        self.columns: list[Column] = []
         self.stated = stated or StatedClock()
         self.remarks: list[str] = []
         self.last_block: dict[int, NDArray[Any]] = {}
 
-    def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
-        """Return all rows of the chosen columns in blocks, one array a column.
+    def add_column(
+        self,
+        header: str,
+        unit: str | None = None,
+        kind: str = "number",
+        sample: str = "",
+    ) -> Column:
+        """Append a column; its header holds its unit where none is stated beside it."""
+        number = len(self.columns) + 1
+        if len(header) > LONGEST_CELL:
+            self.remarks.append(
+                f"column {number}: {len(header):,} characters are no name"
+            )
+            header = ""
+        unit = spell(unit) if unit and len(unit) <= LONGEST_CELL else None
+        last = header.rsplit("/", 1)[-1] if self.has_paths else header
+        column = Column(number, header, unit or split_header(last)[1], kind, sample)
+        self.columns.append(column)
+        return column
+
+    def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
+        """Return all rows of some columns in blocks, one array a column.
 
         Numbers are float64, NaN for other cells; stamps are int64 nanoseconds
         since 1970 or since midnight, ``NOT_A_TIME`` for other cells.

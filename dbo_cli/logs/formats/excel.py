@@ -1,0 +1,48 @@
+"""Workbooks: a sheet becomes text with tabs, which is read as any text."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from dbo_cli.errors import InputError
+from dbo_cli.logs.formats.stored import Format, fenced, import_extra
+from dbo_cli.logs.table import Reading, Table
+from dbo_cli.logs.text import text_table
+
+
+def read(path: str, part: str, reading: Reading) -> Table:
+    """Read the only sheet of a workbook, or ``FILE::SHEET`` (InputError)."""
+    fastexcel = import_extra("fastexcel", "excel", path)
+    with fenced(path, "a workbook"):
+        book = fastexcel.read_excel(path)
+        names = list(book.sheet_names)
+        if (part or len(names) > 1) and part not in names:
+            raise InputError(
+                f"{path}: several sheets, {', '.join(names)}: type {path}::{names[0]}"
+            )
+        content = _sheet_as_text(book, part or names[0])
+    return text_table(path, replace(reading, delimiter="tab", encoding=None), content)
+
+
+def _sheet_as_text(book: Any, name: str) -> bytes:
+    """Write a sheet as text with tabs; its numbers keep all their digits."""
+    import polars as pl
+
+    plain = {"header_row": None, "skip_rows": 0}
+    shown = book.load_sheet(name, dtypes="string", **plain).to_polars()
+    exact = book.load_sheet(name, dtypes="float", **plain).to_polars()
+    columns = []
+    for text, number in zip(shown.get_columns(), exact.get_columns(), strict=True):
+        words = text.str.replace_all(r"[\t\r\n]", " ")
+        figures = number.cast(pl.String).fill_null(words)
+        is_date = text.str.contains(r"^\d{4}-\d\d-\d\d").fill_null(False)
+        columns.append(figures.zip_with(~is_date, words))
+    frame = pl.DataFrame(columns)
+    written: str = frame.write_csv(
+        include_header=False, separator="\t", quote_style="never"
+    )
+    return written.encode()
+
+
+FORMAT = Format("Excel before 2007", (b"\xd0\xcf\x11\xe0",), (), read)

@@ -1,0 +1,108 @@
+"""TDMS files of LabVIEW: channels of numbers, read in blocks by nptdms."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.logs.formats.stored import (
+    Format,
+    StoredColumn,
+    StoredTable,
+    fenced,
+    import_extra,
+    no_columns,
+    rows_of,
+)
+from dbo_cli.logs.settings import Statement
+from dbo_cli.logs.table import Column, Reading, Table
+
+LEAD_IN = (
+    28  # bytes: mark, contents, version, bytes to the next segment, bytes to the data
+)
+
+
+class TdmsTable(StoredTable):
+    """The channels of a TDMS file; says so where the record ends within a segment."""
+
+    is_cut = False
+
+    def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
+        """Return all rows of some columns; see ``Table``."""
+        yield from super().blocks(columns)
+        if self.is_cut:
+            self.remarks.append(
+                "the file ends within a segment: was the record cut there?"
+            )
+
+
+def read(path: str, part: str, reading: Reading) -> Table:
+    """Read a TDMS file, or one group of it (``FILE::GROUP``) (InputError)."""
+    nptdms = import_extra("nptdms", "tdms", path)
+    stream = open(path, "rb")
+    try:
+        with fenced(path, "TDMS"):
+            file = nptdms.TdmsFile.open(stream)
+            groups = [group for group in file.groups() if part in ("", group.name)]
+            columns, statements = _channels(groups)
+        if not columns:
+            raise no_columns(path, [f"::{group.name}" for group in file.groups()])
+    except BaseException:
+        stream.close()
+        raise
+    table = TdmsTable(path, columns, statements, stream.close)
+    table.is_cut = _is_cut(path)
+    if len(groups) > 1:
+        table.hint = f" (or one group alone: {path}::{groups[0].name})"
+    return table
+
+
+def _is_cut(path: str) -> bool:
+    """Return whether the last segment is shorter than its lead-in says, or was not completed."""
+    size, position = os.path.getsize(path), 0
+    with open(path, "rb") as file:
+        while position < size:
+            file.seek(position)
+            lead_in = file.read(LEAD_IN)
+            position += LEAD_IN + int.from_bytes(lead_in[12:20], "little")
+    return position > size
+
+
+def _channels(groups: Sequence[Any]) -> tuple[list[StoredColumn], list[Statement]]:
+    """Return the channels of numbers, and what they state of their rate."""
+    columns: list[StoredColumn] = []
+    statements: list[Statement] = []
+    for group in groups:
+        for channel in group.channels():
+            if not len(channel) or channel.dtype.kind not in "fiubM":
+                continue
+            properties = channel.properties
+            unit = properties.get("unit_string") or properties.get("NI_UnitDescription")
+            name = channel.name if len(groups) == 1 else f"{group.name}/{channel.name}"
+            kind = "stamp" if channel.dtype.kind == "M" else "number"
+            rows = rows_of(channel)
+            columns.append(StoredColumn(name, len(channel), rows, unit, kind))
+            statements += _statements(properties)
+    return columns, statements
+
+
+def _statements(properties: Any) -> list[Statement]:
+    """Return what the properties of a channel state of its clock; a spectrum has none."""
+    statements: list[Statement] = []
+    if str(properties.get("wf_xname") or "Time").lower() != "time":
+        return statements
+    for key in ("wf_increment", "wf_start_offset"):
+        if isinstance(properties.get(key), int | float):
+            statements.append((key, properties[key], "s"))
+    start = properties.get("wf_start_time")
+    if isinstance(start, np.datetime64):
+        seconds = start.astype("datetime64[us]").astype(int) / 1e6
+        statements.append(("wf_start_time", seconds, "s"))
+    return statements
+
+
+FORMAT = Format("TDMS", (b"TDSm",), (), read)

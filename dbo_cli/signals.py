@@ -1,0 +1,388 @@
+"""Signals of any kind: even clocks, noise, turns, and how much later one signal is than another.
+
+Everything here knows arrays only: no unit, no file, no actuator.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from dbo_cli.arrays import Floats, Integers
+
+EVEN = 1e-6
+"""Part of a step by which the steps of an even clock may differ."""
+COARSEST_DECIMAL = 0.05
+"""Part of a step: a last decimal place above it is no rounding of an even clock."""
+DECIMAL_SAMPLE = 50
+"""Stamps that tell in how many decimals all are written."""
+
+FIRST_ORDER, LAST_ORDER = 2, 10
+"""Differences by which noise is told from motion."""
+STILL_FALLING = 0.85
+"""Ratio of the noise by two orders of differences below which motion is still in it."""
+NORMAL_MEDIAN = 0.6745
+"""Median of |x| of a normal variable of standard deviation 1."""
+
+FEWEST_ROWS = 16
+"""Rows that two signals must have in common for a lag of a part of a row."""
+SHARED = 0.25
+"""Part of the shorter signal that must overlap with the other."""
+PLACES = 4
+"""Best places of the correlation that are refined."""
+ITERATIONS = 20
+"""Gauss-Newton steps at most."""
+LONGEST_STEP = 0.01
+"""Part of the late signal that one Gauss-Newton step may go, beside two rows."""
+TRIED_ROWS, REFINED_ROWS = 3_000, 20_000
+"""Rows of the late signal, evenly picked, at each of the places and at the best."""
+BLOCKS = 8
+"""Blocks of time whose scatter is the uncertainty of a lag."""
+
+
+def even(stamps: Floats, step: float | None = None) -> float | None:
+    """Return the step (s) of an even clock, or None.
+
+    Steps are even where they differ by no more than a millionth of a step, the rounding
+    of the numbers, or the last decimal that they are written in.
+
+    Parameters
+    ----------
+    stamps : array of shape (rows,)
+        Seconds.
+    step
+        The step that is known already, of a clock that goes on; None: the mean step.
+    """
+    if len(stamps) < 2:
+        return step
+    if step is None:
+        step = float(stamps[-1] - stamps[0]) / (len(stamps) - 1)
+    if not 0.0 < step < math.inf:
+        return None
+    difference = float(np.abs(np.diff(stamps) - step).max())
+    rounding = 4.0 * float(np.spacing(np.abs(stamps).max()))
+    slack = EVEN * step + rounding
+    if difference > slack:
+        slack += _last_decimal(stamps[:DECIMAL_SAMPLE], COARSEST_DECIMAL * step)
+    return step if difference <= slack else None
+
+
+def _last_decimal(stamps: Floats, coarsest: float) -> float:
+    """Return the last decimal place of numbers; 0 where it is coarser, or there is none."""
+    rounding = 4.0 * float(np.spacing(np.abs(stamps).max()))
+    for places in range(1, 16):
+        unit = 10.0**-places
+        if unit > coarsest:
+            continue
+        off = float(np.abs(stamps - np.round(stamps, places)).max())
+        if off < 1e-3 * unit + rounding:
+            return 1.01 * unit
+    return 0.0
+
+
+def noise(values: Floats) -> float:
+    """Return the standard deviation of what is white in a signal; 0 where nothing shows it.
+
+    The k-th differences of white noise of variance s^2 have the variance C(2k, k) s^2,
+    whatever k is; those of motion fall from order to order. The estimate is the one from
+    which on it falls no more. Motion that is as fast as the samples cannot be told from
+    noise. Medians leave out jumps, turns and spikes.
+
+    Parameters
+    ----------
+    values : array of shape (rows,)
+        Evenly sampled, finite.
+    """
+    differences = np.asarray(values, dtype=np.float64)
+    estimate = math.inf
+    for order in range(1, LAST_ORDER + 1):
+        differences = np.diff(differences)
+        if differences.size < FEWEST_ROWS // 2:
+            return 0.0
+        if order < FIRST_ORDER:
+            continue
+        spread = float(np.median(np.abs(differences))) / NORMAL_MEDIAN
+        lower = spread / math.sqrt(math.comb(2 * order, order))
+        if lower > STILL_FALLING * estimate:
+            return min(lower, estimate)
+        estimate = lower
+    return 0.0
+
+
+def turns(values: Floats, least: float) -> Integers:
+    """Return the rows where a signal turns by more than ``least``, the first and the last row included.
+
+    Where it rests before it turns, the last row of the rest counts.
+    """
+    steps = np.diff(values)
+    moving = np.flatnonzero(steps)
+    rising = steps[moving] > 0.0
+    extremes = [*moving[1:][rising[1:] != rising[:-1]].tolist(), len(values) - 1]
+    rows = [0]
+    direction, row, level = 0, 0, float(values[0])
+    for place, value in zip(extremes, values[extremes].tolist(), strict=True):
+        change = value - level
+        if direction and change * direction >= 0.0:
+            row, level = place, value
+        elif abs(change) > least:
+            if direction:
+                rows.append(row)
+            direction = 1 if change > 0.0 else -1
+            row, level = place, value
+    return np.asarray([*rows, len(values) - 1], dtype=np.int64)
+
+
+# --- the lag between two signals ---
+
+
+@dataclass(frozen=True)
+class Lag:
+    """How much later one signal is than another.
+
+    A time t of the late signal is ``t (1 - rate) - seconds`` of the early one, each
+    counted from the first row of its own signal.
+
+    Attributes
+    ----------
+    seconds
+        In the unit of the step that was given.
+    deviation
+        One standard deviation of it; infinite where it is known to a row only.
+    rate
+        Part by which the late signal's clock runs fast; 0 where it was not looked for.
+    residual
+        Part of the late signal's variance that is left unexplained.
+    rival
+        Another lag (s) that explains the signals as well; None: there is none.
+    """
+
+    seconds: float
+    deviation: float = math.inf
+    rate: float = 0.0
+    residual: float = 0.0
+    rival: float | None = None
+
+    def early_time(self, late_time: Floats) -> Floats:
+        """Return times of the late signal as times of the early one."""
+        return late_time * (1.0 - self.rate) - self.seconds
+
+
+def lag(
+    late: Floats,
+    early: Floats,
+    step: float = 1.0,
+    *,
+    rate: bool = False,
+    inverted: bool = False,
+) -> Lag | None:
+    """Return how much later a signal is than another; None where nothing shows it.
+
+    ``late(t) = c + sum_k w_k early_k(t - lag)``, with weights that leave least. The
+    places to begin at are those where the evidence of a correlation r of n rows, n
+    log(1/(1 - r^2)), is greatest, so that either signal may begin or end first. From
+    there Gauss and Newton go on, with the weights projected out (Golub and Pereyra,
+    1973). The uncertainty is that of the scatter between blocks of time.
+
+    Parameters
+    ----------
+    late : array of shape (rows,)
+        Evenly sampled.
+    early : array of shape (other rows,) or (other rows, columns)
+        Sampled alike: what ``late`` may be made of; the first column is correlated.
+    step
+        Seconds a row.
+    rate
+        Whether the two clocks may run at different rates.
+    inverted
+        Whether the late signal may fall where the early one rises.
+    """
+    columns = early.reshape(len(early), -1)
+    if min(len(late), len(columns)) < 2:
+        return None
+    if np.ptp(late) == 0.0 or np.ptp(columns[:, 0]) == 0.0:
+        return None
+    fits = []
+    for place in _places(columns[:, 0], late, inverted):
+        fit = _refined(late, columns, place, rate, TRIED_ROWS)
+        if fit is not None:
+            fits.append(fit)
+    if not fits:
+        return None
+    best = max(fits, key=lambda fit: fit.evidence)
+    if len(late) > TRIED_ROWS:
+        best = _refined(late, columns, best.shift, rate, REFINED_ROWS) or best
+    rival = None
+    for fit in fits:
+        apart = abs(fit.shift - best.shift) > max(2.0, 5.0 * best.deviation)
+        if apart and fit.residual <= 1.5 * best.residual + 1e-9:
+            rival = step * fit.shift
+            break
+    return Lag(
+        step * best.shift, step * best.deviation, best.rate, best.residual, rival
+    )
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """A lag in rows, as ``Lag``, and how strong the evidence for it is."""
+
+    shift: float
+    deviation: float
+    rate: float
+    residual: float
+    evidence: float
+
+
+def _evidence(count: Integers | int, unexplained: Floats | float) -> Floats:
+    """Return how strongly rows speak for a lag, of which a part is left unexplained."""
+    return np.asarray(-count * np.log(np.clip(unexplained, 1e-12, 1.0)))
+
+
+def _places(early: Floats, late: Floats, inverted: bool) -> list[int]:
+    """Return the lags (rows) where two signals correlate most, the best first."""
+    a, b = early - early.mean(), late - late.mean()
+    lags = np.arange(1 - a.size, b.size)
+    begin, end = np.maximum(0, -lags), np.minimum(a.size, b.size - lags)
+    count = end - begin
+    size = 1 << (a.size + b.size - 2).bit_length()
+    circular = np.fft.irfft(np.fft.rfft(b, size) * np.fft.rfft(a, size).conj(), size)
+    products = np.concatenate([circular[size - a.size + 1 :], circular[: b.size]])
+    sum_a, sum_b = _sums(a, begin, end), _sums(b, begin + lags, end + lags)
+    spread_a = _sums(a * a, begin, end) - sum_a**2 / count
+    spread_b = _sums(b * b, begin + lags, end + lags) - sum_b**2 / count
+    spread = spread_a * spread_b
+    shared = products - sum_a * sum_b / count
+    enough = count >= max(SHARED * min(a.size, b.size), 2)
+    moving = (spread > 1e-12 * spread.max()) & enough
+    if not inverted:
+        moving &= shared > 0.0
+    alike = np.divide(shared**2, spread, out=np.zeros(lags.size), where=moving)
+    evidence = _evidence(count, 1.0 - alike)
+    padded = np.concatenate([[-1.0], evidence, [-1.0]])
+    peaks = np.flatnonzero((evidence >= padded[:-2]) & (evidence >= padded[2:]))
+    # of lags that are alike to rounding, the one nearest to none
+    height = np.round(evidence[peaks] / evidence.max(), 9)
+    order = np.lexsort([np.abs(lags[peaks]), -height])
+    places: list[int] = lags[peaks[order[:PLACES]]].tolist()
+    return places
+
+
+def _sums(values: Floats, begin: Integers, end: Integers) -> Floats:
+    """Return the sum of the values of each stretch of rows."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    sums: Floats = total[end] - total[begin]
+    return sums
+
+
+def _refined(
+    late: Floats, columns: Floats, start: float, rate: bool, most_rows: int
+) -> _Fit | None:
+    """Return the best lag near a first one; None where too little overlaps."""
+    rows = np.arange(0, len(late), -(-len(late) // most_rows), dtype=np.float64)
+    picked = late[rows.astype(np.intp)]
+    fewest = min(FEWEST_ROWS, len(rows))
+    moves = [np.ones(len(rows))]
+    if rate:
+        moves.append(rows)
+    unknown = np.zeros(len(moves))
+    unknown[0] = start
+    farthest = 2.0 + LONGEST_STEP * len(late)
+    deviation, left, inside = math.inf, picked, np.ones(len(rows), dtype=bool)
+    for _ in range(ITERATIONS):
+        places = rows - sum(u * move for u, move in zip(unknown, moves, strict=True))
+        inside = (places >= 1.0) & (places <= len(columns) - 2.0)
+        if np.count_nonzero(inside) < fewest:
+            return (
+                None if len(rows) >= FEWEST_ROWS else _whole(late, columns, int(start))
+            )
+        at, target = places[inside], picked[inside]
+        left = _unexplained(target, columns, at)
+        later = _unexplained(target, columns, at - 0.5)
+        slope = later - _unexplained(target, columns, at + 0.5)
+        slopes = np.column_stack([slope * move[inside] for move in moves])
+        size = np.sqrt(np.sum(slopes**2, axis=0))
+        if not np.all(size > 1e-12 * math.sqrt(float(target @ target)) + 1e-300):
+            break
+        inverse = np.linalg.pinv(slopes / size)
+        change = -(inverse @ left) / size
+        too_far = abs(change[0]) / farthest
+        if too_far > 1.0:
+            change = change / too_far
+        unknown = unknown + change
+        deviation = _deviation(left, slopes / size, size)
+        if np.abs(change * size).max() <= 1e-3 * np.sqrt(left @ left) + 1e-12 * size[0]:
+            break
+    target = picked[inside]
+    residual = float(np.mean(left**2)) / max(float(np.var(target)), 1e-300)
+    evidence = float(_evidence(len(target), residual))
+    slope_of_clocks = float(unknown[1]) if rate else 0.0
+    return _Fit(float(unknown[0]), deviation, slope_of_clocks, residual, evidence)
+
+
+def _whole(late: Floats, columns: Floats, start: int) -> _Fit:
+    """Return a lag of whole rows, of signals that are too short for more."""
+    begin = max(0, -start)
+    count = min(len(columns) - begin, len(late) - begin - start)
+    a = columns[begin : begin + count, 0]
+    b = late[begin + start : begin + start + count]
+    residual = 1.0
+    if np.ptp(a) > 0.0 and np.ptp(b) > 0.0:
+        residual = 1.0 - float(np.corrcoef(a, b)[0, 1]) ** 2
+    evidence = float(_evidence(count, residual))
+    return _Fit(float(start), math.inf, 0.0, residual, evidence)
+
+
+def _unexplained(target: Floats, columns: Floats, places: Floats) -> Floats:
+    """Return what columns at places between their rows, and a constant, leave of a target."""
+    table = between(columns, places)
+    table = table - table.mean(axis=0)
+    basis = np.linalg.qr(table)[0] if table.shape[1] > 1 else _unit(table)
+    left: Floats = target - target.mean()
+    left = left - basis @ (basis.T @ left)
+    return left
+
+
+def _unit(column: Floats) -> Floats:
+    """Return a column of length 1."""
+    unit: Floats = column / max(math.sqrt(float(np.sum(column**2))), 1e-300)
+    return unit
+
+
+def between(values: Floats, places: Floats) -> Floats:
+    """Return values between the rows of an even signal, by Catmull-Rom cubics.
+
+    Parameters
+    ----------
+    values : array of shape (rows,) or (rows, columns)
+        At least two rows.
+    places : array of shape (n,)
+        Rows, with parts of one; beyond the ends the end values hold.
+    """
+    last = len(values) - 1
+    places = np.clip(places, 0.0, last)
+    row = np.minimum(places.astype(np.intp), last - 1)
+    part = (places - row).reshape(-1, *[1] * (values.ndim - 1))
+    before, here = values[np.maximum(row - 1, 0)], values[row]
+    after, beyond = values[row + 1], values[np.minimum(row + 2, last)]
+    slope = 0.5 * (after - before)
+    next_slope = 0.5 * (beyond - here)
+    rise = after - here
+    cubic = slope + next_slope - 2.0 * rise
+    square = 3.0 * rise - 2.0 * slope - next_slope
+    result: Floats = here + part * (slope + part * (square + part * cubic))
+    return result
+
+
+def _deviation(left: Floats, slopes: Floats, size: Floats) -> float:
+    """Return the standard deviation of a lag, from how its pull scatters between blocks.
+
+    What is wrong with the description scatters so, and clocks of different rates.
+    """
+    blocks = np.array_split(slopes * left[:, None], BLOCKS)
+    pulls = np.array([block.sum(axis=0) for block in blocks])
+    scatter = pulls.T @ pulls * BLOCKS / (BLOCKS - 1)
+    inverse = np.linalg.pinv(slopes.T @ slopes)
+    covariance = inverse @ scatter @ inverse
+    return math.sqrt(max(float(covariance[0, 0]), 0.0)) / float(size[0])

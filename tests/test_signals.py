@@ -1,0 +1,142 @@
+"""Even clocks, noise, turns, and the lag between two signals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dbo_cli.arrays import Floats
+from dbo_cli.signals import between, even, lag, noise, turns
+
+ROWS = np.arange(20_000.0)
+
+
+def drive_of(seed: int, rows: int = 6_000) -> Floats:
+    """Return a smooth drive that repeats nowhere."""
+    steps = np.random.default_rng(seed).standard_normal(rows + 40)
+    return np.convolve(np.cumsum(steps), np.hanning(41) / 20.0, "valid")
+
+
+@pytest.mark.parametrize(
+    ("stamps", "step"),
+    [
+        (np.arange(1000) / 3000, 1 / 3000),
+        (np.round(np.arange(1000) / 3000, 6), 1 / 3000),
+        (1.7e9 + np.arange(50) * 1e-3, 1e-3),
+        (np.round(np.arange(100) / 3.0, 2), 1 / 3),
+    ],
+)
+def test_stamps_that_are_even_up_to_their_decimals_have_one_step(
+    stamps: Floats, step: float
+) -> None:
+    assert even(stamps) == pytest.approx(step, rel=2e-3)
+    assert even(stamps + 5.0, step) == step
+
+
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        [0.0, 1.0, 3.0],
+        [0.0, 0.0, 0.0],
+        [0.0, 1.0, 0.5],
+        [0.0, 1.00123, 2.0, 3.0],
+        np.round(np.arange(100) / 30.0, 1),  # the decimal is no small part of a step
+    ],
+)
+def test_uneven_stamps_have_no_step(stamps: Floats) -> None:
+    assert even(np.asarray(stamps)) is None
+
+
+def test_a_clock_that_goes_on_keeps_its_step() -> None:
+    assert even(np.array([9.0, 10.0]), 1.0) == 1.0
+    assert even(np.array([9.0, 11.0]), 1.0) is None
+    assert even(np.array([9.0]), 1.0) == 1.0
+
+
+@pytest.mark.parametrize("samples_a_period", [8, 20, 500, 5_000])
+@pytest.mark.parametrize("sigma", [1e-5, 1e-2])
+def test_white_noise_is_told_from_motion(samples_a_period: int, sigma: float) -> None:
+    motion = np.sin(2.0 * np.pi * ROWS / samples_a_period)
+    white = sigma * np.random.default_rng(1).standard_normal(ROWS.size)
+    assert noise(motion) < 1e-12
+    if samples_a_period > 8 or sigma > 1e-3:
+        assert noise(motion + white) == pytest.approx(sigma, rel=0.05)
+
+
+def test_jumps_turns_and_spikes_are_no_noise() -> None:
+    rng = np.random.default_rng(2)
+    staircase = np.repeat(rng.uniform(size=40), 500)
+    triangle = np.abs(ROWS % 1000 - 500.0)
+    spiked = triangle + 100.0 * (rng.uniform(size=ROWS.size) < 0.01)
+    assert [noise(values) for values in (staircase, triangle)] == [0.0, 0.0]
+    assert noise(spiked) < 1e-9
+    white = 0.3 * rng.standard_normal(ROWS.size)
+    assert noise(triangle + white) == pytest.approx(0.3, rel=0.05)
+
+
+def test_a_signal_turns_where_it_goes_back_by_more_than_its_noise() -> None:
+    drive = np.array([0.0, 1.0, 3.0, 3.0, 3.2, 3.0, 0.0, 4.0])
+    assert turns(drive, 0.5).tolist() == [0, 4, 6, 7]
+    assert turns(drive, 0.1).tolist() == [0, 4, 6, 7]
+    assert turns(np.array([0.0, 1.0, 1.0, 0.0]), 0.5).tolist() == [0, 2, 3]
+    assert turns(np.array([2.0, 2.0]), 0.5).tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("shift", [-1234.3, -2.5, 0.004, 17.25, 830.77])
+def test_a_lag_is_found_to_a_hundredth_of_a_row(shift: float) -> None:
+    early, rows = drive_of(3), np.arange(5_000.0)
+    inside = (rows - shift >= 0.0) & (rows - shift <= len(early) - 1)
+    late = 5.0 + 3.0 * between(early, (rows - shift)[inside])
+    truth = shift - rows[inside][0]
+    found = lag(late, early)
+    assert found is not None and found.rival is None
+    assert found.seconds == pytest.approx(truth, abs=1e-6)
+    white = 1e-3 * np.ptp(late) * np.random.default_rng(4).standard_normal(late.size)
+    noisy = lag(late + white, early, 1e-3)
+    assert noisy is not None
+    assert abs(noisy.seconds - 1e-3 * truth) < 1e-5 + 4.0 * noisy.deviation
+    assert noisy.deviation < 2e-5
+
+
+def test_clocks_of_different_rates_are_laid_over_each_other() -> None:
+    early, rows = drive_of(5, 32_000), np.arange(30_000.0)
+    late = between(early, rows * (1.0 - 5e-5) + 700.3)
+    found = lag(late, early, rate=True)
+    assert found is not None
+    assert found.rate == pytest.approx(5e-5, rel=1e-6)
+    assert found.early_time(rows[[0, -1]]) == pytest.approx(
+        [700.3, 700.3 + 29_999 * (1.0 - 5e-5)], abs=1e-4
+    )
+
+
+def test_what_lies_beside_the_lag_is_explained_by_further_columns() -> None:
+    early = drive_of(6)
+    other = np.cumsum(np.random.default_rng(7).standard_normal(early.size))
+    late = early[:-9] + 0.3 * other[:-9]
+    found = lag(late[50:], np.column_stack([early, other]))
+    assert found is not None
+    assert found.seconds == pytest.approx(-50.0, abs=1e-6)
+    assert found.residual < 1e-12
+
+
+def test_a_signal_that_repeats_has_a_rival_and_one_that_rests_has_no_lag() -> None:
+    sine = np.sin(2.0 * np.pi * np.arange(5_000) / 500)
+    found = lag(sine[100:4_100], sine)
+    assert found is not None and found.rival is not None
+    assert found.seconds == pytest.approx(-100.0)
+    assert abs(found.rival + 100.0) % 500.0 == pytest.approx(0.0, abs=0.1)
+    assert lag(np.zeros(100), sine) is None
+    assert lag(sine, np.ones(100)) is None
+
+
+def test_an_inverted_signal_is_laid_over_where_it_may_be_inverted() -> None:
+    early = drive_of(8)
+    found = lag(7.0 - early[33:], early, inverted=True)
+    assert found is not None
+    assert found.seconds == pytest.approx(-33.0, abs=1e-6)
+
+
+def test_short_signals_are_laid_over_by_whole_rows() -> None:
+    found = lag(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.0, 1.0, 2.0]))
+    assert found is not None
+    assert found.seconds == -1.0 and np.isinf(found.deviation)
