@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from typer import Argument
@@ -15,7 +14,7 @@ from dbo_cli.cli.say import progress, say, say_log, say_output
 
 if TYPE_CHECKING:
     from dbo_cli.drive import Drive, Limits
-    from dbo_cli.drive.learning import PassRecord, Tracked
+    from dbo_cli.drive.learning import Tracked
     from dbo_cli.files import Outputs
     from dbo_cli.logs import Log
     from dbo_cli.model import Cascade
@@ -93,6 +92,7 @@ def compensate(
     """
     from dbo_cli import channels
     from dbo_cli.drive import Limits, voltage_in
+    from dbo_cli.drive.learning import read_history
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.logs import open_log
     from dbo_cli.model import dumps_state, read_model
@@ -136,7 +136,7 @@ def compensate(
             "passes": passes,
             "absolute": absolute,
             "tracked": read_tracked(tracked or [], reading, roles, actuator),
-            "history": read_history(history),
+            "history": () if history is None else read_history(history),
         }
     check_outputs(output, summary, state=save_state, history=history)
     units = opt.units_of(displacement=actuator.output)
@@ -221,14 +221,3 @@ def read_tracked(
             Tracked(path, table["voltage"], table["measured"], table.time)
         )
     return recordings
-
-
-def read_history(path: str | None) -> list[PassRecord]:
-    """Return the passes so far; none where there is no file yet."""
-    from dbo_cli.drive.learning import parse_history
-    from dbo_cli.files import note_input
-
-    if path is None or not Path(path).exists():
-        return []
-    note_input(path, "history")
-    return parse_history(Path(path).read_bytes(), path)

@@ -133,8 +133,8 @@ def _fit(values: Any, path: str) -> Json:
     """Return the figures of a fit; refuse what cannot be one where commands take it for one."""
     for key in FIGURES:
         value = fields.notes(values, path).get(key)
-        if value is not None and number(value, f"{path}.{key}") < 0.0:
-            raise ModelError(f"{path}.{key}: {value!r} is not a number of at least 0")
+        if value is not None:
+            fields.magnitude(value, f"{path}.{key}")
     return fields.notes(values, path)
 
 
