@@ -72,7 +72,7 @@ def report(
     dbo report tracked.csv --trajectory drive.csv --max-nrmse-percent 1
     """
     from dbo_cli.logs import parse_rows
-    from dbo_cli.model import read_model
+    from dbo_cli.model import read_model, state_of
     from dbo_cli.reports import Report, expected_in, predict
     from dbo_cli.reports import match as matched
     from dbo_cli.units import split_quantity
@@ -93,7 +93,7 @@ def report(
     if actuator is not None:
         actuator.require("forward", model or "")
         units = opt.units_of(voltage=actuator.input, measured=actuator.output)
-        start = opt.state_of(state, actuator)
+        start = state_of(state, actuator)
     elif trajectory is not None:
         desired_rows, unit = read_trajectory(trajectory, desired)
         units = {} if unit is None else {"measured": unit}

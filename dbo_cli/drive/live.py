@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.gate import ROUNDING, GateError
 from dbo_cli.drive.limits import Figure, Limits, voltage_in
 from dbo_cli.errors import InputError, ModelError, UsageError
-from dbo_cli.model import Cascade, State, Undoing
+from dbo_cli.model import Cascade, State, Undoing, state_of
 from dbo_cli.model.amplifier import AmplifiedGears
 from dbo_cli.model.points import value_back_through, value_through
 
@@ -38,9 +39,9 @@ class Controller:
         Samples a second (Hz).
     v_min, v_max, max_slew, extrapolate
         Limits, as of ``compensate``.
-    state : State or name of a start
+    state : State, name of a start, or file
         What was before the first sample.
-    from_ : float, optional
+    from_ : float or str, optional
         Where the amplifier stands; a slew limit then holds for the first sample, too.
     lookahead : float or "auto", optional
         Seconds by which what is passed is wanted later: a model with dynamics or a delay
@@ -78,8 +79,8 @@ class Controller:
         v_max: Figure = None,
         max_slew: Figure = None,
         extrapolate: bool = False,
-        state: State | str = "auto",
-        from_: float | None = None,
+        state: State | str | Path = "auto",
+        from_: Figure = None,
         lookahead: float | Literal["auto"] | None = None,
     ) -> None:
         model.require("forward")
@@ -89,12 +90,13 @@ class Controller:
             )
         self.limits = Limits.within(model.input, v_min, v_max, max_slew, extrapolate)
         self.clipped = 0
-        self._model, self._begin = model, state
+        self._model = model
+        self._begin = state_of(state, model)
         self._dt = 1.0 / sample_rate
         step = self.limits.largest_step(self._dt)
         self._step = math.inf if step is None else float(step)
         typed = None if from_ is None else voltage_in("from_", from_, model.input)
-        left_at = state.drive if isinstance(state, State) else None
+        left_at = self._begin.drive if isinstance(self._begin, State) else None
         self.last = self.limits.standing(typed, left_at, "`from_`")
         if self.last is not None:
             self._begin = self._stood_at(self.last)
@@ -147,8 +149,12 @@ class Controller:
         """The state after the last sample committed, of gears and memories; None before the first."""
         if self._stepper is None:
             return self._begin if isinstance(self._begin, State) else None
-        after = self._model.gears.committed(self._stepper)
-        after = dataclasses.replace(after, drive=self.last, undoing=self._undoing)
+        after = dataclasses.replace(
+            self._model.gears.committed(self._stepper),
+            drive=self.last,
+            undoing=self._undoing,
+            model=self._model.digest,
+        )
         if self._amplified is not None:
             after = dataclasses.replace(after, amplifier=self._output)
         return after

@@ -13,6 +13,7 @@ from dbo_cli.model.file import (
     read_model,
     read_models,
     read_state,
+    state_of,
 )
 from dbo_cli.model.gears import Gears
 from dbo_cli.model.inverter import read_ahead
@@ -59,6 +60,7 @@ __all__ = [
     "read_model",
     "read_models",
     "read_state",
+    "state_of",
     "steps_behind",
     "steps_of",
 ]

@@ -404,7 +404,7 @@ class Cascade:
         if y.size == 0:
             return Run(y, state)
         extend = outside != "hold"
-        after = replace(state, time=None, undoing=None, first=None)
+        after = replace(state, time=None, undoing=None, first=None, model="")
         last = float(y[-1])
         if self.amplifier is not None:
             y, after, *_ = self.amplifier.run(y, after, steps)

@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import chain, groupby, pairwise
+from pathlib import Path
 from typing import Any
 
 from dbo_cli.errors import InputError, ModelError
@@ -25,7 +26,7 @@ from dbo_cli.model.gears import Gears
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
 from dbo_cli.model.sections import Lag, Mode, Resonance
-from dbo_cli.model.state import Held, Quantity, State
+from dbo_cli.model.state import START_NAMES, Held, Quantity, State
 
 MODEL_FORMAT = "dbo-model"
 SET_FORMAT = "dbo-model-set"
@@ -356,6 +357,26 @@ def read_state(path: str, model: Cascade) -> State:
         raise ModelError(f"{name}: {problem}") from None
 
 
+def state_of(state: State | str | Path, model: Cascade) -> State | str:
+    """Return what was before a run: the name of a start, a state, or that of a file.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    ModelError
+        It is no state, or one of another model.
+    """
+    if isinstance(state, State):
+        if state.model in ("", model.digest):
+            return state
+        raise ModelError(
+            "`state`: it belongs to another model: take one that this model returned"
+        )
+    name = str(state)
+    return name if name in START_NAMES else read_state(name, model)
+
+
 def _state(values: Json, model: Cascade) -> State:
     """Return the state that an object describes, which must be one of ``model``."""
     amplifier = {}
@@ -397,9 +418,16 @@ def _state(values: Json, model: Cascade) -> State:
     sections = None
     if flat is not None:
         sections = tuple(zip(flat[::3], flat[1::3], flat[2::3], strict=True))
-    memory, drive, time = parts["memory"], parts["drive"], parts["time"]
-    delay, amplifier = parts["delay"], parts.get("amplifier")
-    return State(int(digits, 16), memory, drive, time, sections, delay, amplifier)
+    return State(
+        int(digits, 16),
+        parts["memory"],
+        parts["drive"],
+        parts["time"],
+        sections,
+        parts["delay"],
+        parts.get("amplifier"),
+        model=parts["model"],
+    )
 
 
 def _held(values: Any, path: str) -> Held:

@@ -90,6 +90,8 @@ class State:
         What undoing dynamics and delay remembers; put there by its caller.
     first : float, or None
         Of a drive about to start: its first voltage.
+    model : str
+        Digest of the model that it is of; empty inside a run.
     """
 
     bits: int = 0
@@ -101,6 +103,7 @@ class State:
     amplifier: float | None = None
     undoing: Undoing | None = None
     first: float | None = None
+    model: str = ""
 
     def behind(
         self, bits: int, memory: tuple[float, ...] | None, drive: float
