@@ -242,7 +242,7 @@ def test_a_state_comes_back_and_serves_the_inverse(tmp_path: Path) -> None:
     SCHEMA.validate(json.loads(text))
     path = written(tmp_path, text, "state.json")
     back = read_state(path, model.inverse())
-    assert back == state
+    assert back == replace(state, model=model.digest)
     assert dumps_state(back, model) == text
     rest, _ = model.simulate(drive[300:], dt=DT, state=back)
     assert np.array_equal(rest, whole[300:])
