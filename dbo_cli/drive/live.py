@@ -108,6 +108,9 @@ class Controller:
         # the amplifier before the gears, what comes out of it now and behind a plan
         self._amplified: AmplifiedGears | None = None
         self._output, self._planned_output = 0.0, 0.0
+        self._first: State | None = (
+            None  # behind the first row, where it was asked of the gears
+        )
         if model.amplifier is not None:
             self._amplified = AmplifiedGears(model.amplifier, model.head, model.gears)
             self._share = float(model.amplifier.share(self._dt)[0])
@@ -234,7 +237,7 @@ class Controller:
         """Return the voltage of the first row, and whether a limit held it back."""
         move, slew = self.limits.move, self.limits.slew
         done = self._model.drive(np.array([u]), begun, self._dt, move, slew)
-        self._planned_output = done.state.amplifier or 0.0
+        self._first = done.state
         return float(done.y[0]), bool(done.clipped)
 
     def _follow(self, voltage: float) -> None:
@@ -250,8 +253,9 @@ class Controller:
         """Return the stepper behind the first row."""
         start = dataclasses.replace(begun, first=None)
         moved = self._model.static.run(np.array([voltage]), start, self._dt).state
-        if is_applied:
-            self._planned_output = moved.amplifier or 0.0
+        if self._amplified is not None and self._first is not None and not is_applied:
+            moved = self._first
+        self._planned_output = moved.amplifier or 0.0
         at_gears = value_through(self._model.head, voltage)
         moved = dataclasses.replace(moved, drive=at_gears)
         window, slew = self._model.inner_limits(self.limits.move, self.limits.slew)

@@ -50,12 +50,17 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
     _undo_delay(plan, parts)
     _undo_dynamics(plan, parts)
     parts.step += _curves(plan.to_gears, "before", parts)
+    if plan.forward.amplifier is not None:
+        parts.reset += ["state->amplifier = x;", "state->begun = 1;"]
+        _limit_amplifier(plan, parts)
     parts.reset += _curves(plan.forward.head, "drive", parts)
     if lookup:
         _lookup_gears(plan, parts)
     else:
         _gears(plan, parts)
     parts.step += _curves(plan.to_drive, "behind", parts)
+    if plan.forward.amplifier is not None:
+        parts.step.append(c.fill("amplifier.c", {}).rstrip("\n"))
     least, most = c.real(low), c.real(high)
     if plan.to_drive:  # rounding on the way back through the points
         parts.step.append(f"x = x < {least} ? {least} : x > {most} ? {most} : x;")
@@ -113,13 +118,14 @@ def _operator(plan: Plan, parts: _Parts, run: int) -> None:
     )
     ends = ", ".join(map(c.real, plan.inner))
     largest = "0"
-    if plan.inner_step is not None:
+    if plan.inner_step is not None and plan.forward.amplifier is None:
         largest = "&largest_step"
         step = c.real(plan.inner_step)
         parts.tables.append(f"static const double largest_step = {step};\n")
-    parts.tables.append(
-        f"static const dbo_limits limits = {{{ends}, 0.0, {largest}, 0}};\n"
-    )
+    if plan.forward.amplifier is None:
+        parts.tables.append(
+            f"static const dbo_limits limits = {{{ends}, 0.0, {largest}, 0}};\n"
+        )
 
 
 def _fixed_step(plan: Plan, parts: _Parts, run: int) -> None:
@@ -161,10 +167,12 @@ def _gears(plan: Plan, parts: _Parts) -> None:
     if terms:
         memory = "state->memory"
         parts.tables.append(c.reals("at_rest", np.zeros(terms)))
-        parts.members += [f"double memory[{terms}];", "int begun;"]
+        parts.members.append(f"double memory[{terms}];")
         parts.init.append(f"for (int k = 0; k < {terms}; k++) state->memory[k] = 0.0;")
-        parts.init.append("state->begun = 0;")
-        parts.reset.append("state->begun = 1;")
+        if plan.forward.amplifier is None:
+            parts.members.append("int begun;")
+            parts.init.append("state->begun = 0;")
+            parts.reset.append("state->begun = 1;")
         first = "x = dbo_backlash_step(&op, &state->gears, x, at_rest, &limits, 0);"
         step = f"if (state->begun) {step}\n    else {first}\n    state->begun = 1;"
     pointers = [  # a state may be a copy of another
@@ -242,6 +250,28 @@ def _curves(curves: Curves, label: str, parts: _Parts) -> list[str]:
         begin = f"{stage.m}, {c.real(stage.x0)}, {c.real(stage.y0)}"
         steps.append(f"x = dbo_point_step({name}, {begin}, &state->{name}_segment, x);")
     return steps
+
+
+def _limit_amplifier(plan: Plan, parts: _Parts) -> None:
+    """Add the window that the limits of the drive leave of the voltage at the gears."""
+    amplifier = plan.forward.amplifier
+    assert amplifier is not None and plan.dt is not None
+    parts.members += ["double amplifier;", "int begun;"]
+    parts.init += ["state->amplifier = 0.0;", "state->begun = 0;"]
+    low, high = plan.limits.move
+    slew = ""
+    if plan.drive_step is not None:
+        step = c.real(plan.drive_step)
+        slew = c.fill("amplifier_slew.c", {"STEP": step}).rstrip("\n")
+    values = {
+        "LEAST": c.real(low),
+        "MOST": c.real(high),
+        "SHARE": c.real(float(amplifier.share(plan.dt)[0])),
+        "SLEW": slew,
+        "LOW_END": _statements(_curves(plan.forward.head, "low", parts)),
+        "HIGH_END": _statements(_curves(plan.forward.head, "high", parts)),
+    }
+    parts.step.append(c.fill("amplifier_limits.c", values).rstrip("\n"))
 
 
 def _undo_delay(plan: Plan, parts: _Parts) -> None:

@@ -68,6 +68,12 @@ class Plan:
         return None if step is None else float(step)
 
     @property
+    def drive_step(self) -> float | None:
+        """The largest change of the drive in a step."""
+        step = largest_step(self.limits.slew, self.dt)
+        return None if step is None else float(step)
+
+    @property
     def gain(self) -> Floats:
         """c_j of the relaxation terms."""
         return self.gears.gain
@@ -142,7 +148,8 @@ class Plan:
     def resting(self, drive: float, bits: int) -> State:
         """Return the state of an actuator that rests at a drive, its gears coming from ``bits``."""
         moved = self.forward.gears.run([self.at_gears(drive)], State(bits)).state
-        return replace(moved, drive=drive)
+        amplifier = None if self.forward.amplifier is None else drive
+        return replace(moved, drive=drive, amplifier=amplifier)
 
     def settled(self, drive: float) -> State:
         """Return the state after ``NAME_reset``."""

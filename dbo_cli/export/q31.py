@@ -86,6 +86,10 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
 
 def _check(plan: Plan) -> None:
     """Refuse what q31 has no arithmetic or no bound for."""
+    if plan.forward.amplifier is not None:
+        raise ModelError(
+            "amplifier: not possible in q31: use `arithmetic` double, or identify without it"
+        )
     if plan.forward.dynamics is not None:
         raise ModelError(
             "dynamics: not possible in q31: use `arithmetic` double, or identify with `dynamics` 0"
