@@ -19,7 +19,7 @@ from dbo_cli.drive.limits import ROUNDING, Figure, GateError, Limits, voltage_in
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.model import Cascade, State, Undoing, state_of
 from dbo_cli.model.amplifier import AmplifiedGears
-from dbo_cli.model.points import value_back_through, value_through
+from dbo_cli.model.points import value_through
 
 WANTED_SPANS = 1e12
 """A wanted value so many ranges away is no displacement but a fault of the loop."""
@@ -105,6 +105,8 @@ class Controller:
         self._pending: (
             tuple[float, bool, Floats | None, Undoing | None, State | None] | None
         ) = None
+        self._to_gears = tuple(curve.inverse() for curve in reversed(model.tail))
+        self._from_gears = tuple(curve.inverse() for curve in reversed(model.head))
         # the amplifier before the gears, what comes out of it now and behind a plan
         self._amplified: AmplifiedGears | None = None
         self._output, self._planned_output = 0.0, 0.0
@@ -263,10 +265,9 @@ class Controller:
 
     def _planned(self, u: float) -> tuple[float, bool]:
         """Return the voltage of a row behind another one, and whether a limit held it back."""
-        head, output = self._model.head, value_back_through(self._model.tail, u)
-        low, high = self.limits.move
+        output = value_through(self._to_gears, u)
         if self._amplified is not None:
-            last = self.last
+            (low, high), last = self.limits.move, self.last
             assert last is not None
             low, high = max(low, last - self._step), min(high, last + self._step)
             range_ = self._output, self._share, low, high
@@ -276,8 +277,9 @@ class Controller:
             voltage, self._planned_output = self._amplified.drive(at_gears, *range_)
             return voltage, bool(self._stepper.clipped)
         voltage = self._stepper.plan(output)
-        if head:
-            voltage = min(max(value_back_through(head, voltage), low), high)
+        if self._from_gears:
+            low, high = self.limits.move
+            voltage = min(max(value_through(self._from_gears, voltage), low), high)
         return voltage, bool(self._stepper.clipped)
 
     def _way_in(self) -> float | None:

@@ -404,7 +404,10 @@ class Cascade:
         if y.size == 0:
             return Run(y, state)
         extend = outside != "hold"
-        after = replace(state, time=None, undoing=None, first=None, model="")
+        after = State(
+            state.bits, state.memory, state.drive, None, state.sections, state.delay,
+            state.amplifier,
+        )  # fmt: skip
         last = float(y[-1])
         if self.amplifier is not None:
             y, after, *_ = self.amplifier.run(y, after, steps)
@@ -416,7 +419,9 @@ class Cascade:
         for stage in (self.dynamics, self.delay):
             if stage is not None:
                 y, after, *_ = stage.run(y, after, steps)
-        return Run(y, replace(after, drive=last))
+        if after.drive != last:  # the gears have it as they meet it
+            after = after.behind(after.bits, after.memory, last)
+        return Run(y, after)
 
     def _checked_steps(self, dt: Steps, count: int) -> float | Floats:
         """Return the time steps of ``count`` samples; ModelError where they are missing, more or fewer."""

@@ -138,9 +138,13 @@ class Scale(_Curve):
         y += self.offset
         return y
 
+    @cached_property
+    def _undone(self) -> Scale:
+        return Scale(1.0 / self.gain, -self.offset / self.gain)
+
     def inverse(self) -> Scale:
         """Return the stage that undoes this one, to rounding."""
-        return Scale(1.0 / self.gain, -self.offset / self.gain)
+        return self._undone
 
     def value(self, x: float) -> float:
         """Return the output for one number."""
