@@ -20,6 +20,9 @@ from dbo_cli.identification.basis import Structure
 LEAST_SLOPE = 1e-3  # of the mean slope of the cells
 LEAST_WITH_NEGATIVE = 0.031  # the same beside negative gains: a model must have 0.03
 LEAST_CURVE = 0.03  # of the mean slope of the curve
+GAIN_COST = 3e-5
+"""Of a squared gain of a memory that the logs show as much as the drive; the less they show, the more."""
+PAST_COST = 1e-3  # of a squared coefficient of the unknown past, at most about 1
 HOLD = 1e2  # weight of the curve's mean slope: the scale is nobody's
 RIDGE = 1e-9
 STEPS = 12
@@ -42,6 +45,7 @@ class Rows:
     drift : shape (rows, k), free columns beside the model
     widths : shape (cells,), of each slope cell as a share of all
     terms : how many time constants there are
+    past : how many columns of the drift, the last ones, are of an unknown past
     """
 
     columns: Floats
@@ -50,6 +54,7 @@ class Rows:
     drift: Floats
     widths: Floats
     terms: int
+    past: int = 0
 
     @property
     def cells(self) -> int:
@@ -210,6 +215,7 @@ class Equations:
         centre = float(rows.weights @ rows.output)
         self.variance = max(float(rows.weights @ (rows.output - centre) ** 2), 1e-24)
         self._stepped = self._unknown_columns()
+        self.gain_costs = self._gain_costs()
         self.penalty = self._penalty()
         self.bounded = np.arange(self.size) < self.free
         self.positive = np.ones(self.size, bool)
@@ -254,6 +260,20 @@ class Equations:
         mean = float(slopes @ self.rows.widths) + float(gains.sum())
         return slopes + self.floor * mean
 
+    def _gain_costs(self) -> Floats:
+        """Return what a squared gain of each memory costs: c^2 var(x)/var(L), beside offsets and drift."""
+        memories = self.columns[:, self.rows.cells :]
+        drive = self.columns[:, : self.rows.cells].sum(axis=1)
+        shown = np.column_stack((drive, memories))
+        beside = np.column_stack((np.ones(len(drive)), self.rows.drift))
+        base = np.linalg.qr(beside)[0]
+        shown = shown - base @ (base.T @ shown)
+        squares = np.sum(shown**2, axis=0)
+        costs: Floats = (
+            GAIN_COST * squares[0] / np.maximum(squares[1:], RIDGE * squares[0])
+        )
+        return costs
+
     def _penalty(self) -> Floats:
         """Return the matrix of what smoothness costs, in units of the output's variance."""
         cells = self.rows.cells
@@ -265,7 +285,10 @@ class Equations:
             bent = bending(np.eye(self.segments))
             matrix[place, place] = self.structure.smooth_curve * bent
             matrix[place, place] += HOLD / self.segments**2
-        matrix[np.diag_indices(self.size)] += RIDGE
+        costs = np.full(self.size, RIDGE)
+        costs[cells : self.inner] += self.gain_costs
+        costs[self.size - self.rows.past :] += PAST_COST
+        matrix[np.diag_indices(self.size)] += costs
         return matrix
 
     # --- fits ---
@@ -291,6 +314,9 @@ class Equations:
         error -= times(self.rows.drift, fit.drift)
         squares = float(self.rows.weights @ error**2) / self.variance
         cost = self.structure.smooth_slopes * _bent(fit.slopes)
+        cost += float(self.gain_costs @ fit.gains**2)
+        past = fit.drift[len(fit.drift) - self.rows.past :]
+        cost += PAST_COST * float(past @ past)
         if self.curved:
             cost += self.structure.smooth_curve * _bent(fit.curve)
         return replace(fit, error=error, penalised=squares + cost)
