@@ -80,7 +80,7 @@ class Average:
 
 
 def candidates(weighted: Sequence[tuple[float, Fit]]) -> list[tuple[float, Fit]]:
-    """Return the heaviest of fits and weights, as many as a model file holds; their weights have the sum 1."""
+    """Return the heaviest of fits and weights, as many as a file holds; the weights add up to 1."""
     order = sorted(weighted, key=lambda pair: -pair[0])[:MOST_CANDIDATES]
     total = sum(weight for weight, _ in order)
     return [(weight / total, fit) for weight, fit in order]

@@ -15,7 +15,7 @@ from dbo_cli.identification.solve import Equations, Fit, products
 
 FLOOR = 1e-4  # of the output's standard deviation: a smaller error is as good
 PRICE = 0.1
-"""What a family must gain in the logarithm of the error left out: lags, the drive less its lags, drift, past."""
+"""What a family must gain in the logarithm of the error left out: each kind of memory, drift, past."""
 CURVE_PRICE = 0.05
 """The same for each power of ten by which the curve may be rougher; not of one amplitude, whose loop and
 curve are fitted by one another."""

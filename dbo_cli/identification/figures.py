@@ -217,8 +217,8 @@ def _refuse_unrelated(unexplained: float, logs: Sequence[Recording]) -> None:
     if unexplained <= NO_BETTER:
         return
     raise FitError(
-        f"{_names(logs)}: within swings of the drive {min(unexplained, 1.0):.0%} of the displacement does not "
-        "follow it: check columns and clocks (`force` keeps it)"
+        f"{_names(logs)}: within swings of the drive {min(unexplained, 1.0):.0%} of the displacement does "
+        "not follow it: check columns and clocks (`force` keeps it)"
     )
 
 
@@ -243,15 +243,14 @@ def _warnings(model: Cascade, figures: dict[str, Any]) -> list[str]:
     found = []
     expected = figures.get("expected_rmse")
     line = figures.get("left_out_line_rmse", figures["line_rmse"])
-    guessed = (expected or 0.0) > GUESSED * figures.get("left_out_rmse", math.inf)
     if figures.get("dynamics"):
         found += figures["dynamics"].get("warnings", [])
-    if figures.get("one_amplitude") and guessed:
+    if figures.get("one_amplitude"):
         found.append(
             "the logs hold one amplitude, so smaller loops are a guess: record several amplitudes "
             "(dbo excite)"
         )
-    elif figures.get("swings", FEW_SWINGS) < FEW_SWINGS and guessed:
+    elif figures.get("swings", FEW_SWINGS) < FEW_SWINGS:
         found.append(
             "the logs go up and down less than twice: the error may be larger than stated; record "
             "more cycles"

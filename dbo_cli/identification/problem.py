@@ -30,7 +30,9 @@ BLOCKS = 6  # of time, each left out in turn
 SMALL = 0.75  # of the largest swing: swings below are left out together
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 BOTH_WAYS = 2  # swings, up and down: less shows no loop
-KNOWN = 0.02  # of the range: what an unknown past adds beside it lessens a row's weight
+KNOWN = (
+    0.005  # of the range: what an unknown past adds beside it lessens a row's weight
+)
 SAME_LEVEL = 0.1  # of the range: turns that are nearer are alike
 LEAST_PART, MOST_PART = 0.08, 0.9  # of the way, of small swings that are left out
 

@@ -205,6 +205,7 @@ class Search:
         """Fit what differs from a good fit in one thing."""
         structure, choices = fit.structure, self.choices
         trials = [replace(structure, bend=bend) for bend in (0.0, *choices.bends)]
+        trials += [replace(structure, smooth_curve=curve) for curve in choices.curves]
         if choices.drift:
             trials.append(replace(structure, drift=not structure.drift))
         if self.problem.past.size:
@@ -216,7 +217,7 @@ class Search:
                 trials.append(replace(structure, delay=steps * dt))
         for trial in trials:
             if trial != structure:
-                self.path(trial, [structure.smooth_curve])
+                self.path(trial, [trial.smooth_curve])
 
     def _finer_delay(self, factor: float) -> None:
         """Try a delay beside the best one."""
