@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, InputError
+from dbo_cli.files import write_text
 from dbo_cli.identification import Options, Recording, identify
-from dbo_cli.logs import write_text
 from dbo_cli.model import Cascade, Scale
 from dbo_cli.reports import Pair, Report
 

@@ -10,7 +10,6 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Sequence
-from types import FrameType
 from typing import Any
 
 import typer
@@ -19,6 +18,7 @@ from typer.core import TyperCommand, TyperGroup
 from dbo_cli.cli.options import OUTPUT, with_shared_options
 from dbo_cli.cli.say import Level, print_line
 from dbo_cli.errors import DboError, DboWarning
+from dbo_cli.files import command, end_by_signal, missing_outputs
 
 INTERRUPTED = 130  # 128 and the number of SIGINT, as shells report it
 WRONG_COMMAND_LINE = 2
@@ -121,7 +121,11 @@ def _root(
     ctx: typer.Context,
     version: bool = typer.Option(False, "--version", help="Print the version."),
 ) -> None:
-    """Identify, invert and compensate the hysteresis of piezo actuators."""
+    """Identify, invert and compensate the hysteresis of piezo actuators.
+
+    Exit codes: 0 done; 1 input, model or fit failed; 2 wrong command line; 3 outside a limit, or the
+    move cannot be driven; 130 interrupted.
+    """
     if version:
         from dbo_cli.version import __version__
 
@@ -139,7 +143,7 @@ def program() -> Any:
 
 def main(words: Sequence[str]) -> int:
     """Run one command line, print what it warns of and why it failed, and return its exit code."""
-    with warnings.catch_warnings(record=True) as caught:
+    with command(), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("ignore")  # libraries warn programmers
         warnings.simplefilter("always", DboWarning)
         code, failure = _outcome(list(words))
@@ -162,8 +166,13 @@ def _outcome(words: list[str]) -> tuple[int, str]:
         sys.stdout.flush()
     except typer.Exit as leaving:
         return int(leaving.exit_code), ""
-    except BrokenPipeError:
-        pass  # the reader has had enough
+    except BrokenPipeError:  # the reader has had enough
+        missing = ", ".join(missing_outputs())
+        if missing:
+            return (
+                1,
+                f"error: standard output: its reader has left: {missing} is not written",
+            )
     except KeyboardInterrupt:
         return INTERRUPTED, "interrupted"
     except SystemExit:
@@ -218,12 +227,16 @@ def run() -> None:
     # gives the same bytes on every machine of a kind.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("POLARS_MAX_THREADS", "1")
+    os.environ["MPLBACKEND"] = (
+        "Agg"  # figures go to files, whatever a notebook asks for
+    )
+    _open_closed_streams()
     for name in ("SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-            signal.signal(number, _end)
+            signal.signal(number, end_by_signal)
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, _interrupt)
+        signal.signal(signal.SIGINT, end_by_signal)
     code = main(sys.argv[1:])
     try:
         sys.stdout.flush()
@@ -233,12 +246,16 @@ def run() -> None:
     os._exit(code)  # taking the interpreter apart takes a tenth of a second
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt once: polars may have raised it already for the same Ctrl-C."""
-    if not isinstance(sys.exc_info()[1], KeyboardInterrupt):
-        raise KeyboardInterrupt
+def _open_closed_streams() -> None:
+    """Give standard streams that a shell has closed a null device, so that no output takes their place.
 
-
-def _end(number: int, frame: FrameType | None) -> None:
-    """Unwind the stack, so that nothing half written is left."""
-    raise SystemExit(128 + number)
+    Nothing can be read from it, and writing data to it fails.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            mode = os.O_WRONLY if name == "stderr" else os.O_RDONLY
+            descriptor = os.open(os.devnull, mode)
+            if descriptor != number:
+                os.dup2(descriptor, number)
+            stream = open(number, "r" if name == "stdin" else "w", closefd=False)
+            setattr(sys, name, stream)

@@ -13,7 +13,7 @@ def invert(model: opt.ModelFile, output: opt.Output = "-") -> None:
 
     Example: dbo invert model.json -o inverse.json
     """
-    from dbo_cli.logs import write_text
+    from dbo_cli.files import write_text
     from dbo_cli.model import dumps_model, read_model
 
     inverse = read_model(model).inverse()

@@ -6,15 +6,16 @@ import dataclasses
 import os
 import shlex
 import sys
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import OUTPUT, Text, column, flag, option, rare
 from dbo_cli.cli.say import detail, say, say_doubts
-from dbo_cli.errors import InputError, UsageError, warn
+from dbo_cli.errors import UsageError, warn
 
 if TYPE_CHECKING:
-    from dbo_cli.reports import Pair, Report
+    from dbo_cli.logs import Block
+    from dbo_cli.reports import Report
 
 COMPARED, BOUNDS = "Comparison", "Bounds (exit 3)"
 Columns = dict[str, str | None]
@@ -71,7 +72,8 @@ def report(
     dbo report tracked.csv --trajectory drive.csv --max-nrmse-percent 1
     """
     from dbo_cli.logs import parse_rows
-    from dbo_cli.model import read_model
+    from dbo_cli.model import read_model, state_of
+    from dbo_cli.recordings import pair_of
     from dbo_cli.reports import Report, expected_in, predict
     from dbo_cli.reports import match as matched
     from dbo_cli.units import split_quantity
@@ -80,9 +82,13 @@ def report(
         raise UsageError("give either `model` or `trajectory`")
     opt.require("model", model, {"state": state != "auto"})
     opt.require("trajectory", trajectory, {"match": match != "auto"})
-    if max_rmse is not None:
-        split_quantity(max_rmse, "max_rmse")  # a wrong word is refused before any work
+    most = None
+    if max_rmse is not None:  # a wrong word is refused before any work
+        most, _ = split_quantity(max_rmse, "max_rmse")
     most_percent = opt.number("max_nrmse_percent", max_nrmse_percent, float)
+    for name, bound in (("max_rmse", most), ("max_nrmse_percent", most_percent)):
+        if bound is not None and bound < 0.0:
+            raise UsageError(f"`{name}` {bound:g}: give 0 or more")
     # a lag, a model and a match by rows need the rows around those that count
     rows = None if reading.rows is None else parse_rows(reading.rows)
     reading = dataclasses.replace(reading, rows=None)
@@ -92,20 +98,29 @@ def report(
     if actuator is not None:
         actuator.require("forward", model or "")
         units = opt.units_of(voltage=actuator.input, measured=actuator.output)
-        start = opt.state_of(state, actuator)
+        start = state_of(state, actuator)
     elif trajectory is not None:
-        wanted, unit = read_trajectory(trajectory, desired)
+        desired_rows, unit = read_trajectory(trajectory, desired)
         units = {} if unit is None else {"measured": unit}
     else:
         roles["desired"] = desired
     pairs = []
     for log in logs:
-        pair, log_units = read_pair(log, reading, roles, units, model is not None)
+        has_model = actuator is not None
+        pair, log_units, source = pair_of(log, roles, reading, units, has_model)
+        detail(*source.remarks)
         units = {**log_units, **units}
         if actuator is not None:
             pair = predict(pair, actuator, start, model or "")
         elif trajectory is not None:
-            pair = matched(pair, *wanted, match, trajectory)
+            pair = matched(
+                pair,
+                desired_rows["trajectory"],
+                desired_rows.time,
+                match,
+                trajectory,
+                desired_rows.values.get("voltage"),
+            )
         pairs.append(dataclasses.replace(pair, name=short_name(log, logs), rows=rows))
     unit = units.get("measured")
     result = Report.of(
@@ -126,11 +141,12 @@ def report(
 
 def publish(result: Report, output: str, form: str, figures: str | None) -> None:
     """Write a report and its figures, say what came out, and refuse a bound that is missed."""
-    from dbo_cli.logs import write_text
+    from dbo_cli.files import check_outputs, write_text
 
-    write_text(output, result.render(form))
+    check_outputs(output)
     if figures is not None:
         detail(*map(str, result.figures(figures)))
+    write_text(output, result.render(form))
     if output != "-":
         say(result.line())
     detail(*result.notes)
@@ -139,46 +155,15 @@ def publish(result: Report, output: str, form: str, figures: str | None) -> None
     result.require_passed()
 
 
-def read_pair(
-    path: str, reading: opt.Reading, roles: Columns, units: Units, needs_drive: bool
-) -> tuple[Pair, Units]:
-    """Read a log, a desired displacement beside the measured one in its unit; return the units, too."""
-    from dbo_cli.logs import open_log
-    from dbo_cli.reports import Pair
-    from dbo_cli.units import conversion
-
-    optional = ("time",) if needs_drive else ("time", "voltage")
-    with open_log(path, roles, reading, units, optional) as log:
-        table = log.read()
-        columns = {role: entry for role, entry in log.columns.items() if role != "time"}
-    say_doubts(log)
-    detail(*log.remarks)
-    read_units = opt.units_of(**columns)
-    moved, drive = table["measured"], table.values.get("voltage")
-    if "desired" not in roles:
-        return Pair(path, moved, moved, table.time, drive), read_units
-    unit = read_units.get("desired", read_units.get("measured"))
-    try:
-        moved = conversion(read_units.get("measured"), unit) * moved
-    except InputError as problem:
-        raise InputError(
-            f"{path}: measured and desired: {problem}: choose `measured` and `desired`"
-        ) from None
-    if unit is not None:
-        read_units["measured"] = unit
-    return Pair(path, table["desired"], moved, table.time, drive), read_units
-
-
-def read_trajectory(
-    path: str, column: str | None
-) -> tuple[tuple[Any, Any], str | None]:
-    """Read the desired displacement of a file of its own: its values and time, and its unit."""
+def read_trajectory(path: str, column: str | None) -> tuple[Block, str | None]:
+    """Read the desired displacement of a file of its own, with its drive if it has one; and its unit."""
     from dbo_cli.logs import open_log
 
-    with open_log(path, {"time": None, "trajectory": column}) as log:
+    roles: Columns = {"time": None, "trajectory": column, "voltage": None}
+    with open_log(path, roles, optional=("time", "voltage")) as log:
         table = log.read()
     say_doubts(log)
-    return (table["trajectory"], table.time), log.columns["trajectory"].unit
+    return table, log.columns["trajectory"].unit
 
 
 def short_name(log: str, logs: list[str]) -> str:

@@ -17,7 +17,7 @@ def show(
     Examples: dbo show model.json;
     dbo show model.json --format json | jq .fit.expected_rmse
     """
-    from dbo_cli.logs import write_text
+    from dbo_cli.files import check_outputs, write_text
     from dbo_cli.model import is_set, read_model, read_models
     from dbo_cli.reports import ShownModel
 
@@ -29,7 +29,8 @@ def show(
         pages = [ShownModel(read_model(model), model)]
     is_json = opt.form_of(form, output) == "json"
     texts = [page.json() if is_json else page.text() for page in pages]
-    write_text(output, "\n".join(texts))
+    check_outputs(output)
     if figures is not None:
         for page in pages:
             detail(*map(str, page.figures(figures)))
+    write_text(output, "\n".join(texts))

@@ -49,7 +49,7 @@ def waveform(
 
     Example: dbo waveform drive.csv --to uint16 --gain 20 --volts 0:5 -o drive.bin
     """
-    from dbo_cli.logs.write import write_bytes
+    from dbo_cli.files import Outputs
     from dbo_cli.moves import waveform as make
 
     signal, log = read_drive(drive, reading, {"time": time, "voltage": voltage}, "V")
@@ -72,7 +72,8 @@ def waveform(
         max_rounding=max_rounding,
         doubts=log.doubtful,
     )
-    write_bytes(output, made.data)
+    with Outputs() as outputs:
+        outputs.write_bytes(output, made.data)
     detail(*log.doubtful)
     say_output(output, made.line)
     say(made.codes)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dbo_cli.errors import OutputError
+from dbo_cli.files import check_outputs, unfinished
 
 MANIFEST = "export.json"
 
@@ -31,7 +32,11 @@ def write_folder(
     try:
         if target.exists():
             _require_export(target, [*names, f"{figures['name']}_test"])
-        with tempfile.TemporaryDirectory(dir=target.parent, prefix=".") as scratch:
+            check_outputs(*(str(target / name) for name in names))
+        with (
+            tempfile.TemporaryDirectory(dir=target.parent, prefix=".") as scratch,
+            unfinished(scratch),
+        ):
             made = Path(scratch, "made")
             made.mkdir()
             for name, content in {**files, MANIFEST: text}.items():

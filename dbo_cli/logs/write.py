@@ -1,17 +1,9 @@
-"""Outputs that appear whole or not at all: columns as text or HDF5, and small files.
+"""Columns as text or HDF5; a file appears whole or not at all (``dbo_cli/files.py``).
 
-Everything is written under a temporary name in the folder of the output, brought to
-the disk, and renamed when it is complete. Whatever ends the work before that (an error,
-Ctrl-C, a full disk) removes the temporary files and leaves the old ones as they were.
 Standard output, pipes and devices are written at once, block by block::
 
     with create("drive.csv", [("time", "s"), ("voltage", "V")]) as out:
         out.write(time, voltage)
-
-    with Outputs() as outputs:  # both appear, or neither
-        out = outputs.create("drive.csv", columns)
-        out.write(time, voltage)
-        outputs.write_text("summary.json", text)
 """
 
 from __future__ import annotations
@@ -23,13 +15,14 @@ import io
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import OutputError, UsageError
+from dbo_cli.files import Output, Outputs, telling
 from dbo_cli.units import split_header
 
 Named = tuple[str, str | None]  # a column's name and its unit
@@ -39,7 +32,6 @@ BLOCK_ROWS = 1 << 16  # rows that are formatted at once
 # Cells that Python formats sooner than polars is imported (0.1 s, measured).
 PLAIN_CELLS = 1 << 16
 GZIP_LEVEL = 1  # three times as fast as 6, and 8 % larger (measured)
-STDOUT = ("-", "/dev/stdout")
 HDF5_SUFFIXES = (".h5", ".hdf5")
 DELIMITERS = {"": ",", ".csv": ",", ".txt": ",", ".dat": ",", ".tsv": "\t"}
 
@@ -71,177 +63,21 @@ def create(
         It cannot be written; what stood there before is left as it was.
     """
     with Outputs() as outputs:
-        yield outputs.create(path, columns, attributes)
+        yield add_table(outputs, path, columns, attributes)
 
 
-def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a small file, whole or not at all; ``-`` is standard output (OutputError)."""
-    write_bytes(path, text.encode())
-
-
-def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write a small file, whole or not at all; ``-`` is standard output (OutputError)."""
-    with Outputs() as outputs:
-        outputs.write_bytes(path, data)
-
-
-def check_outputs(*paths: str | os.PathLike[str]) -> None:
-    """Refuse outputs that cannot be written or are one file, before any long work.
-
-    Raises
-    ------
-    OutputError
-        A folder is missing or not writable, a path is a folder, two paths are one file.
-    """
-    outputs = Outputs()
-    for path in paths:
-        outputs.add(path)
-
-
-# --- files and their names ---
-
-
-class Outputs:
-    """Files that appear together when the block is left, or none of them."""
-
-    def __init__(self) -> None:
-        self._files: list[Output] = []
-        self._writers: list[Writer] = []
-
-    def add(self, path: str | os.PathLike[str]) -> Output:
-        """Note an output; refuse it where it cannot be written or is noted already (OutputError)."""
-        file = Output(os.fspath(path))
-        for noted in self._files:
-            is_same = file.temporary is not None and file.target == noted.target
-            if is_same or (file.is_stdout and noted.is_stdout):
-                raise OutputError(f"{path}: two outputs go there: type two names")
-        self._files.append(file)
-        return file
-
-    def create(
-        self,
-        path: str | os.PathLike[str],
-        columns: Sequence[Named],
-        attributes: Attributes | None = None,
-    ) -> Writer:
-        """Return a writer of columns; see :func:`create`."""
-        path = os.fspath(path)
-        suffix = _suffix_of(path)
-        writer: Writer
-        if suffix in HDF5_SUFFIXES:
-            writer = Hdf5Writer(self.add(path), columns, attributes or {})
-        else:
-            writer = TextWriter(self.add(path), columns, DELIMITERS[suffix])
-        self._writers.append(writer)
-        return writer
-
-    def write_text(self, path: str | os.PathLike[str], text: str) -> None:
-        """Write a small file of text."""
-        self.write_bytes(path, text.encode())
-
-    def write_bytes(self, path: str | os.PathLike[str], data: bytes) -> None:
-        """Write a small file of bytes."""
-        stream = self.add(path).open()
-        with telling(os.fspath(path)):
-            stream.write(data)
-            stream.flush()
-
-    def __enter__(self) -> Outputs:
-        """Begin."""
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Give all files their names, or remove all that was written."""
-        try:
-            if kind is None:
-                for writer in self._writers:
-                    writer.close()
-                for file in self._files:
-                    file.finish()
-                for file in self._files:
-                    file.rename()
-        finally:
-            try:
-                for writer in self._writers:
-                    with contextlib.suppress(Exception):
-                        writer.close()
-            finally:  # a library may raise an interrupt a second time
-                for file in self._files:
-                    file.remove()
-
-
-class Output:
-    """One output: the name that it shall have, and what is written meanwhile.
-
-    ``temporary`` is a name beside it; standard output, pipes and devices have none.
-    """
-
-    def __init__(self, path: str) -> None:
-        """Check whether it can be written (OutputError)."""
-        self.path = path  # as typed
-        self.is_stdout = path in STDOUT
-        self.stream: IO[bytes] | None = None
-        self.temporary: str | None = None
-        if "\0" in path or not path:
-            raise OutputError(f"{path!r}: this is no file name")
-        if os.path.isdir(path):
-            raise OutputError(f"{path}: this is a folder: give a file name")
-        self.target = os.path.realpath(path)
-        if self.is_stdout or (os.path.exists(path) and not os.path.isfile(path)):
-            return
-        folder, name = os.path.split(self.target)
-        if not os.path.isdir(folder):
-            raise OutputError(f"{path}: there is no folder '{folder}': create it first")
-        if not os.access(folder, os.W_OK):
-            raise OutputError(
-                f"{path}: the folder '{folder}' is not writable: write elsewhere"
-            )
-        mark = f"{os.getpid()}-{os.urandom(4).hex()}"
-        self.temporary = os.path.join(folder, f".{name[:50]}.{mark}.partial")
-
-    def open(self) -> IO[bytes]:
-        """Open the temporary file, or the pipe or device itself."""
-        with telling(self.path):
-            if self.is_stdout:
-                sys.stdout.flush()
-                self.stream = sys.stdout.buffer
-            elif self.temporary is not None:
-                self.stream = open(self.temporary, "xb")
-            else:
-                self.stream = open(self.path, "wb")
-        return self.stream
-
-    def finish(self) -> None:
-        """Bring everything to the disk, with the permissions of the file that it replaces."""
-        with telling(self.path):
-            self.close()
-            if self.temporary is None:
-                return
-            if os.path.exists(self.target):
-                os.chmod(self.temporary, os.stat(self.target).st_mode & 0o7777)
-            with open(self.temporary, "rb") as written:
-                os.fsync(written.fileno())
-
-    def close(self) -> None:
-        """Close the stream; standard output stays open."""
-        if self.is_stdout:
-            sys.stdout.buffer.flush()
-        elif self.stream is not None:
-            self.stream.close()
-
-    def rename(self) -> None:
-        """Give the output its name."""
-        if self.temporary is not None:
-            with telling(self.path):
-                os.replace(self.temporary, self.target)
-
-    def remove(self) -> None:
-        """Close the stream, and remove what has not got its name."""
-        with contextlib.suppress(OSError, ValueError):
-            self.close()
-        if self.temporary is not None:
-            with contextlib.suppress(OSError):
-                os.unlink(self.temporary)
+def add_table(
+    outputs: Outputs,
+    path: str | os.PathLike[str],
+    columns: Sequence[Named],
+    attributes: Attributes | None = None,
+) -> Writer:
+    """Return a writer of columns; its file appears with the other ``outputs``; see :func:`create`."""
+    path = os.fspath(path)
+    suffix = _suffix_of(path)
+    if suffix in HDF5_SUFFIXES:
+        return Hdf5Writer(outputs.add(path), columns, attributes or {})
+    return TextWriter(outputs.add(path), columns, DELIMITERS[suffix])
 
 
 def _suffix_of(path: str) -> str:
@@ -262,21 +98,6 @@ def _suffix_of(path: str) -> str:
     raise UsageError(f"{path}: {suffix} is not written: type {stem}.csv, .tsv or .h5")
 
 
-@contextlib.contextmanager
-def telling(path: str) -> Iterator[None]:
-    """Turn what the system says into one line; a closed pipe stays BrokenPipeError."""
-    try:
-        yield
-    except BrokenPipeError:
-        raise
-    except OSError as problem:
-        place = "standard output" if path == "-" else path
-        reason = f"cannot be written: {problem.strerror or problem}"
-        if problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-            reason = "the disk is full, so nothing was written: free some space, or write elsewhere"
-        raise OutputError(f"{place}: {reason}") from None
-
-
 # --- columns ---
 
 
@@ -285,6 +106,7 @@ class Writer:
 
     def __init__(self, file: Output, columns: Sequence[Named]) -> None:
         self.path = file.path
+        file.complete = self.close
         self.columns = list(columns)
         self.rows = 0
 
@@ -390,7 +212,7 @@ class Hdf5Writer(Writer):
         import h5py
 
         with telling(self.path):
-            file.stream = self._stream = PatientFile(file.temporary, "xb+")
+            file.stream = self._stream = PatientFile(file.begin(), "xb+")
         self._store = h5py.File(self._stream, "w")
         self._store.attrs.update(attributes)
         self._datasets: list[Any] = []

@@ -23,6 +23,7 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import OutputError
+from dbo_cli.files import Outputs
 from dbo_cli.reports.render import digits, shown_unit
 
 if TYPE_CHECKING:
@@ -152,24 +153,29 @@ def _for_page(svg: str, plot: Plot) -> str:
 
 
 def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:
-    """Write every figure as ``KEY.png`` and ``KEY.svg``, each whole or not at all; return the files."""
+    """Write every figure as ``KEY.png`` and ``KEY.svg``, all or none; return the files (OutputError)."""
     target = Path(folder)
-    written = []
+    is_new = not target.exists()
     try:
         target.mkdir(parents=True, exist_ok=True)
-        for plot in plots:
-            kinds: tuple[Kind, ...] = ("png", "svg")
-            for kind in kinds:
-                path = target / f"{plot.key}.{kind}"
-                part = path.with_name(f".{path.name}.part")
-                part.write_bytes(draw(plot, kind))
-                os.replace(part, path)
-                written.append(path)
     except OSError as problem:
-        reason = problem.strerror or "it failed"
         raise OutputError(
-            f"{folder}: figures cannot be written: {reason}: `figures` needs a folder"
+            f"{folder}: {problem.strerror}: `figures` needs a folder"
         ) from None
+    kinds: tuple[Kind, ...] = ("png", "svg")
+    written = []
+    try:
+        with Outputs() as outputs:
+            for plot in plots:
+                for kind in kinds:
+                    path = target / f"{plot.key}.{kind}"
+                    outputs.write_bytes(path, draw(plot, kind))
+                    written.append(path)
+    except BaseException:
+        if is_new:
+            with contextlib.suppress(OSError):
+                target.rmdir()
+        raise
     return written
 
 

@@ -1,0 +1,373 @@
+"""Files of a command: what it reads, and outputs that appear whole or not at all.
+
+An output is written under a temporary name in its folder, brought to the disk, and
+renamed when it is complete. Whatever ends the work before that (an error, a signal, a
+full disk) removes the temporary file and leaves the old one as it was::
+
+    with Outputs() as outputs:  # both appear, or neither
+        outputs.write_text("model.json", text)
+        outputs.write_text("summary.json", figures)
+
+A command never writes in place of a file that it reads. Whoever opens an input says so
+(:func:`note_input`), and files are compared themselves, not their names: links and
+relative paths lead to the same file. Only a state may replace the state that was read,
+and a history the history. In the library nothing is noted: there a file may be read
+and saved again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import shutil
+import signal
+import stat
+import sys
+from collections.abc import Callable, Iterator
+from types import FrameType, TracebackType
+from typing import IO
+
+from dbo_cli.errors import OutputError
+
+FileId = tuple[int, int]  # device and inode
+STDOUT = ("-", "/dev/stdout")
+UNPRINTABLE = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+"""Control characters but tabs and new lines, marks of direction, and bytes of a name that are no text."""
+
+
+class _Command:
+    """The files of one command line."""
+
+    def __init__(self) -> None:
+        self.inputs: dict[FileId, dict[str, str]] = {}  # name by kind
+        self.outputs: dict[str, Output] = {}  # by what was typed
+
+    def require_apart(self) -> None:
+        """Refuse an output that is an input (OutputError)."""
+        for output in self.outputs.values():
+            names = self.inputs.get(output.identity or (0, 0), {})
+            for kind, name in names.items():
+                if kind != output.replaces:
+                    place = "standard output" if output.is_stdout else output.path
+                    raise OutputError(
+                        f"{place}: this is the {kind} {name}, which is read: write to another file"
+                    )
+
+
+_command: _Command | None = None
+_unfinished: set[str] = set()  # temporary files and folders
+_is_naming = False
+_late_signals: list[int] = []
+
+
+# --- one command ---
+
+
+@contextlib.contextmanager
+def command() -> Iterator[None]:
+    """Note inputs and outputs while a command line runs."""
+    global _command
+    _command = _Command()
+    try:
+        yield
+    finally:
+        _command = None
+
+
+def note_input(path: str, kind: str) -> None:
+    """Note a file that is about to be read.
+
+    Parameters
+    ----------
+    path
+        ``-`` is standard input.
+    kind
+        What it is read as: ``log``, ``model``, ``state``, ``history``.
+
+    Raises
+    ------
+    OutputError
+        It is an output, too.
+    """
+    if _command is None:
+        return
+    identity = _identity(path, sys.stdin)
+    if identity is not None:
+        name = "standard input" if path == "-" else path
+        _command.inputs.setdefault(identity, {})[kind] = name
+        _command.require_apart()
+
+
+def missing_outputs() -> list[str]:
+    """Return the files that the command was to write and that have not appeared."""
+    if _command is None:
+        return []
+    outputs = _command.outputs.values()
+    return [output.path for output in outputs if not output.has_appeared]
+
+
+def check_outputs(*paths: str | None, **replacing: str | None) -> None:
+    """Refuse outputs before any long work; None stands for an output that is not wanted.
+
+    Parameters
+    ----------
+    *paths
+        Outputs that replace nothing that is read.
+    **replacing
+        Outputs that may replace an input of this kind: ``state=``, ``history=``.
+
+    Raises
+    ------
+    OutputError
+        A folder is missing or not writable, a path is a folder, two paths are one file,
+        or a path is an input.
+    """
+    outputs = Outputs()
+    wanted = [(path, "") for path in paths]
+    wanted += [(path, kind) for kind, path in replacing.items()]
+    for path, kind in wanted:
+        if path is not None:
+            outputs.add(path, kind)
+
+
+def end_by_signal(number: int, frame: FrameType | None = None) -> None:
+    """End the process at once; nothing half written is left.
+
+    An exception would be lost in a callback of a library, or become another one. While
+    outputs get their names, the signal waits: all appear, or none.
+    """
+    if _is_naming:
+        _late_signals.append(number)
+        return
+    for path in list(_unfinished):
+        _remove(path)
+    if number == signal.SIGINT:
+        with contextlib.suppress(OSError):
+            os.write(2, b"dbo: interrupted\n")
+    os._exit(128 + number)
+
+
+@contextlib.contextmanager
+def unfinished(path: str) -> Iterator[None]:
+    """Have a temporary file or folder removed when the process is told to end meanwhile."""
+    _unfinished.add(path)
+    try:
+        yield
+    finally:
+        _unfinished.discard(path)
+
+
+def _remove(path: str) -> None:
+    with contextlib.suppress(OSError):
+        if os.path.isdir(path):
+            shutil.rmtree(path)
+        else:
+            os.unlink(path)
+
+
+def _identity(path: str, standard: object) -> FileId | None:
+    """Return which file a path leads to; None where it is no regular file."""
+    try:
+        if path == "-":
+            status = os.fstat(standard.fileno())  # type: ignore[attr-defined]
+        else:
+            status = os.stat(path)
+    except (OSError, ValueError, AttributeError):
+        return None
+    if not stat.S_ISREG(status.st_mode):
+        return None
+    return status.st_dev, status.st_ino
+
+
+# --- outputs ---
+
+
+class Outputs:
+    """Files that appear together when the block is left, or none of them."""
+
+    def __init__(self) -> None:
+        self._files: list[Output] = []
+
+    def add(self, path: str | os.PathLike[str], replaces: str = "") -> Output:
+        """Note an output.
+
+        Parameters
+        ----------
+        path
+            ``-`` is standard output.
+        replaces
+            The kind of input that it may replace.
+
+        Raises
+        ------
+        OutputError
+            It cannot be written, is noted already, or is an input.
+        """
+        file = Output(os.fspath(path), replaces)
+        for noted in self._files:
+            is_same = file.temporary is not None and file.target == noted.target
+            if is_same or (file.is_stdout and noted.is_stdout):
+                raise OutputError(f"{path}: two outputs go there: type two names")
+        self._files.append(file)
+        if _command is not None:
+            _command.outputs[file.path] = file
+            _command.require_apart()
+        return file
+
+    def write_text(
+        self, path: str | os.PathLike[str], text: str, replaces: str = ""
+    ) -> None:
+        """Write a small file of text, without signs that change a terminal; see :meth:`add`."""
+        self.write_bytes(path, UNPRINTABLE.sub(" ", text).encode(), replaces)
+
+    def write_bytes(
+        self, path: str | os.PathLike[str], data: bytes, replaces: str = ""
+    ) -> None:
+        """Write a small file of bytes; see :meth:`add`."""
+        file = self.add(path, replaces)
+        stream = file.open()
+        with telling(file.path):
+            stream.write(data)
+            stream.flush()
+
+    def __enter__(self) -> Outputs:
+        """Begin."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        problem: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Give all files their names, or remove all that was written."""
+        global _is_naming
+        try:
+            if kind is None:
+                for file in self._files:
+                    file.finish()
+                _is_naming = True
+                for file in self._files:
+                    file.rename()
+        finally:
+            _is_naming = False
+            for file in self._files:
+                file.remove()
+            if _late_signals:
+                end_by_signal(_late_signals[0])
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a small file, whole or not at all; ``-`` is standard output (OutputError)."""
+    with Outputs() as outputs:
+        outputs.write_text(path, text)
+
+
+class Output:
+    """One output: the name that it shall have, and what is written meanwhile.
+
+    ``temporary`` is a name beside it; standard output, pipes and devices have none.
+    """
+
+    def __init__(self, path: str, replaces: str = "") -> None:
+        """Check whether it can be written (OutputError)."""
+        self.path = path  # as typed
+        self.replaces = replaces
+        self.is_stdout = path in STDOUT
+        self.stream: IO[bytes] | None = None
+        self.complete: Callable[[], None] | None = None  # ends the format
+        self.temporary: str | None = None
+        if "\0" in path or not path:
+            raise OutputError(f"{path!r}: this is no file name")
+        if os.path.isdir(path):
+            raise OutputError(f"{path}: this is a folder: give a file name")
+        self.target = os.path.realpath(path)
+        self.identity = _identity("-" if self.is_stdout else path, sys.stdout)
+        is_special = os.path.exists(path) and not os.path.isfile(path)
+        self.has_appeared = self.is_stdout or is_special
+        if self.has_appeared:
+            return
+        folder, name = os.path.split(self.target)
+        if not os.path.isdir(folder):
+            raise OutputError(f"{path}: there is no folder '{folder}': create it first")
+        if not os.access(folder, os.W_OK):
+            raise OutputError(
+                f"{path}: the folder '{folder}' is not writable: write elsewhere"
+            )
+        mark = f"{os.getpid()}-{os.urandom(4).hex()}"
+        self.temporary = os.path.join(folder, f".{name[:50]}.{mark}.partial")
+
+    def begin(self) -> str:
+        """Return the temporary name, for a file that is removed when the process is told to end."""
+        assert self.temporary is not None
+        _unfinished.add(self.temporary)
+        return self.temporary
+
+    def open(self) -> IO[bytes]:
+        """Open the temporary file, or the pipe or device itself."""
+        with telling(self.path):
+            if self.is_stdout:
+                sys.stdout.flush()
+                self.stream = sys.stdout.buffer
+            elif self.temporary is not None:
+                self.stream = open(self.begin(), "xb")
+            else:
+                self.stream = open(self.path, "wb")
+        return self.stream
+
+    def finish(self) -> None:
+        """Bring everything to the disk, with the permissions of the file that it replaces."""
+        with telling(self.path):
+            self.close()
+            if self.temporary is None:
+                return
+            if os.path.exists(self.target):
+                os.chmod(self.temporary, os.stat(self.target).st_mode & 0o7777)
+            with open(self.temporary, "rb") as written:
+                os.fsync(written.fileno())
+
+    def close(self) -> None:
+        """End the format and close the stream; standard output stays open."""
+        complete, self.complete = self.complete, None
+        if complete is not None:
+            complete()
+        if self.is_stdout:
+            sys.stdout.buffer.flush()
+        elif self.stream is not None:
+            self.stream.close()
+
+    def rename(self) -> None:
+        """Give the output its name."""
+        if self.temporary is not None:
+            with telling(self.path):
+                os.replace(self.temporary, self.target)
+            self.has_appeared = True
+
+    def remove(self) -> None:
+        """Close the stream, and remove what has not got its name."""
+        with contextlib.suppress(Exception):
+            self.close()
+        with contextlib.suppress(OSError, ValueError):
+            self.close()  # where the format could not be ended
+        if self.temporary is not None:
+            _remove(self.temporary)
+            _unfinished.discard(self.temporary)
+
+
+@contextlib.contextmanager
+def telling(path: str) -> Iterator[None]:
+    """Turn what the system says into one line; a closed pipe stays BrokenPipeError."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as problem:
+        place = "standard output" if path == "-" else path
+        reason = f"cannot be written: {problem.strerror or problem}"
+        if problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            reason = "the disk is full, so nothing was written: free some space, or write elsewhere"
+        raise OutputError(f"{place}: {reason}") from None
