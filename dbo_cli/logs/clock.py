@@ -21,6 +21,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs.columns import TIME_NAMES, listed, named, words
 from dbo_cli.logs.table import Column, Reading, Table
+from dbo_cli.signals import even
 from dbo_cli.units import kind_of, multiplied, ratio, time_unit
 
 _KINDS = (None, "time", "count", "number of samples")  # what its unit may measure
@@ -42,9 +43,6 @@ _SAME = 0.01  # of a step
 _LONG_LOG = 3600.0  # s
 _LATEST = 1e8  # s, three years; a clock that counts a run never gets there
 _EPOCH = (1e9, 4.1e9)  # s since 1970: the years 2001 to 2100
-# steps are even where they differ by no more than this part of a step, or by the
-# rounding of the file's decimals
-_EVEN = 1e-6
 _GAP = 1.5  # usual steps
 
 
@@ -170,8 +168,7 @@ class Clock:
                 f"{after:.9g} s: cut with `rows` A:B, or add `sample_rate` HZ"
             )
         if not self.uneven:
-            mean = float(steps.mean())
-            self.step = self._even_step(low, high, mean, time)
+            self.step = self._even_step(time, high)
             self.uneven = self.step is None
         if not self.usual_step:
             self.usual_step = self.step or float(np.median(steps))
@@ -185,36 +182,19 @@ class Clock:
             self.gaps += int(np.count_nonzero(gaps))
             self.largest_gap = max(self.largest_gap, high)
 
+    def _even_step(self, time: Floats, largest: float) -> float | None:
+        """Return the one step of rows that are even so far; None where they are not."""
+        if self.rate is not None:
+            return 1.0 / self.rate if largest < _GAP / self.rate else None
+        if self.rows:
+            time = np.concatenate([[self.last], time])
+        return even(time, self.step)
+
     @property
     def called(self) -> str:
         """How messages call the time column."""
         assert self.column is not None
         return f"{self.name}: the time {self.column.label}"
-
-    def _even_step(
-        self, low: float, high: float, mean: float, time: Floats
-    ) -> float | None:
-        """Return the one step of rows that are even to rounding; None where they are not."""
-        if self.rate is not None:
-            return 1.0 / self.rate if high < _GAP / self.rate else None
-        step = mean if self.step is None else self.step
-        off = max(high - step, step - low)
-        rounding = 4.0 * float(np.spacing(max(abs(time[0]), abs(time[-1]))))
-        if off > _EVEN * step + rounding:
-            rounding += self._resolution(time, step)
-        is_even = step > 0.0 and off <= _EVEN * step + rounding
-        return step if is_even else None
-
-    @staticmethod
-    def _resolution(time: Floats, step: float) -> float:
-        """Return the last decimal place of the times, where it is a small part of a step."""
-        times = time[:50]
-        for places in range(1, 13):
-            place = 10.0**-places
-            off = np.abs(times - np.round(times, places)).max()
-            if off < 1e-3 * place + 4.0 * np.spacing(np.abs(times).max()):
-                return 1.01 * place if place < 0.05 * step else 0.0
-        return 0.0
 
     def _require_seconds(self, reach: float) -> None:
         """Refuse figures without a unit that can hardly be seconds."""
