@@ -21,7 +21,15 @@ if TYPE_CHECKING:
         OutputError,
         UsageError,
     )
-    from dbo_cli.library import Model, ModelSet, identify, read_log, read_model, report
+    from dbo_cli.library import (
+        Model,
+        ModelSet,
+        identify,
+        read_log,
+        read_model,
+        read_models,
+        report,
+    )
 
 __all__ = [
     "DboError",
@@ -38,6 +46,7 @@ __all__ = [
     "identify",
     "read_log",
     "read_model",
+    "read_models",
     "report",
 ]
 

@@ -1,67 +1,198 @@
-"""The public library: pandas objects and arrays in, arrays and models out.
+"""The public library: frames, Series and arrays in, arrays and models out.
 
-The work is done by the rooms; here a frame becomes arrays, with its units and its
-time, and back.
+The work is done by the rooms; here what a user hands over becomes arrays in the units
+of a model, with their time, and back.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from difflib import get_close_matches
+from functools import wraps
+from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Literal,
+    NamedTuple,
+    ParamSpec,
+    TypedDict,
+    TypeVar,
+    Unpack,
+    cast,
+    overload,
+)
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dbo_cli import model as room
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.model.state import START_NAMES
+from dbo_cli.logs import (
+    FrameTable,
+    Reading,
+    frame_table,
+    is_frame,
+    numbers,
+    open_log,
+    stated_unit,
+)
+from dbo_cli.logs.frame import dtype_kind
+from dbo_cli.logs.table import OVERLOAD
+from dbo_cli.model import Quantity
+from dbo_cli.units import multiplied, parse_quantity, to_model_unit
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
     from dbo_cli.drive import Drive
+    from dbo_cli.drive.learning import PassRecord
     from dbo_cli.drive.live import Controller
-    from dbo_cli.identification import Recording
     from dbo_cli.reports import Report
 
+P = ParamSpec("P")
+R = TypeVar("R")
+Signal = ArrayLike
+"""An array, a Series of pandas or polars, or one of their frames, which is read as a file is."""
+Figured = float | str
+"""A number, or a text with a unit: ``"1.2kV"``, ``"2V/ms"``, ``"5kHz"``."""
+Seconds = float | str | None
+"""A number of s, a text with a unit, or ``auto``."""
+StateLike = str | Path | room.State
+"""``auto``, ``empty``, ``full``, ``settled``, a state that was returned, or a state file."""
+OnLimit = Literal["auto", "clip", "error"]
 Clock = float | Floats | None
 """Seconds a sample, or the time of each sample (s)."""
-SHOWN = "direction input output stages fit sign provenance digest"
-"""What a model shows of its actuator."""
+
+
+class Fit(TypedDict, total=False):
+    """The figures of an identification; lengths in the unit of the model's output.
+
+    ``rmse`` on the logs, ``left_out_rmse`` on parts left out, ``expected_rmse`` on a new
+    move with an unknown past, ``line_rmse`` of a straight line; ``fastest`` drive per s
+    and ``longest_rest`` (s) of the logs.
+    """
+
+    method: str
+    sign: str
+    rmse: float
+    line_rmse: float
+    left_out_rmse: float
+    expected_rmse: float | None
+    fastest: float | None
+    longest_rest: float | None
+    sample_period: float | None
+    one_amplitude: bool
+    swings: float
+    logs: list[dict[str, object]]
+    validation: list[dict[str, object]]
+    dynamics: dict[str, object]
+    prior: dict[str, object]
+    notes: list[str]
+    warnings: list[str]
+
+
+class Move(TypedDict, total=False):
+    """The arguments of ``Model.compensate`` behind the displacement and its time."""
+
+    sample_rate: Figured | None
+    unit: str | None
+    v_min: Figured | None
+    v_max: Figured | None
+    max_slew: Figured | None
+    extrapolate: bool
+    on_limit: OnLimit
+    from_: Figured | None
+    return_: Figured | None
+    approach: Seconds
+    condition: bool
+    lead: Seconds
+    bandwidth: Figured | None
+    periodic: bool
+    passes: int
+    tracked: object
+    history: str | Path | Sequence[PassRecord]
+    absolute: bool
+    state: StateLike
+
+
+def with_known_words(function: Callable[P, R]) -> Callable[P, R]:
+    """Return a function that answers a keyword that it does not have with those that are near."""
+    words = [word for word in signature(function).parameters if word != "self"]
+
+    @wraps(function)
+    def call(*values: P.args, **options: P.kwargs) -> R:
+        for word in options:
+            if word not in words:
+                near = get_close_matches(word, words, 2, 0.5) or words
+                listed = " or ".join(f"`{known}`" for known in near)
+                raise UsageError(f"{function.__name__}: no `{word}`: give {listed}")
+        return function(*values, **options)
+
+    return call
 
 
 class Model:
-    """A model of an actuator.
+    """A model of an actuator: voltage to displacement (forward), or back (inverse).
 
     Parameters
     ----------
     actuator : dbo_cli.model.Cascade
         The cascade of stages that computes.
-
-    Attributes
-    ----------
-    direction, input, output, stages, fit, sign, provenance, digest
-        Of the actuator: what goes in and comes out (quantity, unit, range), the stages,
-        and the figures of its identification.
     """
 
     def __init__(self, actuator: room.Cascade) -> None:
         self.actuator = actuator
 
-    def __getattr__(self, name: str) -> Any:
-        """Return what the actuator has under a public name."""
-        if name in SHOWN.split():
-            return getattr(self.actuator, name)
-        raise AttributeError(f"a dbo Model has no attribute {name!r}")
+    @property
+    def direction(self) -> Literal["forward", "inverse"]:
+        """Whether a voltage goes in (forward), or a displacement (inverse)."""
+        return self.actuator.direction
+
+    @property
+    def input(self) -> Quantity:
+        """What goes in: its name, its unit, and the range that was identified."""
+        return self.actuator.input
+
+    @property
+    def output(self) -> Quantity:
+        """What comes out: its name, its unit, and the range that is reached slowly."""
+        return self.actuator.output
+
+    @property
+    def stages(self) -> tuple[room.Stage, ...]:
+        """The stages, in the order in which a signal passes them."""
+        return self.actuator.stages
+
+    @property
+    def fit(self) -> Fit:
+        """The figures of the identification."""
+        return cast(Fit, dict(self.actuator.fit))
+
+    @property
+    def sign(self) -> Literal["rising", "falling"]:
+        """Whether the displacement rises or falls as the voltage rises."""
+        return self.actuator.sign
+
+    @property
+    def provenance(self) -> Mapping[str, object]:
+        """The program and the logs that the model comes from."""
+        return self.actuator.provenance
+
+    @property
+    def digest(self) -> str:
+        """A name for the model: states and drives are of one with the same digest."""
+        return self.actuator.digest
 
     def __eq__(self, other: object) -> bool:
         """Return whether two models have the same direction and stages."""
         if not isinstance(other, Model) or self.direction != other.direction:
             return False
-        return bool(self.digest == other.digest)
+        return self.digest == other.digest
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -75,26 +206,56 @@ class Model:
         """Return the exact inverse model."""
         return Model(self.actuator.inverse())
 
+    @overload
     def simulate(
         self,
-        x: Any,
-        time: Any = None,
+        x: Signal,
+        time: Signal | None = None,
         *,
-        sample_rate: float | None = None,
-        state: str | room.State = "auto",
-        outside: Any = "extend",
+        sample_rate: Figured | None = None,
+        unit: str | None = None,
+        state: StateLike = "auto",
+        outside: room.Outside = "extend",
+        return_state: Literal[False] = False,
+    ) -> Floats: ...
+
+    @overload
+    def simulate(
+        self,
+        x: Signal,
+        time: Signal | None = None,
+        *,
+        sample_rate: Figured | None = None,
+        unit: str | None = None,
+        state: StateLike = "auto",
+        outside: room.Outside = "extend",
+        return_state: Literal[True],
+    ) -> tuple[Floats, room.State]: ...
+
+    @with_known_words
+    def simulate(
+        self,
+        x: Signal,
+        time: Signal | None = None,
+        *,
+        sample_rate: Figured | None = None,
+        unit: str | None = None,
+        state: StateLike = "auto",
+        outside: room.Outside = "extend",
         return_state: bool = False,
-    ) -> Any:
+    ) -> Floats | tuple[Floats, room.State]:
         """Return the model's output.
 
         Parameters
         ----------
-        x : array_like
-            The input, in the unit of ``input``. The time index of a Series counts as
-            its time.
+        x : array_like or frame
+            The input, in the unit of ``input``. A frame is read as the command reads a
+            log, and the time index of a Series counts as its time.
         time, sample_rate
             Time in s, or a rate in Hz; needed where the model depends on time.
-        state : str or State
+        unit : str, optional
+            The unit of ``x``, where that is not the model's.
+        state : str, Path or State
             ``auto``, ``empty``, ``full``, ``settled``, a state that was returned, or
             the name of a state file.
         outside : {"extend", "hold", "error"}
@@ -105,55 +266,116 @@ class Model:
         Returns
         -------
         ndarray, or (ndarray, State)
+
+        Raises
+        ------
+        InputError
+            The input is in another unit, or holds what is no number.
+        ModelError
+            The model needs time and there is none, or the state is of another model.
         """
-        values = floats(x, "x")
-        dt = clock = clock_of(x, time, sample_rate, len(values))
-        begun, last = self._state(state), None
-        if isinstance(clock, np.ndarray):
-            dt, last = room.steps_of(clock), float(clock[-1])
-            if isinstance(begun, room.State):
-                dt = room.steps_behind(begun.time, clock, dt)
-        y, after = self.actuator.simulate(values, dt=dt, state=begun, outside=outside)
+        role = "voltage" if self.direction == "forward" else "displacement"
+        roles = role, "input"
+        signal = timed(x, roles, self.input, time, sample_rate, unit)
+        begin = room.state_of(state, self.actuator)
+        dt, last = signal.dt, None
+        if signal.time is not None:
+            last = float(signal.time[-1])
+            if isinstance(begin, room.State):
+                dt = room.steps_behind(begin.time, signal.time, dt)
+        y, after = self.actuator.simulate(
+            signal.values, dt=dt, state=begin, outside=outside
+        )
         if return_state:
-            return y, dataclasses.replace(after, time=last)
+            return y, dataclasses.replace(after, time=last, model=self.digest)
         return y
 
+    @overload
     def compensate(
         self,
-        wanted: Any,
-        time: Any = None,
+        wanted: Signal,
+        time: Signal | None = None,
         *,
-        sample_rate: float | None = None,
-        v_min: float | str | None = None,
-        v_max: float | str | None = None,
-        max_slew: float | str | None = None,
+        details: Literal[False] = False,
+        **move: Unpack[Move],
+    ) -> Floats: ...
+
+    @overload
+    def compensate(
+        self,
+        wanted: Signal,
+        time: Signal | None = None,
+        *,
+        details: Literal[True],
+        **move: Unpack[Move],
+    ) -> Drive: ...
+
+    @with_known_words
+    def compensate(
+        self,
+        wanted: Signal,
+        time: Signal | None = None,
+        *,
+        sample_rate: Figured | None = None,
+        unit: str | None = None,
+        v_min: Figured | None = None,
+        v_max: Figured | None = None,
+        max_slew: Figured | None = None,
         extrapolate: bool = False,
-        from_: float | str | None = None,
-        return_: float | str | None = None,
-        state: str | room.State = "auto",
+        on_limit: OnLimit = "auto",
+        from_: Figured | None = None,
+        return_: Figured | None = None,
+        approach: Seconds = None,
+        condition: bool = False,
+        lead: Seconds = None,
+        bandwidth: Figured | None = None,
+        periodic: bool = False,
+        passes: int = 0,
+        tracked: object = None,
+        history: str | Path | Sequence[PassRecord] = (),
+        absolute: bool = False,
+        state: StateLike = "auto",
         details: bool = False,
-        **options: Any,
-    ) -> Any:
+    ) -> Floats | Drive:
         """Return the drive that makes the actuator follow a displacement.
 
         Parameters
         ----------
-        wanted : array_like
-            The displacement, in the unit of ``output``. The time index of a Series
-            counts as its time.
+        wanted : array_like or frame
+            The displacement, in the unit of ``output``. A frame is read as the command
+            reads a trajectory, and the time index of a Series counts as its time.
         time, sample_rate
             Time in s, or a rate in Hz.
+        unit : str, optional
+            The unit of ``wanted``, where that is not the model's.
         v_min, v_max, max_slew, extrapolate
             Limits, as numbers in the drive's unit or as text (``"2V/ms"``).
+        on_limit : {"auto", "clip", "error"}
+            auto: clip while that costs at most one percent of the move (RMS).
         from_, return_ : float or str, optional
             Where the amplifier stands before the move, and where it goes after it; as
             limits are.
-        state : str or State
+        approach, lead : float, str or "auto", optional
+            Seconds of the way to the first value, and of a rest there.
+        condition : bool
+            Sweep the move's range first, so that the past is known.
+        bandwidth : float or str, optional
+            Cut-off (Hz) of a zero-phase low-pass on the trajectory; with ``tracked``, on
+            what is learned.
+        periodic, passes
+            The trajectory is one period of a loop, after so many passes of run-in.
+        tracked : frame, file, or a list of them, optional
+            Recordings of the last pass, with its drive: the move is learned.
+        history : file, or sequence of PassRecord
+            With ``tracked``: the passes so far, ``drive.history`` of the last drive. A
+            file is read if there is one, and written with the last pass, as by the
+            command.
+        absolute : bool
+            With ``tracked``: learn the mean of the error, too.
+        state : str, Path or State
             What was before the first sample.
         details : bool
             Return a ``Drive``: times, drive, clipped rows, expected error, state.
-        **options
-            ``on_limit, approach, condition, lead, bandwidth, periodic, passes``.
 
         Returns
         -------
@@ -161,34 +383,95 @@ class Model:
 
         Raises
         ------
+        InputError
+            The trajectory is in another unit, or it or a recording cannot be used.
         LimitError
             A start outside the limits, or a move that they do not allow.
         """
         from dbo_cli.drive import Limits, plan, voltage_in
 
         self.actuator.require("forward")
-        values = floats(wanted, "wanted")
-        clock = clock_of(wanted, time, sample_rate, len(values))
+        role = "displacement"
+        signal = timed(wanted, (role, role), self.output, time, sample_rate, unit)
         limits = Limits.within(self.input, v_min, v_max, max_slew, extrapolate)
-        start = None if from_ is None else voltage_in("from", from_, self.input)
-        end = None if return_ is None else voltage_in("return", return_, self.input)
+        file = history if isinstance(history, (str, Path)) else None
         drive: Drive = plan(
             self.actuator,
-            values,
-            clock,
+            signal.values,
+            signal.dt if signal.time is None else signal.time,
             limits,
-            start=start,
-            return_to=end,
-            state=self._state(state),
-            **options,
+            start=None if from_ is None else voltage_in("from", from_, self.input),
+            return_to=None
+            if return_ is None
+            else voltage_in("return", return_, self.input),
+            state=room.state_of(state, self.actuator),
+            approach=_figure("approach", approach, "s"),
+            condition=condition,
+            lead=_figure("lead", lead, "s"),
+            bandwidth=_figure("bandwidth", bandwidth, "Hz"),
+            periodic=periodic,
+            passes=passes,
+            on_limit=on_limit,
+            tracked=self._tracked(tracked),
+            history=_passes(history),
+            absolute=absolute,
         )
+        if drive.state is not None:
+            drive.state = dataclasses.replace(drive.state, model=self.digest)
+        if file is not None:
+            from dbo_cli.drive.learning import dumps_history
+            from dbo_cli.files import write_text
+
+            write_text(str(file), dumps_history(drive.history))
         return drive if details else drive.voltage
 
-    def controller(self, sample_rate: float, **options: Any) -> Controller:
-        """Return a live controller: one sample at a time; see ``Controller``."""
+    def _tracked(self, tracked: object) -> list[Any]:
+        """Return recordings of the last pass in the model's units."""
+        if tracked is None:
+            return []
+        from dbo_cli.recordings import tracked_of
+
+        sources = tracked if isinstance(tracked, (list, tuple)) else [tracked]
+        columns = dict.fromkeys(("time", "voltage", "measured"))
+        return tracked_of(sources, columns, Reading(), self.actuator)
+
+    @with_known_words
+    def controller(
+        self,
+        sample_rate: Figured,
+        *,
+        v_min: Figured | None = None,
+        v_max: Figured | None = None,
+        max_slew: Figured | None = None,
+        extrapolate: bool = False,
+        state: StateLike = "auto",
+        from_: Figured | None = None,
+        lookahead: float | Literal["auto"] | None = None,
+    ) -> Controller:
+        """Return a live controller: one sample at a time; see ``Controller``.
+
+        Parameters
+        ----------
+        sample_rate
+            Samples a second (Hz).
+        v_min, v_max, max_slew, extrapolate, from_, state
+            As of ``compensate``.
+        lookahead : float or "auto", optional
+            Seconds by which what is passed is wanted later.
+        """
         from dbo_cli.drive.live import Controller
 
-        return Controller(self.actuator, sample_rate, **options)
+        return Controller(
+            self.actuator,
+            _rate(sample_rate) or 0.0,
+            v_min=v_min,
+            v_max=v_max,
+            max_slew=max_slew,
+            extrapolate=extrapolate,
+            state=state,
+            from_=from_,
+            lookahead=lookahead,
+        )
 
     def plot(self) -> Figure:
         """Return a figure of the model's loop, with units."""
@@ -212,16 +495,12 @@ class Model:
         )
 
     def save_state(self, state: room.State, path: str | Path) -> None:
-        """Write a state file."""
+        """Write a state file; ModelError where the state is of another model."""
         from dbo_cli.files import write_text
 
-        write_text(str(path), room.dumps_state(state, self.actuator))
-
-    def _state(self, state: str | room.State | Path) -> Any:
-        """Return a state, or the name of a start."""
-        if isinstance(state, room.State) or state in START_NAMES:
-            return state
-        return room.read_state(str(state), self.actuator)
+        checked = room.state_of(state, self.actuator)
+        assert isinstance(checked, room.State)
+        write_text(str(path), room.dumps_state(checked, self.actuator))
 
 
 class ModelSet(dict[str, Model]):
@@ -235,8 +514,10 @@ class ModelSet(dict[str, Model]):
         write_text(str(path), room.dumps_set(actuators))
 
 
-def read_model(path: str | Path) -> Any:
-    """Read a model file, ``FILE::NAME`` of a set, or a whole set.
+def read_model(path: str | Path) -> Model:
+    """Read a model file, or ``FILE::NAME`` of a set.
+
+    A whole set gives a ``ModelSet``, as it always did; ``read_models`` says so in its type.
 
     Raises
     ------
@@ -244,22 +525,44 @@ def read_model(path: str | Path) -> Any:
         The file is no model of version 1; the message names the key.
     """
     name = str(path)
-    if "::" in name or not room.is_set(name):
-        return Model(room.read_model(name))
-    models = room.read_models(name)
-    return ModelSet({key: Model(actuator) for key, actuator in models.items()})
+    if "::" not in name and room.is_set(name):
+        return cast(Model, read_models(name))
+    return Model(room.read_model(name))
+
+
+def read_models(path: str | Path) -> ModelSet:
+    """Read a set of models, by the name of their channel.
+
+    Raises
+    ------
+    ModelError
+        The file is no set of models.
+    """
+    models = room.read_models(str(path))
+    return ModelSet({name: Model(actuator) for name, actuator in models.items()})
 
 
 # --- logs ---
 
 
+@with_known_words
 def read_log(
     path: str | Path,
     *,
     time: str | int | None = None,
     voltage: str | int | None = None,
     displacement: str | int | None = None,
-    **reading: Any,
+    sample_rate: Figured | None = None,
+    time_unit: str | None = None,
+    scale: Mapping[str, str | float] | None = None,
+    rows: str | None = None,
+    skip_bad: bool = False,
+    resample: Figured | None = None,
+    delimiter: str | None = None,
+    decimal: str | None = None,
+    skip_lines: int | None = None,
+    encoding: str | None = None,
+    clock_offset: Seconds = None,
 ) -> pd.DataFrame:
     """Read a log into a DataFrame.
 
@@ -268,19 +571,30 @@ def read_log(
     path
         Any log that the commands read.
     time, voltage, displacement
-        Names or numbers of the columns; found by name and unit where not given.
-    **reading
-        ``sample_rate, time_unit, scale, rows, skip_bad, resample, delimiter, decimal,
-        skip_lines, encoding, clock_offset``; a column of a second file is
-        ``FILE::COLUMN``.
+        Names or numbers of the columns, or ``FILE::COLUMN`` of a second file; found by
+        name and unit where not given.
+    sample_rate, resample
+        Rates in Hz: of a log without a time column, and to interpolate to.
+    time_unit
+        Unit of the time column: ``ms``, ``10us``.
+    scale
+        By role, a factor: ``{"displacement": "10um/V"}``.
+    rows
+        Data rows A to B, counted from 1: ``"100:2000"``.
+    skip_bad
+        Drop rows that hold no number.
+    delimiter, decimal, skip_lines, encoding
+        How a text is written.
+    clock_offset
+        Seconds that are added to the clock of a second file, or ``auto``.
 
     Returns
     -------
     DataFrame
         The columns ``time`` (s), ``voltage``, ``displacement``, as far as there are
-        any; ``attrs["units"]`` holds their units, ``attrs["notes"]`` what is odd, and
-        ``attrs["holds_delay"]`` whether the actuator's delay is in a clock offset that was
-        found.
+        any; ``attrs["units"]`` holds their units, ``attrs["columns"]`` their names in the
+        file, ``attrs["notes"]`` what is odd, and ``attrs["holds_delay"]`` whether the
+        actuator's delay is in a clock offset that was found.
 
     Raises
     ------
@@ -289,14 +603,25 @@ def read_log(
     """
     import pandas as pd
 
-    from dbo_cli.logs import Reading, open_log
-
+    reading = Reading(
+        sample_rate=_rate(sample_rate),
+        time_unit=time_unit,
+        scale=scale or {},
+        rows=rows,
+        skip_bad=skip_bad,
+        resample=_figure("resample", resample, "Hz"),
+        delimiter=delimiter,
+        decimal=decimal,
+        skip_lines=skip_lines,
+        encoding=encoding,
+        clock_offset=_figure("clock_offset", clock_offset, "s"),
+    )
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
-    roles = {
-        role: None if name is None else str(name) for role, name in columns.items()
-    }
+    roles: dict[str, str | None] = {}
+    for role, name in columns.items():
+        roles[role] = None if name is None else str(name)
     absent = tuple(role for role, name in roles.items() if name is None)
-    with open_log(str(path), roles, Reading(**reading), None, absent) as log:
+    with open_log(str(path), roles, reading, None, absent) as log:
         known = [role for role in ("voltage", "displacement") if log.provided(role)]
         if not known:
             raise InputError(
@@ -309,22 +634,35 @@ def read_log(
         frame["time"], units["time"] = table.time, "s"
     for role in known:
         frame[role], units[role] = table[role], log.columns[role].unit
-    frame.attrs.update(name=str(path), units=units, notes=list(log.remarks))
-    frame.attrs["holds_delay"] = log.has_found_offset
+    names = {role: log.columns[role].name for role in known}
+    frame.attrs.update(name=str(path), units=units, columns=names)
+    frame.attrs.update(notes=list(log.remarks), holds_delay=log.has_found_offset)
     return frame
 
 
+@with_known_words
 def identify(
     data: Any,
-    displacement: Any = None,
+    displacement: Signal | None = None,
     *,
-    time: Any = None,
-    sample_rate: float | None = None,
-    voltage_unit: str | None = "V",
-    displacement_unit: str | None = "um",
+    time: Signal | None = None,
+    sample_rate: Figured | None = None,
+    voltage_unit: str | None = None,
+    displacement_unit: str | None = None,
     validate: Any = None,
     prior: Model | str | Path | None = None,
-    **options: Any,
+    sign: Literal["rising", "falling"] | None = None,
+    skip: Figured = 0.0,
+    zero: float | Literal["none", "mean", "first"] = "none",
+    sensor_delay: Figured = 0.0,
+    gears: int | Literal["auto"] = "auto",
+    points: int | Literal["auto"] = "auto",
+    relaxation: Sequence[float] | Literal["auto"] = "auto",
+    delay: Figured = "auto",
+    dynamics: Literal["auto", 0, 1, 2] = "auto",
+    slopes: Literal["auto", "growing", "falling", "free"] = "auto",
+    method: Literal["least-squares", "paper"] = "least-squares",
+    force: bool = False,
 ) -> Model:
     """Identify a model of an actuator.
 
@@ -332,20 +670,29 @@ def identify(
     ----------
     data
         A frame, a file's name, an array of voltages, or a list of frames or files of
-        one actuator.
+        one actuator. Frames are read as files are: columns by name, units in names.
     displacement : array_like
         With an array of voltages, the displacement.
     time, sample_rate
-        Time in s, or a rate in Hz. A time index of a frame counts as its time.
-    voltage_unit, displacement_unit : str
-        Units of arrays.
+        Time in s, or a rate in Hz. A time index counts as the time.
+    voltage_unit, displacement_unit : str, optional
+        Units of arrays; without, those that Series state of themselves, if any.
     validate
         Logs that say how well the model predicts.
     prior : Model or file
         Keep its shape; find gain, offset and delay again.
-    **options
-        As of the command: ``sign, skip, zero, sensor_delay, gears, points, relaxation,
-        delay, dynamics, slopes, method, force``.
+    sign : {"rising", "falling"}
+        Refuse logs whose displacement goes the other way.
+    skip, sensor_delay, delay
+        Seconds, or a text with a unit; ``delay`` may be ``auto``.
+    zero : {"none", "mean", "first"} or float
+        The displacement to call 0, in its unit.
+    gears, points, dynamics
+        How many, or ``auto``.
+    relaxation : sequence of float, or "auto"
+        Time constants of the creep in s; empty for none.
+    slopes, method, force
+        As of the command.
 
     Returns
     -------
@@ -353,91 +700,107 @@ def identify(
 
     Raises
     ------
+    InputError
+        A log cannot be read, or is in another unit than the prior.
     FitError
         No trustworthy model can be identified.
     """
     from dbo_cli.identification import Options
     from dbo_cli.identification import identify as fit
+    from dbo_cli.recordings import COLUMNS, provenance, recordings_of
 
-    if displacement is None:
-        recordings = _recordings(data, time, sample_rate)
-        frames = data if isinstance(data, list) else [data]
-        holds_delay = any(getattr(f, "attrs", {}).get("holds_delay") for f in frames)
-        if holds_delay and options.get("delay", "auto") == "auto":
-            options["delay"] = 0.0
-    else:
-        units = {"voltage": voltage_unit, "displacement": displacement_unit}
-        clock = clock_of(data, time, sample_rate, len(data))
-        recordings = [_recording("the arrays", data, displacement, clock, units)]
-    left_out = [] if validate is None else _recordings(validate, None, sample_rate)
     if isinstance(prior, (str, Path)):
-        prior = Model(room.read_model(str(prior)))
+        prior = read_model(prior)
     shape = None if prior is None else prior.actuator
-    return Model(fit(recordings, Options(prior=shape, **options), left_out))
-
-
-def _recordings(data: Any, time: Any, sample_rate: float | None) -> list[Recording]:
-    """Return a frame, a file, or a list of them as recordings."""
-    recordings = []
-    for source in data if isinstance(data, list) else [data]:
-        frame = read_log(source) if isinstance(source, (str, Path)) else source
-        frame, units = columns_by_role(frame)
-        stamps = frame.get("time") if time is None and sample_rate is None else time
-        clock = clock_of(frame, stamps, sample_rate, len(frame))
-        name = str(frame.attrs.get("name", "the frame"))
-        columns = frame["voltage"], frame["displacement"]
-        recordings.append(_recording(name, *columns, clock, units))
-    return recordings
-
-
-def _recording(
-    name: str, v: Any, x: Any, clock: Clock, units: Mapping[str, str | None]
-) -> Recording:
-    """Return two signals as a recording."""
-    from dbo_cli.recordings import recording_of
-
-    voltage = floats(v, "voltage")
-    return recording_of(
-        name, voltage, floats(x, "displacement"), _times(clock, len(voltage)), units
+    units: dict[str, str | None] = {}
+    if shape is not None:
+        units = {"voltage": shape.input.unit, "displacement": shape.output.unit}
+    given = {"voltage": voltage_unit, "displacement": displacement_unit}
+    reading = Reading(sample_rate=_rate(sample_rate))
+    columns: Mapping[str, str | None] = COLUMNS
+    if displacement is not None:
+        signals = {"voltage": data, "displacement": displacement}
+        source, columns = _arrays(signals, given, units, time, reading)
+        sources = [source]
+    elif voltage_unit or displacement_unit:
+        raise UsageError(
+            "`voltage_unit`, `displacement_unit`: of arrays; frames and files have units"
+        )
+    else:
+        sources = _listed(data)
+        if time is not None:
+            sources = [frame_table(source, _seconds(time)) for source in sources]
+    recordings, logs = recordings_of(sources, columns, reading, units)
+    if delay == "auto" and any(log.has_found_offset for log in logs):
+        delay = 0.0  # the offset between the clocks holds it
+    options = Options(
+        prior=shape,
+        sign=sign,
+        skip=_seconds_of("skip", skip),
+        zero=zero,
+        sensor_delay=_seconds_of("sensor_delay", sensor_delay),
+        gears=gears,
+        points=points,
+        relaxation=relaxation if isinstance(relaxation, str) else tuple(relaxation),
+        delay=_figure("delay", delay, "s"),
+        dynamics=dynamics,
+        slopes=slopes,
+        method=method,
+        force=force,
     )
+    units = {"voltage": recordings[0].input[1], "displacement": recordings[0].output[1]}
+    left_out, _ = recordings_of(_listed(validate), COLUMNS, Reading(), units)
+    model = fit(recordings, options, left_out)
+    return Model(dataclasses.replace(model, provenance=provenance(recordings, logs)))
 
 
-def columns_by_role(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str | None]]:
-    """Return a frame with its columns named by role, and their units.
-
-    A frame of ``read_log`` has both; in others columns are found as in a log.
-
-    Raises
-    ------
-    InputError
-        It is not clear which column is which.
-    """
-    from dbo_cli.logs import columns_of_names
-
-    if {"voltage", "displacement"} <= set(frame.columns):
-        usual = {"voltage": "V", "displacement": "um"}
-        return frame, frame.attrs.get("units", usual)
-    roles = dict.fromkeys(("time", "voltage", "displacement"))
-    columns = columns_of_names([str(name) for name in frame.columns], roles)
-    names = {frame.columns[column.number - 1]: role for role, column in columns.items()}
-    units = {role: column.unit for role, column in columns.items()}
-    return frame.rename(columns=names), units
+def _listed(data: Any) -> list[Any]:
+    """Return one source or several as a list; None as none."""
+    if data is None:
+        return []
+    return list(data) if isinstance(data, (list, tuple)) else [data]
 
 
+def _arrays(
+    signals: Mapping[str, Any],
+    given: Mapping[str, str | None],
+    units: Mapping[str, str | None],
+    time: Signal | None,
+    reading: Reading,
+) -> tuple[FrameTable, Mapping[str, str | None]]:
+    """Return the arrays of a recording as a table, and which column has which role."""
+    from dbo_cli.recordings import arrays_table
+
+    stated = {}
+    for role, values in signals.items():
+        unit = stated_unit(values, role)
+        to_model_unit(role, unit, given[role], units.get(role, given[role]))
+        stated[role] = given[role] or unit
+    rate = reading.sample_rate
+    clock = clock_of(signals["voltage"], time, rate, len(signals["voltage"]))
+    stamps = clock if isinstance(clock, np.ndarray) else None
+    return arrays_table("the arrays", signals, stated, stamps)
+
+
+@with_known_words
 def report(
-    desired: Any,
-    measured: Any,
-    time: Any = None,
+    desired: Signal,
+    measured: Signal | None = None,
+    time: Signal | None = None,
     *,
-    sample_rate: float | None = None,
+    sample_rate: Figured | None = None,
     model: Model | None = None,
-    state: str | room.State = "auto",
+    state: StateLike = "auto",
     rows: tuple[int | None, int | None] | None = None,
-    voltage: Any = None,
-    expected: Any = None,
+    voltage: Signal | None = None,
+    expected: Mapping[str, object] | None = None,
     unit: str | None = None,
+    voltage_unit: str | None = None,
     name: str = "log",
-    **options: Any,
+    lag: int = 0,
+    remove_offset: bool = False,
+    max_rmse: Figured | None = None,
+    max_nrmse_percent: float | None = None,
 ) -> Report:
     """Report how well a measured displacement follows a desired one, or what a model predicts.
 
@@ -455,10 +818,17 @@ def report(
         The drive, for the figures.
     expected : mapping, optional
         The summary of the drive, ``drive.summary()``: the error that was to be expected.
-    unit, name : str
-        Of both signals, and of the log.
-    **options
-        ``lag, remove_offset, max_rmse, max_nrmse_percent``.
+    unit, voltage_unit : str, optional
+        Of the displacements and of the drive; without, those that Series state of
+        themselves, else those of the model.
+    name : str
+        Of the log.
+    lag : int
+        Rows by which measured is taken later.
+    remove_offset : bool
+        Take the mean of the error off.
+    max_rmse, max_nrmse_percent
+        Largest error, in the unit or as a text (``"10nm"``), and in percent of the move.
 
     Returns
     -------
@@ -468,32 +838,117 @@ def report(
     Raises
     ------
     InputError
-        Lengths differ, or there is nothing to compare.
+        Lengths or units differ, or there is nothing to compare.
     """
     from dbo_cli.reports import Pair, Report, expected_of, predict
 
-    values, moved = floats(desired, "desired"), floats(measured, "measured")
-    clock = _times(clock_of(desired, time, sample_rate, len(values)), len(values))
-    if expected is not None:
-        options["expected"] = expected_of(expected, unit)
-    if model is None:
-        drive = None if voltage is None else floats(voltage, "voltage")
-        pair = Pair(name, values, moved, clock, drive, rows)
-        return Report.of([pair], unit=unit, **options)
-    actuator = model.actuator
-    recording = Pair(name, moved, moved, clock, values, rows)
-    pair = predict(recording, actuator, model._state(state))
+    if measured is None:
+        raise UsageError("report: give `desired` and `measured`")
+    stated = {}
+    for role, values in (("desired", desired), ("measured", measured)):
+        stated[role] = stated_unit(values, "displacement")
+    if model is not None:
+        values = in_unit(desired, "voltage", model.input.unit, voltage_unit)
+        moved = in_unit(measured, "displacement", model.output.unit, unit)
+        unit, voltage_unit = model.output.unit, model.input.unit
+    else:
+        first, second = stated.values()
+        if unit is None and first and second and first != second:
+            raise InputError(
+                f"measured is in {second}, desired in {first}: convert one of them, and pass "
+                "`unit` of both"
+            )
+        unit = unit or first or second
+        values, moved = floats(desired, "desired"), floats(measured, "measured")
+    clock = clock_of(desired, time, _rate(sample_rate), len(values))
+    if isinstance(clock, float):
+        clock = clock * np.arange(float(len(values)))
+    drive = values if model is not None else None
+    if model is None and voltage is not None:
+        drive = floats(voltage, "voltage")
+        voltage_unit = voltage_unit or stated_unit(voltage, "voltage")
+    pair = Pair(name, values, moved, clock, drive, rows)
+    if model is not None:
+        begin = room.state_of(state, model.actuator)
+        pair = predict(pair, model.actuator, begin)
     return Report.of(
         [pair],
-        unit=actuator.output.unit,
-        voltage_unit=actuator.input.unit,
-        labels=("model", "measured"),
-        model=actuator,
-        **options,
+        unit=unit,
+        lag=lag,
+        remove_offset=remove_offset,
+        expected=None if expected is None else expected_of(expected, unit),
+        max_rmse=None
+        if max_rmse is None
+        else parse_quantity(max_rmse, unit, "max_rmse"),
+        max_nrmse_percent=max_nrmse_percent,
+        voltage_unit=voltage_unit,
+        labels=("desired" if model is None else "model", "measured"),
+        model=None if model is None else model.actuator,
     )
 
 
 # --- arrays ---
+
+
+class Timed(NamedTuple):
+    """A signal in the unit of a model, with its clock.
+
+    Attributes
+    ----------
+    values : shape (n,)
+    time : shape (n,), s; None where only the step or nothing is known
+    dt : seconds since the row before, where they are known
+    """
+
+    values: Floats
+    time: Floats | None
+    dt: room.Steps
+
+
+def timed(
+    data: Any,
+    roles: tuple[str, str],
+    quantity: Quantity,
+    time: Any,
+    sample_rate: Figured | None,
+    unit: str | None,
+) -> Timed:
+    """Return a signal that a user hands over, a frame as the command reads a log.
+
+    Parameters
+    ----------
+    data
+        An array, a Series or a frame.
+    roles
+        What it is, and the role of its column in a log.
+    quantity
+        Of the model.
+    time, sample_rate, unit
+        As of ``Model.simulate``.
+    """
+    rate = _rate(sample_rate)
+    if not is_frame(data):
+        values = in_unit(data, roles[0], quantity.unit, unit)
+        clock = clock_of(data, time, rate, len(values))
+        if isinstance(clock, np.ndarray):
+            return Timed(values, clock, room.steps_of(clock))
+        return Timed(values, None, clock)
+    from dbo_cli.recordings import read_table
+
+    if unit is not None:
+        raise UsageError("`unit` is of arrays: a frame has its own units")
+    source = frame_table(data, None if time is None else _seconds(time))
+    columns = dict.fromkeys(("time", roles[1]))
+    units = {roles[1]: quantity.unit}
+    _, table = read_table(source, columns, Reading(sample_rate=rate), units)
+    return Timed(table[roles[1]], table.time, table.dt)
+
+
+def in_unit(values: Any, label: str, wanted: str | None, given: str | None) -> Floats:
+    """Return numbers in the unit of a model (``to_model_unit``); InputError where they are in another."""
+    array = floats(values, label)
+    factor = to_model_unit(label, stated_unit(values, label), given, wanted)
+    return cast(Floats, multiplied(array, factor))
 
 
 def floats(values: Any, name: str) -> Floats:
@@ -502,17 +957,19 @@ def floats(values: Any, name: str) -> Floats:
     Raises
     ------
     InputError
-        It has another shape, or holds a value that is not a number.
+        It has another shape, or holds what is no number: masked, missing, an overload.
     """
     try:
-        array = np.ascontiguousarray(np.asarray(values, dtype=np.float64))
-    except (TypeError, ValueError):
+        array = numbers(values)
+    except InputError:
         array = np.empty(0)
     if array.ndim != 1 or array.size == 0:
         raise InputError(f"`{name}`: give one row of numbers, shape (n,)")
-    bad = np.flatnonzero(~np.isfinite(array))
+    bad = np.flatnonzero(~(np.abs(array) < OVERLOAD))
     if bad.size:
-        raise InputError(f"`{name}`[{bad[0]}]: {array[bad[0]]} is not a finite number")
+        value = array[bad[0]]
+        text = "missing or masked" if np.isnan(value) else f"{value}, no finite number"
+        raise InputError(f"`{name}`[{bad[0]}] is {text}: leave such rows out")
     return array
 
 
@@ -525,15 +982,13 @@ def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Cloc
     Raises
     ------
     UsageError
-        Both are given, or the rate is not above 0.
+        Both are given.
     InputError
-        The time has another length.
+        The time has another length, or is in another unit.
     """
     if time is not None and sample_rate is not None:
         raise UsageError("`time` and `sample_rate` are both given: give one of them")
     if sample_rate is not None:
-        if not sample_rate > 0.0:
-            raise UsageError(f"`sample_rate`: {sample_rate!r} is not above 0")
         return 1.0 / sample_rate
     if time is None:
         time = getattr(data, "index", None)
@@ -545,17 +1000,51 @@ def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Cloc
     return seconds
 
 
-def _times(clock: Clock, rows: int) -> Floats | None:
-    """Return the time of each row (s), of an even clock too."""
-    return clock * np.arange(float(rows)) if isinstance(clock, float) else clock
-
-
 def _seconds(time: Any) -> Floats:
     """Return times as seconds; dates count from the first."""
-    kind = getattr(getattr(time, "dtype", None), "kind", "f")
+    kind = dtype_kind(time)
     if kind == "M":
         dates = np.asarray(time, "M8[ns]")
         time = (dates - dates[:1]) / np.timedelta64(1, "s")
     elif kind == "m":
         time = np.asarray(time) / np.timedelta64(1, "s")
+    elif stated_unit(time, "time") not in (None, "s"):
+        unit = stated_unit(time, "time")
+        raise InputError(
+            f"`time` is in {unit}: give seconds (`.to_numpy()` where the numbers are)"
+        )
     return floats(time, "time")
+
+
+# --- typed numbers ---
+
+
+def _figure(name: str, typed: Figured | None, unit: str) -> Any:
+    """Return a typed figure in a unit; None and ``auto`` as they are."""
+    if typed is None or typed == "auto":
+        return typed
+    return parse_quantity(typed, unit, name)
+
+
+def _seconds_of(name: str, typed: Figured) -> float:
+    """Return a typed time in s."""
+    return parse_quantity(typed, "s", name)
+
+
+def _rate(typed: Figured | None) -> float | None:
+    """Return a typed rate in Hz; UsageError where it is not above 0."""
+    if typed is None:
+        return None
+    rate = parse_quantity(typed, "Hz", "sample_rate")
+    if not rate > 0.0:
+        raise UsageError(f"`sample_rate`: {typed!r} is not above 0")
+    return rate
+
+
+def _passes(history: str | Path | Sequence[PassRecord]) -> Sequence[PassRecord]:
+    """Return the passes so far; none where there is no file yet."""
+    if not isinstance(history, (str, Path)):
+        return history
+    from dbo_cli.drive.learning import read_history
+
+    return read_history(str(history))

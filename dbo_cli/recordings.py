@@ -1,81 +1,179 @@
-"""Logs of an actuator as the arrays that ``identify`` and ``compare`` work on."""
+"""Recordings of an actuator, from files, frames and arrays alike.
+
+Whatever brings them, columns get their roles, units and clock from ``open_log``: a frame
+is read as a file is, and two arrays are a table of two columns.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dbo_cli.arrays import Floats
-from dbo_cli.errors import warn
-from dbo_cli.logs import Reading, open_log
+from dbo_cli.errors import InputError, warn
+from dbo_cli.logs import FrameTable, Reading, frame_table, is_frame, open_log
 from dbo_cli.units import quantity_name
 from dbo_cli.version import __version__
 
 if TYPE_CHECKING:
+    from dbo_cli.drive.learning import Tracked
     from dbo_cli.identification import Recording
-    from dbo_cli.logs import Log
+    from dbo_cli.logs import Block, Log
+    from dbo_cli.model import Cascade
 
+ROLES = ("voltage", "displacement")
+"""The columns of a recording, beside its time; files, frames and arrays bring these."""
+Columns = Mapping[str, str | None]
+"""What was typed for each role; None: found by name and unit."""
+COLUMNS: Columns = dict.fromkeys(("time", *ROLES))
+"""Nothing typed for the roles of a recording."""
 Units = Mapping[str, str | None]
+"""The unit of each role; None: not known."""
 
 
-def read_recordings(
-    paths: Sequence[str], reading: Reading, columns: dict[str, str | None]
+def read_table(
+    source: Any,
+    columns: Columns,
+    reading: Reading,
+    units: Units | None = None,
+    optional: Sequence[str] = ("time",),
+) -> tuple[Log, Block]:
+    """Read a log whole, and warn of what is doubtful in it.
+
+    Parameters
+    ----------
+    source : str, Path, FrameTable, or pandas or polars frame
+        The log.
+    columns : mapping
+        The roles that are needed.
+    reading : Reading
+        How it is read.
+    units : mapping, optional
+        By role, the unit that values are wanted in.
+    optional : sequence of str
+        Roles that may be absent.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or it is not clear which column is which.
+    """
+    wanted = {role: unit for role, unit in (units or {}).items() if unit}
+    if is_frame(source):
+        source = frame_table(source)
+    elif isinstance(source, Path):
+        source = str(source)
+    elif not isinstance(source, (str, FrameTable)):
+        raise InputError("give a file, or a frame of pandas or polars")
+    with open_log(source, columns, reading, wanted, optional) as log:
+        table = log.read()
+    for doubt in log.doubtful:
+        warn(f"{log.name}: {doubt}")
+    if isinstance(source, FrameTable):
+        log.columns = source.as_in_file(log.columns)
+    return log, table
+
+
+def recordings_of(
+    sources: Sequence[Any],
+    columns: Columns,
+    reading: Reading,
+    units: Units | None = None,
 ) -> tuple[list[Recording], list[Log]]:
     """Read logs of one actuator; all get the units of the first.
 
     Parameters
     ----------
-    paths : sequence of str
-        The logs, as typed.
-    reading : Reading
-        How they are read.
-    columns : dict
-        What was typed for the roles time, voltage and displacement.
+    sources : sequence
+        Files, frames, and tables of arrays.
+    columns, reading, units
+        As of ``read_table``.
 
     Returns
     -------
     recordings, logs
-        Arrays in seconds and the log's units, and the logs for what they have to say.
+        Arrays in seconds and in the units of the first log; and the logs, for what they
+        have to say.
 
     Raises
     ------
     InputError
         A log cannot be read, or it is not clear which column is which.
     """
-    recordings, logs = [], []
-    units: Units = {}
-    for path in paths:
-        wanted = {role: unit for role, unit in units.items() if unit}
-        with open_log(path, columns, reading, wanted) as log:
-            table = log.read()
-        units = {role: log.columns[role].unit for role in ("voltage", "displacement")}
-        name, signals = short_name(log.name), (table["voltage"], table["displacement"])
-        recording = recording_of(name, *signals, table.time, units)
-        for doubt in log.doubtful:
-            warn(f"{path}: {doubt}")
+    from dbo_cli.identification import Recording
+
+    recordings: list[Recording] = []
+    logs: list[Log] = []
+    for source in sources:
+        log, table = read_table(source, columns, reading, units)
+        units = {role: log.columns[role].unit for role in ROLES}
+        quantities = {
+            role: (quantity_name(role, units[role]), units[role]) for role in ROLES
+        }
+        recording = Recording(
+            short_name(log.name),
+            table["voltage"],
+            table["displacement"],
+            table.time,
+            input=quantities["voltage"],
+            output=quantities["displacement"],
+        )
         recordings.append(recording)
         logs.append(log)
     return recordings, logs
 
 
-def recording_of(
-    name: str, voltage: Floats, displacement: Floats, time: Floats | None, units: Units
-) -> Recording:
-    """Return two signals as a recording, with what their units measure."""
-    from dbo_cli.identification import Recording
+def arrays_table(
+    name: str, signals: Mapping[str, Any], units: Units, time: Any = None
+) -> tuple[FrameTable, dict[str, str | None]]:
+    """Return arrays as a table, and which of its columns has which role.
 
-    quantities: dict[str, Any] = {}
-    for role, unit in units.items():
-        quantities[role] = quantity_name(role, unit), unit
-    return Recording(
-        name,
-        voltage,
-        displacement,
-        time,
-        input=quantities["voltage"],
-        output=quantities["displacement"],
-    )
+    Parameters
+    ----------
+    name : str
+        How messages call it.
+    signals : mapping
+        By role, the values; the name of a Series is that of its column.
+    units : mapping
+        By role, their unit.
+    time : array_like, optional
+        The time of each row (s).
+    """
+    entries: list[tuple[str, Any, str | None]] = []
+    columns: dict[str, str | None] = {"time": None}
+    for role, values in signals.items():
+        title = getattr(values, "name", None)
+        entries.append((str(title or role), values, units.get(role)))
+        columns[role] = f"number={len(entries)}"
+    if time is not None:
+        entries.append(("time", time, "s"))
+        columns["time"] = f"number={len(entries)}"
+    return FrameTable(name, entries), columns
+
+
+def tracked_of(
+    sources: Sequence[Any], columns: Columns, reading: Reading, model: Cascade
+) -> list[Tracked]:
+    """Read recordings of the last pass of a move, in the units of a model.
+
+    Parameters
+    ----------
+    sources, columns, reading
+        As of ``recordings_of``; the roles are ``time``, ``voltage`` and ``measured``.
+    model : Cascade
+        A forward model.
+    """
+    from dbo_cli.drive.learning import Tracked
+
+    units = {"voltage": model.input.unit, "measured": model.output.unit}
+    recordings = []
+    for source in sources:
+        log, table = read_table(source, columns, reading, units)
+        recordings.append(
+            Tracked(log.name, table["voltage"], table["measured"], table.time)
+        )
+    return recordings
 
 
 def short_name(name: str) -> str:

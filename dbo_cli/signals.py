@@ -30,8 +30,12 @@ FEWEST_ROWS = 16
 """Rows that two signals must have in common for a lag of a part of a row."""
 SHARED = 0.25
 """Part of the shorter signal that must overlap with the other."""
+MARGIN = 3.0
+"""Rows at either end of the early signal that values between rows need."""
 PLACES = 4
 """Best places of the correlation that are refined."""
+RIVAL = 0.9
+"""Part of the best place's evidence from which on another one explains the signals as well."""
 ITERATIONS = 20
 """Gauss-Newton steps at most."""
 LONGEST_STEP = 0.01
@@ -210,13 +214,14 @@ def lag(
             fits.append(fit)
     if not fits:
         return None
-    best = max(fits, key=lambda fit: fit.evidence)
+    first = best = max(fits, key=lambda fit: fit.evidence)
     if len(late) > TRIED_ROWS:
-        best = _refined(late, columns, best.shift, rate, REFINED_ROWS) or best
+        most_rows = max(REFINED_ROWS // columns.shape[1], TRIED_ROWS)
+        best = _refined(late, columns, best.shift, rate, most_rows) or best
     rival = None
     for fit in fits:
-        apart = abs(fit.shift - best.shift) > max(2.0, 5.0 * best.deviation)
-        if apart and fit.residual <= 1.5 * best.residual + 1e-9:
+        apart = abs(fit.shift - first.shift) > max(2.0, 5.0 * first.deviation)
+        if apart and fit.evidence >= RIVAL * first.evidence:
             rival = step * fit.shift
             break
     return Lag(
@@ -292,7 +297,7 @@ def _refined(
     deviation, left, inside = math.inf, picked, np.ones(len(rows), dtype=bool)
     for _ in range(ITERATIONS):
         places = rows - sum(u * move for u, move in zip(unknown, moves, strict=True))
-        inside = (places >= 1.0) & (places <= len(columns) - 2.0)
+        inside = (places >= MARGIN) & (places <= len(columns) - 1.0 - MARGIN)
         if np.count_nonzero(inside) < fewest:
             return (
                 None if len(rows) >= FEWEST_ROWS else _whole(late, columns, int(start))
@@ -350,8 +355,18 @@ def _unit(column: Floats) -> Floats:
     return unit
 
 
+def play(values: Floats, radius: float) -> Floats:
+    """Return the play of a signal: it follows at a distance of ``radius``, and rests in between."""
+    output = np.empty_like(values)
+    state = float(values[0])
+    for row, value in enumerate(values.tolist()):
+        state = min(max(state, value - radius), value + radius)
+        output[row] = state
+    return output
+
+
 def between(values: Floats, places: Floats) -> Floats:
-    """Return values between the rows of an even signal, by Catmull-Rom cubics.
+    """Return values between the rows of an even signal, by cubics with slopes of five rows.
 
     Parameters
     ----------
@@ -364,10 +379,10 @@ def between(values: Floats, places: Floats) -> Floats:
     places = np.clip(places, 0.0, last)
     row = np.minimum(places.astype(np.intp), last - 1)
     part = (places - row).reshape(-1, *[1] * (values.ndim - 1))
-    before, here = values[np.maximum(row - 1, 0)], values[row]
-    after, beyond = values[row + 1], values[np.minimum(row + 2, last)]
-    slope = 0.5 * (after - before)
-    next_slope = 0.5 * (beyond - here)
+    six = [values[np.clip(row + offset, 0, last)] for offset in range(-2, 4)]
+    here, after = six[2], six[3]
+    slope = (8.0 * (after - six[1]) - (six[4] - six[0])) / 12.0
+    next_slope = (8.0 * (six[4] - here) - (six[5] - six[1])) / 12.0
     rise = after - here
     cubic = slope + next_slope - 2.0 * rise
     square = 3.0 * rise - 2.0 * slope - next_slope

@@ -181,6 +181,49 @@ def conversion(from_text: str | None, to_text: str | None) -> float:
     return float(ratio(from_text, to_text))
 
 
+def to_model_unit(
+    label: str, stated: str | None, given: str | None, wanted: str | None
+) -> Fraction:
+    """Return by what numbers are multiplied to be in the unit of a model.
+
+    Parameters
+    ----------
+    label
+        What the numbers are, for messages.
+    stated
+        The unit that they state of themselves, None for none. It never converts: pandas
+        keeps ``attrs`` through arithmetic.
+    given
+        The unit that the user gives, None for none.
+    wanted
+        The unit of the model, None where it states none.
+
+    Raises
+    ------
+    InputError
+        They state another unit than the model's.
+    UsageError
+        The unit that is given cannot be converted.
+    """
+    if given is not None:
+        if wanted is None:
+            raise UsageError(f"`unit` {given}: the model states no unit: leave it out")
+        try:
+            return ratio(given, wanted)
+        except InputError:
+            raise UsageError(
+                f"`unit` {given}: not convertible to {wanted}, the unit of the model"
+            ) from None
+    if stated is None or wanted is None or spell(stated) == spell(wanted):
+        return Fraction(1)
+    numbers = f"`.to_numpy()` for numbers in {wanted}"
+    if kind_of(stated) != kind_of(wanted):
+        numbers = f"give another signal, or {numbers}"
+    else:
+        numbers = f'pass `unit="{stated}"`, or {numbers}'
+    raise InputError(f"{label} is in {stated}, the model in {wanted}: {numbers}")
+
+
 def multiplied(values: Any, factor: Fraction) -> Any:
     """Multiply numbers or arrays; by 1/1000 as a division, which is exact to the last digit."""
     if factor == 1:

@@ -26,7 +26,13 @@ from dbo_cli.reports import Report
 FOLDER = Path(__file__).resolve().parent
 MAN = FOLDER / "man"
 TITLE = re.compile(r"^(\w[\w ]*)\n-{3,}\n", re.MULTILINE)
-FUNCTIONS = (library.read_log, library.identify, library.read_model, library.report)
+FUNCTIONS = (
+    library.read_log,
+    library.identify,
+    library.read_model,
+    library.read_models,
+    library.report,
+)
 CLASSES = (library.Model, library.ModelSet, Drive, Controller, Report)
 
 

@@ -15,6 +15,7 @@ LEVELS = {
     "files": 0.5,
     "signals": 0.5,
     "units": 0.5,
+    "alignment": 0.75,
     "model": 1,
     "logs": 1,
     "identification": 2,

@@ -34,10 +34,10 @@ def compare(
     """
     from dbo_cli.compare import compare as compare_operators
     from dbo_cli.files import write_text
-    from dbo_cli.recordings import read_recordings
+    from dbo_cli.recordings import recordings_of
 
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
-    every, opened = read_recordings([*logs, *(validate or [])], reading, columns)
+    every, opened = recordings_of([*logs, *(validate or [])], columns, reading)
     recordings, tests = every[: len(logs)], every[len(logs) :]
     say_logs(opened[: len(logs)], sum(len(log.voltage) for log in recordings))
     working("fitting")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from itertools import chain
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from typer import Argument
@@ -15,7 +14,6 @@ from dbo_cli.cli.say import progress, say, say_log, say_output
 
 if TYPE_CHECKING:
     from dbo_cli.drive import Drive, Limits
-    from dbo_cli.drive.learning import PassRecord, Tracked
     from dbo_cli.files import Outputs
     from dbo_cli.logs import Log
     from dbo_cli.model import Cascade
@@ -93,9 +91,11 @@ def compensate(
     """
     from dbo_cli import channels
     from dbo_cli.drive import Limits, voltage_in
+    from dbo_cli.drive.learning import read_history
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.logs import open_log
-    from dbo_cli.model import dumps_state, read_model
+    from dbo_cli.model import dumps_state, read_model, state_of
+    from dbo_cli.recordings import tracked_of
 
     columns = {"time": time, "displacement": displacement}
     ranges = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
@@ -123,7 +123,7 @@ def compensate(
         "condition": condition,
         "lead": opt.quantity("lead", lead, "s", "auto"),
         "on_limit": on_limit,
-        "state": opt.state_of(state, actuator),
+        "state": state_of(state, actuator),
         "name": trajectory,
         "start": start and voltage_in("from", start, actuator.input),
         "return_to": return_to and voltage_in("return", return_to, actuator.input),
@@ -135,8 +135,8 @@ def compensate(
             "periodic": periodic,
             "passes": passes,
             "absolute": absolute,
-            "tracked": read_tracked(tracked or [], reading, roles, actuator),
-            "history": read_history(history),
+            "tracked": tracked_of(tracked or [], roles, reading, actuator),
+            "history": () if history is None else read_history(history),
         }
     check_outputs(output, summary, state=save_state, history=history)
     units = opt.units_of(displacement=actuator.output)
@@ -200,35 +200,3 @@ def summary_of(drive: Drive, wanted: Log) -> str:
     if wanted.provided("time"):
         figures["move_time"] = [wanted.clock.first, wanted.clock.last]
     return json.dumps(figures, indent=2) + "\n"
-
-
-def read_tracked(
-    paths: list[str],
-    reading: opt.Reading,
-    columns: dict[str, str | None],
-    actuator: Cascade,
-) -> list[Tracked]:
-    """Read recordings of the last pass in the model's units."""
-    from dbo_cli.drive.learning import Tracked
-    from dbo_cli.logs import open_log
-
-    units = opt.units_of(voltage=actuator.input, measured=actuator.output)
-    recordings = []
-    for path in paths:
-        with open_log(path, columns, reading, units) as log:
-            table = log.read()
-        recordings.append(
-            Tracked(path, table["voltage"], table["measured"], table.time)
-        )
-    return recordings
-
-
-def read_history(path: str | None) -> list[PassRecord]:
-    """Return the passes so far; none where there is no file yet."""
-    from dbo_cli.drive.learning import parse_history
-    from dbo_cli.files import note_input
-
-    if path is None or not Path(path).exists():
-        return []
-    note_input(path, "history")
-    return parse_history(Path(path).read_bytes(), path)

@@ -131,9 +131,13 @@ def identified(
 ) -> tuple[Cascade, list[Log]]:
     """Return the model of one actuator, and the logs that it was identified from."""
     from dbo_cli.identification import identify as fit
-    from dbo_cli.recordings import provenance, read_recordings
+    from dbo_cli.recordings import provenance, recordings_of
 
-    recordings, logs = read_recordings([*paths, *validate], reading, columns)
+    units = {}
+    if options.prior is not None:
+        into, out = options.prior.input, options.prior.output
+        units = {"voltage": into.unit, "displacement": out.unit}
+    recordings, logs = recordings_of([*paths, *validate], columns, reading, units)
     count = len(paths)
     if options.delay == "auto" and any(log.has_found_offset for log in logs):
         options = replace(options, delay=0.0)  # the offset between the clocks holds it

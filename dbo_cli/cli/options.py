@@ -267,14 +267,6 @@ def unit_behind(text: str) -> str:
     return text.strip().lstrip("+-.0123456789eE").strip()
 
 
-def state_of(text: str, model: Any) -> Any:
-    """Return a start: its name, or the state of a file."""
-    from dbo_cli.model import read_state
-    from dbo_cli.model.state import START_NAMES
-
-    return text if text in START_NAMES else read_state(text, model)
-
-
 def form_of(form: str | None, output: str) -> str:
     """Return the form of a result: by ``--format``, else by the name of the output."""
     return form or FORMS.get(os.path.splitext(output.lower())[1], "text")

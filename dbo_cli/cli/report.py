@@ -6,7 +6,7 @@ import dataclasses
 import os
 import shlex
 import sys
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import OUTPUT, Text, column, flag, option, rare
@@ -14,6 +14,7 @@ from dbo_cli.cli.say import detail, say, say_doubts
 from dbo_cli.errors import InputError, UsageError, warn
 
 if TYPE_CHECKING:
+    from dbo_cli.logs import Block
     from dbo_cli.reports import Pair, Report
 
 COMPARED, BOUNDS = "Comparison", "Bounds (exit 3)"
@@ -71,7 +72,7 @@ def report(
     dbo report tracked.csv --trajectory drive.csv --max-nrmse-percent 1
     """
     from dbo_cli.logs import parse_rows
-    from dbo_cli.model import read_model
+    from dbo_cli.model import read_model, state_of
     from dbo_cli.reports import Report, expected_in, predict
     from dbo_cli.reports import match as matched
     from dbo_cli.units import split_quantity
@@ -92,9 +93,9 @@ def report(
     if actuator is not None:
         actuator.require("forward", model or "")
         units = opt.units_of(voltage=actuator.input, measured=actuator.output)
-        start = opt.state_of(state, actuator)
+        start = state_of(state, actuator)
     elif trajectory is not None:
-        wanted, unit = read_trajectory(trajectory, desired)
+        desired_rows, unit = read_trajectory(trajectory, desired)
         units = {} if unit is None else {"measured": unit}
     else:
         roles["desired"] = desired
@@ -105,7 +106,14 @@ def report(
         if actuator is not None:
             pair = predict(pair, actuator, start, model or "")
         elif trajectory is not None:
-            pair = matched(pair, *wanted, match, trajectory)
+            pair = matched(
+                pair,
+                desired_rows["trajectory"],
+                desired_rows.time,
+                match,
+                trajectory,
+                desired_rows.values.get("voltage"),
+            )
         pairs.append(dataclasses.replace(pair, name=short_name(log, logs), rows=rows))
     unit = units.get("measured")
     result = Report.of(
@@ -170,16 +178,15 @@ def read_pair(
     return Pair(path, table["desired"], moved, table.time, drive), read_units
 
 
-def read_trajectory(
-    path: str, column: str | None
-) -> tuple[tuple[Any, Any], str | None]:
-    """Read the desired displacement of a file of its own: its values and time, and its unit."""
+def read_trajectory(path: str, column: str | None) -> tuple[Block, str | None]:
+    """Read the desired displacement of a file of its own, with its drive if it has one; and its unit."""
     from dbo_cli.logs import open_log
 
-    with open_log(path, {"time": None, "trajectory": column}) as log:
+    roles: Columns = {"time": None, "trajectory": column, "voltage": None}
+    with open_log(path, roles, optional=("time", "voltage")) as log:
         table = log.read()
     say_doubts(log)
-    return (table["trajectory"], table.time), log.columns["trajectory"].unit
+    return table, log.columns["trajectory"].unit
 
 
 def short_name(log: str, logs: list[str]) -> str:

@@ -41,7 +41,7 @@ def simulate(
     from dbo_cli.drive.simulate import Simulation, simulate_blocks
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.logs import add_table, open_log
-    from dbo_cli.model import State, dumps_state, read_model
+    from dbo_cli.model import State, dumps_state, read_model, state_of
 
     columns = {"time": time, "input": input}
     if channels.is_pattern(columns):
@@ -50,7 +50,7 @@ def simulate(
         say_output(output, text)
         return
     actuator = read_model(model)
-    run, start = Simulation(), opt.state_of(state, actuator)
+    run, start = Simulation(), state_of(state, actuator)
     if isinstance(start, State):
         run.state, start = start, "auto"
     check_outputs(output, state=save_state)

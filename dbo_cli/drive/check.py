@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dbo_cli.arrays import Floats
+from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.drive.gate import Gate
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import InputError, LimitError
 from dbo_cli.model import steps_of
-
-Rows = NDArray[np.int64]
+from dbo_cli.signals import between, lag, noise
 
 TOLERANCE = 1e-3
 """Of the drive's range, by which a recording may differ: a converter of 10 bits rounds to half of it."""
@@ -25,7 +22,6 @@ NOISE = 6.0
 GAP = 1.5  # usual steps of the clock from which on a step is a gap
 OPEN_SEAM = 3.0  # times the largest step inside, from which on a loop does not close
 ANOTHER = 0.5  # correlation below which a recording is of another drive
-FEWEST_SHARED = 0.25  # of the shorter of drive and recording that must belong together
 SAME_RATE = 1e-6  # relative difference of two rates that are one
 
 
@@ -106,11 +102,12 @@ class Checked:
         ]
         if self.played is not None:
             played = self.played
-            late = ""
-            if played.lag_seconds:
-                late = f" ({1e3 * played.lag_seconds:.4g} ms)"
+            lag_rows = round(played.lag_rows, 2) + 0.0
+            late = f"{lag_rows:g} rows late"
+            if lag_rows and played.lag_seconds:
+                late += f" ({1e3 * played.lag_seconds:.4g} ms)"
             lines.append(
-                f"  played: {played.rows:,} rows, {played.lag_rows:.4g} later{late}, gain {played.gain:.6g},"
+                f"  played: {played.rows:,} rows, {late}, gain {played.gain:.6g},"
                 f" offset {played.offset:.3g}{unit}, largest difference {played.largest_difference:.3g}{unit}"
             )
         lines += [f"  {problem}" for problem in self.problems]
@@ -245,7 +242,7 @@ def _odd_times(time: Floats) -> list[str]:
     return problems
 
 
-def _problem(odd: NDArray[np.bool_], reason: str) -> str:
+def _problem(odd: Booleans, reason: str) -> str:
     """Name the first odd row, and how many there are."""
     count = int(np.count_nonzero(odd))
     more = f" ({count:,} rows in all)" if count > 1 else ""
@@ -269,23 +266,11 @@ def _seam(voltage: Floats, gate: Gate, waits: Floats | None) -> list[str]:
 # --- what was played ---
 
 
-def noise_of(played: Floats) -> float:
-    """Return the standard deviation of a recording's noise, from its third differences.
-
-    Differences of a smooth drive vanish; those of white noise of variance s^2 have the
-    variance 20 s^2.
-    """
-    if played.size < 16:
-        return 0.0
-    third = np.diff(played, 3)
-    return float(np.median(np.abs(third)) / 0.6745 / math.sqrt(20.0))
-
-
 def tolerance_of(drive: Floats, played: Floats, tolerance: float | None) -> float:
     """Return by how much a recording may differ: as given, or a thousandth of the range, or its noise."""
     if tolerance is not None:
         return tolerance
-    return max(TOLERANCE * float(np.ptp(drive)), NOISE * noise_of(played))
+    return max(TOLERANCE * float(np.ptp(drive)), NOISE * noise(played))
 
 
 def check_played(
@@ -306,96 +291,52 @@ def check_played(
     tolerance : float, optional
         The largest difference allowed.
     """
-    most = tolerance_of(drive, played, tolerance)
+    allowed = tolerance_of(drive, played, tolerance)
     step, played_step = steps
     if step and played_step and abs(played_step / step - 1.0) > SAME_RATE:
-        places = np.arange(0.0, (drive.size - 1) * step, played_step)
-        drive = np.interp(places, step * np.arange(drive.size), drive)
-    lag, shared = lag_of(drive, played)
-    begin = max(0, -lag)
-    ours = drive[begin : begin + shared]
-    theirs = played[begin + lag : begin + lag + shared]
-    ours, theirs, part = _between_rows(ours, theirs)
-    gain, offset = 1.0, float(np.mean(theirs - ours))
-    if np.ptp(ours) > 0.0:
-        gain, offset = np.polyfit(ours, theirs, 1).tolist()
-    largest = float(np.abs(theirs - ours).max())
-    if abs(offset) < 1e-9 * most:
+        times = np.arange(0.0, (drive.size - 1) * step, played_step)
+        drive = np.interp(times, step * np.arange(drive.size), drive)
+    found = lag(played, drive)
+    late = 0.0 if found is None else found.seconds
+    overlaid = [_overlaid(drive, played, rows) for rows in (round(late), late)]
+    lag_rows, desired, recorded = min(
+        overlaid, key=lambda rows: float(np.abs(rows[2] - rows[1]).max())
+    )
+    gain, offset = 1.0, float(np.mean(recorded - desired))
+    if np.ptp(desired) > 0.0:
+        gain, offset = np.polyfit(desired, recorded, 1).tolist()
+    largest = float(np.abs(recorded - desired).max())
+    if abs(offset) < 1e-9 * allowed:
         offset = 0.0
+    shared = desired.size if lag_rows == round(lag_rows) else desired.size + 1
     unit = f" {checked.unit}" if checked.unit else ""
-    late = None if played_step is None else (lag + part) * played_step
-    checked.played = Played(shared, lag + part, late, gain, offset, largest, most)
-    if _alike(ours, theirs) < ANOTHER:
+    seconds = None if played_step is None else lag_rows * played_step
+    checked.played = Played(shared, lag_rows, seconds, gain, offset, largest, allowed)
+    if _correlation(desired, recorded) < ANOTHER:
         checked.problems.append("another drive was played: the two do not correlate")
         return
     if shared < drive.size:
         checked.problems.append(
             f"{drive.size - shared:,} of {drive.size:,} rows were not played"
         )
-    if largest > most:
+    if largest > allowed:
         checked.problems.append(
-            f"the recording differs by up to {largest:.4g}{unit}, more than {most:.3g}{unit} (gain "
+            f"the recording differs by up to {largest:.4g}{unit}, more than {allowed:.3g}{unit} (gain "
             f"{gain:.5g}, offset {offset:.3g}{unit})"
         )
 
 
-def _alike(a: Floats, b: Floats) -> float:
+def _correlation(a: Floats, b: Floats) -> float:
     """Return the correlation of two stretches, without its sign."""
     if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
         return float(np.ptp(a) == np.ptp(b))
     return abs(float(np.corrcoef(a, b)[0, 1]))
 
 
-def _between_rows(drive: Floats, played: Floats) -> tuple[Floats, Floats, float]:
-    """Return both at the same times where the recording is late by a fraction of a row, and that fraction."""
-    if drive.size < 16 or np.ptp(drive) == 0.0:
-        return drive, played, 0.0
-    from scipy.interpolate import CubicSpline
-
-    curve = CubicSpline(np.arange(drive.size), drive)
-    rows = np.arange(1.0, drive.size - 1.0)
-    inner = played[1:-1]
-    part = 0.0
-    for _ in range(2):
-        shape = [curve(rows - part), np.ones(rows.size), curve(rows - part, 1)]
-        columns = np.column_stack(shape)
-        gain, _, slope = np.linalg.lstsq(columns, inner, rcond=None)[0].tolist()
-        part = float(np.clip(part - slope / gain, -1.0, 1.0)) if gain else 0.0
-    shifted = curve(rows - part)
-    if np.abs(inner - shifted).max() < np.abs(inner - drive[1:-1]).max():
-        return shifted, inner, part
-    return drive, played, 0.0
-
-
-def lag_of(drive: Floats, played: Floats) -> tuple[int, int]:
-    """Return by how many rows a recording is later than a drive, and how many rows belong together.
-
-    The lag is where the rows that belong together tell it best: n log(1/(1 - r^2)) of n
-    rows whose correlation is r, so that a recording may begin late and end early.
-    """
-    a, b = drive - drive.mean(), played - played.mean()
-    lags = np.arange(1 - a.size, b.size)
-    begin, end = np.maximum(0, -lags), np.minimum(a.size, b.size - lags)
-    count = end - begin
-    size = 1 << (a.size + b.size - 2).bit_length()
-    circular = np.fft.irfft(np.fft.rfft(b, size) * np.fft.rfft(a, size).conj(), size)
-    products = np.concatenate([circular[size - a.size + 1 :], circular[: b.size]])
-    sum_a, sum_b = _between(a, begin, end), _between(b, begin + lags, end + lags)
-    spread_a = _between(a * a, begin, end) - sum_a**2 / count
-    spread_b = _between(b * b, begin + lags, end + lags) - sum_b**2 / count
-    spread = spread_a * spread_b
-    shared = products - sum_a * sum_b / count
-    enough = count >= FEWEST_SHARED * min(a.size, b.size)
-    moving = (spread > 1e-12 * spread.max()) & enough
-    alike = np.divide(shared**2, spread, out=np.zeros(lags.size), where=moving)
-    evidence = -count * np.log(np.maximum(1.0 - alike, 1e-12))
-    near = np.flatnonzero(evidence >= evidence.max() * (1.0 - 1e-9))
-    best = near[np.argmin(np.abs(lags[near]))]
-    return int(lags[best]), int(count[best])
-
-
-def _between(values: Floats, begin: Rows, end: Rows) -> Floats:
-    """Return the sum of the values of each stretch of rows."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    sums: Floats = total[end] - total[begin]
-    return sums
+def _overlaid(
+    drive: Floats, played: Floats, rows: float
+) -> tuple[float, Floats, Floats]:
+    """Return a lag in rows, and drive and recording at the same times."""
+    places = np.arange(float(played.size)) - rows
+    inside = (places >= 0.0) & (places <= drive.size - 1)
+    return rows, between(drive, places[inside]), played[inside]

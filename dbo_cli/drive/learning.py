@@ -12,8 +12,10 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -23,10 +25,10 @@ from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.lowpass import low_pass
 from dbo_cli.drive.swings import soft_rise
-from dbo_cli.errors import InputError, warn
-from dbo_cli.model import Resonance, State
+from dbo_cli.errors import InputError, ModelError, warn
+from dbo_cli.model import Resonance, State, fields
 
-FORMAT, VERSION = "dbo-history", 1
+FORMAT = "dbo-history"
 
 # of Q, run both ways; at 4 what is learned neither grows nor is lost (measured in benchmarks)
 ORDER = 4
@@ -354,35 +356,41 @@ def _trusted_by_bands(
 # --- the history ---
 
 
-def parse_history(text: str | bytes, name: str) -> list[PassRecord]:
-    """Read the passes of a history file, the oldest first.
+def read_history(path: str) -> tuple[PassRecord, ...]:
+    """Read the passes of a history file, the oldest first; none where there is no file yet.
 
     Raises
     ------
     InputError
+        The file cannot be read.
+    ModelError
         It is no history.
     """
+    if not os.path.exists(path):
+        return ()
+    name, values = fields.load(path, "history")
     try:
-        content = json.loads(text)
-        known = content["format"] == FORMAT and content["version"] == VERSION
-        passes = [
-            PassRecord(str(record["drive_sha256"]), float(record["rmse"]))
-            for record in content["passes"]
-        ]
-    except (ValueError, KeyError, TypeError, RecursionError):
-        known, passes = False, []
-    if not known or not all(0.0 <= record.rmse < math.inf for record in passes):
-        raise InputError(
-            f'{name}: not a history ("format": "{FORMAT}", "version": {VERSION}): give a new file'
-        )
+        content = fields.contents(values, "", FORMAT, "a history")
+        passes: tuple[PassRecord, ...] = fields.build(
+            dict, content, "", passes=partial(fields.listed, read=_pass_record)
+        )["passes"]
+    except ModelError as problem:
+        raise ModelError(f"{name}: {problem}: give a new file") from None
     return passes
+
+
+def _pass_record(values: object, path: str) -> PassRecord:
+    record: PassRecord = fields.build(
+        PassRecord, values, path, drive_sha256=fields.text, rmse=fields.magnitude
+    )
+    return record
 
 
 def dumps_history(passes: Sequence[PassRecord]) -> str:
     """Return a history as the text of its file."""
     content = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": fields.VERSION,
         "passes": [record._asdict() for record in passes],
     }
     return json.dumps(content, indent=2) + "\n"

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.gate import ROUNDING, GateError
 from dbo_cli.drive.limits import Figure, Limits, voltage_in
 from dbo_cli.errors import InputError, ModelError, UsageError
-from dbo_cli.model import Cascade, State, Undoing
+from dbo_cli.model import Cascade, State, Undoing, state_of
 from dbo_cli.model.points import value_through
 
 WANTED_SPANS = 1e12
@@ -37,9 +38,9 @@ class Controller:
         Samples a second (Hz).
     v_min, v_max, max_slew, extrapolate
         Limits, as of ``compensate``.
-    state : State or name of a start
+    state : State, name of a start, or file
         What was before the first sample.
-    from_ : float, optional
+    from_ : float or str, optional
         Where the amplifier stands; a slew limit then holds for the first sample, too.
     lookahead : float or "auto", optional
         Seconds by which what is passed is wanted later: a model with dynamics or a delay
@@ -77,8 +78,8 @@ class Controller:
         v_max: Figure = None,
         max_slew: Figure = None,
         extrapolate: bool = False,
-        state: State | str = "auto",
-        from_: float | None = None,
+        state: State | str | Path = "auto",
+        from_: Figure = None,
         lookahead: float | Literal["auto"] | None = None,
     ) -> None:
         model.require("forward")
@@ -88,7 +89,8 @@ class Controller:
             )
         self.limits = Limits.within(model.input, v_min, v_max, max_slew, extrapolate)
         self.clipped = 0
-        self._model, self._begin = model, state
+        self._model = model
+        self._begin = state_of(state, model)
         self._dt = 1.0 / sample_rate
         step = self.limits.largest_step(self._dt)
         self._step = math.inf if step is None else float(step)
@@ -96,7 +98,7 @@ class Controller:
         self._to_gears, self._from_gears = inverse.head, inverse.tail
         self._back_to_gears = model.head
         typed = None if from_ is None else voltage_in("from_", from_, model.input)
-        left_at = state.drive if isinstance(state, State) else None
+        left_at = self._begin.drive if isinstance(self._begin, State) else None
         self.last = self.limits.standing(typed, left_at, "`from_`")
         if self.last is not None:
             self._begin = self._stood_at(self.last)
@@ -144,7 +146,10 @@ class Controller:
         if self._stepper is None:
             return self._begin if isinstance(self._begin, State) else None
         after = self._model.inverse().gears.committed(self._stepper)
-        return dataclasses.replace(after, drive=self.last, undoing=self._undoing)
+        digest = self._model.digest
+        return dataclasses.replace(
+            after, drive=self.last, undoing=self._undoing, model=digest
+        )
 
     def plan(self, wanted: float) -> float:
         """Return the voltage for what is wanted now (or ``lookahead`` later); nothing has changed yet.

@@ -6,7 +6,6 @@ a fit without resonances would take for hysteresis.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -140,10 +139,4 @@ def _without(log: Recording, rows: slice) -> Recording:
     kept = slice(0, rows.start)
     if rows.start < len(log.voltage) - rows.stop:
         kept = slice(rows.stop, len(log.voltage))
-    return dataclasses.replace(
-        log,
-        voltage=log.voltage[kept],
-        displacement=log.displacement[kept],
-        time=None if log.time is None else log.time[kept],
-        good=None if log.good is None else log.good[kept],
-    )
+    return log.part(kept)

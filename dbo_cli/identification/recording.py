@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -25,7 +25,7 @@ class Recording:
     name : what messages call it
     voltage, displacement : shape (n,)
     time : shape (n,), seconds, or None without a clock
-    input, output : quantity and unit of each
+    input, output : quantity and unit of each; None: no unit is stated
     good : shape (n,), which rows count; None: all
     """
 
@@ -33,8 +33,8 @@ class Recording:
     voltage: Floats
     displacement: Floats
     time: Floats | None = None
-    input: tuple[str, str] = ("voltage", "V")
-    output: tuple[str, str] = ("displacement", "um")
+    input: tuple[str, str | None] = ("voltage", None)
+    output: tuple[str, str | None] = ("displacement", None)
     good: Booleans | None = None
 
     def __post_init__(self) -> None:
@@ -77,6 +77,16 @@ class Recording:
             raise InputError(
                 f"{self.name}: most time stamps repeat: replace them with `sample_rate` HZ"
             )
+
+    def part(self, rows: slice) -> Recording:
+        """Return some of the rows, with everything that is known of them."""
+        return replace(
+            self,
+            voltage=self.voltage[rows],
+            displacement=self.displacement[rows],
+            time=None if self.time is None else self.time[rows],
+            good=None if self.good is None else self.good[rows],
+        )
 
     @property
     def dt(self) -> float | None:

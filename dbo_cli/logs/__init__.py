@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dbo_cli.logs.log import Log, columns_of, columns_of_names, open_log, parse_rows
+from dbo_cli.logs.frame import FrameTable, frame_table, is_frame, numbers, stated_unit
+from dbo_cli.logs.log import Log, columns_of, open_log, parse_rows
 from dbo_cli.logs.table import Block, Column, Reading
 from dbo_cli.logs.write import add_table, create
 
 __all__ = [
-    "Block", "Column", "Log", "Reading", "add_table", "columns_of", "columns_of_names",
-    "create", "open_log", "parse_rows",
+    "Block", "Column", "FrameTable", "Log", "Reading", "add_table", "columns_of", "create",
+    "frame_table", "is_frame", "numbers", "open_log", "parse_rows", "stated_unit",
 ]  # fmt: skip

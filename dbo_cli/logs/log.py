@@ -25,6 +25,7 @@ from dbo_cli.logs.scale import Scale, scales_of
 from dbo_cli.logs.table import (
     BLOCK_ROWS,
     NOT_A_TIME,
+    OVERLOAD,
     Block,
     Column,
     Reading,
@@ -40,7 +41,6 @@ Numbers = NDArray[np.int64]  # of rows, from 1
 Arrays = list[NDArray[Any]]
 
 _FIRST_BYTES = 1024  # MATLAB 7.3 has the mark of HDF5 at byte 512
-_OVERLOAD = 9.9e30  # instruments write 9.9E37 and 1E+31 for what they could not measure
 
 
 class Log:
@@ -95,7 +95,8 @@ class Log:
     @property
     def has_found_offset(self) -> bool:
         """Whether a clock offset was found from the signals, so that the actuator's delay is in it."""
-        return self.clock_offset is not None and self.clock_offset.auto
+        is_found = self.clock_offset is not None and self.clock_offset.auto
+        return is_found or self._source.has_found_offset
 
     def blocks(self, rows: int = BLOCK_ROWS) -> Iterator[Block]:
         """Return the log once, in blocks of at most so many rows.
@@ -175,7 +176,7 @@ class Log:
         count = int(np.count_nonzero(~good))
         if not self._skip_bad:
             more = f", and {count - 1:,} more such rows near it" if count > 1 else ""
-            raise InputError(f"{place}{more} (`skip_bad` drops such rows)")
+            raise InputError(f"{place}{more} ({self._source.cure})")
         self._first_dropped = self._first_dropped or place
         self._dropped += count
         all_numbers, numbers = numbers, numbers[good]
@@ -268,14 +269,14 @@ def _is_good(array: NDArray[Any]) -> bool:
         return True
     if array.dtype.kind == "i":
         return bool(array.min() != NOT_A_TIME)
-    return bool(-_OVERLOAD < array.min() and array.max() < _OVERLOAD)  # no NaN is
+    return bool(-OVERLOAD < array.min() and array.max() < OVERLOAD)  # no NaN is
 
 
 def _bad_cells(array: NDArray[Any]) -> NDArray[np.bool_]:
     """Return which cells are no numbers and no stamps."""
     if array.dtype.kind == "i":
         return np.asarray(array == NOT_A_TIME)
-    return np.asarray(~(np.abs(array) < _OVERLOAD))
+    return np.asarray(~(np.abs(array) < OVERLOAD))
 
 
 def parse_rows(rows: str | None) -> tuple[int, int | None]:
@@ -300,7 +301,7 @@ def parse_rows(rows: str | None) -> tuple[int, int | None]:
 
 
 def open_log(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | Table,
     roles: Mapping[str, str | None],
     reading: Reading | None = None,
     units: Mapping[str, str] | None = None,
@@ -311,7 +312,7 @@ def open_log(
     Parameters
     ----------
     path
-        A file, ``FILE::PART``, or ``-`` for standard input.
+        A file, ``FILE::PART``, ``-`` for standard input, or a table in memory.
     roles
         ``time``, ``voltage``, ``displacement``, ``input``, ``trajectory``, ``desired`` or
         ``measured``, each with what the user typed (a header name, a path, a number from
@@ -341,7 +342,8 @@ def open_log(
         if role not in roles:
             raise UsageError(f"`scale` {role}=...: give one of {', '.join(roles)}")
     roles = {role: text for role, text in roles.items() if role not in elsewhere}
-    log = _open_file(os.fspath(path), roles, reading, units, optional)
+    opened = path if isinstance(path, Table) else os.fspath(path)
+    log = _open_file(opened, roles, reading, units, optional)
     if elsewhere:
         log = _with_columns_of(log, elsewhere, reading, units)
     if reading.resample is not None:
@@ -371,15 +373,15 @@ def _with_columns_of(
 
 
 def _open_file(
-    name: str,
+    name: str | Table,
     roles: Mapping[str, str | None],
     reading: Reading,
     units: Mapping[str, str],
     optional: Sequence[str],
 ) -> Log:
-    """Open one file as a log."""
+    """Open one file or table as a log."""
     factors = {role: text for role, text in reading.scale.items() if role in roles}
-    source = open_source(name, reading)
+    source = name if isinstance(name, Table) else open_source(name, reading)
     try:
         clock, picks = _chosen(source, roles, reading, units, optional)
         scales = scales_of(source.name, picks, factors, units, source.remarks)
@@ -434,24 +436,3 @@ def columns_of(
     source = open_source(os.fspath(path), reading or Reading())
     source.close()
     return source.columns
-
-
-def columns_of_names(
-    names: Sequence[str],
-    roles: Mapping[str, str | None],
-    units: Mapping[str, str] | None = None,
-) -> dict[str, Column]:
-    """Return the columns of a frame by its header names; the time is left out where there is none.
-
-    Raises
-    ------
-    InputError
-        It is not clear which columns are meant.
-    """
-    source = Table("the frame")
-    for name in names:
-        source.add_column(name)
-    clock, picks = _chosen(source, roles, Reading(), units or {}, ("time",))
-    if clock.column is not None:
-        picks["time"] = clock.column
-    return picks

@@ -13,6 +13,8 @@ from dbo_cli.arrays import Floats
 from dbo_cli.units import spell, split_header
 
 BLOCK_ROWS = 65536
+OVERLOAD = 9.9e30
+"""Instruments write 9.9E37 and 1E+31, masks 1E+36, for what was not measured."""
 NOT_A_TIME = int(np.iinfo(np.int64).min)
 """A stamp that is missing or cannot be read."""
 LONGEST_CELL = 200
@@ -181,6 +183,10 @@ class Table:
         What is appended to a refusal about columns.
     has_paths
         Whether names are paths, whose last part holds the unit.
+    cure
+        What helps where rows hold no numbers.
+    has_found_offset
+        Whether a clock offset was found when it was made of two files.
     remarks
         What the user is to be told, without the file's name in front.
     last_block, first_row
@@ -191,6 +197,8 @@ class Table:
 
     guard: Column | None = None
     hint: str = ""
+    cure: str = "`skip_bad` drops such rows"
+    has_found_offset: bool = False
     has_paths = False
     first_row: int = 1
     torn: Sequence[int] = ()

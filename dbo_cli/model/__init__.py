@@ -12,6 +12,7 @@ from dbo_cli.model.file import (
     read_model,
     read_models,
     read_state,
+    state_of,
 )
 from dbo_cli.model.gears import Gears
 from dbo_cli.model.model import Candidate, Cascade, Outside
@@ -57,6 +58,7 @@ __all__ = [
     "read_model",
     "read_models",
     "read_state",
+    "state_of",
     "steps_behind",
     "steps_of",
 ]

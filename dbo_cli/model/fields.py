@@ -25,6 +25,7 @@ VERSION = 1
 LARGEST = 1e60  # of every number: products of five of them are still within float64
 # a file of some bytes must not ask for more memory than a machine has
 MOST_WIDTHS = 1_000_000
+SHOWN = 40  # characters of a value in a message
 LINE = 100  # characters, after which the next line of a list begins
 
 
@@ -84,9 +85,9 @@ def contents(values: Any, path: str, form: str, noun: str) -> Json:
     if rest.pop("format", None) != form:
         raise ModelError(f'{_join(path, "format")}: must be "{form}" in {noun}')
     version = rest.pop("version", None)
-    if isinstance(version, bool) or version != VERSION:
+    if type(version) is not int or version != VERSION:
         raise ModelError(
-            f"{_join(path, 'version')}: {version} is not version {VERSION}: make {noun} again"
+            f"{_join(path, 'version')}: {shown(version)} is not version {VERSION}: make {noun} again"
         )
     return rest
 
@@ -137,21 +138,42 @@ def _join(path: str, key: str) -> str:
     return f"{path}.{key}" if path else key
 
 
+def shown(value: object) -> str:
+    """Return a JSON value as a message shows it."""
+    text = json.dumps(value)
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+
+
 def number(value: Any, path: str) -> float:
     """Return a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ModelError(f"{path}: {json.dumps(value)[:60]} is not a number")
+        raise ModelError(f"{path}: {shown(value)} is not a number")
     if not -LARGEST <= value <= LARGEST:
         raise ModelError(
-            f"{path}: {str(value)[:60]} is not a finite number up to {LARGEST:g}"
+            f"{path}: {shown(value)} is not a finite number up to {LARGEST:g}"
         )
     return float(value)
+
+
+def magnitude(value: Any, path: str) -> float:
+    """Return a finite number of at least 0: an error, a duration."""
+    if number(value, path) < 0.0:
+        raise ModelError(f"{path}: {shown(value)} is not a number of at least 0")
+    return abs(float(value))
+
+
+def interval(value: Any, path: str) -> tuple[float, float]:
+    """Return the two ends of a range, the lower one first."""
+    ends = numbers(value, path)
+    if len(ends) != 2 or ends[0] > ends[1]:
+        raise ModelError(f"{path}: is not a list of two numbers, the lower one first")
+    return ends[0], ends[1]
 
 
 def text(value: Any, path: str) -> str:
     """Return a text."""
     if not isinstance(value, str) or not value.isprintable():
-        raise ModelError(f"{path}: {json.dumps(value)[:60]} is not a text")
+        raise ModelError(f"{path}: {shown(value)} is not a text")
     return value
 
 
@@ -176,7 +198,7 @@ def unless_null(read: Reader) -> Reader:
 
 def listed(items: Any, path: str, read: Reader) -> tuple[Any, ...]:
     """Return the items of a list, each as ``read`` returns it."""
-    if not isinstance(items, list):
+    if not isinstance(items, list | tuple):
         raise ModelError(f"{path}: is not a list")
     return tuple(read(item, f"{path}[{k}]") for k, item in enumerate(items))
 

@@ -11,6 +11,7 @@ import os
 from collections.abc import Mapping
 from functools import partial
 from itertools import chain, groupby, pairwise
+from pathlib import Path
 from typing import Any
 
 from dbo_cli.errors import InputError, ModelError
@@ -23,7 +24,7 @@ from dbo_cli.model.gears import Axis, Gears
 from dbo_cli.model.model import Candidate, Cascade
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
-from dbo_cli.model.state import Held, Quantity, State
+from dbo_cli.model.state import START_NAMES, Held, Quantity, State
 
 MODEL_FORMAT = "dbo-model"
 SET_FORMAT = "dbo-model-set"
@@ -129,8 +130,8 @@ def _fit(values: Any, path: str) -> Json:
     """Return the figures of a fit; refuse what cannot be one where commands take it for one."""
     for key in FIGURES:
         value = fields.notes(values, path).get(key)
-        if value is not None and number(value, f"{path}.{key}") < 0.0:
-            raise ModelError(f"{path}.{key}: {value!r} is not a number of at least 0")
+        if value is not None:
+            fields.magnitude(value, f"{path}.{key}")
     return fields.notes(values, path)
 
 
@@ -330,6 +331,26 @@ def read_state(path: str, model: Cascade) -> State:
         raise ModelError(f"{name}: {problem}") from None
 
 
+def state_of(state: State | str | Path, model: Cascade) -> State | str:
+    """Return what was before a run: the name of a start, a state, or that of a file.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    ModelError
+        It is no state, or one of another model.
+    """
+    if isinstance(state, State):
+        if state.model in ("", model.digest):
+            return state
+        raise ModelError(
+            "`state`: it belongs to another model: take one that this model returned"
+        )
+    name = str(state)
+    return name if name in START_NAMES else read_state(name, model)
+
+
 def _state(values: Json, model: Cascade) -> State:
     """Return the state that an object describes, which must be one of ``model``."""
     parts = build(
@@ -367,8 +388,15 @@ def _state(values: Json, model: Cascade) -> State:
     sections = None
     if flat is not None:
         sections = tuple(zip(flat[::3], flat[1::3], flat[2::3], strict=True))
-    memory, drive, time = parts["memory"], parts["drive"], parts["time"]
-    return State(int(digits, 16), memory, drive, time, sections, parts["delay"])
+    return State(
+        int(digits, 16),
+        parts["memory"],
+        parts["drive"],
+        parts["time"],
+        sections,
+        parts["delay"],
+        model=parts["model"],
+    )
 
 
 def _held(values: Any, path: str) -> Held:

@@ -88,6 +88,8 @@ class State:
         What undoing dynamics and delay remembers; put there by its caller.
     first : float, or None
         Of a drive about to start: its first voltage.
+    model : str
+        Digest of the model that it is of; empty inside a run.
     """
 
     bits: int
@@ -98,6 +100,7 @@ class State:
     delay: Held | None = None
     undoing: Undoing | None = None
     first: float | None = None
+    model: str = ""
 
 
 class Run(NamedTuple):

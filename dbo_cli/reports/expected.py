@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dbo_cli.errors import InputError
-from dbo_cli.files import note_input
+from dbo_cli.errors import InputError, ModelError
+from dbo_cli.model import fields
 
 if TYPE_CHECKING:
     from dbo_cli.arrays import Floats
@@ -19,6 +17,8 @@ SAME_MOVE = 0.01
 """Part of the move by which the ends of a summary's move may differ from the log's."""
 SLACK = 1e-9
 """Part of the range that rounding may add to a drive which ends at its limit."""
+
+SUMMARY = "dbo-summary"
 
 Ends = tuple[float, float]
 
@@ -85,7 +85,7 @@ def expected_in(path: str, unit: str | None = None) -> Expected:
     Parameters
     ----------
     path
-        The file.
+        The file; ``-`` is standard input.
     unit
         Of what is compared.
 
@@ -94,22 +94,18 @@ def expected_in(path: str, unit: str | None = None) -> Expected:
     InputError, ModelError
         It is neither, or it is in another unit.
     """
-    from dbo_cli.model import read_model
+    from dbo_cli.model.file import parse_model
 
-    note_input(path, "summary")
-    try:
-        content = json.loads(Path(path).read_text("utf-8"))
-        kind = content["format"]
-    except OSError as problem:
-        raise InputError(f"{path}: {problem.strerror}") from None
-    except (ValueError, TypeError, KeyError, RecursionError):
-        raise _no_summary(path) from None
-    if kind == "dbo-model":
-        model = read_model(path).forward()
-        content = {"unit": model.output.unit, **model.fit}
-    elif kind != "dbo-summary":
-        raise _no_summary(path)
-    return expected_of(content, unit, path)
+    name, values = fields.load(path, "summary")
+    if isinstance(values, dict) and values.get("format") == "dbo-model":
+        model = parse_model(values, name).forward()
+        values = {**model.fit, "unit": model.output.unit}
+    else:
+        try:
+            fields.contents(values, "", SUMMARY, "a summary")
+        except ModelError as problem:
+            raise ModelError(f"{name}: {problem}") from None
+    return expected_of(values, unit, name)
 
 
 def expected_of(
@@ -120,43 +116,42 @@ def expected_of(
     Raises
     ------
     InputError
-        It is no summary, or it is in another unit than what is compared.
+        It is in another unit than what is compared.
+    ModelError
+        It is no summary, or states no expected error.
     """
-    stated = content.get("unit")
+    try:
+        if "expected_rmse" not in content:
+            raise ModelError(
+                "states no expected error: give a summary of compensate, or a model"
+            )
+        stated = _value(content, "unit", fields.text)
+        rmse = _value(content, "expected_rmse", fields.magnitude)
+        move = _value(content, "move_range", fields.interval)
+        move_time = _value(content, "move_time", fields.interval)
+        limits = _value(content, "limits", fields.notes)
+        footer = ""
+        if limits is not None:
+            footer = _footer(limits, fields.text(content.get("model"), "model"))
+    except ModelError as problem:
+        raise ModelError(f"{name}: {problem}") from None
     if stated and unit and stated != unit:
         raise InputError(f"{name}: is in {stated}, the comparison in {unit}")
-    try:
-        rmse = content["expected_rmse"]
-        limits = content.get("limits")
-        return Expected(
-            None if rmse is None else float(rmse),
-            _ends(content.get("move_range")),
-            _ends(content.get("move_time")),
-            "" if limits is None else _footer(limits, str(content["model"])),
-        )
-    except (ValueError, TypeError, KeyError, AttributeError):
-        raise _no_summary(name) from None
+    # an error of exactly 0 was never measured: it states nothing
+    return Expected(rmse or None, move, move_time, footer)
 
 
-def _no_summary(name: str) -> InputError:
-    return InputError(
-        f"{name}: states no expected error: give a summary of compensate, or a model"
-    )
-
-
-def _ends(ends: Any) -> Ends | None:
-    """Return the two ends of a range."""
-    if ends is None:
-        return None
-    low, high = map(float, ends)
-    return low, high
+def _value(values: Mapping[str, Any], key: str, read: fields.Reader) -> Any:
+    """Return what a key holds; None where it is null or missing."""
+    return fields.unless_null(read)(values.get(key), key)
 
 
 def _footer(limits: Mapping[str, Any], model: str) -> str:
-    """Return what the page says of a drive."""
-    unit = limits["unit"] or ""
-    low, high = limits["rating"]
+    """Return what the page says of a drive (ModelError)."""
+    unit = _value(limits, "unit", fields.text) or ""
+    low, high = fields.interval(limits.get("rating"), "limits.rating")
+    slew = _value(limits, "max_slew", fields.magnitude)
     text = f"Limits {low:g} to {high:g} {unit}"
-    if limits["max_slew"]:
-        text += f", {limits['max_slew']} {unit}/s"
+    if slew:
+        text += f", {slew:g} {unit}/s"
     return f"{text}; drive of model {model[:12]}"

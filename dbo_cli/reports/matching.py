@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from dbo_cli.alignment import Alignment, align_displacements, align_drives
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.reports.pair import Pair, mean_step, rows_text, stretch
+from dbo_cli.signals import play
 
 SAME_RATE = 1e-3
 """Part by which two rates may differ: clocks of two recorders do, by some 1e-4."""
@@ -16,14 +18,12 @@ ACTUATOR_LAG = 0.05
 """Seconds that an actuator, its amplifier and its sensor may be late; more is a recorder's start."""
 CLEARLY_BETTER = 0.5
 """Part of the error that must be left at most for another start of the clock to be believed."""
-SEARCHED = 1 << 17
-"""Rows of the longer signal at most in the search for the start of a clock."""
-FEWEST = 16
-"""Rows that the search needs."""
-STEPS, FURTHEST = 8, 20.0
-"""Steps of the refinement at most, and rows that one may go."""
 PLAYS = (0.02, 0.05, 0.1, 0.2, 0.4)
 """Half widths, in parts of the range, of the plays that explain a loop beside a lag."""
+SMALL_LOOP = 1e-3
+"""Part of the measured variance below which no loop is looked for: 3 % of the move."""
+LOOP_SHOWS = 0.25
+"""Part of the unexplained variance that plays must leave at most for a loop to be there."""
 
 
 def match(
@@ -32,6 +32,7 @@ def match(
     desired_time: Floats | None = None,
     match: str = "auto",
     trajectory_name: str = "the trajectory",
+    drive: Floats | None = None,
 ) -> Pair:
     """Give every row of a recording the desired value that belongs to it.
 
@@ -49,6 +50,8 @@ def match(
         earlier or later is found, taken off and noted.
     trajectory_name
         How messages call the trajectory.
+    drive : array of shape (other rows,), optional
+        The drive of the trajectory's rows, by which "auto" lays a recording of it over.
 
     Raises
     ------
@@ -64,7 +67,9 @@ def match(
         lacking = name if recording.time is None else trajectory_name
         raise InputError(f"{lacking}: has no time: add `sample_rate`, or `match` rows")
     if match == "auto":
-        recording = _on_one_clock(recording, desired, desired_time, trajectory_name)
+        recording = _on_one_clock(
+            recording, desired, desired_time, drive, trajectory_name
+        )
     pair = _by_time(recording, desired, desired_time)
     if not len(pair):
         raise InputError(
@@ -111,25 +116,45 @@ def _by_time(recording: Pair, wanted: Floats, clock: Floats) -> Pair:
 
 
 def _on_one_clock(
-    recording: Pair, wanted: Floats, clock: Floats, trajectory: str
+    recording: Pair, desired: Floats, clock: Floats, drive: Floats | None, name: str
 ) -> Pair:
-    """Take off by how much the recorder was started earlier or later, where that is evident.
-
-    A lag that an actuator may have stays: it is part of the error. So does whatever
-    explains less than half of the error.
-    """
-    offset = _clock_ahead(recording, wanted, clock)
-    step = recording.step() or 0.0
-    if offset is None or -0.5 * step <= offset <= ACTUATOR_LAG:
-        return recording
+    """Put a recording on the trajectory's clock, by the drive where both hold it."""
     assert recording.time is not None
-    shifted = replace(recording, time=recording.time - offset, clock_offset=offset)
-    before = _scatter(_by_time(recording, wanted, clock))
-    if _scatter(_by_time(shifted, wanted, clock)) > CLEARLY_BETTER * before:
+    if drive is not None and recording.voltage is not None:
+        found = align_drives(recording.time, recording.voltage, clock, drive)
+        if found is not None:
+            return _shifted(recording, found, f"that of {name}, by the drive")
+        recording = replace(
+            recording,
+            warnings=(f"{recording.name}: its drive is not that of {name}",),
+        )
+    found = _by_displacement(recording, desired, clock)
+    step = recording.step() or 0.0
+    if found is None or -0.5 * step <= found.ahead <= ACTUATOR_LAG:
+        return recording  # what an actuator may be late is part of its error
+    shifted = _shifted(recording, found, f"that of {name}")
+    before = _scatter(_by_time(recording, desired, clock))
+    after = _scatter(_by_time(shifted, desired, clock))
+    if found.lag.rival is None and after <= CLEARLY_BETTER * before:
+        return shifted
+    if after >= before:
         return recording
-    side = "ahead of" if offset > 0.0 else "behind"
+    return recording.noted(
+        f"its clock may be {found.ahead:.4g} s ahead of that of {name}, which is not sure:"
+        " its stamps are taken; record the drive, too, or try `match` rows"
+    )
+
+
+def _shifted(recording: Pair, found: Alignment, other: str) -> Pair:
+    """Return a recording with the times of another clock, and a note of it where they differ."""
+    assert recording.time is not None
+    time = found.early_time(recording.time)
+    if np.abs(time - recording.time).max() <= 0.01 * found.step:
+        return recording
+    side = "ahead of" if found.ahead > 0.0 else "behind"
+    shifted = replace(recording, time=time, clock_offset=found.ahead)
     return shifted.noted(
-        f"its clock is {abs(offset):.4g} s {side} that of {trajectory}; this is taken off"
+        f"its clock is {abs(found.ahead):.4g} s {side} {other}; this is taken off"
     )
 
 
@@ -140,52 +165,27 @@ def _scatter(pair: Pair) -> float:
     return float(np.std(pair.measured - pair.desired))
 
 
-def _clock_ahead(recording: Pair, wanted: Floats, clock: Floats) -> float | None:
-    """Return how far the recorder's clock is ahead (s), from the two signals; None where they do not tell.
+def _by_displacement(
+    recording: Pair, desired: Floats, clock: Floats
+) -> Alignment | None:
+    """Return how the measured displacement lies over the move, with plays where a loop is in it.
 
-    The coarse shift is that of greatest correlation. What is left of it is the weight
-    of the derivative beside plays, which explain the loop that looks like a lag.
+    What stands before the move is left out: there the displacement is less well known.
     """
-    from dbo_cli.drive.check import lag_of
-
-    time = recording.time
-    assert time is not None
-    longest = max(np.ptp(time), np.ptp(clock))
-    step = max(recording.step() or 0.0, mean_step(clock) or 0.0, longest / SEARCHED)
-    if not step > 0.0:
-        return None
-    grid = np.arange(clock[0], clock[-1], step)
-    desired = np.interp(grid, clock, wanted)
-    stamps = np.arange(time[0], time[-1], step)
-    measured = np.interp(stamps, time, recording.measured)
-    if min(len(grid), len(stamps)) < FEWEST or not np.ptp(measured) * np.ptp(desired):
-        return None
-    rows, _ = lag_of(desired, measured)
-    offset = float(stamps[0] - grid[0] + rows * step)
-    columns = [np.ones_like(desired), desired, np.gradient(desired, step)]
-    for part in PLAYS:
-        columns.append(_play(desired, 0.5 * part * float(np.ptp(desired))))
-    for _ in range(STEPS):
-        times = stamps - offset
-        inside = (times >= grid[0]) & (times <= grid[-1])
-        if np.count_nonzero(inside) < FEWEST:
-            return None
-        shifted = [np.interp(times[inside], grid, column) for column in columns]
-        table = np.column_stack(shifted)
-        weights = np.linalg.lstsq(table, measured[inside], rcond=None)[0]
-        gain = weights[1] + weights[3:].sum()
-        late = np.clip(-weights[2] / gain, -FURTHEST * step, FURTHEST * step)
-        offset += float(late)
-        if abs(late) < 1e-3 * step:
-            break
-    return offset
-
-
-def _play(x: Floats, radius: float) -> Floats:
-    """Return the play of a signal: it follows at a distance of ``radius``, and rests in between."""
-    y = np.empty_like(x)
-    state = float(x[0])
-    for place, value in enumerate(x.tolist()):
-        state = min(max(state, value - radius), value + radius)
-        y[place] = state
-    return y
+    assert recording.time is not None
+    move = clock >= 0.0
+    if not np.ptp(desired[move]) > 0.0:
+        move = np.ones(len(clock), dtype=bool)
+    found = align_displacements(
+        recording.time, recording.measured, clock[move], desired[move]
+    )
+    if found is None or found.lag.residual < SMALL_LOOP:
+        return found
+    span = float(np.ptp(desired))
+    columns = [desired, *(play(desired, 0.5 * part * span) for part in PLAYS)]
+    loop = align_displacements(
+        recording.time, recording.measured, clock, np.column_stack(columns)
+    )
+    if loop is None or loop.lag.residual > LOOP_SHOWS * found.lag.residual:
+        return found
+    return loop

@@ -5,6 +5,7 @@ The error is *measured - desired* throughout, in the unit of the two signals.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
+from dbo_cli.signals import lag, noise, turns
 
 LOOP_BINS = 32
 """Bins of the desired signal in which both directions are compared."""
@@ -21,12 +23,10 @@ TURN_IN_NOISE = 10.0
 """Standard deviations of the noise that a turn must exceed: 10,000 normal samples span 8."""
 LARGEST_TURN = 0.1
 """Part of the range that a turn need not exceed: few samples a cycle look like noise."""
-SECOND_DIFFERENCE = math.sqrt(math.pi / 2.0) / math.sqrt(6.0)
-"""Standard deviation of white noise over the mean |second difference| of it."""
-MOTION_IN_NOISE = 20.0
-"""Standard deviations that the signal moves between two points of a slope (1 % of dilution)."""
-MOTION_IN_RANGE = 1.0 / 16.0
-"""Part of the range that is enough for a slope, whatever the noise."""
+LAG_ROWS = 1 << 17
+"""Rows that the lag left is looked for in, evenly picked."""
+EXPLAINED = 0.5
+"""Part of the measured signal's variance that a lag may leave unexplained at most."""
 
 
 @dataclass(frozen=True)
@@ -114,13 +114,6 @@ def percent_of(value: float, whole: float) -> float | None:
     return 100.0 * value / whole if whole > 0.0 else None
 
 
-def noise_of(values: Floats) -> float:
-    """Return the standard deviation of what changes from sample to sample; 0 for fewer than three."""
-    if len(values) < 3:
-        return 0.0
-    return SECOND_DIFFERENCE * float(np.mean(np.abs(np.diff(values, 2))))
-
-
 def directions(values: Floats) -> NDArray[np.int8]:
     """Return the direction of each sample: 1 up, -1 down, 0 neither.
 
@@ -128,39 +121,15 @@ def directions(values: Floats) -> NDArray[np.int8]:
     between the extreme and the place where that is certain have no direction: there the
     signal rests.
     """
+    least = min(TURN_IN_NOISE * noise(values), LARGEST_TURN * float(np.ptp(values)))
+    rows = turns(values, least)
     signs = np.zeros(len(values), dtype=np.int8)
-    span = float(np.ptp(values))
-    least = min(TURN_IN_NOISE * noise_of(values), LARGEST_TURN * span)
-    sign = 0
-    low = high = extreme = float(values[0])
-    begin = last = 0  # of the direction that goes on, and its extreme
-    for place in turning_places(values).tolist():
-        value = float(values[place])
-        if sign == 0:
-            low, high = min(low, value), max(high, value)
-            if value - low > least:
-                sign, extreme, last = 1, value, place
-            elif high - value > least:
-                sign, extreme, last = -1, value, place
-        elif sign * (value - extreme) >= 0.0:
-            extreme, last = value, place
-        elif sign * (extreme - value) > least:
-            signs[begin : last + 1] = sign
-            back = np.abs(values[last + 1 : place + 1] - extreme)
-            begin = last + 1 + int(np.argmax(back > least))
-            sign, extreme, last = -sign, value, place
-    if sign != 0:
-        signs[begin : last + 1] = sign
+    for begin, end in itertools.pairwise(rows.tolist()):
+        change = values[begin + 1 : end + 1] - values[begin]
+        if change.size and abs(change[-1]) > least:
+            moving = int(np.argmax(np.abs(change) > least))
+            signs[begin + 1 + moving : end + 1] = np.sign(change[-1])
     return signs
-
-
-def turning_places(values: Floats) -> NDArray[np.int64]:
-    """Return both ends and the places where the sign of the step changes."""
-    if len(values) < 2:
-        return np.arange(len(values))
-    step = np.sign(np.diff(values))
-    inner = np.flatnonzero(step[1:] != step[:-1]) + 1
-    return np.concatenate([[0], inner, [len(values) - 1]])
 
 
 def loop_width(desired: Floats, error: Floats) -> float | None:
@@ -193,50 +162,11 @@ def loop_width(desired: Floats, error: Floats) -> float | None:
 def lag_left(desired: Floats, measured: Floats) -> float | None:
     """Return by how many samples the measured signal follows the desired one, to a fraction.
 
-    Measured is fitted by a desired + b slope + constant. With w the frequency of the
-    desired signal (rad a sample), from the regression of its second difference on
-    itself, the phase is atan2(-b sin(w h), a), and the lag is the phase over w. Exact
-    for a sine; right to first order for other signals. Hysteresis is a phase, too. None
-    where the desired signal does not move back and forth, as a ramp.
+    Hysteresis is a phase, too. None where the desired signal does not move back and
+    forth, as a ramp, or where nothing of it is measured.
     """
-    h = slope_spacing(desired)
-    if h is None or len(desired) < 2 * h + 4:
+    stride = -(-len(desired) // LAG_ROWS)
+    found = lag(measured[::stride], desired[::stride], float(stride))
+    if found is None or found.residual > EXPLAINED or math.isinf(found.deviation):
         return None
-    d = desired[h:-h] - np.mean(desired[h:-h])
-    m = measured[h:-h] - np.mean(measured[h:-h])
-    slope = 0.5 * (desired[2 * h :] - desired[: -2 * h])
-    slope = slope - np.mean(slope)
-    bend = desired[2 * h :] - 2.0 * desired[h:-h] + desired[: -2 * h]
-    dd, ds, ss = np.mean(d * d), np.mean(d * slope), np.mean(slope * slope)
-    dm, sm = np.mean(d * m), np.mean(slope * m)
-    determinant = dd * ss - ds * ds
-    curvature = float(np.mean(d * bend))
-    if not determinant > 1e-12 * dd * ss or curvature >= 0.0:
-        return None
-    along = float((dm * ss - sm * ds) / determinant)
-    across = float((sm * dd - dm * ds) / determinant)
-    half_chord = 0.5 * math.sqrt(-curvature / float(dd))
-    step = 2.0 * math.asin(min(1.0, half_chord))  # phase in h samples
-    lag = math.atan2(-across * math.sin(step), along) / step * h
-    return lag if abs(lag) < len(desired) / 4.0 else None
-
-
-def slope_spacing(desired: Floats) -> int | None:
-    """Return how many samples apart a slope is taken; None for a signal that rests.
-
-    One for a smooth signal; more where it is held, rounded or noisy.
-    """
-    span = float(np.ptp(desired))
-    changes = np.flatnonzero(np.diff(desired))
-    if not span > 0.0 or not len(changes):
-        return None
-    h = 1
-    if len(changes) > 1:
-        plateau = float(np.median(np.diff(changes)))
-        if plateau > 1.0:
-            h = math.ceil(2.0 * plateau)
-    motion = min(MOTION_IN_NOISE * noise_of(desired), MOTION_IN_RANGE * span)
-    most = max(len(desired) // 8, 1)
-    while h < most and np.mean(np.abs(desired[h:] - desired[:-h])) < motion:
-        h *= 2
-    return min(h, most)
+    return found.seconds if abs(found.seconds) < len(desired) / 4.0 else None

@@ -123,7 +123,7 @@ REPORTS: dict[str, dict[str, float]] = {
         "mean": 0.04817242666666661,
         "p95_abs": 0.7779780000000001,
         "loop_width": 1.502185666666667,
-        "lag_left_samples": 1.990707829643285,
+        "lag_left_samples": 1.9914763030758373,
         "samples": 150,
     },
     "--lag 2": {

@@ -301,8 +301,8 @@ def test_a_report_of_a_model(creep: Any) -> None:
 
 
 def test_a_set_is_a_mapping_of_models(tmp_path: Path) -> None:
-    models = dbo.read_model(model("set"))
-    assert list(models) == ["x", "y"]
+    models = dbo.read_models(model("set"))
+    assert list(models) == ["x", "y"] and dbo.read_model(model("set")) == models
     models.save(tmp_path / "set.json")
     assert dbo.read_model(tmp_path / "set.json") == models
     assert dbo.read_model(f"{tmp_path}/set.json::y") == models["y"]

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
+import polars as pl
 import pytest
 
 import dbo_cli as dbo
@@ -77,3 +79,293 @@ def test_what_is_no_number_is_no_limit(figure: Any) -> None:
     actuator = dbo.read_model(model("creep"))
     with pytest.raises(dbo.UsageError, match="v_max"):
         actuator.compensate([2.0, 2.1, 2.2], sample_rate=1000.0, v_max=figure)
+
+
+# --- Series, frames and arrays ---
+
+MOVE = 2.5 - np.cos(30.0 * TIME)
+WRONG = 'displacement is in nm, the model in um: pass `unit="nm"`, or `.to_numpy()` for numbers in um'
+
+
+@pytest.fixture
+def creep() -> dbo.Model:
+    return dbo.read_model(model("creep"))
+
+
+@pytest.fixture
+def nanometers() -> Any:
+    """Return a frame of ``read_log`` in nm and mV."""
+    drive = 1e3 * (50.0 - 50.0 * np.cos(30.0 * TIME))
+    write("u.csv", "t (ms),U (mV),x (nm)", 1e3 * TIME, drive, 1e3 * MOVE)
+    return dbo.read_log("u.csv", voltage="U (mV)", displacement="x (nm)")
+
+
+def test_a_series_in_another_unit_is_refused(
+    creep: dbo.Model, nanometers: pd.DataFrame
+) -> None:
+    moved, time = nanometers["displacement"], nanometers["time"]
+    expected = creep.compensate(MOVE, time=TIME)
+    rounded = creep.compensate(moved.to_numpy(), time=time, unit="nm")
+    np.testing.assert_allclose(rounded, expected, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(
+        creep.compensate(moved, time=time, unit="nm"), rounded
+    )
+    plain = creep.compensate((moved / 1e3).to_numpy(), time=time)
+    np.testing.assert_allclose(plain, expected, rtol=0, atol=1e-9)
+    for wrong in (moved, moved / 1e3, moved - moved[0], (moved / 1e3).rename(None)):
+        with pytest.raises(dbo.InputError) as refusal:
+            creep.compensate(wrong, time=time)
+        assert str(refusal.value) == WRONG
+        with pytest.raises(dbo.InputError, match="in nm, the model in um"):
+            creep.inverse().simulate(wrong, time=time)
+        with pytest.raises(dbo.InputError, match="in nm, the model in um"):
+            dbo.report(TIME, wrong, time=time, model=creep)
+    with pytest.raises(
+        dbo.InputError, match='voltage is in mV, the model in V: pass `unit="mV"`'
+    ):
+        creep.simulate(nanometers["voltage"], time=time)
+    with pytest.raises(dbo.InputError, match="is in nm, the model in V: give another"):
+        creep.simulate(moved, time=time)
+    with pytest.raises(dbo.UsageError, match="`unit` mV: not convertible to um"):
+        creep.compensate(moved, time=time, unit="mV")
+
+
+@pytest.mark.parametrize("library", [pd.Series, pl.Series])
+def test_a_name_states_a_unit_as_a_header_does(library: Any, creep: dbo.Model) -> None:
+    def series(values: Any, name: str) -> Any:
+        return (
+            library(name=name, data=values)
+            if library is pd.Series
+            else library(name, values)
+        )
+
+    time = series(TIME, "t_s")
+    with pytest.raises(dbo.InputError) as refusal:
+        creep.compensate(series(1e3 * MOVE, "x (nm)"), time=time)
+    assert str(refusal.value) == WRONG
+    for name in ("x (um)", "x", "Weg [µm]", "data[2]"):
+        drive = creep.compensate(series(MOVE, name), time=time)
+        np.testing.assert_array_equal(drive, creep.compensate(MOVE, time=TIME))
+    with pytest.raises(dbo.InputError, match="`time` is in ms"):
+        creep.compensate(MOVE, time=series(1e3 * TIME, "t (ms)"))
+
+
+def test_report_takes_two_signals_in_one_unit(nanometers: pd.DataFrame) -> None:
+    moved = nanometers["displacement"]
+    wished = pd.Series(MOVE, name="desired_um")
+    with pytest.raises(dbo.InputError, match="measured is in nm, desired in um"):
+        dbo.report(wished, moved, time=TIME)
+    same = dbo.report(moved, moved + 10.0, time=TIME, max_rmse="0.02um")
+    assert same.unit == "nm" and same.rmse == pytest.approx(10.0) and same.passed
+    assert dbo.report(MOVE, MOVE, time=TIME).unit is None
+    with pytest.raises(dbo.UsageError, match=PLAIN):
+        dbo.report(MOVE, MOVE, time=TIME, max_rmse="10nm")
+
+
+def masked(values: Any) -> Any:
+    hidden = np.ma.array(values.copy(), mask=np.zeros(len(values), bool))
+    hidden[7] = np.ma.masked
+    hidden.data[7] = 1e36
+    return hidden
+
+
+def test_a_masked_row_is_a_missing_row(creep: dbo.Model) -> None:
+    far = MOVE.copy()
+    far[7] = 9.97e36
+    nothing = pd.Series(MOVE).astype("Float64")
+    nothing[7] = pd.NA
+    polar = pl.Series([*MOVE[:7], None, *MOVE[8:]])
+    for wrong in (masked(MOVE), far, nothing, polar, [*MOVE[:7], None, *MOVE[8:]]):
+        with pytest.raises(dbo.InputError, match=r"\[7\]"):
+            creep.compensate(wrong, time=TIME)
+        with pytest.raises(dbo.InputError, match=r"\[7\]"):
+            creep.simulate(wrong, time=TIME)
+        with pytest.raises(dbo.InputError, match=r"\[7\]"):
+            dbo.report(MOVE, wrong, time=TIME)
+        with pytest.raises(dbo.InputError, match="row 8"):
+            dbo.identify(TIME, wrong, time=TIME)
+    with pytest.raises(dbo.InputError, match=r"\[7\]"):
+        creep.compensate(MOVE, time=masked(TIME))
+    for wrong in (MOVE > 2.5, MOVE.astype(complex), MOVE.astype(str), MOVE[:, None]):
+        with pytest.raises(dbo.InputError, match="one row of numbers"):
+            creep.compensate(wrong, time=TIME)
+
+
+def test_truth_is_no_rate(creep: dbo.Model) -> None:
+    write("log.csv", "voltage_V,displacement_um", TIME, MOVE)
+    for wrong in (True, np.True_, 0, -5.0, float("nan"), "5V"):
+        for call in (
+            lambda wrong: creep.simulate(MOVE, sample_rate=wrong),
+            lambda wrong: creep.compensate(MOVE, sample_rate=wrong),
+            lambda wrong: creep.controller(sample_rate=wrong),
+            lambda wrong: dbo.identify(TIME, MOVE, sample_rate=wrong),
+            lambda wrong: dbo.report(MOVE, MOVE, sample_rate=wrong),
+            lambda wrong: dbo.read_log("log.csv", sample_rate=wrong),
+        ):
+            with pytest.raises(dbo.UsageError, match="sample_rate"):
+                call(wrong)
+    np.testing.assert_array_equal(
+        creep.simulate(MOVE, sample_rate="1kHz"), creep.simulate(MOVE, sample_rate=1e3)
+    )
+
+
+# --- recordings: files, frames and arrays are one way ---
+
+QUICK: dict[str, Any] = {"gears": 20, "points": 0, "delay": 0.0, "relaxation": ()}
+TYPED = "--gears 20 --points 0 --delay 0 --relaxation 0 --dynamics 0".split()
+
+
+def quick(*data: Any, **more: Any) -> dbo.Model:
+    return dbo.identify(*data, **QUICK, dynamics=0, **more)
+
+
+@pytest.fixture
+def played() -> tuple[Any, Any, Any]:
+    """Return time, volts and micrometers of some swings of a stored model."""
+    time = np.arange(900) / 300.0
+    swing = np.repeat([50.0, 40.0, 25.0], 300)
+    volts = 50.0 - swing * np.cos(2.0 * np.pi * time)
+    moved = dbo.read_model(model("known")).simulate(volts, time=time)
+    return time, volts, moved + 0.002 * np.cos(977.0 * time)
+
+
+HEADERS = ["t (ms),U (mV),x [nm]", "time,voltage,displacement", "t_s,U_V,x_um"]
+
+
+@pytest.mark.parametrize("header", HEADERS)
+@pytest.mark.parametrize("kind", ["read_log", "pandas", "polars", "path"])
+def test_a_frame_and_a_file_give_the_same_bytes(
+    header: str, kind: str, played: Any
+) -> None:
+    write("run.csv", header, *played)
+    shell("identify", "run.csv", *TYPED, "-o", "shell.json", "-q")
+    table = pd.read_csv("run.csv")
+    data = {
+        "read_log": lambda: dbo.read_log("run.csv"),
+        "pandas": lambda: table,
+        "polars": lambda: pl.from_pandas(table),
+        "path": lambda: Path("run.csv"),
+    }[kind]()
+    found = quick(data)
+    assert found.input.unit == dbo.read_model("shell.json").input.unit
+    if kind in ("pandas", "polars"):  # a frame of one's own has no file's name
+        expected = Path("shell.json").read_text().replace("run.csv", "the frame")
+        found.save("library.json")
+        assert Path("library.json").read_text() == expected
+    else:
+        found.save("library.json")
+        assert Path("library.json").read_bytes() == Path("shell.json").read_bytes()
+
+
+def test_no_unit_is_invented(played: Any) -> None:
+    time, volts, moved = played
+    named = quick(
+        pd.Series(volts, name="U (V)"), pd.Series(1e3 * moved, name="x (nm)"), time=time
+    )
+    assert (named.input.unit, named.output.unit) == ("V", "nm")
+    bare = quick(volts, moved, time=time)
+    assert (bare.input.unit, bare.output.unit) == (None, None)
+    typed = quick(volts, moved, time=time, voltage_unit="V", displacement_unit="um")
+    assert (typed.input.unit, typed.output.unit) == ("V", "um")
+    table = pd.DataFrame({"time": time, "voltage": volts, "displacement": moved})
+    assert quick(table).output.unit is None
+    indexed = table.set_index("time")
+    np.testing.assert_array_equal(
+        quick(indexed).simulate(volts, time=time),
+        quick(table).simulate(volts, time=time),
+    )
+    with pytest.raises(dbo.InputError, match="`voltage`"):
+        dbo.identify(pd.DataFrame({"a": volts, "b": moved}))
+
+
+def test_a_prior_has_units(played: Any) -> None:
+    time, volts, moved = played
+    prior = quick(volts, moved, time=time, voltage_unit="V", displacement_unit="um")
+    prior.save("prior.json")
+    write("run.csv", "t_s,U_V,x_nm", time, volts, 1e3 * moved)
+    shell("identify", "run.csv", "--prior", "prior.json", "-o", "again.json", "-q")
+    again, frame = dbo.read_model("again.json"), dbo.read_log("run.csv")
+    for found in (again, dbo.identify(frame, prior=prior)):
+        assert found.output.unit == "um"
+        assert found.output.span == pytest.approx(prior.output.span, rel=1e-3)
+    columns = frame["voltage"], frame["displacement"]
+    with pytest.raises(dbo.InputError, match="displacement is in nm, the model in um"):
+        dbo.identify(*columns, time=time, prior=prior)
+    with pytest.raises(dbo.InputError, match="899 rows"):
+        dbo.identify(volts, moved[:-1], time=time)
+
+
+def test_whole_frames_are_read_as_files_are(creep: dbo.Model, nanometers: Any) -> None:
+    drive = creep.compensate(nanometers)
+    np.testing.assert_allclose(drive, creep.compensate(MOVE, time=TIME), atol=1e-9)
+    shell("compensate", model("creep"), "u.csv", "-o", "drive.csv", "-q")
+    assert (
+        np.abs(np.loadtxt("drive.csv", delimiter=",", skiprows=1)[:, 2] - drive).max()
+        < 1e-12
+    )
+    x = creep.simulate(pl.from_pandas(pd.read_csv("u.csv")))
+    shell("simulate", model("creep"), "u.csv", "-o", "moved.csv", "-q")
+    assert (
+        np.abs(np.loadtxt("moved.csv", delimiter=",", skiprows=1)[:, 2] - x).max()
+        < 1e-12
+    )
+    with pytest.raises(dbo.UsageError, match="`unit`"):
+        creep.compensate(nanometers, unit="nm")
+
+
+# --- states ---
+
+
+def test_a_state_is_of_its_model(creep: dbo.Model) -> None:
+    other = dbo.read_model(model("soft"))
+    drive = 50.0 - 50.0 * np.cos(30.0 * TIME)
+    _, state = creep.simulate(drive, time=TIME, return_state=True)
+    planned = creep.compensate(MOVE, time=TIME, details=True).state
+    live = creep.controller(sample_rate=1000.0)
+    live.step(2.5)
+    creep.save_state(state, "st.json")
+    for own in (state, planned, live.state, "st.json", Path("st.json")):
+        creep.simulate(drive, time=TIME, state=own)
+        creep.inverse().simulate(MOVE, time=TIME, state=own)
+        creep.controller(sample_rate=1000.0, state=own)
+        for refusing in (
+            lambda own: other.simulate(drive, time=TIME, state=own),
+            lambda own: other.compensate(MOVE, time=TIME, state=own),
+            lambda own: other.controller(sample_rate=1000.0, state=own),
+            lambda own: dbo.report(drive, MOVE, time=TIME, model=other, state=own),
+            lambda own: other.save_state(own, "no.json"),
+        ):
+            with pytest.raises(dbo.ModelError, match="belongs to another model"):
+                refusing(own)
+    by_file = creep.controller(sample_rate=1000.0, state="st.json")
+    by_value = creep.controller(sample_rate=1000.0, state=state)
+    assert [by_file.step(x) for x in MOVE] == [by_value.step(x) for x in MOVE]
+    with pytest.raises(dbo.InputError, match=r"no\.json"):
+        creep.controller(sample_rate=1000.0, state="no.json")
+
+
+# --- wrong words ---
+
+
+@pytest.mark.parametrize(
+    ("verb", "word", "near"),
+    [
+        ("compensate", "vmax", "`v_max`"),
+        ("compensate", "max_slope", "`max_slew`"),
+        ("compensate", "colour", "`approach`"),
+        ("simulate", "states", "`state`"),
+        ("controller", "vmin", "`v_min`"),
+        ("identify", "delays", "`delay`"),
+        ("identify", "unit", "`voltage_unit`"),
+        ("report", "max_rms", "`max_rmse`"),
+        ("read_log", "samplerate", "`sample_rate`"),
+    ],
+)
+def test_a_wrong_word_is_answered_with_what_is_near(
+    verb: str, word: str, near: str, creep: dbo.Model
+) -> None:
+    call = getattr(creep, verb, None) or getattr(dbo, verb)
+    with pytest.raises(dbo.UsageError) as refusal:
+        call([1.0, 2.0, 3.0], **{word: 1.0})
+    assert str(refusal.value).startswith(f"{verb}: no `{word}`")
+    assert near in str(refusal.value)

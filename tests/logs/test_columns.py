@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs import Reading, columns_of, columns_of_names, open_log
+from dbo_cli.logs import Reading, columns_of, open_log
 from dbo_cli.logs.columns import candidates, role_of
 from dbo_cli.logs.table import Column
 from dbo_cli.units import split_header
@@ -154,15 +154,9 @@ def test_scales(tmp_path: Path) -> None:
         open_log(path, BOTH, Reading(scale={"voltage": "2um/A"}))
 
 
-def test_optional_roles_and_frames(tmp_path: Path) -> None:
+def test_optional_roles(tmp_path: Path) -> None:
     path = write(tmp_path, "time_s,voltage_V")
     with open_log(path, BOTH, optional=("time", "displacement")) as log:
         assert log.provided("voltage") and log.provided("time")
         assert not log.provided("displacement")
     assert [column.name for column in columns_of(path)] == ["time_s", "voltage_V"]
-    picked = columns_of_names(
-        ["t", "drive_V", "x_um"], {"voltage": None, "displacement": "x_um"}
-    )
-    assert {role: column.number for role, column in picked.items()} == {
-        "time": 1, "voltage": 2, "displacement": 3,
-    }  # fmt: skip

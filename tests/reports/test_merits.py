@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from dbo_cli.reports.merits import directions, lag_left, loop_width, merits, noise_of
+from dbo_cli.reports.merits import directions, lag_left, loop_width, merits
 
 
 def test_values_by_hand():
@@ -114,8 +114,3 @@ def test_lag_of_a_held_and_noisy_signal():
     measured = np.sin(2.0 * np.pi * (np.floor(rows / 5.0) * 5.0 - 20.0) / 600.0)
     measured += 0.01 * rng.standard_normal(len(rows))
     assert lag_left(desired, measured) == pytest.approx(20.0, abs=1.0)
-
-
-def test_noise_of_white_noise():
-    rng = np.random.default_rng(13)
-    assert noise_of(rng.standard_normal(100_000)) == pytest.approx(1.0, rel=0.02)

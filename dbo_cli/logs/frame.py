@@ -1,0 +1,200 @@
+"""Tables in memory as logs: pandas and polars frames, and arrays side by side.
+
+Columns are read as those of a CSV file are: by their names and the units in them. A
+frame of ``read_log`` states its units in ``attrs["units"]``, by column. A masked row is
+a missing row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dbo_cli.arrays import Floats
+from dbo_cli.errors import InputError
+from dbo_cli.logs.clock import TIME_NAMES
+from dbo_cli.logs.columns import words
+from dbo_cli.logs.table import Column, Table
+from dbo_cli.units import spell, split_header, time_unit
+
+Entry = tuple[str, Any, str | None]
+"""A column: its name, its values, and its unit."""
+
+
+class FrameTable(Table):
+    """Columns in memory.
+
+    Parameters
+    ----------
+    name
+        How messages call the table.
+    entries
+        Its columns.
+    names
+        By column, what it is called in the file that the frame was read from.
+    has_found_offset
+        Whether a clock offset was found in that file.
+    """
+
+    cure = "leave such rows out"
+
+    def __init__(
+        self,
+        name: str,
+        entries: Iterable[Entry],
+        names: Mapping[str, str] | None = None,
+        has_found_offset: bool = False,
+    ) -> None:
+        super().__init__(name)
+        self.has_found_offset = has_found_offset
+        self._names = names or {}
+        self._arrays: list[NDArray[Any]] = []
+        for title, values, unit in entries:
+            array, kind = _cells(values)
+            sample = str(next(iter(values), "")) if kind == "text" else ""
+            if dtype_kind(values) == "m":
+                unit = "s"
+            self.add_column(title, unit, kind, sample)
+            self._arrays.append(array)
+
+    def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
+        """Return all rows of the columns columns as one block.
+
+        Raises
+        ------
+        InputError
+            The columns have different lengths.
+        """
+        arrays = [self._arrays[column.number - 1] for column in columns]
+        for column, array in zip(columns, arrays, strict=True):
+            self.last_block[column.number] = array
+            if len(array) != len(arrays[0]):
+                raise InputError(
+                    f"{self.name}: {column.label} has {len(array):,} rows, "
+                    f"{columns[0].label} {len(arrays[0]):,}"
+                )
+        yield arrays
+
+    def as_in_file(self, columns: Mapping[str, Column]) -> dict[str, Column]:
+        """Return columns by role with the names that they have in their file."""
+        renamed = {}
+        for role, column in columns.items():
+            name = self._names.get(column.name, column.name)
+            renamed[role] = replace(column, name=name)
+        return renamed
+
+
+def is_frame(data: object) -> bool:
+    """Return whether data is a pandas or polars frame."""
+    has_series = hasattr(data, "items") or hasattr(data, "iter_columns")
+    return hasattr(data, "columns") and has_series
+
+
+def frame_table(frame: Any, time: Any = None) -> FrameTable:
+    """Return a frame as a table; its time index is a column where it has no other time.
+
+    Parameters
+    ----------
+    frame : pandas or polars frame
+        The table.
+    time : array_like, optional
+        The time of each row (s), in the place of what the frame has.
+    """
+    attrs = getattr(frame, "attrs", {})
+    units = attrs.get("units", {})
+    series = frame.items() if hasattr(frame, "items") else _named(frame.iter_columns())
+    entries: list[Entry] = []
+    for title, values in series:
+        entries.append((str(title), values, units.get(title)))
+    has_clock = any(map(_is_clock, entries))
+    index = getattr(frame, "index", None)
+    if time is not None:
+        entries = [entry for entry in entries if not _is_clock(entry)]
+        entries.append(("time", time, "s"))
+    elif not has_clock and index is not None and dtype_kind(index) in "fmM":
+        title = str(index.name or "time")
+        entries.insert(0, (title, index, split_header(title)[1] or "s"))
+    name = str(attrs.get("name", "the frame"))
+    has_found_offset = bool(attrs.get("holds_delay"))
+    return FrameTable(name, entries, attrs.get("columns"), has_found_offset)
+
+
+def _named(columns: Iterable[Any]) -> Iterator[tuple[str, Any]]:
+    """Yield the Series of a polars frame as pandas does."""
+    for values in columns:
+        yield values.name, values
+
+
+def _is_clock(entry: Entry) -> bool:
+    """Return whether a column is a time by its name or its unit."""
+    title, _, unit = entry
+    is_named = bool(words(title) & TIME_NAMES)
+    return is_named or time_unit(unit or split_header(title)[1]) is not None
+
+
+# --- values ---
+
+
+def dtype_kind(values: Any) -> str:
+    """Return numpy's letter for what values are: f, i, u, b, M, m, O, U, c."""
+    kind = getattr(getattr(values, "dtype", None), "kind", None)
+    return str(kind or np.asarray(values).dtype.kind)
+
+
+def numbers(values: Any) -> Floats:
+    """Return values as numbers, NaN where one is missing or masked.
+
+    Raises
+    ------
+    InputError
+        They are texts, dates, truth values or complex.
+    """
+    kind = dtype_kind(values)
+    if kind not in "iufO":
+        raise InputError("no numbers")
+    if isinstance(values, np.ma.MaskedArray):
+        values = np.ma.filled(values.astype(np.float64), np.nan)
+    elif hasattr(values, "isna"):
+        values = values.to_numpy(na_value=np.nan)
+    try:
+        if kind == "O" and any(isinstance(value, str) for value in values):
+            raise InputError("no numbers")
+        return np.ascontiguousarray(np.asarray(values, dtype=np.float64))
+    except (TypeError, ValueError):
+        raise InputError("no numbers") from None
+
+
+def _cells(values: Any) -> tuple[NDArray[Any], str]:
+    """Return values as the cells of a column, and their kind: numbers, stamps (ns) or text."""
+    kind = dtype_kind(values)
+    if kind == "M":
+        return np.asarray(values, "M8[ns]").astype(np.int64), "stamp"
+    if kind == "m":
+        return np.asarray(values) / np.timedelta64(1, "s"), "number"
+    try:
+        return numbers(values), "number"
+    except InputError:
+        return np.empty(len(values)), "text"
+
+
+def stated_unit(values: Any, role: str) -> str | None:
+    """Return the unit that values state of themselves; None where they state none.
+
+    A Series states it in ``attrs`` (that of its column, or of its role where arithmetic
+    took the name) or in its name, as the header of a CSV file does; an array of another
+    library as its ``unit`` or ``units``.
+    """
+    attrs = getattr(values, "attrs", None)
+    title = str(getattr(values, "name", None) or "")
+    header = split_header(title)[1]
+    if attrs is None:
+        own = None if title else getattr(values, "units", getattr(values, "unit", None))
+        return spell(header if own is None else str(own))
+    units = attrs.get("units", attrs.get("unit"))
+    if isinstance(units, Mapping):
+        units = units[title] if title in units else header or units.get(role)
+    return header if units is None else spell(str(units))
