@@ -36,7 +36,7 @@ SWINGS = [
 
 
 def identification_drive() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return time in s and drive in V: full cycles, then smaller ones, at three speeds, with rests; 0 V at both ends."""
+    """Return time in s and drive in V: full cycles, then smaller ones; 0 V at both ends."""
     pieces = [np.zeros(int(0.4 * RATE))]
     start = 0.0
     for end, speed, rest in SWINGS:
