@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Make the sample logs beside this file, with the virtual actuator as the bench; the same bytes every time.
 
-``identification.csv/.h5``  swings of many sizes and three speeds over 0…100 V, with rests: what a lab records to
-                            identify an actuator. It covers the trajectory's speeds and holds.
+``identification.csv/.h5``  swings of many sizes and three speeds over 0…100 V, with rests, as a lab records
+                            them; it covers the speeds and the holds of the trajectory.
 ``trajectory.csv/.h5``      a displacement to follow: slow scan, soft steps, a mixed-frequency part.
 
     python make_samples.py [FOLDER]
