@@ -13,6 +13,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import DboError, InputError, ModelError, UsageError
 from dbo_cli.model.state import START_NAMES
@@ -111,12 +113,16 @@ def simulate(
     outside: Any,
 ) -> str:
     """Run the model of each channel over its input, write all side by side; return what to say of it."""
+    from dbo_cli.drive.simulate import Simulator
+
     refuse({"state": state not in START_NAMES})
     results: list[Result] = []
     for name, model, table in _each(model_path, log_path, reading, columns, "input"):
         into, out, x = model.input, model.output, table["input"]
         with _naming(name):
-            y, _ = model.simulate(x, dt=table.dt, state=state, outside=outside)
+            simulator = Simulator(model, state, outside, f"channel {name}")
+            parts = simulator.rows(x, table.dt), simulator.finish()
+        y = np.concatenate([part.y for part in parts])
         results.append((f"{into.quantity}_{name}", into.unit, x))
         results.append((f"{out.quantity}_{name}", out.unit, y))
     return _write(output, table.time, results)

@@ -20,6 +20,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import shutil
 import signal
 import stat
@@ -32,6 +33,10 @@ from dbo_cli.errors import OutputError
 
 FileId = tuple[int, int]  # device and inode
 STDOUT = ("-", "/dev/stdout")
+UNPRINTABLE = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+"""Control characters but tabs and new lines, marks of direction, and bytes of a name that are no text."""
 
 
 class _Command:
@@ -216,8 +221,8 @@ class Outputs:
     def write_text(
         self, path: str | os.PathLike[str], text: str, replaces: str = ""
     ) -> None:
-        """Write a small file of text; see :meth:`add`."""
-        self.write_bytes(path, text.encode(), replaces)
+        """Write a small file of text, without signs that change a terminal; see :meth:`add`."""
+        self.write_bytes(path, UNPRINTABLE.sub(" ", text).encode(), replaces)
 
     def write_bytes(
         self, path: str | os.PathLike[str], data: bytes, replaces: str = ""

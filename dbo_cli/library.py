@@ -52,12 +52,14 @@ if TYPE_CHECKING:
     from dbo_cli.drive import Drive
     from dbo_cli.drive.learning import PassRecord
     from dbo_cli.drive.live import Controller
-    from dbo_cli.reports import Report
+    from dbo_cli.reports import Pair, Report
 
 P = ParamSpec("P")
 R = TypeVar("R")
 Signal = ArrayLike
 """An array, a Series of pandas or polars, or one of their frames, which is read as a file is."""
+Logs = Signal | Path | Sequence[Signal | Path]
+"""A file, a frame, or a list of them."""
 Figured = float | str
 """A number, or a text with a unit: ``"1.2kV"``, ``"2V/ms"``, ``"5kHz"``."""
 Seconds = float | str | None
@@ -114,7 +116,7 @@ class Move(TypedDict, total=False):
     bandwidth: Figured | None
     periodic: bool
     passes: int
-    tracked: object
+    tracked: Logs | None
     history: str | Path | Sequence[PassRecord]
     absolute: bool
     state: StateLike
@@ -274,20 +276,19 @@ class Model:
         ModelError
             The model needs time and there is none, or the state is of another model.
         """
+        from dbo_cli.drive.simulate import Simulator
+
         role = "voltage" if self.direction == "forward" else "displacement"
         roles = role, "input"
         signal = timed(x, roles, self.input, time, sample_rate, unit)
         begin = room.state_of(state, self.actuator)
-        dt, last = signal.dt, None
-        if signal.time is not None:
-            last = float(signal.time[-1])
-            if isinstance(begin, room.State):
-                dt = room.steps_behind(begin.time, signal.time, dt)
-        y, after = self.actuator.simulate(
-            signal.values, dt=dt, state=begin, outside=outside
-        )
+        simulator = Simulator(self.actuator, begin, outside)
+        parts = [simulator.rows(signal.values, signal.dt, signal.time)]
+        parts.append(simulator.finish())
+        y = np.concatenate([part.y for part in parts])
         if return_state:
-            return y, dataclasses.replace(after, time=last, model=self.digest)
+            after = cast(room.State, simulator.state)
+            return y, dataclasses.replace(after, model=self.digest)
         return y
 
     @overload
@@ -331,7 +332,7 @@ class Model:
         bandwidth: Figured | None = None,
         periodic: bool = False,
         passes: int = 0,
-        tracked: object = None,
+        tracked: Logs | None = None,
         history: str | Path | Sequence[PassRecord] = (),
         absolute: bool = False,
         state: StateLike = "auto",
@@ -395,6 +396,9 @@ class Model:
         signal = timed(wanted, (role, role), self.output, time, sample_rate, unit)
         limits = Limits.within(self.input, v_min, v_max, max_slew, extrapolate)
         file = history if isinstance(history, (str, Path)) else None
+        for word, value in (("history", history), ("absolute", absolute)):
+            if value and tracked is None:
+                raise UsageError(f"`{word}` needs `tracked` LOG")
         drive: Drive = plan(
             self.actuator,
             signal.values,
@@ -425,13 +429,13 @@ class Model:
             write_text(str(file), dumps_history(drive.history))
         return drive if details else drive.voltage
 
-    def _tracked(self, tracked: object) -> list[Any]:
+    def _tracked(self, tracked: Logs | None) -> list[Any]:
         """Return recordings of the last pass in the model's units."""
-        if tracked is None:
+        if tracked is None:  # nothing is loaded for it
             return []
         from dbo_cli.recordings import tracked_of
 
-        sources = tracked if isinstance(tracked, (list, tuple)) else [tracked]
+        sources = _listed(tracked)
         columns = dict.fromkeys(("time", "voltage", "measured"))
         return tracked_of(sources, columns, Reading(), self.actuator)
 
@@ -642,14 +646,14 @@ def read_log(
 
 @with_known_words
 def identify(
-    data: Any,
+    data: Logs,
     displacement: Signal | None = None,
     *,
     time: Signal | None = None,
     sample_rate: Figured | None = None,
     voltage_unit: str | None = None,
     displacement_unit: str | None = None,
-    validate: Any = None,
+    validate: Logs | None = None,
     prior: Model | str | Path | None = None,
     sign: Literal["rising", "falling"] | None = None,
     skip: Figured = 0.0,
@@ -754,7 +758,7 @@ def identify(
     return Model(dataclasses.replace(model, provenance=provenance(recordings, logs)))
 
 
-def _listed(data: Any) -> list[Any]:
+def _listed(data: Logs | None) -> list[Any]:
     """Return one source or several as a list; None as none."""
     if data is None:
         return []
@@ -807,7 +811,8 @@ def report(
     Parameters
     ----------
     desired, measured : array_like
-        Both displacements in one unit; with ``model`` the first is the drive.
+        Both displacements in one unit; with ``model`` the first is the drive. A frame in
+        the place of both is read as the command reads a log.
     time, sample_rate
         Time in s, or a rate in Hz; the time index of a Series counts.
     model, state
@@ -842,32 +847,33 @@ def report(
     """
     from dbo_cli.reports import Pair, Report, expected_of, predict
 
-    if measured is None:
-        raise UsageError("report: give `desired` and `measured`")
-    stated = {}
-    for role, values in (("desired", desired), ("measured", measured)):
-        stated[role] = stated_unit(values, "displacement")
-    if model is not None:
-        values = in_unit(desired, "voltage", model.input.unit, voltage_unit)
-        moved = in_unit(measured, "displacement", model.output.unit, unit)
-        unit, voltage_unit = model.output.unit, model.input.unit
+    rate = _rate(sample_rate)
+    if is_frame(desired):
+        if not (measured is None and voltage is None and unit is None):
+            raise UsageError("report: a frame has its own columns and units")
+        pair, units = _frame_pair(desired, time, rate, model)
+        unit, voltage_unit = units.get("measured"), units.get("voltage")
+    elif measured is None:
+        raise UsageError("report: give `desired` and `measured`, or a frame")
     else:
-        first, second = stated.values()
-        if unit is None and first and second and first != second:
-            raise InputError(
-                f"measured is in {second}, desired in {first}: convert one of them, and pass "
-                "`unit` of both"
-            )
-        unit = unit or first or second
-        values, moved = floats(desired, "desired"), floats(measured, "measured")
-    clock = clock_of(desired, time, _rate(sample_rate), len(values))
-    if isinstance(clock, float):
-        clock = clock * np.arange(float(len(values)))
-    drive = values if model is not None else None
-    if model is None and voltage is not None:
-        drive = floats(voltage, "voltage")
-        voltage_unit = voltage_unit or stated_unit(voltage, "voltage")
-    pair = Pair(name, values, moved, clock, drive, rows)
+        drive = desired if model is not None else voltage
+        if drive is not None:
+            wanted = None if model is None else model.input.unit
+            own = stated_unit(drive, "voltage")
+            drive = in_unit(drive, "voltage", wanted or voltage_unit, voltage_unit)
+            voltage_unit = wanted or voltage_unit or own
+        if model is not None:
+            moved = in_unit(measured, "displacement", model.output.unit, unit)
+            unit = model.output.unit
+            values = moved
+        else:
+            unit = _common_unit(desired, measured, unit)
+            values, moved = floats(desired, "desired"), floats(measured, "measured")
+        clock = clock_of(desired, time, rate, len(values))
+        if isinstance(clock, float):
+            clock = clock * np.arange(float(len(values)))
+        pair = Pair(name, values, moved, clock, drive)
+    pair = dataclasses.replace(pair, rows=rows, name=name)
     if model is not None:
         begin = room.state_of(state, model.actuator)
         pair = predict(pair, model.actuator, begin)
@@ -885,6 +891,36 @@ def report(
         labels=("desired" if model is None else "model", "measured"),
         model=None if model is None else model.actuator,
     )
+
+
+def _frame_pair(
+    frame: Any, time: Signal | None, rate: float | None, model: Model | None
+) -> tuple[Pair, dict[str, str]]:
+    """Return a frame as what a report compares, and the units of its columns."""
+    from dbo_cli.recordings import pair_of
+
+    table = frame_table(frame, None if time is None else _seconds(time))
+    columns = dict.fromkeys(("time", "measured", "voltage"))
+    units: dict[str, str | None] = {}
+    if model is None:
+        columns["desired"] = None
+    else:
+        units = {"voltage": model.input.unit, "measured": model.output.unit}
+    reading = Reading(sample_rate=rate)
+    pair, stated, _ = pair_of(table, columns, reading, units, model is not None)
+    return pair, stated
+
+
+def _common_unit(desired: Any, measured: Any, given: str | None) -> str | None:
+    """Return the unit of two displacements; InputError where they state two."""
+    first = stated_unit(desired, "displacement")
+    second = stated_unit(measured, "displacement")
+    if given is None and first and second and first != second:
+        raise InputError(
+            f"measured is in {second}, desired in {first}: convert one of them, and pass "
+            "`unit` of both"
+        )
+    return given or first or second
 
 
 # --- arrays ---

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import InputError, warn
 from dbo_cli.logs import FrameTable, Reading, frame_table, is_frame, open_log
-from dbo_cli.units import quantity_name
+from dbo_cli.units import multiplied, quantity_name, ratio
 from dbo_cli.version import __version__
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from dbo_cli.identification import Recording
     from dbo_cli.logs import Block, Log
     from dbo_cli.model import Cascade
+    from dbo_cli.reports import Pair
 
 ROLES = ("voltage", "displacement")
 """The columns of a recording, beside its time; files, frames and arrays bring these."""
@@ -150,6 +151,50 @@ def arrays_table(
         entries.append(("time", time, "s"))
         columns["time"] = f"number={len(entries)}"
     return FrameTable(name, entries), columns
+
+
+def pair_of(
+    source: Any, columns: Columns, reading: Reading, units: Units, needs_drive: bool
+) -> tuple[Pair, dict[str, str], Log]:
+    """Read a log to compare: desired beside measured, or the drive beside measured.
+
+    Parameters
+    ----------
+    source, reading, units
+        As of ``read_table``.
+    columns : mapping
+        With ``desired``, measured values come in its unit.
+    needs_drive : bool
+        Whether a log without a drive is refused.
+
+    Returns
+    -------
+    pair, units, log
+        Without ``desired``, the pair has measured values in both places.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or the two measure different things.
+    """
+    from dbo_cli.reports import Pair
+
+    optional = ("time",) if needs_drive else ("time", "voltage")
+    log, table = read_table(source, columns, reading, units, optional)
+    stated = {role: column.unit for role, column in log.columns.items() if column.unit}
+    measured, drive = table["measured"], table.values.get("voltage")
+    if "desired" not in columns:
+        return Pair(log.name, measured, measured, table.time, drive), stated, log
+    unit = stated.get("desired", stated.get("measured"))
+    try:
+        measured = multiplied(measured, ratio(stated.get("measured"), unit))
+    except InputError as problem:
+        raise InputError(
+            f"{log.name}: measured and desired: {problem}: choose `measured` and `desired`"
+        ) from None
+    if unit is not None:
+        stated["measured"] = unit
+    return Pair(log.name, table["desired"], measured, table.time, drive), stated, log
 
 
 def tracked_of(

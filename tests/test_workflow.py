@@ -122,3 +122,32 @@ def test_snakemake_leaves_the_same_table(batch: Path) -> None:
     done = made(batch, *words)
     assert done.returncode == 1, done.stderr
     require_table(batch, done.stderr)
+
+
+TABLE = """log,failed,sign,gain,delay_s,model_rmse
+a,,rising,0.10,0.0010,0.01
+b,,rising,0.11,0.0011,0.02
+c,,rising,0.25,0.0010,0.01
+d,,falling,-0.10,0.0009,0.05
+e,,rising,0.09,0.0300,0.01
+f,,rising,0.10,0.0010,0.01
+"""
+
+
+def test_the_table_flags_what_is_unlike_the_others(tmp_path: Path) -> None:
+    (tmp_path / "summary.csv").write_text(TABLE)
+    line = [
+        sys.executable,
+        str(WORKFLOW / "table.py"),
+        "logs",
+        str(tmp_path),
+        "--judge",
+    ]
+    ended = subprocess.run(line, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0
+    flagged = [text for text in ended.stderr.splitlines() if text.startswith("warning")]
+    assert len(flagged) == 4
+    assert "falling in d" in flagged[0]
+    assert flagged[1].startswith("warning: c: gain 0.25")
+    assert flagged[2].startswith("warning: d: error 0.05")
+    assert flagged[3].startswith("warning: e: delay 0.03")

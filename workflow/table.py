@@ -12,16 +12,25 @@ import csv
 import json
 import sys
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 STEPS = {"model.json": "identify", "drive.csv": "compensate", "report.json": "report"}
 """What is made of a log, in this order, and the command that makes it."""
+
+GAIN, ERROR, DELAY = 2.0, 3.0, 3.0
+"""Times the median (of the delay: of the distances from it) beyond which a log is unlike the others."""
+LEAST_DELAY = 1e-5
+"""Seconds: delays closer than this are alike."""
+FEWEST = 3
+"""Logs from which on a median says what is usual."""
 
 COLUMNS = (
     "log",
     "failed",
     "sign",
     "gain",
+    "delay_s",
     "model_rmse",
     "model_expected_rmse",
     "rows",
@@ -60,6 +69,7 @@ def line_of(name: str, results: Path) -> dict[str, Any]:
         gain = (out["max"] - out["min"]) / (into["max"] - into["min"])
         line["sign"] = fit["sign"]
         line["gain"] = gain if fit["sign"] == "rising" else -gain
+        line["delay_s"] = delay_of(model)
         line["model_rmse"] = fit["rmse"]
         line["model_expected_rmse"] = fit["expected_rmse"]
     report = content(results / f"{name}.report.json")
@@ -72,6 +82,40 @@ def line_of(name: str, results: Path) -> dict[str, Any]:
         line["clipped"] = drive["clipped"]
         line["drive_expected_rmse"] = drive["expected_rmse"]
     return line
+
+
+def delay_of(model: dict[str, Any]) -> float:
+    """Return the delay (s) of a model; 0 where it has none."""
+    stages = [stage for stage in model["stages"] if stage["type"] == "delay"]
+    return stages[0]["seconds"] if stages else 0.0
+
+
+def odd_ones(lines: list[dict[str, str]]) -> list[str]:
+    """Return a warning for each log whose gain, error or delay is far from the others'.
+
+    Of the gain beyond twice the median or half of it, of the error beyond three times, of
+    the delay beyond three times the median distance from the median, and beyond half of
+    the median delay.
+    """
+    good = [line for line in lines if line["gain"]]
+    if len(good) < FEWEST:
+        return []
+    gains = {line["log"]: abs(float(line["gain"])) for line in good}
+    errors = {line["log"]: float(line["model_rmse"]) for line in good}
+    delays = {line["log"]: float(line["delay_s"]) for line in good}
+    gain, error, delay = (median(each.values()) for each in (gains, errors, delays))
+    spread = median(abs(value - delay) for value in delays.values())
+    found = []
+    for name in gains:
+        if not 1.0 / GAIN <= gains[name] / gain <= GAIN:
+            found.append(f"{name}: gain {gains[name]:.3g}, the median is {gain:.3g}")
+        if errors[name] > ERROR * error:
+            found.append(f"{name}: error {errors[name]:.3g}, the median is {error:.3g}")
+        if abs(delays[name] - delay) > max(DELAY * spread, 0.5 * delay, LEAST_DELAY):
+            found.append(
+                f"{name}: delay {delays[name]:.3g} s, the median is {delay:.3g} s"
+            )
+    return found
 
 
 def write_table(logs: Path, results: Path) -> None:
@@ -101,6 +145,8 @@ def judge(summary: Path) -> int:
     if names[rare]:
         print(f"warning: displacement is {usual} with the voltage in {len(names[usual])} logs and {rare} in "
               f"{', '.join(names[rare])}: leads exchanged?", file=sys.stderr)  # fmt: skip
+    for text in odd_ones(lines):
+        print(f"warning: {text}", file=sys.stderr)
     return int(bool(failed))
 
 

@@ -121,7 +121,11 @@ def _root(
     ctx: typer.Context,
     version: bool = typer.Option(False, "--version", help="Print the version."),
 ) -> None:
-    """Identify, invert and compensate the hysteresis of piezo actuators."""
+    """Identify, invert and compensate the hysteresis of piezo actuators.
+
+    Exit codes: 0 done; 1 input, model or fit failed; 2 wrong command line; 3 outside a limit, or the
+    move cannot be driven; 130 interrupted.
+    """
     if version:
         from dbo_cli.version import __version__
 
@@ -223,6 +227,9 @@ def run() -> None:
     # gives the same bytes on every machine of a kind.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("POLARS_MAX_THREADS", "1")
+    os.environ["MPLBACKEND"] = (
+        "Agg"  # figures go to files, whatever a notebook asks for
+    )
     _open_closed_streams()
     for name in ("SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)

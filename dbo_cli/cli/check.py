@@ -52,6 +52,10 @@ def check(
     if not math.isfinite(gain) or not gain or (gain != 1.0 and against is None):
         raise UsageError(f"`gain` {gain:g}: give a factor, together with `against`")
     opt.require("against", against, {"tolerance": tolerance})
+    if not (v_min or v_max or max_slew or loop or against):
+        raise UsageError(
+            "nothing to check: add `v_min`, `v_max`, `max_slew`, `loop` or `against`"
+        )
     columns = {"time": time, "voltage": voltage}
     signal, log = read_drive(drive, reading, columns, None)
     if max_slew is not None and log.clock.assumption:
@@ -65,6 +69,8 @@ def check(
         meant, _ = read_drive(against, Reading(), roles, unit)
         if tolerance is not None:
             allowed = parse_quantity(tolerance, unit, "tolerance", 0.0)
+            if allowed < 0.0:
+                raise UsageError(f"`tolerance` {tolerance}: give 0 or more")
         slack = tolerance_of(meant["voltage"], played, allowed) / abs(gain)
     checked = check_drive(
         signal["voltage"],

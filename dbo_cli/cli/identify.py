@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import READING, Text, flag, option, rare
-from dbo_cli.cli.say import detail, say_logs, say_output, working
+from dbo_cli.cli.say import detail, say, say_logs, say_output, working
 from dbo_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from dbo_cli.identification import Options
+    from dbo_cli.identification import Options, Recording
     from dbo_cli.logs import Log
     from dbo_cli.model import Cascade
 
@@ -79,7 +79,7 @@ def identify(
     """
     from dbo_cli import channels
     from dbo_cli.files import Outputs, check_outputs, write_text
-    from dbo_cli.identification import Options, describe
+    from dbo_cli.identification import Options, describe, describe_validation, leads
     from dbo_cli.model import dumps_model, dumps_set, read_model
     from dbo_cli.reports import ShownModel
 
@@ -106,20 +106,24 @@ def identify(
         models = {}
         for name in channels.names(logs, reading, columns):
             chosen = channels.filled(columns, name)
-            models[name], _ = identified(logs, tests, reading, chosen, options)
-            detail(f"{name}: {describe(models[name])}")
+            model, recordings, _ = identified(logs, tests, reading, chosen, options)
+            models[name] = model
+            detail(f"{name}: {describe(model, recordings)}")
         write_text(output, dumps_set(models))
         say_output(output, f"{len(models)} models")
         return
-    model, read = identified(logs, tests, reading, columns, options)
+    model, recordings, read = identified(logs, tests, reading, columns, options)
     with Outputs() as outputs:
         outputs.write_text(output, dumps_model(model))
         if summary is not None:
             outputs.write_text(summary, summary_of(model))
     rows = sum(log["rows"] for log in model.provenance["logs"])
-    say_logs(read, rows, f" ({model.sign})")
+    sense = f"{model.sign}, leads the drive" if leads(recordings) else model.sign
+    say_logs(read, rows, f" ({sense})")
     detail(*ShownModel(model).text().splitlines()[1:])
-    say_output(output, describe(model))
+    say_output(output, describe(model, recordings))
+    for line in describe_validation(model):
+        say(line)
 
 
 def identified(
@@ -128,8 +132,8 @@ def identified(
     reading: opt.Reading,
     columns: dict[str, str | None],
     options: Options,
-) -> tuple[Cascade, list[Log]]:
-    """Return the model of one actuator, and the logs that it was identified from."""
+) -> tuple[Cascade, list[Recording], list[Log]]:
+    """Return the model of one actuator, and the recordings and logs that it was identified from."""
     from dbo_cli.identification import identify as fit
     from dbo_cli.recordings import provenance, recordings_of
 
@@ -144,7 +148,7 @@ def identified(
     working("identifying")
     model = fit(recordings[:count], options, recordings[count:])
     source = provenance(recordings[:count], logs[:count])
-    return replace(model, provenance=source), logs[:count]
+    return replace(model, provenance=source), recordings[:count], logs[:count]
 
 
 def summary_of(model: Cascade) -> str:

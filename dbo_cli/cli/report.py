@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import OUTPUT, Text, column, flag, option, rare
 from dbo_cli.cli.say import detail, say, say_doubts
-from dbo_cli.errors import InputError, UsageError, warn
+from dbo_cli.errors import UsageError, warn
 
 if TYPE_CHECKING:
     from dbo_cli.logs import Block
-    from dbo_cli.reports import Pair, Report
+    from dbo_cli.reports import Report
 
 COMPARED, BOUNDS = "Comparison", "Bounds (exit 3)"
 Columns = dict[str, str | None]
@@ -73,6 +73,7 @@ def report(
     """
     from dbo_cli.logs import parse_rows
     from dbo_cli.model import read_model, state_of
+    from dbo_cli.recordings import pair_of
     from dbo_cli.reports import Report, expected_in, predict
     from dbo_cli.reports import match as matched
     from dbo_cli.units import split_quantity
@@ -81,9 +82,13 @@ def report(
         raise UsageError("give either `model` or `trajectory`")
     opt.require("model", model, {"state": state != "auto"})
     opt.require("trajectory", trajectory, {"match": match != "auto"})
-    if max_rmse is not None:
-        split_quantity(max_rmse, "max_rmse")  # a wrong word is refused before any work
+    most = None
+    if max_rmse is not None:  # a wrong word is refused before any work
+        most, _ = split_quantity(max_rmse, "max_rmse")
     most_percent = opt.number("max_nrmse_percent", max_nrmse_percent, float)
+    for name, bound in (("max_rmse", most), ("max_nrmse_percent", most_percent)):
+        if bound is not None and bound < 0.0:
+            raise UsageError(f"`{name}` {bound:g}: give 0 or more")
     # a lag, a model and a match by rows need the rows around those that count
     rows = None if reading.rows is None else parse_rows(reading.rows)
     reading = dataclasses.replace(reading, rows=None)
@@ -101,7 +106,9 @@ def report(
         roles["desired"] = desired
     pairs = []
     for log in logs:
-        pair, log_units = read_pair(log, reading, roles, units, model is not None)
+        has_model = actuator is not None
+        pair, log_units, source = pair_of(log, roles, reading, units, has_model)
+        detail(*source.remarks)
         units = {**log_units, **units}
         if actuator is not None:
             pair = predict(pair, actuator, start, model or "")
@@ -146,36 +153,6 @@ def publish(result: Report, output: str, form: str, figures: str | None) -> None
     for text in result.warnings:
         warn(text)
     result.require_passed()
-
-
-def read_pair(
-    path: str, reading: opt.Reading, roles: Columns, units: Units, needs_drive: bool
-) -> tuple[Pair, Units]:
-    """Read a log, a desired displacement beside the measured one in its unit; return the units, too."""
-    from dbo_cli.logs import open_log
-    from dbo_cli.reports import Pair
-    from dbo_cli.units import conversion
-
-    optional = ("time",) if needs_drive else ("time", "voltage")
-    with open_log(path, roles, reading, units, optional) as log:
-        table = log.read()
-        columns = {role: entry for role, entry in log.columns.items() if role != "time"}
-    say_doubts(log)
-    detail(*log.remarks)
-    read_units = opt.units_of(**columns)
-    moved, drive = table["measured"], table.values.get("voltage")
-    if "desired" not in roles:
-        return Pair(path, moved, moved, table.time, drive), read_units
-    unit = read_units.get("desired", read_units.get("measured"))
-    try:
-        moved = conversion(read_units.get("measured"), unit) * moved
-    except InputError as problem:
-        raise InputError(
-            f"{path}: measured and desired: {problem}: choose `measured` and `desired`"
-        ) from None
-    if unit is not None:
-        read_units["measured"] = unit
-    return Pair(path, table["desired"], moved, table.time, drive), read_units
 
 
 def read_trajectory(path: str, column: str | None) -> tuple[Block, str | None]:

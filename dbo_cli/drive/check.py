@@ -7,19 +7,26 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.drive.gate import Gate
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import InputError, LimitError
-from dbo_cli.model import steps_of
 from dbo_cli.signals import between, lag, noise
 
 TOLERANCE = 1e-3
 """Of the drive's range, by which a recording may differ: a converter of 10 bits rounds to half of it."""
 NOISE = 6.0
 """Standard deviations of a recording's noise: white noise reaches 5 once in two million rows."""
-GAP = 1.5  # usual steps of the clock from which on a step is a gap
+GAP = 1.5
+"""Usual steps, from which on a step is a gap; usual is the median of the steps around it."""
+NEIGHBOURS = 16  # steps on either side that say what is usual
+FEWEST_NEIGHBOURS = 4  # of them: fewer on a side say nothing
+EVEN = 0.1
+"""Of a step: the steps around a gap differ by less, but for one in ``NEIGHBOURS``. On an uneven clock
+nothing says when the next row is due. Stamps of so even a clock may be rounded, to a twentieth of a step.
+"""
 OPEN_SEAM = 3.0  # times the largest step inside, from which on a loop does not close
 ANOTHER = 0.5  # correlation below which a recording is of another drive
 SAME_RATE = 1e-6  # relative difference of two rates that are one
@@ -168,9 +175,8 @@ def check_drive(
         steps = _steps(time)
     low, high = limits.rating
     if start is not None and not low <= start <= high:
-        checked.problems.append(
-            f"the amplifier is at {start:g}, outside {low:g} to {high:g}"
-        )
+        reason = Gate(limits, None).reason(start, start, "return")
+        checked.problems.append(f"the amplifier: {reason}")
     gate = Gate(replace(limits, rating=(low - tolerance, high + tolerance)), start)
     waits = steps
     if tolerance > 0.0 and steps is not None and limits.slew is not None:
@@ -213,33 +219,71 @@ def _figures(
 
 
 def _steps(time: Floats) -> Floats:
-    """Return the seconds before each row, none below 0; stamps even up to their decimals are even."""
-    try:
-        even = steps_of(time)
-    except InputError:  # time goes back, which is a problem of its own
-        even = np.diff(time, prepend=time[0])
-    if isinstance(even, float):
-        return np.full(time.size, even)
-    steps = np.maximum(even, 0.0)
-    steps[0] = steps[1]  # as ``compensate`` counts the row before the first
-    return steps
+    """Return the seconds before each row, none below 0, as much longer as rounded stamps may be too short.
+
+    A stamp is rounded when it is made and when it is read, to its digits or to decimals.
+    In decimals an even clock shows steps of two kinds, and the step that is meant lies
+    between them.
+    """
+    steps = np.maximum(np.diff(time), 0.0)
+    padded = np.pad(steps, NEIGHBOURS, mode="edge")
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1)
+    longest = around.max(axis=1)
+    is_even = longest - around.min(axis=1) <= EVEN * steps
+    steps = np.where(is_even, longest, steps)
+    steps += 2.0 * np.spacing(np.maximum(np.abs(time[1:]), np.abs(time[:-1])))
+    # as ``compensate`` counts the step before the first row
+    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    return np.concatenate([[max(usual, steps[0])], steps])
 
 
 def _odd_times(time: Floats) -> list[str]:
     """Return what is odd about time stamps."""
     steps = np.diff(time)
-    forward = steps[steps > 0.0]
-    usual = float(np.median(forward)) if forward.size else 0.0
     kinds = {
         "time goes backwards": steps < 0.0,
         "the time stamp repeats": steps == 0.0,
-        "a gap in time before it": steps > GAP * usual,
+        "a gap in time before it": gaps(steps),
     }
     problems = []
     for what, odd in kinds.items():
         if odd.any():
             problems.append(_problem(np.concatenate([[False], odd]), what))
     return problems
+
+
+def gaps(steps: Floats) -> Booleans:
+    """Return which steps of a clock are gaps: far longer than the steps around them, which are even."""
+    result = np.zeros(steps.size, dtype=np.bool_)
+    for index in _long_among_even(steps):
+        before = steps[max(index - NEIGHBOURS, 0) : index]
+        behind = steps[index + 1 : index + 1 + NEIGHBOURS]
+        usual = float(np.median(np.concatenate([before, behind])))
+        if steps[index] > GAP * usual:
+            result[index] = _is_even(before, usual) and _is_even(behind, usual)
+    return result
+
+
+def _is_even(steps: Floats, usual: float) -> bool:
+    """Return whether the steps on one side of a step are even, but for one in ``NEIGHBOURS``."""
+    if steps.size < FEWEST_NEIGHBOURS:
+        return False
+    odd = np.count_nonzero(np.abs(steps - usual) > EVEN * usual)
+    return bool(odd <= steps.size // NEIGHBOURS)
+
+
+def _long_among_even(steps: Floats) -> NDArray[np.intp]:
+    """Return the steps that may be gaps: longer than the shortest, and few changes of step around them."""
+    pairs = np.minimum(steps[1:], steps[:-1])
+    changes = np.cumsum(np.abs(np.diff(steps)) > EVEN * pairs)
+    changes = np.concatenate([[0], changes])
+    index = np.arange(steps.size)
+    first = np.maximum(index - NEIGHBOURS, 0)
+    last = np.minimum(index + NEIGHBOURS, steps.size - 1)
+    # each odd step, the gap itself and two more, changes the step twice
+    few = changes[last] - changes[first] <= 6
+    forward = steps[steps > 0.0]
+    return np.flatnonzero(few & (steps > GAP * forward.min(initial=np.inf)))
 
 
 def _problem(odd: Booleans, reason: str) -> str:

@@ -62,6 +62,8 @@ class Drive:
     expected_error, expected_known : float, optional
         RMS of the error to expect, what is clipped included; and the same if the past
         were known. None where the model does not know.
+    starts_at : float, optional
+        The first voltage, where nobody said where the amplifier stands.
     past_known : bool
         Whether a sweep or a state makes the past known.
     state : State or None
@@ -100,6 +102,7 @@ class Drive:
     off: float = 0.0
     expected_error: float | None = None
     expected_known: float | None = None
+    starts_at: float | None = None
     past_known: bool = False
     state: State | None = field(default=None, repr=False)
     history: tuple[PassRecord, ...] = ()
@@ -125,10 +128,13 @@ class Drive:
 
     def admit(self, voltage: Floats, dt: Steps, part: str) -> None:
         """Let rows of a part (``lead``, ``move``, ``return``) pass the gate, and count them."""
+        begins_anywhere = self.gate.last is None
         self.gate.admit(voltage, dt, part)
         if not voltage.size:
             return
         self.rows += voltage.size
+        if begins_anywhere:
+            self.starts_at = float(voltage[0])
         self.voltage_range = widened(self.voltage_range, voltage)
         if part == "lead":
             self.lead_rows += voltage.size
@@ -229,13 +235,15 @@ class Drive:
         """Return what came out: ``4,910 rows, 3.1 to 96.2 V, within limits``."""
         unit = self.limits.suffix
         low, high = self.voltage_range or (math.inf, -math.inf)
-        state = "within limits"
+        state = "within limits" if self.limits.given else "within the identified range"
         if self.clipped:
             state = f"{self.clipped:,} {'row' if self.clipped == 1 else 'rows'} clipped"
         text = f"{self.rows:,} rows, {low:.4g} to {high:.4g}{unit}, {state}"
         if self.lead_range is not None:
             low, high = self.lead_range
             text += f"; {self.lead_seconds:.3g} s before the move, {low:.4g} to {high:.4g}{unit}"
+        if self.starts_at is not None:
+            text += f"; starts at {self.starts_at:.4g}{unit}: `from` VOLT"
         return text
 
     def expected_line(self) -> str:

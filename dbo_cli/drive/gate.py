@@ -107,8 +107,10 @@ class Gate:
         unit = self.limits.suffix
         if not math.isfinite(voltage):
             return f"{voltage} is no voltage"
-        if not low <= voltage <= high:
-            return f"{voltage:.9g}{unit} is outside {low:.9g} to {high:.9g}{unit}"
+        if voltage > high:
+            return f"{voltage:.9g}{unit} is above {high:.9g}{unit}"
+        if voltage < low:
+            return f"{voltage:.9g}{unit} is below {low:.9g}{unit}"
         return (
             f"{before:.9g} to {voltage:.9g}{unit} in one row is faster than "
             f"{self.limits.slew:g}{unit}/s"

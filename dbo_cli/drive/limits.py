@@ -46,6 +46,8 @@ class Limits:
         Unit of the voltages.
     extrapolate : bool
         Whether a move may leave the identified range.
+    given : bool
+        Whether anybody gave a limit; else all is the identified range.
     """
 
     rating: tuple[float, float]
@@ -54,6 +56,7 @@ class Limits:
     slew: float | None = None
     unit: str | None = "V"
     extrapolate: bool = False
+    given: bool = True
 
     def __post_init__(self) -> None:
         """Refuse a move's range beyond the rating, and an invalid slew (UsageError)."""
@@ -113,7 +116,8 @@ class Limits:
                 f"`v_min` {low:.6g} to `v_max` {high:.6g} leaves none of the identified range, "
                 f"{quantity.min:.6g} to {quantity.max:.6g}{quantity.suffix} (`extrapolate` goes beyond)"
             )
-        return cls((low, high), move, identified, slew, quantity.unit)
+        given = any(typed is not None for typed in (v_min, v_max, max_slew))
+        return cls((low, high), move, identified, slew, quantity.unit, given=given)
 
     @property
     def suffix(self) -> str:

@@ -3,5 +3,8 @@
 from dbo_cli.identification.figures import describe
 from dbo_cli.identification.identify import identify
 from dbo_cli.identification.recording import Options, Recording
+from dbo_cli.identification.verdict import describe_validation, leads
 
-__all__ = ["Options", "Recording", "describe", "identify"]
+__all__ = [
+    "Options", "Recording", "describe", "describe_validation", "identify", "leads",
+]  # fmt: skip

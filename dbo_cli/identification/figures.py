@@ -187,30 +187,14 @@ def line_rmse(logs: Sequence[Recording]) -> float:
     return math.sqrt(float(np.mean((y - gain * v) ** 2)))
 
 
-def validated(model: Cascade, validation: Sequence[Recording]) -> Cascade:
-    """Return the model with its errors on logs that it was not made from."""
-    if not validation:
-        return model
-    entries = []
-    for log in validation:
-        error = (log.displacement - predicted(model, log))[log.usable]
-        entries.append(
-            {
-                "name": os.path.basename(log.name),
-                "rmse": math.sqrt(float(np.mean(error**2))),
-                "offset_free_rmse": float(np.std(error)),
-            }
-        )
-    return replace(model, fit={**model.fit, "validation": entries})
-
-
-def describe(model: Cascade) -> str:
-    """Return in one line what to expect of a model."""
+def describe(model: Cascade, logs: Sequence[Recording]) -> str:
+    """Return in one line what to expect of a model, as a part of what its logs moved."""
     fit, unit = model.fit, model.output.suffix
     expected = fit.get("expected_rmse")
     if expected is None:
         return f"fit RMSE {fit['rmse']:.3g}{unit}; error on new moves unknown"
-    percent = 100.0 * expected / model.output.span
+    span = max(float(np.ptp(log.displacement[log.usable])) for log in logs)
+    percent = 100.0 * expected / span
     return (
         f"expected error {expected:.3g}{unit} ({percent:.2g} % of range);"
         f" a straight line would leave {fit['line_rmse']:.3g}{unit}"

@@ -12,13 +12,13 @@ from dbo_cli.identification.figures import (
     measured,
     refuse_other_sign,
     stated,
-    validated,
 )
 from dbo_cli.identification.moving import moving
 from dbo_cli.identification.problem import prepare, without_unknown_past
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.search import Search, choices_for
 from dbo_cli.identification.stages import model_of
+from dbo_cli.identification.verdict import judged
 from dbo_cli.model import Cascade
 
 
@@ -56,7 +56,7 @@ def identify(
     else:
         model, logs = _searched(logs, options, notes)
     model = measured(model, logs, options, notes)
-    model = validated(model, validation)
+    model = judged(model, recordings, validation)
     for text in model.fit["warnings"]:
         warn(text)
     return model

@@ -1,7 +1,4 @@
-"""Cells of a text log, one line at a time: split, numbers, and how time stamps look.
-
-``text.py`` has whole blocks read by polars and comes here for what polars refuses.
-"""
+"""Cells of a text log: how a line is split, what is a number, and how time stamps look."""
 
 from __future__ import annotations
 
@@ -9,11 +6,16 @@ import contextlib
 import csv
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-_POINT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?", re.ASCII)
-_COMMA = re.compile(r"[-+]?(\d+,?\d*|,\d+)([eEdD][-+]?\d+)?", re.ASCII)
+from dbo_cli.errors import InputError
+from dbo_cli.logs.table import LONGEST_CELL, TOO_LONG, Column
+
+NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
+_POINT = re.compile(NUMBER, re.ASCII)
+_COMMA = re.compile(NUMBER.replace(r"\.", ","), re.ASCII)
 _NOT_FINITE = ("nan", "inf", "infinity", "∞", "1.#qnan", "1.#ind", "1.#inf")
 MISSING = ("", "na", "n/a", "null", "none", "-", "--", *_NOT_FINITE)
 """Cells that stand where a number is missing, in lower case."""
@@ -47,20 +49,25 @@ def split_cells(line: str, delimiter: str) -> list[str]:
     """Split a line at the delimiter; a blank stands for any run of blanks and tabs.
 
     Quotes around a cell are taken off; inside them the delimiter is a character like
-    any other.
+    any other. A cell that is too long to be anything becomes ``TOO_LONG``.
     """
     if delimiter == " ":  # no-break blanks stand between thousands
-        return [word.strip('"') for word in re.findall(r'"[^"]*"|[^ \t\r]+', line)]
-    cells = line.split(delimiter)
-    if '"' in line:  # blanks may stand in front of a quote
-        reader = csv.reader(
-            [line.strip(" \r")],
-            delimiter=delimiter,
-            skipinitialspace=True,
-            strict=True,
-        )
-        with contextlib.suppress(csv.Error):  # else quotes are letters of their cells
-            cells = next(reader)
+        cells = [word.strip('"') for word in re.findall(r'"[^"]*"|[^ \t\r]+', line)]
+    else:
+        cells = line.split(delimiter)
+        if '"' in line:  # blanks may stand in front of a quote
+            reader = csv.reader(
+                [line.strip(" \r")],
+                delimiter=delimiter,
+                skipinitialspace=True,
+                strict=True,
+            )
+            with contextlib.suppress(
+                csv.Error
+            ):  # else quotes are letters of their cells
+                cells = next(reader)
+    if len(line) > LONGEST_CELL:
+        cells = [cell if len(cell) <= LONGEST_CELL else TOO_LONG for cell in cells]
     return [cell.strip() for cell in cells]
 
 
@@ -91,3 +98,55 @@ def stamp_format(cells: Sequence[tuple[str, float]]) -> str | None:
         if 2.0 * fitting > total:
             return form
     return None
+
+
+# --- thousands or decimals ---
+
+WHOLE = r"[-+]?(?:0|[1-9]\d{0,2})"
+GROUPED = r"[-+]?[1-9]\d{0,2}[.,]\d{3}"
+_WHOLE = re.compile(WHOLE, re.ASCII)
+_GROUPED = re.compile(GROUPED, re.ASCII)
+MOST_DOUBTFUL = 400  # rows; written by decimals, other numbers of them come sooner
+
+
+@dataclass
+class Marks:
+    """Whether the marks in a column stand before decimals or between thousands.
+
+    ``999`` beside ``1.000`` may be either, until another number of decimals shows; judged
+    by the order of the rows alone, so that blocks of any size give one verdict.
+
+    Attributes
+    ----------
+    is_clear
+        Whether a cell has shown that they stand before decimals.
+    whole, grouped
+        The first cells of either kind, and their rows.
+    """
+
+    is_clear: bool = False
+    whole: tuple[int, str] | None = None
+    grouped: tuple[int, str] | None = None
+
+    def watch(self, row: int, cell: str) -> None:
+        """Take the next cell into account."""
+        if _WHOLE.fullmatch(cell):
+            self.whole = self.whole or (row, cell)
+        elif _GROUPED.fullmatch(cell):
+            self.grouped = self.grouped or (row, cell)
+        elif is_number(cell, ".") or is_number(cell, ","):
+            self.is_clear = not self.is_doubtful(row)
+
+    def is_doubtful(self, row: int, most: int = MOST_DOUBTFUL) -> bool:
+        """Return whether both kinds stand above a row, by more than so many rows."""
+        if self.whole is None or self.grouped is None:
+            return False
+        return row - max(self.whole[0], self.grouped[0]) > most
+
+    def refuse(self, name: str, column: Column) -> None:
+        """Refuse a column whose marks are doubtful (InputError)."""
+        assert self.whole is not None and self.grouped is not None
+        raise InputError(
+            f"{name}: {column.label}: {self.grouped[1]} beside {self.whole[1]}: thousands or decimals? Type "
+            "`decimal` point or comma, or write them without the mark"
+        )

@@ -19,15 +19,10 @@ from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError, warn
-from dbo_cli.logs.columns import listed, named, words
+from dbo_cli.logs.columns import TIME_NAMES, listed, named, words
 from dbo_cli.logs.table import Column, Reading, Table
 from dbo_cli.units import kind_of, multiplied, ratio, time_unit
 
-TIME_NAMES = frozenset(
-    "time t x_value zeit timestamp time_stamp timestamps elapsed seconds sec secs millis micros milliseconds "
-    "microseconds nanoseconds nanosec msec usec nsec sekunden datetime zeitstempel uhrzeit temps tiempo "
-    "tempo date datum datenum tijd tid czas čas cas время 时间 時間 x-axis utc ts epoch clock".split()
-)
 _KINDS = (None, "time", "count", "number of samples")  # what its unit may measure
 # behind the name of a time column they show that it counts something else
 _COUNTED = frozenset(

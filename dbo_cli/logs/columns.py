@@ -20,6 +20,11 @@ _BESIDE = (
     "temperature temp temperatur température temperatura temperatuur teplota 温度 thermocouple thermistor "
     "status enable"
 )
+TIME_NAMES = frozenset(
+    "time t x_value zeit timestamp time_stamp timestamps elapsed seconds sec secs millis micros milliseconds "
+    "microseconds nanoseconds nanosec msec usec nsec sekunden datetime zeitstempel uhrzeit temps tiempo "
+    "tempo date datum datenum tijd tid czas čas cas время 时间 時間 x-axis utc ts epoch clock".split()
+)
 _ORDERS = (
     "desired target setpoint commanded wanted demand demanded reference soll sollwert sollposition consigne "
     "command cmd nominal trajectory"
@@ -105,6 +110,8 @@ ROLES = {
     ),
 }
 """``trajectory`` is a displacement that may be called desired."""
+KNOWN_NAMES = TIME_NAMES.union(*(role.names for role in ROLES.values()))
+"""Words that say what a column is."""
 
 
 def role_of(role: str, unit: str | None) -> Role:

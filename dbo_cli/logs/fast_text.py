@@ -8,22 +8,27 @@ quote. So it reads all columns, and nothing is believed that it does not check.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from dbo_cli.logs.cells import STAMPS
-from dbo_cli.logs.sniff import ERROR, Layout
-from dbo_cli.logs.table import NOT_A_TIME, Column
+from dbo_cli.logs.cells import GROUPED, STAMPS, WHOLE, Marks
+from dbo_cli.logs.dialect import ERROR, Layout
+from dbo_cli.logs.table import LONGEST_CELL, NOT_A_TIME, Column
 
 Arrays = list[NDArray[Any]]
+STRETCH = 96  # bytes; where each stretch holds a line end, no line is longer than LONGEST_CELL
 
 
 def read_fast(
-    text: bytes, layout: Layout, chosen: Sequence[Column]
+    text: bytes,
+    layout: Layout,
+    columns: Sequence[Column],
+    marks: Mapping[int, Marks],
+    first_row: int,
 ) -> tuple[Arrays, int] | None:
     """Read whole lines; None where a line or a cell of them is not regular.
 
@@ -33,28 +38,56 @@ def read_fast(
         The lines.
     layout
         How they are written.
-    chosen
-        The columns that are wanted.
+    columns
+        The columns that are read.
+    marks
+        By the number of a column, what its cells have shown of decimals.
+    first_row
+        The number of the first row.
 
     Returns
     -------
     arrays, lines
-        float64, or int64 nanoseconds, for each chosen column; the number of lines.
+        float64, or int64 nanoseconds, for each column; the number of lines.
     """
+    if has_long_cell(text, layout.delimiter):
+        return None
     plain = _single_blanks(text) if layout.delimiter == " " else text
     if 0 in layout.numeric:  # else a comment may pass as a row
-        arrays = _arrays(plain, layout, chosen)
+        arrays = _arrays(plain, layout, columns, marks, first_row)
         if arrays is not None:
             return arrays, len(arrays[0])
-    arrays = _arrays(_cleaned(plain, layout.delimiter), layout, chosen)
+    plain = _cleaned(plain, layout.delimiter)
+    arrays = _arrays(plain, layout, columns, marks, first_row)
     return None if arrays is None else (arrays, text.count(b"\n"))
 
 
-def _arrays(text: bytes, layout: Layout, chosen: Sequence[Column]) -> Arrays | None:
-    """Read the chosen columns; None where polars refuses, or a cell or a line is not regular."""
+def has_long_cell(text: bytes, delimiter: str) -> bool:
+    """Return whether a cell has more than ``LONGEST_CELL`` bytes."""
+    letters = np.frombuffer(text, np.uint8)
+    is_end = letters == ord("\n")
+    whole = len(text) // STRETCH * STRETCH
+    stretches = is_end[:whole].view(np.uint64).reshape(-1, STRETCH // 8)
+    if whole and np.bitwise_or.reduce(stretches, axis=1).all():
+        return False
+    is_end |= letters == ord(delimiter)
+    ends = np.flatnonzero(is_end)
+    return bool(np.diff(ends, prepend=-1, append=len(text)).max() > LONGEST_CELL + 1)
+
+
+def _arrays(
+    text: bytes,
+    layout: Layout,
+    columns: Sequence[Column],
+    marks: Mapping[int, Marks],
+    first_row: int,
+) -> Arrays | None:
+    """Read the columns; None where polars refuses, or a cell or a line is not regular."""
+    unclear = [number for number, known in marks.items() if not known.is_clear]
     schema: dict[str, Any] = {}
     for n in range(layout.width):
-        schema[f"{n + 1}"] = pl.Float64 if n in layout.numeric else pl.String
+        is_plain = n in layout.numeric and n + 1 not in unclear
+        schema[f"{n + 1}"] = pl.Float64 if is_plain else pl.String
     try:
         frame = pl.read_csv(
             text,
@@ -66,10 +99,20 @@ def _arrays(text: bytes, layout: Layout, chosen: Sequence[Column]) -> Arrays | N
         )
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, ValueError):
         return None
+    for number in unclear:
+        cells = frame[f"{number}"]
+        figures = cells.str.replace(layout.decimal, ".", literal=True)
+        if layout.decimal == "," and cells.str.contains(".", literal=True).any():
+            return None
+        figures = figures.cast(pl.Float64, strict=False)
+        if figures.null_count():
+            return None
+        frame = frame.with_columns(figures.alias(f"{number}"))
+        _watch(marks[number], cells, first_row)
     if not _is_regular(text, layout, frame):
         return None
     arrays: Arrays = []
-    for column in chosen:
+    for column in columns:
         series = frame[f"{column.number}"]
         if series.null_count():
             return None
@@ -78,6 +121,19 @@ def _arrays(text: bytes, layout: Layout, chosen: Sequence[Column]) -> Arrays | N
         else:
             arrays.append(series.to_numpy())
     return arrays
+
+
+def _watch(marks: Marks, cells: pl.Series, first_row: int) -> None:
+    """Take the cells of a column into account: of each kind the first."""
+    is_whole = cells.str.contains(f"^{WHOLE}$")
+    is_grouped = cells.str.contains(f"^{GROUPED}$")
+    rows = []
+    for is_kind in (is_whole, is_grouped, ~(is_whole | is_grouped)):
+        row = is_kind.arg_max()
+        if row is not None and is_kind[row]:
+            rows.append(row)
+    for row in sorted(rows):
+        marks.watch(first_row + row, cells[row])
 
 
 def _is_regular(text: bytes, layout: Layout, frame: pl.DataFrame) -> bool:
@@ -117,7 +173,10 @@ def _single_blanks(text: bytes) -> bytes:
 
 
 def _cleaned(text: bytes, delimiter: str) -> bytes:
-    """Leave out comments, blank lines, blanks around cells, and quotes around cells without a delimiter."""
+    """Leave out comments, blank lines, blanks around cells, and quotes around cells without a delimiter.
+
+    A run of blanks is entered at its begin only: else the time grows as its square.
+    """
     mark = re.escape(delimiter.encode())
     if b'"' in text:
         cell = rb'"([^"\n' + mark + rb']*)"'
@@ -126,6 +185,6 @@ def _cleaned(text: bytes, delimiter: str) -> bytes:
     comment = rb"(?m)^[ \t]*(?:(?!" + ERROR.encode() + rb")[#%].*|EOF[ \t]*$)\n?"
     text = re.sub(comment, b"", text)
     if delimiter != " " and b" " in text:
-        text = re.sub(rb" *" + mark + rb" *", lambda _: delimiter.encode(), text)
-        text = re.sub(rb"(?m)^ +| +$", b"", text)
+        text = re.sub(rb"(?<! ) *+" + mark + rb" *", lambda _: delimiter.encode(), text)
+        text = re.sub(rb"(?m)^ +|(?<! ) +$", b"", text)
     return re.sub(rb"\n\n+", b"\n", text).lstrip(b"\n")

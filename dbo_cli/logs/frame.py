@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
-from dbo_cli.logs.clock import TIME_NAMES
-from dbo_cli.logs.columns import words
+from dbo_cli.logs.columns import TIME_NAMES, words
 from dbo_cli.logs.table import Column, Table
 from dbo_cli.units import spell, split_header, time_unit
 

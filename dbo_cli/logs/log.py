@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.files import note_input
+from dbo_cli.logs import text
 from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import choose, named
 from dbo_cli.logs.formats import reader_of
@@ -31,7 +32,6 @@ from dbo_cli.logs.table import (
     Reading,
     Table,
 )
-from dbo_cli.logs.text import open_text
 from dbo_cli.units import multiplied
 
 if TYPE_CHECKING:
@@ -381,7 +381,7 @@ def _open_file(
 ) -> Log:
     """Open one file or table as a log."""
     factors = {role: text for role, text in reading.scale.items() if role in roles}
-    source = name if isinstance(name, Table) else open_source(name, reading)
+    source = name if isinstance(name, Table) else open_table(name, reading)
     try:
         clock, picks = _chosen(source, roles, reading, units, optional)
         scales = scales_of(source.name, picks, factors, units, source.remarks)
@@ -391,7 +391,7 @@ def _open_file(
         raise
 
 
-def open_source(name: str, reading: Reading) -> Table:
+def open_table(name: str, reading: Reading) -> Table:
     """Open a file with the reader that its first bytes ask for (InputError)."""
     path, _, part = name.partition("::")
     note_input(path, "log")
@@ -405,7 +405,7 @@ def open_source(name: str, reading: Reading) -> Table:
         reader = reader_of(path, start)
         if reader is not None:
             return reader(path, part, reading)
-    return open_text(path, part, reading)
+    return text.read(path, part, reading)
 
 
 def _chosen(
@@ -433,6 +433,6 @@ def columns_of(
     InputError
         It cannot be read.
     """
-    source = open_source(os.fspath(path), reading or Reading())
+    source = open_table(os.fspath(path), reading or Reading())
     source.close()
     return source.columns

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cells import is_number, split_cells
-from dbo_cli.logs.clock import TIME_NAMES
-from dbo_cli.logs.columns import ROLES, words
+from dbo_cli.logs.columns import KNOWN_NAMES, words
 from dbo_cli.logs.settings import (
     NAME_KEYS,
     TIME_UNIT_KEYS,
@@ -26,16 +25,15 @@ from dbo_cli.logs.settings import (
     plain_key,
     read_settings,
 )
-from dbo_cli.logs.table import Table
+from dbo_cli.logs.table import LONGEST_CELL, Table
 from dbo_cli.units import kind_of, parse_unit, spell, split_header, time_unit
 
 if TYPE_CHECKING:
-    from dbo_cli.logs.sniff import Layout
+    from dbo_cli.logs.dialect import Layout
 
 _LINES = 3  # names, units and a remark stand above the rows at most
 _BESIDE = 40  # rows beside which settings may stand
 _PASSED = 3  # comments that may stand between the names and the rows
-_KNOWN = TIME_NAMES.union(*(role.names for role in ROLES.values()))
 _LABEL = re.compile(
     r"(?:column[ _]?(?:names|headers)?|columns|names|fields|header|units?)\s*[:=]\s*",
     re.IGNORECASE,
@@ -120,6 +118,8 @@ def _as_header(line: str, layout: Layout, above_units: bool) -> list[str] | None
 
     Names above a line of units may be numbers (an oscilloscope's channels).
     """
+    if len(line) > LONGEST_CELL * layout.width:
+        return None
     is_comment = line[0] in "#%"
     if is_comment:
         line = line.lstrip("#% \t")
@@ -162,7 +162,7 @@ def _is_name(word: str) -> bool:
     if len(word) == 1 or re.search(r"[\d_]", word) or split_header(word)[1]:
         return True
     is_unit = parse_unit(word) is not None or time_unit(word) is not None
-    return is_unit or bool(words(word) & _KNOWN)
+    return is_unit or bool(words(word) & KNOWN_NAMES)
 
 
 def _is_amount(cell: str) -> bool:
@@ -177,7 +177,7 @@ def _is_amount(cell: str) -> bool:
 
 def begins_run(comment: str) -> bool:
     """Return whether a comment among the rows states a setting or names, as above another run."""
-    return bool(re.search("[:=]", comment) or words(comment) & _KNOWN)
+    return bool(re.search("[:=]", comment) or words(comment) & KNOWN_NAMES)
 
 
 def _units_in(cells: Sequence[str]) -> int:

@@ -1,7 +1,12 @@
-"""The bytes of a text log: a file, a gzip file, standard input, or content in memory."""
+r"""Plain text of a file, a gzip file, standard input, or content in memory.
+
+Whatever the encoding and the line ends are, what is handed on is a superset of ASCII in
+which ``\n`` ends a line.
+"""
 
 from __future__ import annotations
 
+import codecs
 import gzip
 import io
 import os
@@ -9,28 +14,47 @@ import select
 import stat
 import sys
 import zlib
-from typing import IO, cast
+from collections.abc import Callable
+from typing import IO, Any, cast
 
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, UsageError
+
+HEAD = 1 << 16  # bytes from which the layout is found; longer than any header
+BLOCK = 1 << 22  # bytes of text at a time; of 1 to 8 MB the fastest
+_ASCII = ("utf-8", "cp1252", "ascii", "iso8859-1")  # their digits and signs are ASCII's
 
 
-class ByteStream:
-    """The bytes of a file, of a gzip file (``.gz``), of standard input, or of content in memory.
+class TextStream:
+    """The text of a log in blocks that end anywhere.
 
-    ``is_pipe``: reading waits for whoever writes.
+    Attributes
+    ----------
+    name
+        How messages call it.
+    is_pipe
+        Whether reading waits for whoever writes.
+    ended
+        Whether all has been read.
     """
 
-    def __init__(self, name: str, content: bytes | None = None) -> None:
-        """Open a file; ``-`` is standard input.
+    def __init__(
+        self, path: str, encoding: str | None = None, content: bytes | None = None
+    ) -> None:
+        """Open a file; ``-`` is standard input, ``content`` stands for what is in a file.
 
         Raises
         ------
         InputError
             It cannot be opened.
         """
-        self.name = "standard input" if name == "-" else name
-        self._is_ours = name != "-"
-        self._file = _opened(name) if content is None else io.BytesIO(content)
+        self.name = "standard input" if path == "-" else path
+        self.ended = False
+        self._is_stdin = path == "-"
+        self._typed_encoding = encoding
+        self._encoding = ""
+        self._decoder: Any = None
+        self._ends_in_cr = False
+        self._file = io.BytesIO(content) if content is not None else _opened(path)
         self._descriptor = -1
         try:
             descriptor = self._file.fileno()
@@ -39,9 +63,66 @@ class ByteStream:
         except (OSError, ValueError):
             pass  # text in memory
         self.is_pipe = self._descriptor >= 0
-        self._is_plain = not self.is_pipe and not isinstance(self._file, gzip.GzipFile)
 
-    def read(self, size: int) -> bytes:
+    def head(self, is_enough: Callable[[list[str]], bool]) -> bytes:
+        """Return the first text; from a pipe what has arrived once that is enough.
+
+        Parameters
+        ----------
+        is_enough
+            Whether these lines, the first ones of a pipe that pauses, hold a row.
+
+        Raises
+        ------
+        InputError
+            It cannot be read, or it is no text.
+        """
+        head = b""
+        while len(head) < HEAD:
+            data = self._read(HEAD - len(head))
+            self.ended = not data
+            head += data
+            if self.ended:
+                break
+            is_pause = self.is_pipe and head.endswith(b"\n") and not self._has_more()
+            if is_pause and is_enough(self._first_lines(head)):
+                break
+        self._ends_in_cr = b"\r" in head[:-1] and b"\n" not in head  # Igor's do
+        self._encoding = _find_encoding(self.name, head, self._typed_encoding)
+        if self._encoding not in _ASCII:
+            self._decoder = codecs.getincrementaldecoder(self._encoding)("replace")
+        return self._plain(head.removeprefix(codecs.BOM_UTF8))
+
+    def next(self) -> bytes:
+        """Return the next text; none at the end (InputError)."""
+        data = self._read(BLOCK)
+        self.ended = not data
+        return self._plain(data)
+
+    def lines(self, text: bytes) -> list[str]:
+        """Return the lines of what was read."""
+        encoding = "utf-8" if self._decoder else self._encoding
+        return text.decode(encoding, errors="replace").split("\n")
+
+    def close(self) -> None:
+        """Close the file (never standard input)."""
+        if not self._is_stdin:
+            self._file.close()
+
+    def _first_lines(self, head: bytes) -> list[str]:
+        """Return the lines of a head whose encoding is not settled yet."""
+        encoding = _find_encoding(self.name, head, self._typed_encoding)
+        return head.decode(encoding, "replace").split("\n")
+
+    def _plain(self, data: bytes) -> bytes:
+        """Turn bytes into a superset of ASCII with plain line ends."""
+        if self._decoder is not None:
+            data = self._decoder.decode(data, final=self.ended).encode()
+        if b"\r" in data:
+            data = data.replace(b"\r\n", b"\n")
+        return data.replace(b"\r", b"\n") if self._ends_in_cr else data
+
+    def _read(self, size: int) -> bytes:
         """Read a size and on to the end of the line; from a pipe what has arrived; empty at the end.
 
         Raises
@@ -52,13 +133,9 @@ class ByteStream:
         try:
             if self.is_pipe:
                 return self._arrived(size)
-            if not self._is_plain:
+            if isinstance(self._file, gzip.GzipFile):
                 return self._file.read(size)
-            start = self._file.tell()
-            self._file.seek(start + size)
-            size += len(self._file.readline(size))
-            self._file.seek(start)
-            return self._file.read(size)
+            return self._file.read(size) + self._file.readline(size)
         except (EOFError, zlib.error, gzip.BadGzipFile):
             raise InputError(
                 f"{self.name}: the gzip data are damaged or end early"
@@ -72,35 +149,67 @@ class ByteStream:
         """Read what a pipe has; wait for the first byte only."""
         # A signal ends this wait; libraries may have asked for reads to be restarted.
         select.select([self._descriptor], [], [])
-        data = part = os.read(self._descriptor, size)
-        while part and len(data) < size and self.has_more():
-            part = os.read(self._descriptor, size - len(data))
-            data += part
+        data = chunk = os.read(self._descriptor, size)
+        while chunk and len(data) < size and self._has_more():
+            chunk = os.read(self._descriptor, size - len(data))
+            data += chunk
         return data
 
-    def has_more(self) -> bool:
-        """Return whether there are bytes (or the end) to be read now."""
-        if not self.is_pipe:
-            return True
+    def _has_more(self) -> bool:
+        """Return whether a pipe has bytes (or its end) to be read now."""
         return bool(select.select([self._descriptor], [], [], 0.0)[0])
 
-    def close(self) -> None:
-        """Close the file (never standard input)."""
-        if self._is_ours:
-            self._file.close()
 
-
-def _opened(name: str) -> IO[bytes]:
-    if name == "-":
+def _opened(path: str) -> IO[bytes]:
+    if path == "-":
         return sys.stdin.buffer
     try:
-        if name.lower().endswith(".gz"):
-            return cast(IO[bytes], gzip.open(name))
-        return open(name, "rb")
+        if path.lower().endswith(".gz"):
+            return cast(IO[bytes], gzip.open(path))
+        return open(path, "rb")
     except FileNotFoundError:
-        raise InputError(f"{name}: no such file") from None
+        raise InputError(f"{path}: no such file") from None
     except IsADirectoryError:
-        raise InputError(f"{name}: is a folder, not a log") from None
+        raise InputError(f"{path}: is a folder, not a log") from None
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or problem
-        raise InputError(f"{name}: cannot be read: {reason}") from None
+        raise InputError(f"{path}: cannot be read: {reason}") from None
+
+
+def _find_encoding(name: str, head: bytes, typed: str | None) -> str:
+    """Return the encoding: by a mark, by what the user types, UTF-8, else Western.
+
+    Raises
+    ------
+    InputError
+        The file is binary, or UTF-16 without a mark.
+    UsageError
+        The encoding that the user names is not known.
+    """
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    if head.startswith(codecs.BOM_UTF8):
+        return "utf-8"
+    if typed is not None:
+        try:
+            head[:4].decode(typed, "replace")
+        except (LookupError, UnicodeError):
+            raise UsageError(
+                f"`encoding` {typed}: there is no such text encoding"
+            ) from None
+        encoding = codecs.lookup(typed).name
+        if encoding in ("utf-16", "utf-32"):
+            raise InputError(
+                f"{name}: has no byte order mark: type `encoding` {encoding}-le or {encoding}-be"
+            )
+        return encoding
+    if b"\0" in head[:200]:
+        raise InputError(
+            f"{name}: no text: export it as CSV or HDF5; if it is one, type `encoding` utf-16-le, utf-16-be "
+            "or utf-8"
+        )
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8"

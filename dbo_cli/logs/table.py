@@ -19,6 +19,8 @@ NOT_A_TIME = int(np.iinfo(np.int64).min)
 """A stamp that is missing or cannot be read."""
 LONGEST_CELL = 200
 """Characters; what is longer, padding counted, is no number, no name and no unit."""
+TOO_LONG = f"(more than {LONGEST_CELL} characters)"
+"""What stands in the place of a cell that is longer."""
 
 
 @dataclass(frozen=True)
@@ -219,10 +221,8 @@ class Table:
     ) -> Column:
         """Append a column; its header holds its unit where none is stated beside it."""
         number = len(self.columns) + 1
-        if len(header) > LONGEST_CELL:
-            self.remarks.append(
-                f"column {number}: {len(header):,} characters are no name"
-            )
+        if len(header) > LONGEST_CELL or header == TOO_LONG:
+            self.remarks.append(f"column {number}: {TOO_LONG[1:-1]} are no name")
             header = ""
         unit = spell(unit) if unit and len(unit) <= LONGEST_CELL else None
         last = header.rsplit("/", 1)[-1] if self.has_paths else header

@@ -1,12 +1,13 @@
-"""Delimited text: bytes to blocks of whole lines, and these to arrays.
+"""Delimited text: whole lines become arrays.
 
-polars reads a block at once (``fast_text.py``). A block that is not regular is read
-line by line. A small file is read line by line at once, and does without polars.
+Most files have known names in the first line and numbers below: ``plain_layout`` takes
+them. How others are written is found by ``dialect.py``. polars reads a block at once
+(``fast_text.py``); a block that is not regular is read line by line, and so is a small
+file, which does without polars.
 """
 
 from __future__ import annotations
 
-import codecs
 import re
 import sys
 from collections.abc import Iterator, Sequence
@@ -16,28 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.cells import split_cells, to_number
+from dbo_cli.logs.cells import NUMBER, Marks, split_cells, to_number
+from dbo_cli.logs.columns import KNOWN_NAMES, words
+from dbo_cli.logs.dialect import Layout, find_layout, is_no_row
 from dbo_cli.logs.names import begins_run, describe_columns
-from dbo_cli.logs.sniff import is_no_row, sniff
-from dbo_cli.logs.stream import ByteStream
-from dbo_cli.logs.table import Column, Reading, Table
+from dbo_cli.logs.settings import is_setting
+from dbo_cli.logs.stream import TextStream
+from dbo_cli.logs.table import LONGEST_CELL, Column, Reading, Table
+from dbo_cli.units import parse_unit, split_header, time_unit
 
-_HEAD = 1 << 16  # bytes from which the layout is found; longer than any header
-_BLOCK = 1 << 22  # bytes of text at a time; of 1 to 8 MB the fastest
-_LONGEST_LINE = 1 << 24  # what is longer has no line ends
-_SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
-_TINY = 1 << 12  # bytes that are read faster in Python than by polars
+LONGEST_LINE = 1 << 24  # bytes; what is longer has no line ends
+SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
+TINY = 1 << 12  # bytes that are read faster in Python than by polars
 _COMMENT = re.compile(rb"(?m)^[ \t]*[#%].*\n?")
-_ASCII = ("utf-8", "cp1252", "ascii", "iso8859-1")  # their digits and signs are ASCII's
 
 
-def text_table(path: str, reading: Reading, content: bytes) -> TextTable:
-    """Read text in memory (InputError)."""
-    return TextTable(ByteStream(path, content), reading)
-
-
-def open_text(name: str, part: str, reading: Reading) -> TextTable:
-    """Open a text log; see ``Table``.
+def read(path: str, part: str, reading: Reading) -> Table:
+    """Read a text log; see ``Table``.
 
     Raises
     ------
@@ -46,9 +42,64 @@ def open_text(name: str, part: str, reading: Reading) -> TextTable:
     """
     if part:
         raise UsageError(
-            f"{name}::{part}: '::' names a part of a file, and this is a text file"
+            f"{path}::{part}: '::' names a part of a file, and this is a text file"
         )
-    return TextTable(ByteStream(name), reading)
+    return TextTable(TextStream(path, reading.encoding), reading)
+
+
+# --- the plain door ---
+
+
+def plain_layout(lines: Sequence[str], reading: Reading) -> Layout | None:
+    """Return the layout of known names in the first line above numbers; None for all else.
+
+    Where it takes a file it finds what ``find_layout`` finds.
+
+    Parameters
+    ----------
+    lines
+        The first lines.
+    reading
+        Where the user types how the file is written, the plain door is shut.
+    """
+    is_typed = reading.delimiter or reading.decimal or reading.skip_lines is not None
+    header = lines[0].rstrip("\r")
+    delimiters = [mark for mark in ",;\t" if mark in header]
+    if is_typed or len(delimiters) != 1 or len(header) > LONGEST_CELL:
+        return None
+    names = [name.strip() for name in header.split(delimiters[0])]
+    if re.search(r"[^\w ()\[\]µ/.-]", "".join(names)) or is_setting(names[0]):
+        return None
+    if not all(map(_is_known_name, names)):
+        return None
+    cell = rf" *{NUMBER} *"
+    row = re.compile(
+        rf"{cell}(?:{delimiters[0]}{cell}){{{len(names) - 1}}}\r?", re.ASCII
+    )
+    rows = list(lines[1:])
+    while rows and not rows[-1]:
+        rows.pop()
+    for line in rows:
+        if len(line) > LONGEST_CELL or not row.fullmatch(line):
+            return None
+    if not rows:
+        return None
+    width = len(names)
+    layout = Layout(delimiters[0], ".", width, frozenset(range(width)))
+    layout.first, layout.names, layout.units = 1, names, [""] * width
+    return layout
+
+
+def _is_known_name(name: str) -> bool:
+    """Return whether a name says what a column is: by a word, or by a unit behind it."""
+    if parse_unit(name) or time_unit(name) or re.match(r"[\d.-]", name):
+        return False
+    unit = split_header(name)[1]
+    is_unit = parse_unit(unit) is not None or time_unit(unit) is not None
+    return is_unit or bool(words(name) & KNOWN_NAMES)
+
+
+# --- lines to arrays ---
 
 
 class TextTable(Table):
@@ -57,17 +108,18 @@ class TextTable(Table):
     ``layout`` is how it is written.
     """
 
-    def __init__(self, stream: ByteStream, reading: Reading) -> None:
+    def __init__(self, stream: TextStream, reading: Reading) -> None:
         super().__init__(stream.name)
         self._stream = stream
-        self._encoding = ""
-        self._decoder: Any = None
-        self._ends_in_cr = False
-        self._ended = False
-        self._seen = 0  # bytes of rows
+        self._reading = reading
+        self._marks: dict[int, Marks] = {}
+        self._size = 0  # bytes of rows
         try:
-            head, lines = self._read_head(reading)
-            self.layout = sniff(self.name, lines, reading)
+            head = stream.head(self._has_layout)
+            lines = stream.lines(head)
+            if not stream.ended and len(lines) > 2:
+                lines.pop()  # perhaps not whole
+            self.layout = self._layout_of(lines)
             describe_columns(self, self.layout)
         except BaseException:
             stream.close()
@@ -78,129 +130,103 @@ class TextTable(Table):
         self._line = self.layout.first + 1  # of the first row in the text
         self._text = head.split(b"\n", self.layout.first)[-1]
 
-    # --- bytes to whole lines ---
+    def _layout_of(self, lines: Sequence[str]) -> Layout:
+        """Return how the file is written (InputError)."""
+        layout = plain_layout(lines, self._reading)
+        return layout or find_layout(self.name, lines, self._reading)
 
-    def _read_head(self, reading: Reading) -> tuple[bytes, list[str]]:
-        """Read the first lines; from a pipe what has arrived once it holds a row."""
-        head = b""
-        while len(head) < _HEAD:
-            data = self._stream.read(_HEAD - len(head))
-            self._ended = not data
-            head += data
-            if self._ended or (self._stream.is_pipe and self._is_enough(head, reading)):
-                break
-        self._ends_in_cr = b"\r" in head[:-1] and b"\n" not in head  # Igor's do
-        self._encoding = _find_encoding(self.name, head, reading.encoding)
-        if self._encoding not in _ASCII:
-            self._decoder = codecs.getincrementaldecoder(self._encoding)("replace")
-        head = self._plain(head.removeprefix(codecs.BOM_UTF8))
-        lines = self._lines_of(head)
-        if not self._ended and len(lines) > 2:
-            lines.pop()  # perhaps not whole
-        return head, lines
-
-    def _is_enough(self, head: bytes, reading: Reading) -> bool:
-        """Return whether a pipe has paused behind a row."""
-        if self._stream.has_more() or not head.endswith(b"\n"):
-            return False
+    def _has_layout(self, lines: Sequence[str]) -> bool:
+        """Return whether the first lines of a pipe hold a row."""
         try:
-            encoding = _find_encoding(self.name, head, reading.encoding)
-            sniff(self.name, head.decode(encoding, "replace").split("\n"), reading)
+            self._layout_of(lines)
         except InputError:
             return False
         return True
 
-    def _plain(self, data: bytes) -> bytes:
-        """Turn bytes into a superset of ASCII with plain line ends."""
-        if self._decoder is not None:
-            data = self._decoder.decode(data, final=self._ended).encode()
-        if b"\r" in data:
-            data = data.replace(b"\r\n", b"\n")
-        return data.replace(b"\r", b"\n") if self._ends_in_cr else data
-
-    def _lines_of(self, text: bytes) -> list[str]:
-        encoding = "utf-8" if self._decoder else self._encoding
-        return text.decode(encoding, errors="replace").split("\n")
-
-    def _next(self) -> bytes:
-        """Return the next bytes; none at the end."""
-        data = self._stream.read(_BLOCK)
-        self._ended = not data
-        return self._plain(data)
+    def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
+        """Return all rows of some columns; see ``Table``."""
+        if self._reading.decimal is None:
+            self._marks = {c.number: Marks() for c in columns if c.kind == "number"}
+        for text in self._texts():
+            self._text = text
+            if not text.endswith(b"\n"):
+                self._doubt_last_line(text)
+            arrays, lines = self._read_block(text, columns)
+            if len(arrays[0]):
+                self._refuse_doubtful(self.first_row + len(arrays[0]) - 1)
+                yield arrays
+            self.first_row += len(arrays[0])
+            self._line += lines
+        self._refuse_doubtful(self.first_row, most=0)
 
     def _texts(self) -> Iterator[bytes]:
         """Return the rows in blocks of whole lines, without those of delimiters at the end of the file."""
         tail, data = b"", self._text
-        if not self._ended and not self._stream.is_pipe:
-            data += self._next()
-        while not self._ended:
+        while not self._stream.ended:
             end = _last_row_end(data, data.rfind(b"\n") + 1)
             if end:
                 yield data[:end] if not tail else tail + data[:end]
                 tail = b""
             tail += data[end:]
-            if len(tail) > _LONGEST_LINE:
+            if len(tail) > LONGEST_LINE:
                 raise InputError(
                     f"{self.name}: a line is longer than 16 MB: no text log?"
                 )
-            data = self._next()
+            data = self._stream.next()
         text = tail + data
         text = text[: _last_row_end(text, len(text))]
         if text:
             yield text
 
-    # --- lines to arrays ---
-
-    def blocks(self, chosen: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
-        """Return all rows of the chosen columns; see ``Table``."""
-        for text in self._texts():
-            self._text = text
-            if not text.endswith(b"\n"):
-                self._doubt_last_line(text)
-            arrays, lines = self._read_block(text, chosen)
-            if len(arrays[0]):
-                yield arrays
-            self.first_row += len(arrays[0])
-            self._line += lines
-
     def _doubt_last_line(self, text: bytes) -> None:
         """Say that a row at the end has no line end."""
-        if not is_no_row(self._lines_of(text[text.rfind(b"\n") + 1 :])[0]):
+        last = self._stream.lines(text[text.rfind(b"\n") + 1 :])[0]
+        if not is_no_row(last):
             number = self._line + text.count(b"\n")
             self.remarks.append(
                 f"line {number}, the last one, has no line end: was the record cut there?"
             )
 
+    def _refuse_doubtful(self, row: int, **most: int) -> None:
+        """Refuse a column whose marks may stand between thousands (InputError)."""
+        for number, marks in self._marks.items():
+            if not marks.is_clear and marks.is_doubtful(row, **most):
+                marks.refuse(self.name, self.columns[number - 1])
+
     def _read_block(
-        self, text: bytes, chosen: Sequence[Column]
+        self, text: bytes, columns: Sequence[Column]
     ) -> tuple[list[NDArray[Any]], int]:
         """Read a block by polars, or line by line where it is small or not regular; count its lines."""
-        self._seen += len(text)
+        self._size += len(text)
         self.torn = ()
-        is_small = self._seen <= _SMALL and "polars" not in sys.modules
-        is_plain = True
-        if b"#" in text or b"%" in text:
-            comments = self._lines_of(b"".join(_COMMENT.findall(text)))
-            is_plain = all(map(self._is_passed, comments))
-        if is_plain and not is_small and len(text) > _TINY:
+        is_small = self._size <= SMALL and "polars" not in sys.modules
+        if not is_small and len(text) > TINY and self._has_plain_comments(text):
             from dbo_cli.logs.fast_text import read_fast
 
-            block = read_fast(text, self.layout, chosen)
+            block = read_fast(text, self.layout, columns, self._marks, self.first_row)
             if block is not None:
                 return block
-        return self._read_lines(text, chosen), text.count(b"\n")
+        return self._read_lines(text, columns), text.count(b"\n")
+
+    def _has_plain_comments(self, text: bytes) -> bool:
+        """Return whether all comments among the rows are to be passed over."""
+        if b"#" not in text and b"%" not in text:
+            return True
+        comments = self._stream.lines(b"".join(_COMMENT.findall(text)))
+        return all(map(self._is_passed, comments))
 
     def _is_passed(self, line: str) -> bool:
         """Return whether a line among the rows is blank, a comment, or a row that is commented out."""
+        if not is_no_row(line):
+            return False
         comment = line.strip("#% \t")
-        is_comment = self.layout.partly_fits(comment) or not begins_run(comment)
-        return is_no_row(line) and is_comment
+        return self.layout.partly_fits(comment) or not begins_run(comment)
 
-    def _read_lines(self, text: bytes, chosen: Sequence[Column]) -> list[NDArray[Any]]:
+    def _read_lines(self, text: bytes, columns: Sequence[Column]) -> list[NDArray[Any]]:
         """Read a block in Python; cells that are no numbers become NaN."""
         width = self.layout.width
         rows = []
-        for line in self._lines_of(text):
+        for line in self._stream.lines(text):
             if not self._is_passed(line):
                 rows.append(split_cells(line, self.layout.delimiter))
         torn = [k for k, cells in enumerate(rows) if len(cells) != width]
@@ -208,7 +234,7 @@ class TextTable(Table):
         for k in torn:
             rows[k] = [""] * width
         arrays: list[NDArray[Any]] = []
-        for column in chosen:
+        for column in columns:
             cells = [row[column.number - 1] for row in rows]
             if column.kind == "stamp":
                 import polars as pl
@@ -218,28 +244,37 @@ class TextTable(Table):
                 form = self.layout.stamps[column.number - 1]
                 arrays.append(read_stamps(pl.Series(cells, dtype=pl.String), form))
             else:
+                self._watch(column, cells)
                 sign = self.layout.decimal
                 arrays.append(np.array([to_number(cell, sign) for cell in cells]))
         return arrays
 
+    def _watch(self, column: Column, cells: Sequence[str]) -> None:
+        """Take the cells of a column into account, until its marks are clear."""
+        marks = self._marks.get(column.number, Marks(is_clear=True))
+        for row, cell in enumerate(cells, start=self.first_row):
+            if marks.is_clear:
+                break
+            marks.watch(row, cell)
+
     def where(self, row: int, column: Column) -> str:
         """Say in which line a row of the last block is, and what stands in a column of it."""
-        lines = self._lines_of(self._text)
-        places = [k for k, line in enumerate(lines) if not self._is_passed(line)]
-        place = places[row - self.first_row]
-        at = f"{self.name}:{self._line + place}"
-        if is_no_row(lines[place]):
+        lines = self._stream.lines(self._text)
+        numbers = [k for k, line in enumerate(lines) if not self._is_passed(line)]
+        number = numbers[row - self.first_row]
+        at = f"{self.name}:{self._line + number}"
+        if is_no_row(lines[number]):
             return f"{at}: a comment as above another run: cut with `rows` :{row - 1}"
-        cells = split_cells(lines[place], self.layout.delimiter)
+        cells = split_cells(lines[number], self.layout.delimiter)
         if len(cells) != self.layout.width:
             s = "" if len(cells) == 1 else "s"
             return f"{at}: {len(cells)} cell{s} where the other rows have {self.layout.width}"
         cell = cells[column.number - 1]
         if not cell:
             return f"{at}: {column.label} is empty"
-        wanted = "a known time stamp" if column.kind == "stamp" else "a measured number"
+        noun = "a known time stamp" if column.kind == "stamp" else "a measured number"
         advice = " (`decimal` comma?)" if "," in cell else ""
-        return f"{at}: {column.label} is not {wanted}: '{cell[:40]}'{advice}"
+        return f"{at}: {column.label} is not {noun}: '{cell[:40]}'{advice}"
 
     def close(self) -> None:
         """Close the file."""
@@ -255,42 +290,3 @@ def _last_row_end(text: bytes, end: int) -> int:
             break
         end = begin
     return end
-
-
-def _find_encoding(name: str, head: bytes, typed: str | None) -> str:
-    """Return the encoding: by a mark, by what the user types, UTF-8, else Western.
-
-    Raises
-    ------
-    InputError
-        The file is binary, or UTF-16 without a mark.
-    UsageError
-        The encoding that the user names is not known.
-    """
-    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return "utf-16"
-    if head.startswith(codecs.BOM_UTF8):
-        return "utf-8"
-    if typed is not None:
-        try:
-            head[:4].decode(typed, "replace")
-        except (LookupError, UnicodeError):
-            raise UsageError(
-                f"`encoding` {typed}: there is no such text encoding"
-            ) from None
-        encoding = codecs.lookup(typed).name
-        if encoding in ("utf-16", "utf-32"):
-            raise InputError(
-                f"{name}: has no byte order mark: type `encoding` {encoding}-le or {encoding}-be"
-            )
-        return encoding
-    if b"\0" in head[:200]:
-        raise InputError(
-            f"{name}: no text: export it as CSV or HDF5; if it is one, type `encoding` utf-16-le, utf-16-be "
-            "or utf-8"
-        )
-    try:
-        codecs.getincrementaldecoder("utf-8")().decode(head)
-    except UnicodeDecodeError:
-        return "cp1252"
-    return "utf-8"

@@ -117,7 +117,7 @@ def refused(code: int, *words: object, stdin: bytes | str = b"") -> str:
 def process(*words: object, **more: Any) -> subprocess.CompletedProcess[bytes]:
     """Run one command line as a process of its own."""
     line = [*PROGRAM, *(str(word) for word in words)]
-    return subprocess.run(line, capture_output=True, check=False, timeout=120, **more)
+    return subprocess.run(line, capture_output=True, check=False, timeout=600, **more)
 
 
 @contextlib.contextmanager

@@ -81,12 +81,13 @@ def test_nothing_is_written_in_place_of_what_is_read(files: None, line: str) -> 
 
 
 def test_a_state_and_a_history_may_be_replaced_by_their_next(files: None) -> None:
-    state = os.stat("st.json").st_ino
+    before = Path("st.json").read_text()
+    Path("st.json").write_text(f"{before}\n")
     words = ("compensate", "mm.json", "wish.csv", "-o", "out.csv", "-q")
     done(*words, "--state", "st.json", "--save-state", "st.json")
     done("simulate", "mm.json", "out.csv", "-o", "s.csv", "--input", "voltage_V", "--state",
          "st.json", "--save-state", "st.json", "-q")  # fmt: skip
-    assert os.stat("st.json").st_ino != state
+    assert Path("st.json").read_text() == before
     played = table("out.csv")
     write(
         "track.csv", "voltage_V,measured_um", played["voltage_V"], played["desired_um"]
@@ -217,14 +218,14 @@ app.run()
 
 
 @posix
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_at_any_call_ends_the_same_way(files: None, number: int) -> None:
     """From the first import to the last rename: the code, nothing else said, all outputs or none."""
     before = set(listing())
     words = "compensate mm.json wish.csv -o out.h5 --summary s.json -q".split()
     said = b"dbo: interrupted\n" if number == signal.SIGINT else b""
     codes = []
-    for call in [10, 1_000, *range(50_000, 2_000_000, 150_000)]:
+    for call in [10, 1_000, *range(100_000, 2_000_000, 300_000)]:
         line = [sys.executable, "-c", AT_CALL, str(call), str(int(number)), *words]
         ended = subprocess.run(line, capture_output=True, check=False)
         codes.append(ended.returncode)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,12 @@ import numpy as np
 import pandas as pd
 import polars as pl
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import dbo_cli as dbo
+from dbo_cli.recordings import ROLES
+from dbo_cli.units import spell
 
 from .program import dbo as shell
 from .program import model, refused, values_of, write
@@ -369,3 +374,148 @@ def test_a_wrong_word_is_answered_with_what_is_near(
         call([1.0, 2.0, 3.0], **{word: 1.0})
     assert str(refusal.value).startswith(f"{verb}: no `{word}`")
     assert near in str(refusal.value)
+
+
+# --- the property: library and shell are one ---
+
+UNITS = {
+    "voltage": ["V", "mV", "kV", None],
+    "displacement": ["um", "nm", "mm", "µm", None],
+    "time": ["s", "ms", "us"],
+}
+SIZES = {"mV": 1e3, "kV": 1e-3, "nm": 1e3, "mm": 1e-3, "ms": 1e3, "us": 1e6}
+SHAPES = ["{}_{}", "{} ({})", "{} [{}]", "{}/{}", "{} in {}"]
+
+
+def header(name: str, unit: str | None, shape: str) -> str:
+    return name if unit is None else shape.format(name, unit)
+
+
+@settings(max_examples=25)
+@given(
+    units=st.fixed_dictionaries({k: st.sampled_from(v) for k, v in UNITS.items()}),
+    shape=st.sampled_from(SHAPES),
+    order=st.permutations(["time", "voltage", "displacement"]),
+    seed=st.integers(0, 2**32 - 1),
+    library=st.sampled_from(["read_log", "pandas", "polars", "index"]),
+)
+def test_the_library_reads_what_the_shell_reads(
+    units: dict[str, str | None], shape: str, order: list[str], seed: int, library: str
+) -> None:
+    draw = np.random.default_rng(seed)
+    time = np.cumsum(draw.uniform(0.8e-3, 1.2e-3, 200))
+    signals = {"time": time}
+    for role, low, high in (("voltage", 0.0, 100.0), ("displacement", 1.0, 5.0)):
+        wave = np.interp(
+            np.arange(200), np.arange(0, 201, 20), draw.uniform(low, high, 11)
+        )
+        signals[role] = wave
+    names = {role: header(role, units[role], shape) for role in order}
+    columns = [SIZES.get(units[role] or "", 1.0) * signals[role] for role in order]
+    write("log.csv", ",".join(names[role] for role in order), *columns)
+    table = pl.read_csv("log.csv").to_pandas()
+    frame = {
+        "read_log": lambda: dbo.read_log("log.csv"),
+        "pandas": lambda: table,
+        "polars": lambda: pl.read_csv("log.csv"),
+        "index": lambda: table.set_index(names["time"]),
+    }[library]()
+    actuator = dbo.read_model(model("creep"))
+    shell("simulate", model("creep"), "log.csv", "-o", "moved.csv", "-q")
+    shell(
+        "compensate",
+        model("creep"),
+        "log.csv",
+        "--on-limit",
+        "clip",
+        "-o",
+        "drive.csv",
+        "-q",
+    )
+    for name, found in (
+        ("moved.csv", actuator.simulate(frame)),
+        ("drive.csv", actuator.compensate(frame, on_limit="clip")),
+    ):
+        written = np.loadtxt(name, delimiter=",", skiprows=1)[:, 2]
+        np.testing.assert_allclose(found, written, rtol=0, atol=1e-10)
+    # the same columns as Series: taken as they are, or refused; never as something else
+    clip: dict[str, Any] = {"time": time, "on_limit": "clip"}
+    for role, call, wanted in (
+        ("voltage", lambda x: actuator.simulate(x, time=time), "V"),
+        ("displacement", lambda x: actuator.compensate(x, **clip), "um"),
+    ):
+        series, unit = table[names[role]], spell(units[role])
+        if unit in (wanted, None):
+            np.testing.assert_array_equal(call(series), call(series.to_numpy()))
+            continue
+        with pytest.raises(
+            dbo.InputError, match=f"is in {unit}, the model in {wanted}"
+        ):
+            call(series)
+
+
+def test_a_report_of_a_frame_is_that_of_a_file(creep: dbo.Model) -> None:
+    drive = 50.0 - 50.0 * np.cos(30.0 * TIME)
+    moved = 1e3 * creep.simulate(drive, time=TIME) + 7.0
+    write(
+        "log.csv", "time_s,U_mV,desired_um,measured_nm", TIME, 1e3 * drive, MOVE, moved
+    )
+    for words, more in (((), {}), (("--model", model("creep")), {"model": creep})):
+        printed = shell("report", "log.csv", *words, "--format", "json").json
+        for frame in (pl.read_csv("log.csv"), pl.read_csv("log.csv").to_pandas()):
+            found = dbo.report(frame, **more)
+            assert found.rmse == printed["logs"][0]["rmse"]
+            assert found.unit == printed["unit"] == "um"
+    with pytest.raises(dbo.UsageError, match="a frame has its own"):
+        dbo.report(frame, MOVE)
+    with pytest.raises(dbo.UsageError, match="give `desired` and `measured`"):
+        dbo.report(MOVE)
+
+
+def test_learning_is_that_of_the_shell() -> None:
+    actuator = dbo.read_model(model("known"))
+    write("move.csv", "time_s,displacement_um", TIME, MOVE)
+    drive = actuator.compensate(MOVE, time=TIME)
+    moved = 1e3 * (actuator.simulate(drive, time=TIME) + 0.02 * np.sin(60.0 * TIME))
+    write("tracked.csv", "time_s,voltage_mV,measured_nm", TIME, 1e3 * drive, moved)
+    words = ("compensate", model("known"), "move.csv", "--tracked", "tracked.csv")
+    shell(*words, "--history", "shell.json", "--absolute", "-o", "shell.csv", "-q")
+    written = np.loadtxt("shell.csv", delimiter=",", skiprows=1)[:, 2]
+    frame = pl.read_csv("tracked.csv")
+    for source in (
+        "tracked.csv",
+        Path("tracked.csv"),
+        frame,
+        frame.to_pandas(),
+        [frame],
+    ):
+        for history in ("python.json", ()):
+            learned = actuator.compensate(
+                MOVE,
+                time=TIME,
+                tracked=source,
+                history=history,
+                absolute=True,
+                details=True,
+            )
+            np.testing.assert_allclose(learned.voltage, written, rtol=0, atol=1e-9)
+            assert len(learned.history) == 1
+        assert Path("python.json").read_bytes() == Path("shell.json").read_bytes()
+        Path("python.json").unlink()
+    for more in (
+        {"history": learned.history},
+        {"history": "new.json"},
+        {"absolute": True},
+    ):
+        with pytest.raises(dbo.UsageError, match="needs `tracked`"):
+            actuator.compensate(MOVE, time=TIME, **more)
+    assert not Path("new.json").exists()
+
+
+def test_a_role_is_known_to_shell_and_library() -> None:
+    """Who adds a role to recordings adds it to the functions that read them."""
+    from dbo_cli.cli import compare, identify
+
+    for role in ROLES:
+        for call in (dbo.read_log, compare.compare, identify.identify):
+            assert role in inspect.signature(call).parameters

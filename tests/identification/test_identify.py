@@ -52,7 +52,8 @@ def test_figures_are_complete(model: Cascade) -> None:
     assert 1 <= len(model.candidates) <= 5
     assert sum(one.weight for one in model.candidates) == pytest.approx(1.0)
     assert model.input.min == pytest.approx(DRIVE.min())
-    assert "expected error" in describe(model)
+    log = Recording("log", DRIVE, hysteresis(DRIVE) + NOISE, TIME)
+    assert "expected error" in describe(model, [log])
 
 
 def test_same_log_same_bytes(model: Cascade) -> None:

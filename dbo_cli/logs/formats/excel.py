@@ -7,8 +7,9 @@ from typing import Any
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.formats.stored import Format, fenced, import_extra
+from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import Reading, Table
-from dbo_cli.logs.text import text_table
+from dbo_cli.logs.text import TextTable
 
 
 def read(path: str, part: str, reading: Reading) -> Table:
@@ -22,7 +23,8 @@ def read(path: str, part: str, reading: Reading) -> Table:
                 f"{path}: several sheets, {', '.join(names)}: type {path}::{names[0]}"
             )
         content = _sheet_as_text(book, part or names[0])
-    return text_table(path, replace(reading, delimiter="tab", encoding=None), content)
+    stream = TextStream(path, content=content)
+    return TextTable(stream, replace(reading, delimiter="tab", encoding=None))
 
 
 def _sheet_as_text(book: Any, name: str) -> bytes:

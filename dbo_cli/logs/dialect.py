@@ -15,7 +15,7 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import MISSING, STAMPS, is_number, split_cells, stamp_format
 from dbo_cli.logs.names import read_header
 from dbo_cli.logs.settings import is_setting
-from dbo_cli.logs.table import Reading, StatedClock
+from dbo_cli.logs.table import LONGEST_CELL, TOO_LONG, Reading, StatedClock
 
 COMMENTS = "#%"
 """A line that begins with one of these is a comment."""
@@ -31,7 +31,6 @@ _DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
 _TWO_READINGS = re.compile(r"\s*[-+]?\d+,\d+\s*", re.ASCII)
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}", re.ASCII)
 ERROR = r"#[A-Z][A-Z/0]*[!?]?[;,\t|]"  # how a row begins that a spreadsheet could not compute
-_GROUP = re.compile(r"[-+]?[1-9]\d{0,2}\.\d{3}", re.ASCII)
 
 
 @dataclass
@@ -100,7 +99,7 @@ def is_no_row(line: str) -> bool:
     return is_comment and not re.match(ERROR, plain)
 
 
-def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
+def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     """Find out how a log is written; what the user says is not looked for.
 
     Parameters
@@ -134,7 +133,8 @@ def sniff(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     if reading.decimal is None:
         table = [split_cells(lines[n], layout.delimiter) for n in rows[-_JUDGED:]]
         layout.decimal = _shown_decimal(layout, table)
-        _refuse_thousands(name, layout, table)
+        if layout.decimal == ",":
+            _refuse_commas(name, table)
     layout.first = _first_row(layout, lines, rows)
     _refuse_other_rows(name, layout, lines, rows)
     layout.names, layout.units = [""] * layout.width, [""] * layout.width
@@ -178,7 +178,10 @@ def _refuse_numbers_as_names(name: str, layout: Layout, lines: Sequence[str]) ->
 
 def _refuse_two_readings(name: str, layout: Layout, sample: Sequence[str]) -> None:
     """Refuse ``0,5``, which may be two columns or a number, where no header says which."""
-    if layout.delimiter == "," and all(_TWO_READINGS.fullmatch(x) for x in sample):
+    is_short = all(len(line) <= LONGEST_CELL for line in sample)
+    if layout.delimiter != "," or not is_short:
+        return
+    if all(map(_TWO_READINGS.fullmatch, sample)):
         raise InputError(
             f"{name}: '{sample[-1].strip()}' may be two columns (`delimiter` comma) or one number "
             "(`decimal` comma)"
@@ -283,7 +286,7 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
             if form is not None:
                 layout.stamps[n] = form
             texts = [cell for cell, _ in column if cell and not is_number(cell, sign)]
-            layout.texts[n] = texts[-1][:20]
+            layout.texts[n] = texts[-1][: len(TOO_LONG)]
     layout.numeric, layout.empty = frozenset(numeric), frozenset(empty)
     return (shares[layout.width] / sum(weights) if numeric else 0.0), layout
 
@@ -295,28 +298,16 @@ def _is_mostly_one_kind(cells: Sequence[str], sign: str) -> bool:
     return 2 * numbers > len(cells) or is_stamped
 
 
-def _refuse_thousands(
-    name: str, layout: Layout, table: Sequence[Sequence[str]]
-) -> None:
-    """Refuse marks that may stand between thousands as well as before decimals (InputError)."""
+def _refuse_commas(name: str, table: Sequence[Sequence[str]]) -> None:
+    """Refuse commas that may all stand between thousands (InputError)."""
     cells = [cell for row in table for cell in row]
     commas = [cell for cell in cells if "," in cell and is_number(cell, ",")]
-    has_groups = bool(commas) and all(_THOUSANDS.fullmatch(cell) for cell in commas)
-    if layout.decimal == "," and has_groups:
+    if commas and all(_THOUSANDS.fullmatch(cell) for cell in commas):
         cell = commas[0]
         raise InputError(
             f"{name}: '{cell}' may be {cell.replace(',', '.')} (type `decimal` comma) or "
             f"{cell.replace(',', '')} (write it without the comma)"
         )
-    for n in layout.numeric if layout.decimal == "." else ():
-        column = [row[n] for row in table if n < len(row)]
-        points = [cell for cell in column if "." in cell and is_number(cell, ".")]
-        whole = [cell for cell in column if cell.isdigit()]
-        if whole and points and all(_GROUP.fullmatch(cell) for cell in points):
-            raise InputError(
-                f"{name}: '{points[0]}' beside '{whole[0]}' may be a thousand (write it without the point): "
-                "type `decimal` point if it is none"
-            )
 
 
 def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int:

@@ -1,0 +1,111 @@
+"""What a user should know beside the model: how it does on other logs, and which signal leads."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dbo_cli.arrays import Floats
+from dbo_cli.identification.figures import predicted
+from dbo_cli.identification.recording import Recording
+from dbo_cli.model import Cascade
+
+BEYOND_STATED = 2.0
+"""Times the stated error: from there on a validation log is another case than the logs."""
+LEADING = 0.4
+"""Of -1 to 1: sense of a loop from which the output leads; 60 of 62 logs are beyond (measured)."""
+CURVE_ORDER = 3
+"""Of the polynomial without memory that a loop is seen against."""
+
+
+def judged(
+    model: Cascade, logs: Sequence[Recording], validation: Sequence[Recording]
+) -> Cascade:
+    """Return the model with its errors on validation logs, and warnings of them and of exchanged columns.
+
+    Parameters
+    ----------
+    model
+        Identified from ``logs``.
+    logs, validation
+        As they were read.
+    """
+    stated = model.fit.get("expected_rmse")
+    entries, warnings = [], list(model.fit.get("warnings", []))
+    for log in validation:
+        name = os.path.basename(log.name)
+        error = (log.displacement - predicted(model, log))[log.usable]
+        rmse, spread = math.sqrt(float(np.mean(error**2))), float(np.std(error))
+        entries.append({"name": name, "rmse": rmse, "offset_free_rmse": spread})
+        if any(_is_same(log, other) for other in logs):
+            warnings.append(
+                f"{name}: a log of the fit validates nothing: record another one"
+            )
+        if stated and spread >= BEYOND_STATED * stated:
+            warnings.append(
+                f"{name}: {spread / stated:.2g} times the stated error: identify from a log like it, too, or "
+                "check that it is of this actuator"
+            )
+    if leads(logs):
+        warnings.append(
+            "the displacement leads the drive, as that of a damper or motor does: else check `voltage` and "
+            "`displacement` (exchanged?) and the clocks (`clock_offset`)"
+        )
+    figures: dict[str, object] = {"warnings": warnings}
+    if entries:
+        figures["validation"] = entries
+    return replace(model, fit={**model.fit, **figures})
+
+
+def describe_validation(model: Cascade) -> list[str]:
+    """Return a line for each log that the model was tried on."""
+    unit, lines = model.output.suffix, []
+    for log in model.fit.get("validation", []):
+        lines.append(
+            f"{log['name']}: error {log['rmse']:.3g}{unit}, {log['offset_free_rmse']:.3g} without its mean"
+        )
+    return lines
+
+
+def leads(logs: Sequence[Recording]) -> bool:
+    """Return whether the displacement leads the drive: dampers do, and exchanged columns."""
+    senses = []
+    for log in logs:
+        drive, moved = log.voltage[log.usable], log.displacement[log.usable]
+        senses.append(loop_sense(drive, moved))
+    return float(np.mean(senses)) > LEADING
+
+
+def loop_sense(drive: Floats, output: Floats) -> float:
+    """Return the sense of loops: -1 where the output lags, 1 where it leads, 0 without loops.
+
+    The area of output against drive, the sum of r du with r what a curve without memory
+    leaves of the output, over the sum of |r du|.
+
+    Parameters
+    ----------
+    drive, output : array of shape (rows,)
+        In any units; the output may rise or fall with the drive.
+    """
+    if drive.size < 2 or not np.ptp(drive) or not np.ptp(output):
+        return 0.0
+    u = (drive - drive.mean()) / np.ptp(drive)
+    y = output - output.mean()
+    curve = np.polynomial.Polynomial.fit(u, y, CURVE_ORDER)
+    residual = y - curve(u)
+    area = 0.5 * (residual[1:] + residual[:-1]) * np.diff(u)
+    size = float(np.abs(area).sum())
+    if not size:
+        return 0.0
+    rising = 1.0 if float(u @ y) >= 0.0 else -1.0
+    return rising * float(area.sum()) / size
+
+
+def _is_same(log: Recording, other: Recording) -> bool:
+    """Return whether two logs hold the same rows."""
+    same_drive = np.array_equal(log.voltage, other.voltage)
+    return same_drive and np.array_equal(log.displacement, other.displacement)
