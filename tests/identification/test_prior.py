@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import FitError, ModelError, UsageError
-from dbo_cli.identification.prior import rescale
+from dbo_cli.identification.prior import _solved, rescale
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.model import (
     Candidate,
@@ -140,3 +140,17 @@ def test_what_cannot_be_refreshed_is_refused() -> None:
     log = recorded(prior, waves(0.0, 100.0))
     without_clock = Recording("new.csv", log.voltage, log.displacement)
     assert rescale(prior, [without_clock], Options()).delay_seconds == 0.0
+
+
+def test_errors_are_those_of_the_stated_size_and_a_past_between_the_ends() -> None:
+    """n rows with s swings count as s; a past that the rows do not show is uniform on -1 to 1."""
+    table = np.zeros((40, 5))
+    table[:, :4] = np.linalg.qr(np.random.default_rng(1).normal(size=(40, 4)))[0]
+    numbers, errors = _solved(table, np.zeros(40), 3, 0.02)
+    np.testing.assert_allclose(errors[:4], 0.02 * np.sqrt(40.0 / 3.0), rtol=1e-12)
+    assert errors[4] == pytest.approx(np.sqrt(1.0 / 3.0), rel=1e-12)
+    assert not numbers.any()
+    rough = 5.0 * np.random.default_rng(2).normal(size=40)
+    numbers, errors = _solved(table, rough, 3, 0.02)
+    left = np.sqrt(np.mean((rough - table @ numbers) ** 2))
+    np.testing.assert_allclose(errors[:4], left * np.sqrt(40.0 / 3.0), rtol=1e-3)
