@@ -27,8 +27,8 @@ from random_actuators import (
     random_move,
 )
 
-from dbo_cli.drive import Limits, plan, stream
-from dbo_cli.drive.gate import GateError
+from dbo_cli.drive import Driver, Lead, Limits, plan
+from dbo_cli.drive.limits import GateError
 from dbo_cli.errors import DboError
 from dbo_cli.model import Cascade, State
 
@@ -117,6 +117,19 @@ def whole(
     return wrong, drive.state
 
 
+def driver_of(model: Cascade, limits: Limits, options: dict[str, Any]) -> Driver:
+    """Return a driver by the options of ``plan``."""
+    lead = Lead(
+        options.get("state", "auto"),
+        options.get("start"),
+        options.get("approach"),
+        options.get("condition", False),
+        options.get("lead"),
+    )
+    on_limit, end = options.get("on_limit", "auto"), options.get("return_to")
+    return Driver(model, limits, lead, on_limit, end)
+
+
 def in_blocks(
     rng: Random,
     model: Cascade,
@@ -135,8 +148,10 @@ def in_blocks(
     ]
     sent = []
     try:
-        for _, _, voltage in stream(model, blocks, limits, **options)[1]:
-            sent.append(voltage)
+        driver = driver_of(model, limits, options)
+        for stamps, step, rows_of_move in blocks:
+            sent.append(driver.rows(rows_of_move, step, stamps).y)
+        sent.append(driver.finish()[0].y)
     except GateError:
         raise
     except DboError:

@@ -421,7 +421,8 @@ class Model:
             absolute=absolute,
         )
         if drive.state is not None:
-            drive.state = dataclasses.replace(drive.state, model=self.digest)
+            state = dataclasses.replace(drive.state, model=self.digest)
+            drive = dataclasses.replace(drive, state=state)
         if file is not None:
             from dbo_cli.drive.learning import dumps_history
             from dbo_cli.files import write_text

@@ -13,10 +13,10 @@ from dbo_cli.cli.options import LIMITS, MOVE, OUTPUT, READING, Text, flag, optio
 from dbo_cli.cli.say import progress, say, say_log, say_output
 
 if TYPE_CHECKING:
-    from dbo_cli.drive import Drive, Limits
+    from dbo_cli.arrays import Floats
+    from dbo_cli.drive import Drive, Driver
     from dbo_cli.files import Outputs
     from dbo_cli.logs import Log
-    from dbo_cli.model import Cascade
 
 
 def compensate(
@@ -90,7 +90,7 @@ def compensate(
     Example: dbo compensate model.json move.csv --max-slew 2000 -o drive.csv
     """
     from dbo_cli import channels
-    from dbo_cli.drive import Limits, voltage_in
+    from dbo_cli.drive import Driver, Lead, Limits, voltage_in
     from dbo_cli.drive.learning import read_history
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.logs import open_log
@@ -118,19 +118,18 @@ def compensate(
     actuator = read_model(model)
     actuator.require("forward", model)
     limits = Limits.within(actuator.input, **ranges, extrapolate=extrapolate)
-    options: dict[str, Any] = {
-        "approach": opt.quantity("approach", approach, "s", "auto"),
-        "condition": condition,
-        "lead": opt.quantity("lead", lead, "s", "auto"),
-        "on_limit": on_limit,
-        "state": state_of(state, actuator),
-        "name": trajectory,
-        "start": start and voltage_in("from", start, actuator.input),
-        "return_to": return_to and voltage_in("return", return_to, actuator.input),
-    }
+    before = Lead(
+        state_of(state, actuator),
+        None if start is None else voltage_in("from", start, actuator.input),
+        opt.quantity("approach", approach, "s", "auto"),
+        condition,
+        opt.quantity("lead", lead, "s", "auto"),
+    )
+    end = None if return_to is None else voltage_in("return", return_to, actuator.input)
+    in_memory: dict[str, Any] = {}
     if any(whole.values()):
         roles = {"time": time, "voltage": voltage, "measured": measured}
-        options |= {
+        in_memory = {
             "bandwidth": opt.quantity("bandwidth", bandwidth, "Hz"),
             "periodic": periodic,
             "passes": passes,
@@ -138,10 +137,13 @@ def compensate(
             "tracked": tracked_of(tracked or [], roles, reading, actuator),
             "history": () if history is None else read_history(history),
         }
+    elif output == "-" and on_limit == "auto":
+        on_limit = "clip"  # rows that were sent stay sent
+    driver = Driver(actuator, limits, before, on_limit, end, trajectory)
     check_outputs(output, summary, state=save_state, history=history)
     units = opt.units_of(displacement=actuator.output)
     with open_log(trajectory, columns, reading, units) as wanted, Outputs() as outputs:
-        drive = write_drive(actuator, wanted, limits, outputs, output, options)
+        drive = write_drive(driver, wanted, outputs, output, in_memory)
         if summary is not None:
             outputs.write_text(summary, summary_of(drive, wanted))
         if save_state is not None and drive.state is not None:
@@ -156,42 +158,40 @@ def compensate(
 
 
 def write_drive(
-    actuator: Cascade,
+    driver: Driver,
     wanted: Log,
-    limits: Limits,
     outputs: Outputs,
     output: str,
-    options: dict[str, Any],
+    in_memory: dict[str, Any],
 ) -> Drive:
     """Drive a trajectory and write it: as a whole where loops or learning need that, else by blocks."""
-    from dbo_cli.drive import plan, stream
+    from dbo_cli.drive.ahead import Rows, write
     from dbo_cli.logs import add_table
 
-    if "periodic" in options:
+    if in_memory:
         read = wanted.read()
         clock = read.dt if isinstance(read.dt, float) else read.time
-        drive = plan(actuator, read["displacement"], clock, limits, **options)
-        table = add_table(outputs, output, *table_of(actuator, limits, read.time))
-        table.write(*opt.present(drive.time, drive.desired, drive.voltage))
+        drive = driver.whole(read["displacement"], clock, **in_memory)
+        table = add_table(outputs, output, *table_of(driver, read.time))
+        write(table, Rows(drive.time, drive.desired, drive.voltage))
         return drive
-    if output == "-" and options["on_limit"] == "auto":
-        options = {**options, "on_limit": "clip"}  # rows that were sent stay sent
     blocks = progress(wanted.blocks(), "driven")
     first = next(blocks)
-    moves = ((b.time, b.dt, b.values["displacement"]) for b in chain([first], blocks))
-    drive, rows = stream(actuator, moves, limits, **options)
-    table = add_table(outputs, output, *table_of(actuator, limits, first.time))
-    for time, desired, voltage in rows:
-        table.write(*opt.present(time, desired, voltage))
+    table = add_table(outputs, output, *table_of(driver, first.time))
+    for block in chain([first], blocks):
+        write(table, driver.rows(block.values["displacement"], block.dt, block.time))
+    rest, drive = driver.finish()
+    write(table, rest)
     return drive
 
 
-def table_of(actuator: Cascade, limits: Limits, time: Any) -> tuple[Any, Any]:
+def table_of(driver: Driver, time: Floats | None) -> tuple[Any, Any]:
     """Return names and units of the columns of a drive, and what an HDF5 file says of it."""
     columns: list[tuple[str, str | None]] = [] if time is None else [("time", "s")]
-    columns.append(("desired", actuator.output.unit))
-    columns.append((actuator.input.quantity, actuator.input.unit))
-    return columns, {"model": actuator.digest, "limits": json.dumps(limits.as_dict())}
+    model, limits = driver.model, json.dumps(driver.limits.as_dict())
+    columns.append(("desired", model.output.unit))
+    columns.append((model.input.quantity, model.input.unit))
+    return columns, {"model": model.digest, "limits": limits}
 
 
 def summary_of(drive: Drive, wanted: Log) -> str:

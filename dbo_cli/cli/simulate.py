@@ -33,6 +33,7 @@ def simulate(
     Example: dbo simulate model.json drive.csv -o predicted.csv
     """
     from dbo_cli import channels
+    from dbo_cli.drive.ahead import write
     from dbo_cli.drive.simulate import Simulator
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.logs import add_table, open_log
@@ -62,9 +63,8 @@ def simulate(
         table = add_table(outputs, output, names)
         simulator = Simulator(actuator, start, outside, signal.name)
         for block in chain([first], blocks):
-            rows = simulator.rows(block.values["input"], block.dt, block.time)
-            table.write(*opt.present(*rows))
-        table.write(*opt.present(*simulator.finish()))
+            write(table, simulator.rows(block.values["input"], block.dt, block.time))
+        write(table, simulator.finish())
         if save_state is not None and isinstance(simulator.state, State):
             text = dumps_state(simulator.state, actuator)
             outputs.write_text(save_state, text, "state")

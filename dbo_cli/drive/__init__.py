@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dbo_cli.drive.compensate import plan, stream
+from dbo_cli.drive.compensate import Driver, plan
 from dbo_cli.drive.drive import Drive
+from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.limits import Limits, voltage_in
 
-__all__ = ["Drive", "Limits", "plan", "stream", "voltage_in"]
+__all__ = ["Drive", "Driver", "Lead", "Limits", "plan", "voltage_in"]

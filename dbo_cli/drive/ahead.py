@@ -2,46 +2,92 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections import deque
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.model import Steps
+
+Column = Floats | None
+Block = tuple[tuple[Column, ...], Floats]
+"""The columns of rows that are ready; of the first of them, what is known: the rows and those after them."""
 
 
 class Rows(NamedTuple):
     """Rows that are ready: seconds (None without a clock), what was asked for, and what came of it."""
 
-    time: Floats | None
+    time: Column
     x: Floats
     y: Floats
 
 
+class Table(Protocol):
+    """What takes columns, block by block: a file, or a pipe."""
+
+    def write(self, *columns: Floats) -> None:
+        """Take the next rows."""
+
+
+NO_ROWS = Rows(None, np.empty(0), np.empty(0))
+
+
+def joined(parts: list[Rows]) -> Rows:
+    """Return rows one behind the other; parts without rows do not count."""
+    parts = [part for part in parts if part.x.size]
+    if len(parts) < 2:
+        return parts[0] if parts else NO_ROWS
+    time, x, y = (_behind_one_another(columns) for columns in zip(*parts, strict=True))
+    assert x is not None and y is not None
+    return Rows(time, x, y)
+
+
+def _behind_one_another(columns: tuple[Column, ...]) -> Column:
+    arrays = [column for column in columns if column is not None]
+    return np.concatenate(arrays) if len(arrays) == len(columns) else None
+
+
+def write(table: Table, rows: Rows) -> None:
+    """Write rows, with their times where there is a clock."""
+    columns = [column for column in rows if column is not None]
+    if rows.x.size:
+        table.write(*columns)
+
+
 class Ahead:
-    """Holds back the last ``count`` rows of a signal that comes in blocks."""
+    """Holds back blocks of rows until the ``count`` rows after them are known.
+
+    A block is some columns of equal length; the rows of the first one are read ahead.
+    """
 
     def __init__(self, count: int) -> None:
         self.count = count
-        self._x = np.empty(0)
-        self._time: Floats | None = None
-        self._dt: Steps = None
+        self._waiting: deque[tuple[Column, ...]] = deque()
+        self._known = np.empty(0)  # of the blocks that wait, and of those after
 
-    def take(
-        self, x: Floats, dt: Steps, time: Floats | None
-    ) -> tuple[Floats, Floats, Steps, Floats | None]:
-        """Take a block; return rows that are ready, them and ``count`` after, their steps and times."""
-        if self._x.size:
-            x = np.concatenate([self._x, x])
-            if time is not None and self._time is not None:
-                time = np.concatenate([self._time, time])
-        ready = max(x.size - self.count, 0)
-        self._x, self._dt = x[ready:], dt
-        self._time = None if time is None else time[ready:]
-        return x[:ready], x, dt, None if time is None else time[:ready]
+    def take(self, *columns: Column) -> Iterator[Block]:
+        """Take a block; yield those that are ready."""
+        first = columns[0]
+        assert first is not None
+        self._waiting.append(columns)
+        if self._known.size:
+            first = np.concatenate([self._known, first])
+        self._known = first
+        yield from self._ready()
 
-    def rest(self) -> tuple[Floats, Floats, Steps, Floats | None]:
-        """Return the rows that are left: the last value goes on for ever."""
-        x, self._x = self._x, np.empty(0)
-        known = np.concatenate([x, np.full(self.count, x[-1:].sum())])
-        return x, known, self._dt, self._time
+    def rest(self) -> Iterator[Block]:
+        """Yield the blocks that are left: the last value goes on for ever."""
+        after = np.repeat(self._known[-1:], self.count)
+        self._known = np.concatenate([self._known, after])
+        yield from self._ready()
+
+    def _ready(self) -> Iterator[Block]:
+        """Yield each block of which enough is known behind it."""
+        while self._waiting:
+            first = self._waiting[0][0]
+            assert first is not None
+            if self._known.size < first.size + self.count:
+                return
+            yield self._waiting.popleft(), self._known[: first.size + self.count]
+            self._known = self._known[first.size :]

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.arrays import Booleans, Floats
-from dbo_cli.drive.gate import Gate
-from dbo_cli.drive.limits import Limits
+from dbo_cli.drive.limits import Gate, Limits
 from dbo_cli.errors import InputError, LimitError
 from dbo_cli.signals import between, lag, noise
 

@@ -1,42 +1,31 @@
-"""A drive: its rows, what they ask of the amplifier, what the limits cost, and what to expect."""
+"""The figures of a drive: its rows, what they ask of the amplifier, what the limits cost, what to expect."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.gate import Gate
 from dbo_cli.drive.limits import Limits
-from dbo_cli.drive.outlook import would_fit
-from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.model import Cascade, Run, State, Steps
+from dbo_cli.model import Cascade, State
 
 if TYPE_CHECKING:
     from dbo_cli.drive.learning import PassRecord
 
-OnLimit = Literal["auto", "clip", "error"]
-
-ALLOWED_PART = 0.01
-"""Of the move: so much of it (RMS) may be cut off unasked; the order of a good model's error; chosen."""
-# of the range: a trajectory this little outside is clipped like any other
-REACH_SLACK = 0.01
-FIRST_ROWS = 131_072  # of a move, that expectations and refusals look at again
 NOTHING = np.zeros(0)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Drive:
     """The drive of a move.
 
     Attributes
     ----------
-    model, limits, on_limit, name
-        The forward model, what its drive may do, what happens at a limit, and the
-        trajectory's name in messages.
+    model, limits, name
+        The forward model, what its drive may do, and the trajectory's name in messages.
     time : array or None
         Seconds; rows before the move stand before its first stamp. Empty for a stream.
     desired, voltage : array
@@ -72,16 +61,10 @@ class Drive:
         Of a move that is learned: the passes so far, the last one included.
     notes, warnings : tuple of str
         What a user should know.
-
-    Raises
-    ------
-    UsageError
-        ``on_limit`` is unknown.
     """
 
     model: Cascade = field(repr=False)
     limits: Limits
-    on_limit: OnLimit = "auto"
     name: str = "trajectory"
     time: Floats | None = field(default=None, repr=False)
     desired: Floats = field(default_factory=lambda: NOTHING, repr=False)
@@ -108,128 +91,6 @@ class Drive:
     history: tuple[PassRecord, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    gate: Gate = field(init=False, repr=False)
-    # what a refusal and the expected error look at again
-    first_rows: list[tuple[Floats, Steps]] = field(default_factory=list, repr=False)
-    first_asked: list[tuple[Floats, State, Steps]] = field(
-        default_factory=list, repr=False
-    )
-    _squares: float = field(default=0.0, repr=False)
-    _unreachable: int = field(default=0, repr=False)
-
-    def __post_init__(self) -> None:
-        """Refuse an inverse model, and an unknown answer to a limit."""
-        self.model.require("forward")
-        if self.on_limit not in get_args(OnLimit):
-            raise UsageError(f"`on_limit` {self.on_limit}: give auto, clip or error")
-        self.gate = Gate(self.limits)
-
-    # --- rows, as they are made ---
-
-    def admit(self, voltage: Floats, dt: Steps, part: str) -> None:
-        """Let rows of a part (``lead``, ``move``, ``return``) pass the gate, and count them."""
-        begins_anywhere = self.gate.last is None
-        self.gate.admit(voltage, dt, part)
-        if not voltage.size:
-            return
-        self.rows += voltage.size
-        if begins_anywhere:
-            self.starts_at = float(voltage[0])
-        self.voltage_range = widened(self.voltage_range, voltage)
-        if part == "lead":
-            self.lead_rows += voltage.size
-            self.lead_range = widened(self.lead_range, voltage)
-        if part == "move":
-            before = self.move_rows - voltage.size
-            voltage = voltage[: max(FIRST_ROWS - before, 0)]
-        if part != "return" and voltage.size:
-            steps = dt[: voltage.size] if isinstance(dt, np.ndarray) else dt
-            self.first_rows.append((voltage, steps))
-
-    def clip(
-        self, desired: Floats, wanted: Floats, done: Run, before: State, dt: Steps
-    ) -> None:
-        """Count rows of the move and what the limits cut off them, before they are admitted.
-
-        Parameters
-        ----------
-        desired, wanted
-            The rows, and what was asked of the static part for them.
-        done
-            The drive of them, made from the state ``before``.
-
-        Raises
-        ------
-        LimitError
-            A row was clipped, and ``on_limit`` is ``error``.
-        """
-        begin = self.move_rows
-        self.move_rows += desired.size
-        if done.clipped and not self.clipped:
-            self.first_clipped = begin + done.first_clipped + 1
-        self.clipped += done.clipped
-        self.move_range = widened(self.move_range, desired)
-        self.first_asked.append((wanted, before, dt))
-        if self.limits.slew is None or self.move_rows > FIRST_ROWS:
-            self.first_asked = []
-        reach = self.model.output
-        slack = REACH_SLACK * reach.span
-        beyond = (desired < reach.min - slack) | (desired > reach.max + slack)
-        self._unreachable += int(np.count_nonzero(beyond))
-        if not self.clipped:
-            return
-        if self.on_limit == "error":
-            raise LimitError(
-                f"{self.name}: {self.clipping()}{would_fit(self)} (or `on_limit` clip)"
-            )
-        lost = wanted - self.model.static.run(done.y, before, dt).y
-        # a settled start may step over the first value: no limit does that
-        lost[: max(self.first_clipped - 1 - begin, 0)] = 0.0
-        self._squares += float(np.square(lost).sum())
-        self.lost_most = max(self.lost_most, float(np.abs(lost).max()))
-        self.lost_rms = math.sqrt(self._squares / self.move_rows)
-
-    def require_reached(self, period: float | None = None) -> None:
-        """Refuse a move of which nothing can be reached, or of which the limits cut off too much.
-
-        Parameters
-        ----------
-        period
-            Seconds, where the move is one period of a loop.
-
-        Raises
-        ------
-        InputError
-            No row of the trajectory is within what the model reaches.
-        LimitError
-            More than a hundredth of the move would be missed, and ``on_limit`` is
-            ``auto``.
-        """
-        reach, unit = self.model.output, self.model.output.suffix
-        if self._unreachable == self.move_rows:
-            raise InputError(
-                f"{self.name}: every row is outside the model's reach, {reach.min:.6g} to {reach.max:.6g}"
-                f"{unit}: check unit, column and zero of the trajectory"
-            )
-        assert self.move_range is not None
-        size, what = self.move_range[1] - self.move_range[0], "the move"
-        if not size > 0.0:
-            size, what = reach.span, "the model's range"
-        if self.on_limit != "auto" or self.lost_rms <= ALLOWED_PART * size:
-            return
-        raise LimitError(
-            f"{self.name}: {self.clipping()}, by {self.lost_rms:.3g}{unit} RMS "
-            f"({100.0 * self.lost_rms / size:.2g} % of {what}){would_fit(self, period)} (or `on_limit` clip)"
-        )
-
-    # --- what is said and written ---
-
-    def clipping(self) -> str:
-        """Return how much of the move the limits forbid, in words."""
-        return (
-            f"{self.clipped:,} of {self.move_rows:,} rows (first: row {self.first_clipped:,}) exceed "
-            f"{self.limits.describe()}"
-        )
 
     def line(self) -> str:
         """Return what came out: ``4,910 rows, 3.1 to 96.2 V, within limits``."""
@@ -285,11 +146,3 @@ class Drive:
             "past_known": self.past_known,
             "warnings": list(self.warnings),
         }
-
-
-def widened(span: list[float] | None, values: Floats) -> list[float]:
-    """Return the least and the greatest of a span and of values."""
-    low, high = float(values.min()), float(values.max())
-    if span is None:
-        return [low, high]
-    return [min(low, span[0]), max(high, span[1])]

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.limits import Limits
+from dbo_cli.drive.limits import Limits, rounded_up
 from dbo_cli.drive.swings import swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.model import Cascade, Lag, State
@@ -32,8 +32,7 @@ LONGEST_REST = 10.0
 SLEW_SPARE = 0.9
 """Of the slew limit: what the digits of time stamps take away (since 1970, 0.2 us each)."""
 HALVINGS = 40  # of the move's range, to find where a move goes on: to 1e-12 of it
-LONGEST_CHOSEN = 60.0  # s that the program may put before any move
-CHOSEN_MOVES = 10.0  # times the seconds of a move: so long before a longer one
+LONGEST_CHOSEN = 60.0  # s that the program may put before a move; a user may type more
 MOST_ROWS = 100_000_000
 NOTHING = np.zeros(0)
 
@@ -49,7 +48,8 @@ class Lead:
     start : float, optional
         Voltage at which the amplifier stands.
     approach : float or "auto", optional
-        Seconds of the way from there to the first value.
+        Seconds of the way from there to the first value; with ``condition`` of the
+        sweep, too.
     condition : bool
         Sweep the move's range first.
     rest : float or "auto", optional
@@ -92,8 +92,8 @@ def _seconds(name: str, value: Any) -> Seconds:
 
 
 def plan_lead(
-    model: Cascade, first: float, dt: float, limits: Limits, lead: Lead
-) -> tuple[State | None, Floats, int, float]:
+    model: Cascade, first: float, dt: float, limits: Limits, lead: Lead, hold: int = 0
+) -> tuple[State | None, Floats, int]:
     """Return what stands before a move.
 
     Parameters
@@ -104,6 +104,8 @@ def plan_lead(
         First value of the move (displacement).
     dt
         Seconds a row.
+    hold
+        Rows at the beginning that are added to it.
 
     Returns
     -------
@@ -113,59 +115,140 @@ def plan_lead(
         Voltages that are played as they are.
     rest : int
         Rows at the first displacement behind them, which the inverse follows.
-    chosen : float
-        Seconds of the rows of which nobody typed how long they take.
 
     Raises
     ------
     LimitError
-        The start is outside the rating, or typed seconds are too few for the slew
-        limit.
+        The start is outside the rating, typed seconds are too few for the slew limit,
+        or more than a minute would be needed that nobody typed.
     UsageError
         The amplifier's voltage is not known, or a piece is too long for any memory.
     """
-    last, begun = standing_at(limits, lead), lead.state
+    last, state = standing_at(limits, lead), lead.state
     moves = lead.condition or lead.approach is not None
-    if isinstance(lead.rest, float):
-        rest, chosen = _checked_rows(swing_rows(0.0, dt, lead.rest)), 0.0
-    else:
-        rest = model.inverter(dt).ahead if moves or lead.rest == "auto" else 0
-        chosen = rest * dt
+    rest, chosen = _rest(model, dt, lead, moves)
     before = NOTHING
-    if isinstance(begun, State):
-        begun = replace(begun, drive=last)
+    if isinstance(state, State):
+        state = replace(state, drive=last)
     elif last is not None:
-        begun = model.start(last, begun)
+        state = model.start(last, state)
         before = np.array([last])
-    if not moves and isinstance(begun, State):
-        return _played(model, before, dt, begun), NOTHING, rest, chosen
-    if not moves:
-        return None, NOTHING, rest, chosen
+    if moves:
+        begin, voltage = _way_in(
+            model, state, before, first, dt, limits, lead, hold, chosen
+        )
+        return begin, voltage, rest
+    _require_short(chosen, "lead", chosen)
+    if not isinstance(state, State):
+        return None, NOTHING, rest + hold
+    return _played(model, before, dt, state), NOTHING, rest + hold
+
+
+def _way_in(
+    model: Cascade,
+    state: State | str,
+    before: Floats,
+    first: float,
+    dt: float,
+    limits: Limits,
+    lead: Lead,
+    hold: int,
+    chosen: float,
+) -> tuple[State, Floats]:
+    """Return the state before the first row, and the voltages that lead to the move.
+
+    ``before`` is where the amplifier stands, if a row of it is to be written; ``chosen``
+    are seconds that nobody typed so far.
+    """
+    last, swept = standing_at(limits, lead), NOTHING
     if lead.condition:
-        before = np.concatenate([before, _conditioning(model, last, dt, limits, lead)])
+        swept = _conditioning(model, last, first, dt, limits, lead)
     elif last is None:
         raise UsageError("`approach` needs `from` VOLT or a `state` file")
-    if not isinstance(begun, State):
-        begun = model.start(float(before[0]), begun)
-    arrived = _played(model, before, dt, begun)
-    seconds = "auto" if lead.condition else lead.approach
-    path = way(model, arrived, first, dt, seconds, limits)
+    before = np.concatenate([before, swept])
+    stands = before[:1] if before.size else np.array([last])
+    before = np.concatenate([np.repeat(stands, hold), before])
+    if not isinstance(state, State):
+        state = model.start(float(before[0]), state)
+    arrived = _played(model, before, dt, state)
+    seconds = lead.approach
+    if lead.condition:
+        seconds = "auto"
+        if isinstance(lead.approach, float):
+            seconds = max(lead.approach - swept.size * dt, dt)
+    path = way(model, arrived, first, dt, seconds, limits, lead.condition)
     voltage = np.concatenate([before, path])
-    chosen += voltage.size * dt
-    if isinstance(lead.approach, float):
-        chosen -= lead.approach
-    return begun, voltage, rest, chosen
+    rest = rest_rows(model, dt)
+    swing = (voltage.size - hold - rest) * dt
+    chosen += rest * dt if isinstance(lead.approach, float) else swing + rest * dt
+    _require_short(chosen, "approach", swing)
+    return state, voltage
+
+
+def _rest(model: Cascade, dt: float, lead: Lead, moves: bool) -> tuple[int, float]:
+    """Return the rows at the first displacement, and the seconds of them that nobody typed."""
+    if isinstance(lead.rest, float):
+        return _checked_rows(swing_rows(0.0, dt, lead.rest)), 0.0
+    rest = model.inverter(dt).ahead if moves or lead.rest == "auto" else 0
+    return rest, rest * dt
+
+
+def _require_short(chosen: float, option: str, seconds: float) -> None:
+    """Refuse to choose more than a minute before a move; name the seconds to type (LimitError)."""
+    if chosen <= LONGEST_CHOSEN:
+        return
+    more = " or more `max_slew`" if option == "approach" else ""
+    raise LimitError(
+        f"{chosen:.4g} s before the move, and at most {LONGEST_CHOSEN:g} s are chosen: give `{option}` "
+        f"{rounded_up(seconds, 3):.9g}{more}"
+    )
 
 
 def _conditioning(
-    model: Cascade, last: float | None, dt: float, limits: Limits, lead: Lead
+    model: Cascade,
+    last: float | None,
+    first: float,
+    dt: float,
+    limits: Limits,
+    lead: Lead,
 ) -> Floats:
-    """Return the voltages of a sweep, with the way there from where the amplifier stands."""
-    swept = sweep(model, limits, dt)
+    """Return the voltages of a sweep, behind the way there from where the amplifier stands.
+
+    Typed seconds are those of the whole way, to the first value of the move: each swing
+    has as many of them as of the distance.
+
+    Raises
+    ------
+    LimitError
+        The typed seconds are too few for the slew limit.
+    """
+    low, high = swept_range(model, limits)
+    begin = low if last is None else last
+    inwards: Seconds = "auto"
+    sweeping = SWEEP_SECONDS
+    if isinstance(lead.approach, float):
+        start = model.start(low, "empty")
+        end = float(model.static.drive(np.array([first]), start, dt, limits.move).y[0])
+        distance = abs(begin - low) + 2.0 * (high - low) + abs(end - low)
+        _require_slow(distance, dt, lead.approach, limits)
+        inwards = lead.approach * abs(begin - low) / distance
+        sweeping = lead.approach * (high - low) / distance
+    count = _rows(high - low, dt, sweeping, limits)
+    swept = swings([low, high, low], [count, count])
     if last is None:
         return swept
-    inwards = ramp("approach", last, float(swept[0]), dt, lead.approach, limits)
-    return np.concatenate([inwards, swept[1:]])
+    ramp = _swing(last, low, dt, inwards, limits)
+    return np.concatenate([ramp, swept[1:]])
+
+
+def _require_slow(distance: float, dt: float, seconds: float, limits: Limits) -> None:
+    """Refuse typed seconds of a whole way that are too few for the slew limit (LimitError)."""
+    least = _rows(distance, dt, dt, limits) * dt
+    if limits.slew is not None and least > seconds + dt:
+        raise LimitError(
+            f"`approach` {seconds:g}: too fast for `max_slew`; give at least {rounded_up(least, 4):.9g} s "
+            "for the whole way, or auto"
+        )
 
 
 def standing_at(limits: Limits, lead: Lead) -> float | None:
@@ -200,6 +283,19 @@ def ramp(
     LimitError
         The typed seconds are too few for the slew limit.
     """
+    voltage = _swing(begin, end, dt, seconds, limits)
+    if isinstance(seconds, float) and voltage.size * dt > seconds + dt:
+        raise LimitError(
+            f"`{name}` {seconds:g}: too fast for `max_slew`; give at least {voltage.size * dt:.4g} s, or "
+            "auto"
+        )
+    return voltage
+
+
+def _swing(
+    begin: float, end: float, dt: float, seconds: Seconds, limits: Limits
+) -> Floats:
+    """Return the voltages after ``begin`` of a swing to ``end``, as slow as the slew limit needs."""
     if begin == end:
         return NOTHING
     least = SHORTEST_SWING
@@ -208,16 +304,11 @@ def ramp(
     elif limits.slew is None:
         span = limits.rating[1] - limits.rating[0]
         least = max(SHORTEST_SWING, SWEEP_SECONDS * abs(end - begin) / span)
-    count = _rows(end - begin, dt, least, limits)
-    if isinstance(seconds, float) and count * dt > seconds + dt:
-        raise LimitError(
-            f"`{name}` {seconds:g}: too fast for `max_slew`; give at least {count * dt:.4g} s, or auto"
-        )
-    return swings([begin, end], [count])[1:]
+    return swings([begin, end], [_rows(end - begin, dt, least, limits)])[1:]
 
 
-def sweep(model: Cascade, limits: Limits, dt: float) -> Floats:
-    """Return the voltages of a sweep of the move's range: its lower end, its upper one, and back.
+def swept_range(model: Cascade, limits: Limits) -> tuple[float, float]:
+    """Return the ends of a sweep: of the move's range, as far as the model was identified.
 
     At or below the first gear's origin every bit is clear, so that the past is wiped
     out.
@@ -234,8 +325,7 @@ def sweep(model: Cascade, limits: Limits, dt: float) -> Floats:
             f"`condition` sweeps the identified range, {model.input.min:.6g} to "
             f"{model.input.max:.6g}{limits.suffix}; the limits leave none of it"
         )
-    count = _rows(high - low, dt, SWEEP_SECONDS, limits)
-    return swings([low, high, low], [count, count])
+    return low, high
 
 
 def way(
@@ -245,11 +335,13 @@ def way(
     dt: float,
     seconds: Seconds,
     limits: Limits,
+    is_last_swing: bool = False,
 ) -> Floats:
     """Return the voltages from where a state stands to where a move goes on, with a rest there.
 
     What creeps meanwhile is counted: behind these rows the inverse begins the move at
-    the voltage at which they end.
+    the voltage at which they end. The last swing of a longer way takes what the slew
+    limit needs.
 
     Raises
     ------
@@ -261,7 +353,10 @@ def way(
     begin, rest = state.drive, rest_rows(model, dt)
 
     def way_to(end: float) -> Floats:
-        swing = ramp("approach", begin, end, dt, seconds, limits)
+        if is_last_swing:
+            swing = _swing(begin, end, dt, seconds, limits)
+        else:
+            swing = ramp("approach", begin, end, dt, seconds, limits)
         return np.concatenate([swing, np.full(rest, end)])
 
     def goes_on(state: State) -> float:

@@ -21,12 +21,11 @@ from typing import NamedTuple
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.lowpass import low_pass
 from dbo_cli.drive.swings import soft_rise
 from dbo_cli.errors import InputError, ModelError, warn
-from dbo_cli.model import Resonance, State, fields
+from dbo_cli.model import Cascade, Resonance, State, fields
 
 FORMAT = "dbo-history"
 
@@ -79,14 +78,33 @@ class PassRecord(NamedTuple):
     rmse: float
 
 
+class Lesson(NamedTuple):
+    """What was learned of a pass.
+
+    Attributes
+    ----------
+    request : array
+        What to ask of the model for the next pass.
+    history : tuple of PassRecord
+        The passes so far, this one included.
+    notes, warnings : tuple of str
+        What a user should know.
+    """
+
+    request: Floats
+    history: tuple[PassRecord, ...]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
 @dataclass(frozen=True)
 class RepeatedMove:
     """A trajectory that is played again and again.
 
     Attributes
     ----------
-    drive
-        Its model; takes the history, a note and a warning.
+    model
+        A forward model.
     desired, time, step
         The trajectory, the time of each row and its even step (s).
     state
@@ -95,7 +113,7 @@ class RepeatedMove:
         Whether recordings are of whole periods, and whether the mean is learned.
     """
 
-    drive: Drive
+    model: Cascade
     desired: Floats
     time: Floats
     step: float
@@ -108,8 +126,8 @@ class RepeatedMove:
         recordings: Sequence[Tracked],
         history: Sequence[PassRecord],
         bandwidth: float | None,
-    ) -> Floats:
-        """Return what to ask of the model for the next pass; history and notes go to the drive.
+    ) -> Lesson:
+        """Return what to ask of the model for the next pass, and what to say of the last one.
 
         Parameters
         ----------
@@ -126,7 +144,7 @@ class RepeatedMove:
         InputError
             A recording is not of this trajectory, or the error grew.
         """
-        name, unit = recordings[0].name, self.drive.model.output.suffix
+        name, unit = recordings[0].name, self.model.output.suffix
         voltage, believed, measured = self._mean_of(recordings)
         self._require_same_move(name, believed)
         error = self.desired - measured
@@ -140,16 +158,16 @@ class RepeatedMove:
         learned = low_pass(change, cutoff, self.step, self.periodic, ORDER)
         if not self.absolute:
             learned = learned - learned.mean()
-        if self.drive.model.dynamics is not None and not self.periodic:
+        if self.model.dynamics is not None and not self.periodic:
             learned = _resting_ends(learned, cutoff * self.step)
         percent = 100.0 * passed.rmse / float(np.ptp(self.desired))
-        self.drive.history = *before, passed
-        self.drive.notes = (
+        note = (
             f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move); "
-            f"learned below {cutoff:.4g} Hz",
+            f"learned below {cutoff:.4g} Hz"
         )
-        self._warn_of_start(name, zero)
-        return self.desired + learned
+        warnings = self._start_warnings(name, zero)
+        request = self.desired + learned
+        return Lesson(request, (*before, passed), (note,), warnings)
 
     def _mean_of(self, recordings: Sequence[Tracked]) -> tuple[Floats, Floats, Floats]:
         """Return the drive of the first recording, what the model makes of them, and the mean measured.
@@ -162,7 +180,7 @@ class RepeatedMove:
         passes = [self._rows_of(recording) for recording in recordings]
         voltage = passes[0][0]
         for recording, played in zip(recordings, passes, strict=True):
-            if rms(played[0] - voltage) > SAME_DRIVE * self.drive.model.input.span:
+            if rms(played[0] - voltage) > SAME_DRIVE * self.model.input.span:
                 raise InputError(
                     f"{recording.name}: not the drive of {recordings[0].name}: average recordings of one "
                     "drive only"
@@ -192,12 +210,12 @@ class RepeatedMove:
                 begin += count  # not settled yet
             voltage = voltage[begin:].reshape(-1, count).mean(axis=0)
             measured = measured[begin:].reshape(-1, count).mean(axis=0)
-            begun = self.drive.model.start(float(voltage[0]), self.state)
-            believed = settled_run(self.drive.model, voltage, self.step, begun)
+            begun = self.model.start(float(voltage[0]), self.state)
+            believed = settled_run(self.model, voltage, self.step, begun)
             return voltage, believed, measured
         state = self.state if begin == 0 else "auto"
-        begun = self.drive.model.start(float(voltage[0]), state)
-        believed = self.drive.model.run(voltage, begun, self.step).y
+        begun = self.model.start(float(voltage[0]), state)
+        believed = self.model.run(voltage, begun, self.step).y
         rows_of_move = slice(begin, begin + count)
         return voltage[rows_of_move], believed[rows_of_move], measured[rows_of_move]
 
@@ -225,7 +243,7 @@ class RepeatedMove:
             mean = float(believed.mean() - self.desired.mean())
         away = math.hypot(rms(shape - size * wanted), mean)
         if away > ANOTHER_MOVE * rms(wanted):
-            unit = self.drive.model.output.suffix
+            unit = self.model.output.suffix
             raise InputError(
                 f"{name}: its drive belongs to another trajectory, {away:.3g}{unit} from this one (RMS; the "
                 f"move has {rms(wanted):.3g}{unit})"
@@ -241,28 +259,28 @@ class RepeatedMove:
         best = min(errors)
         if passed.rmse <= min(GROWTH * errors[-1], FROM_BEST * best):
             return
-        number, unit = 1 + errors.index(best), self.drive.model.output.suffix
+        number, unit = 1 + errors.index(best), self.model.output.suffix
         raise InputError(
             f"{name}: the error grew from {errors[-1]:.3g} to {passed.rmse:.3g}{unit} RMS: learn from "
             f"pass {number} ({best:.3g}) with a lower `bandwidth`"
         )
 
-    def _warn_of_start(self, name: str, zero: float) -> None:
+    def _start_warnings(self, name: str, zero: float) -> tuple[str, ...]:
         """Warn where the mean of the error is too large for a sensor's zero."""
-        expected = self.drive.model.fit.get("expected_rmse")
+        expected = self.model.fit.get("expected_rmse")
         if not isinstance(expected, float) or abs(zero) <= START_PROBLEM * expected:
-            return
-        unit = self.drive.model.output.suffix
+            return ()
+        unit = self.model.output.suffix
         text = (
             f"{name}: the mean error, {zero:.3g}{unit}, is {abs(zero) / expected:.2g} times "
             "the expected error: the drive assumes another start (`condition`, or `absolute` learns it)"
         )
         warn(text)
-        self.drive.warnings = (text,)
+        return (text,)
 
     def _trusted(self, name: str, believed: Floats, measured: Floats) -> float:
         """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows."""
-        dynamics = self.drive.model.dynamics
+        dynamics = self.model.dynamics
         resonances = () if dynamics is None else dynamics.resonances
         if resonances:
             frequency = resonances[0].frequency / RESONANCE_PART

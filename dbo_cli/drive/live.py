@@ -15,8 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.gate import ROUNDING, GateError
-from dbo_cli.drive.limits import Figure, Limits, voltage_in
+from dbo_cli.drive.limits import ROUNDING, Figure, GateError, Limits, voltage_in
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.model import Cascade, State, Undoing, state_of
 from dbo_cli.model.points import value_through

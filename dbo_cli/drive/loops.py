@@ -18,10 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.drive import ALLOWED_PART, Drive
+from dbo_cli.drive.judge import ALLOWED_PART
 from dbo_cli.drive.lead import MOST_ROWS, Lead, ramp, standing_at
 from dbo_cli.drive.limits import Limits
-from dbo_cli.drive.outlook import conclude
 from dbo_cli.drive.swings import soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 from dbo_cli.model import Cascade, Run, State
@@ -43,135 +42,166 @@ FEWEST_ROWS = 4  # of a period: fewer have no shape
 SEAM = 3.0
 
 
+class LoopPlan(NamedTuple):
+    """A loop and what leads to it.
+
+    Attributes
+    ----------
+    loop : Loop
+        What was asked for.
+    begin : State
+        Before the first row.
+    lead_voltage, voltage : array
+        What leads to the period, and the period.
+    settled : Settled
+        The settled drive and the state before it.
+    """
+
+    loop: Loop
+    begin: State
+    lead_voltage: Floats
+    voltage: Floats
+    settled: Settled
+
+    @property
+    def target(self) -> Floats:
+        """One period of what the static part is to follow."""
+        return self.loop.target
+
+    def require_settled(self, on_limit: str) -> tuple[str, ...]:
+        """Warn of a loop that the model does not repeat; refuse it where it costs too much (LimitError)."""
+        loop, model, dt = self.loop, self.loop.model, self.loop.dt
+        static, period = model.static, self.settled.run.y
+        size = max(float(np.ptp(loop.target)), LOOP_ERROR * model.output.span)
+        state = static.run(self.lead_voltage, self.begin, dt).state
+        looped = looped_state(model, period, dt, state)
+        aim = static.run(period, self.settled.before, dt).y
+        residual = apart(static.run(period, looped, dt).y, aim)
+        if self.settled.converged and residual <= LOOP_ERROR * size:
+            return ()
+        text = (
+            f"{loop.name}: the loop does not settle: however often it is repeated, it ends {residual:.3g}"
+            f"{model.output.suffix} off (`passes` 1 or `state` empty fixes the start)"
+        )
+        if residual <= LOOP_ERROR * size:
+            text = f"{loop.name}: the drive still changes from pass to pass within its limits"
+        costs = on_limit == "auto" and residual > ALLOWED_PART * size
+        if costs or on_limit == "error":
+            raise LimitError(f"{text}; `on_limit` clip writes it anyway")
+        warn(text)
+        return (text,)
+
+
 def plan_loop(
-    drive: Drive,
-    desired: Floats,
-    request: Floats,
-    time: Floats,
+    model: Cascade,
+    limits: Limits,
+    target: Floats,
     dt: float,
     lead: Lead,
     passes: int,
-) -> None:
-    """Give a drive the rows of one period of the settled drive, with passes of run-in before it.
+    name: str,
+) -> LoopPlan:
+    """Return the settled drive of one period, and passes of run-in before it.
 
     Parameters
     ----------
-    drive
-        Takes rows and figures.
-    desired, request
-        One period of the trajectory, and of what is asked of the model for it.
-    time, dt
-        Seconds of each row, and seconds a row.
+    model, limits
+        A forward model, and what its drive may do.
+    target
+        One period of what is asked of the model.
+    dt
+        Seconds a row.
     lead
         What stands before it: a way from where the amplifier stands, or a state.
     passes
         Of the run-in.
+    name
+        Of the trajectory, in messages.
 
     Raises
     ------
     InputError
         The period is too short, or does not close.
     LimitError
-        The loop does not settle within the limits, or they cost too much of it.
+        The loop does not close within the limits.
     UsageError
         Options exclude each other.
     """
     if not isinstance(passes, int | np.integer) or passes < 0:
         raise UsageError(f"`passes` {passes}: give a whole number of passes")
-    if passes * desired.size > MOST_ROWS:
+    if passes * target.size > MOST_ROWS:
         raise UsageError(f"`passes` {passes}: at most {MOST_ROWS:,} rows in all")
     if lead.condition or lead.rest:
         raise UsageError(
             "`periodic` excludes `condition`, `lead` and `return`: use `passes` N"
         )
-    model = drive.model
-    require_closed(drive.name, request)
-    undone = model.inverter(dt).loop(request)
-    loop = Loop(drive, undone, dt, lead, passes)
-    begun, before, settled, voltage = loop.led_to()
-    done, state = settled.run, settled.before
-    drive.clip(desired, undone, done, state, dt)
-    drive.require_reached(dt * desired.size)
-    loop.require_settled(settled, begun, before)
-    first = float(before[0]) if before.size else float(voltage[0])
-    drive.gate.require_reachable(first, first, dt)
-    drive.admit(before, dt, "lead")
-    drive.admit(voltage, dt, "move")
-    drive.gate.admit(voltage[:1], dt)  # the seam
-    count = before.size
-    drive.voltage = np.concatenate([before, voltage])
-    drive.move = slice(count, drive.voltage.size)
-    run = model.run(drive.voltage, begun, dt)
-    drive.state = replace(run.state, time=float(time[-1]))
-    drive.time = np.concatenate([time[0] - dt * np.arange(count, 0.0, -1.0), time])
-    drive.desired = np.concatenate([run.y[:count], desired])
-    drive.lead_seconds, drive.past_known = count * dt, lead.past_known
-    conclude(drive)
-    settled_y = settled_run(model, voltage, dt, settled.before)
-    away = float(np.sqrt(np.mean((run.y[count:] - settled_y) ** 2)))
-    unit = model.output.suffix
-    note = f"the first pass is {away:.3g}{unit} off the settled one (RMS)"
-    drive.notes += (f"{drive.name}: {note}",)
+    require_closed(name, target)
+    static_target = model.inverter(dt).loop(target)
+    return Loop(model, limits, static_target, dt, lead, passes, name).planned()
 
 
 @dataclass(frozen=True)
 class Loop:
-    """A loop on its way to the settled drive: one period of what the static part is to follow.
+    """A loop on its way to the settled drive.
 
     Attributes
     ----------
-    drive
-        Its model, limits and name.
-    undone
-        One period, with dynamics and delay undone.
+    model, limits
+        A forward model, and what its drive may do.
+    target
+        One period of what the static part is to follow, with dynamics and delay undone.
     dt
         Seconds a row.
     lead, passes
         What stands before it.
+    name
+        Of the trajectory.
     """
 
-    drive: Drive
-    undone: Floats
+    model: Cascade
+    limits: Limits
+    target: Floats
     dt: float
     lead: Lead
     passes: int
+    name: str
 
     # --- what stands before the period ---
 
-    def led_to(self) -> tuple[State, Floats, Settled, Floats]:
-        """Return state and rows before the period, the settled loop to which they lead, and its drive.
+    def planned(self) -> LoopPlan:
+        """Return the settled loop and what leads to it.
 
         The loop depends on the state in which it begins, and what stands before it on
         the loop: both are found by turns.
         """
-        model, limits, start = self.drive.model, self.drive.limits, self.lead.state
+        model, limits, start = self.model, self.limits, self.lead.state
         begin = standing_at(limits, self.lead)
         if begin is not None:
             state = model.start(begin, start)
         elif self.lead.approach is not None:
             raise UsageError("`approach` needs `from` VOLT or a `state` file")
         else:
-            state = model.start_drive(float(self.undone[0]), start, *limits.move)
+            state = model.start_drive(float(self.target[0]), start, *limits.move)
             if self.passes:
                 begin = state.drive if state.first is None else state.first
-        settled = settled_drive(model, self.undone, self.dt, state, limits)
+        settled = settled_drive(model, self.target, self.dt, state, limits)
         for _ in range(MOST_STARTS):
             last = settled
             voltage = self._closed(last.run.y)
             stands = float(voltage[0]) if begin is None else begin
             before, begun = self._before(voltage, stands), model.start(stands, start)
             state = model.run(before, begun, self.dt).state
-            settled = settled_drive(model, self.undone, self.dt, state, limits)
+            settled = settled_drive(model, self.target, self.dt, state, limits)
             if apart(settled.run.y, last.run.y) <= SAME_DRIVE * model.input.span:
                 break
-        return begun, before, last, voltage
+        return LoopPlan(self, begun, before, voltage, last)
 
     def _before(self, period: Floats, begin: float) -> Floats:
         """Return what leads to a period: a ramp, or a pass in which it grows, then whole passes of it.
 
         ``begin`` is where the amplifier stands.
         """
-        dt, limits, passes = self.dt, self.drive.limits, self.passes
+        dt, limits, passes = self.dt, self.limits, self.passes
         seconds = self.lead.approach
         if seconds is not None:
             ascent = ramp("approach", begin, float(period[0]), dt, seconds, limits)
@@ -186,7 +216,7 @@ class Loop:
         off = abs(float(voltage[-1] - period[-1]))
         if off > 0.0:
             raise LimitError(
-                f"{self.drive.name}: the run-in ends {off:.3g}{limits.suffix} off the settled loop: raise "
+                f"{self.name}: the run-in ends {off:.3g}{limits.suffix} off the settled loop: raise "
                 "`passes` or `max_slew`"
             )
         return voltage
@@ -200,18 +230,18 @@ class Loop:
         its first row was held behind the last row of that pass.
         """
         closed = self._within_slew(voltage, float(voltage[-1]))
-        most = self.drive.limits.largest_step(self.dt)
+        most = self.limits.largest_step(self.dt)
         jumps = most is not None and apart(closed[:1], closed[-1:]) > most
-        if jumps or apart(closed, voltage) > SAME_DRIVE * self.drive.model.input.span:
+        if jumps or apart(closed, voltage) > SAME_DRIVE * self.model.input.span:
             raise LimitError(
-                f"{self.drive.name}: `max_slew` forbids the step from the last row, {voltage[-1]:.6g}, to "
+                f"{self.name}: `max_slew` forbids the step from the last row, {voltage[-1]:.6g}, to "
                 f"the first, {voltage[0]:.6g}"
             )
         return closed
 
     def _within_slew(self, voltage: Floats, last: float) -> Floats:
         """Return a drive whose rows follow ``last`` and one another within the slew limit."""
-        most = self.drive.limits.largest_step(self.dt)
+        most = self.limits.largest_step(self.dt)
         if most is None or (np.abs(np.diff(voltage, prepend=last)) <= most).all():
             return voltage
         most *= 1.0 - 1e-15
@@ -219,29 +249,6 @@ class Loop:
         for k, value in enumerate(values):
             last = values[k] = min(max(value, last - most), last + most)
         return np.array(values)
-
-    def require_settled(self, settled: Settled, begun: State, before: Floats) -> None:
-        """Warn of a loop that the model does not repeat, or refuse it where it costs too much."""
-        drive, dt = self.drive, self.dt
-        model, static, period = drive.model, drive.model.static, settled.run.y
-        size = max(float(np.ptp(self.undone)), LOOP_ERROR * model.output.span)
-        state = static.run(before, begun, dt).state
-        looped = looped_state(model, period, dt, state)
-        aim = static.run(period, settled.before, dt).y
-        away = apart(static.run(period, looped, dt).y, aim)
-        if settled.converged and away <= LOOP_ERROR * size:
-            return
-        text = (
-            f"{drive.name}: the loop does not settle: however often it is repeated, it ends {away:.3g}"
-            f"{model.output.suffix} off (`passes` 1 or `state` empty fixes the start)"
-        )
-        if away <= LOOP_ERROR * size:
-            text = f"{drive.name}: the drive still changes from pass to pass within its limits"
-        costs = drive.on_limit == "auto" and away > ALLOWED_PART * size
-        if costs or drive.on_limit == "error":
-            raise LimitError(f"{text}; `on_limit` clip writes it anyway")
-        warn(text)
-        drive.warnings += (text,)
 
 
 def require_closed(name: str, period: Floats) -> None:

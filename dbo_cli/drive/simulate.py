@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.ahead import Ahead, Rows
+from dbo_cli.drive.ahead import NO_ROWS, Ahead, Rows, joined
 from dbo_cli.errors import LimitError, warn
 from dbo_cli.model import Cascade, Outside, State, Steps, Undoing, steps_behind
 
@@ -57,6 +57,7 @@ class Simulator:
         self.outside_count = 0
         self.first_outside = 0
         self._ahead: Ahead | None = None
+        self._dt: Steps = None
         self._undoing: Undoing | None = None
 
     def rows(self, x: Floats, dt: Steps = None, time: Floats | None = None) -> Rows:
@@ -84,13 +85,14 @@ class Simulator:
             if isinstance(self.state, State):
                 dt = steps_behind(self.state.time, time, dt)
             self._ahead = Ahead(self._rows_ahead(dt))
-        return self._run(*self._ahead.take(x, dt, time))
+        self._dt = dt
+        return joined([self._run(*block) for block in self._ahead.take(x, time)])
 
     def finish(self) -> Rows:
         """Return what was held back, as if the last value went on for ever; warn of rows outside."""
-        rows = Rows(None, np.empty(0), np.empty(0))
+        rows = NO_ROWS
         if self._ahead is not None:
-            rows = self._run(*self._ahead.rest())
+            rows = joined([self._run(*block) for block in self._ahead.rest()])
         if self.outside_count:
             drive, what = self._forward.input, "leave"
             if not self.model.is_forward:
@@ -117,37 +119,35 @@ class Simulator:
             self._undoing = inverter.behind(self.state)
         return inverter.ahead
 
-    def _run(self, x: Floats, known: Floats, dt: Steps, time: Floats | None) -> Rows:
-        """Return the output of rows; ``known`` is their input and what is read ahead."""
-        if not x.size:
-            return Rows(time, x, x)
-        if self.model.is_forward:
-            y = self._displacement(x, dt)
-        else:
-            y = self._drive(known, dt)
+    def _run(self, columns: tuple[Floats | None, ...], known: Floats) -> Rows:
+        """Return the output of rows that are ready; ``known`` is their input and what is read ahead."""
+        x, time = columns
+        if x is None or not x.size:
+            return NO_ROWS
+        y = self._displacement(x) if self.model.is_forward else self._drive(known)
         self.row_count += x.size
         if time is not None:
             assert isinstance(self.state, State)
             self.state = replace(self.state, time=float(time[-1]))
         return Rows(time, x, y)
 
-    def _displacement(self, voltage: Floats, dt: Steps) -> Floats:
+    def _displacement(self, voltage: Floats) -> Floats:
         """Return what a forward model makes of a drive."""
         self.state = self.model.start(float(voltage[0]), self.state)
         if self.outside == "error":
             self.model.require_inside(voltage, self.row_count, self.name)
         self._count_outside(voltage)
-        run = self.model.run(voltage, self.state, dt, self.outside)
+        run = self.model.run(voltage, self.state, self._dt, self.outside)
         self.state = run.state
         return run.y
 
-    def _drive(self, known: Floats, dt: Steps) -> Floats:
+    def _drive(self, known: Floats) -> Floats:
         """Return the drive that an inverse model makes, within its range where it is held."""
         model, is_held = self._forward, self.outside == "hold"
         window = (model.input.min, model.input.max) if is_held else None
-        target, self._undoing = model.inverter(dt).run(known, self._undoing)
+        target, self._undoing = model.inverter(self._dt).run(known, self._undoing)
         self.state = model.start_drive(float(target[0]), self.state)
-        run = model.drive(target, self.state, dt, window)
+        run = model.drive(target, self.state, self._dt, window)
         self.state = run.state
         if run.clipped and not self.outside_count:
             self.first_outside = self.row_count + run.first_clipped + 1

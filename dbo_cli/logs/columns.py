@@ -11,6 +11,8 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.table import Column, Table
 from dbo_cli.units import DRIVING_KINDS, MOVED_KINDS, kind_of
@@ -217,18 +219,18 @@ def _by_name(columns: Sequence[Column], selector: str) -> list[Column]:
 
 
 def choose(
-    source: Table,
+    table: Table,
     selectors: Mapping[str, str | None],
     taken: Sequence[Column],
     units: Mapping[str, str],
     optional: Sequence[str],
 ) -> dict[str, Column]:
-    """Give every role its column.
+    """Give every role its column; optional roles take what the required ones leave.
 
     Parameters
     ----------
-    source
-        The file.
+    table
+        The columns.
     selectors
         What the user typed for each role, or None.
     taken
@@ -243,35 +245,48 @@ def choose(
     InputError
         Several columns may be meant for a role, or none; or two roles share one.
     """
-    name, columns = source.name, source.columns
     chosen: dict[str, Column] = {}
     for role, selector in selectors.items():
         if selector is not None:
-            chosen[role] = named(source, selector, role)
+            chosen[role] = named(table, selector, role)
             if chosen[role].kind == "stamp":
                 raise InputError(
-                    f"{name}: `{role}`: {chosen[role].label} holds time stamps"
+                    f"{table.name}: `{role}`: {chosen[role].label} holds time stamps"
                 )
     used = [*taken, *chosen.values()]
-    free = [column for column in columns if column not in used]
     unclear: dict[str, list[Column]] = {}
-    open_roles = [role for role in selectors if role not in chosen]
-    for role in (role for role in open_roles if role not in optional):
+    untyped = [role for role in selectors if role not in chosen]
+    for role in sorted(untyped, key=lambda role: role in optional):
+        if role in optional:
+            used = [*used, *chosen.values()]
+        free = [column for column in table.columns if column not in used]
         matches = candidates(free, role_of(role, units.get(role)))
         if len(matches) == 1:
             chosen[role] = matches[0]
-        else:
+        elif role not in optional:
             unclear[role] = matches
-    for role in (role for role in open_roles if role in optional):  # take what is left
-        left = [column for column in free if column not in chosen.values()]
-        matches = candidates(left, role_of(role, units.get(role)))
-        if len(matches) == 1:
-            chosen[role] = matches[0]
-    _refuse_shared(name, columns, chosen)
+    _refuse_shared(table.name, table.columns, chosen)
     if unclear:
         used = [*taken, *chosen.values()]
-        raise InputError(f"{name}: {_question(unclear, columns, used)}{source.hint}")
+        free = [c for c in table.columns if c.kind == "number" and c not in used]
+        if not all(unclear.values()):
+            untyped = [role for role in untyped if role in chosen]
+            unclear |= _rivals({role: chosen[role] for role in untyped}, free)
+        question = _question(table, unclear, free)
+        raise InputError(f"{table.name}: {question}{table.hint}")
     return {role: chosen[role] for role in selectors if role in chosen}
+
+
+def _rivals(
+    chosen: Mapping[str, Column], free: Sequence[Column]
+) -> dict[str, list[Column]]:
+    """Return the roles that a column might have which is left for another role."""
+    rivals = {}
+    for role, column in chosen.items():
+        fitting = [c for c in free if kind_of(c.unit) in role_of(role, None).proving]
+        if fitting:
+            rivals[role] = [column, *fitting]
+    return rivals
 
 
 def _refuse_shared(
@@ -288,38 +303,66 @@ def _refuse_shared(
 
 
 def _question(
-    unclear: Mapping[str, Sequence[Column]],
-    columns: Sequence[Column],
-    used: Sequence[Column],
+    table: Table, unclear: Mapping[str, Sequence[Column]], free: Sequence[Column]
 ) -> str:
-    """Ask for all roles that are not clear, with the options to type."""
+    """Ask for all roles that are not clear, with the options to type.
+
+    A column is proposed where it is the only one left for the only question, and is no
+    counter.
+    """
     questions = []
     for role, matches in unclear.items():
-        which = " or ".join(
-            column.label.removeprefix("column ") for column in matches[:_LISTED]
-        )
+        labels = [column.label.removeprefix("column ") for column in matches[:_LISTED]]
         noun = f"{role} displacement" if role in ("desired", "measured") else role
-        questions.append(f"which column is the {noun}{', ' + which if which else ''}?")
-    free = [c for c in columns if c.kind == "number" and c not in used]
-    options: list[str] = []
-    for role in unclear:
-        against = role_of(role, None).against
-        likely = [column for column in unclear[role] if column in free]
+        which = f", {' or '.join(labels)}" if labels else ""
+        questions.append(f"which column is the {noun}{which}?")
+    example = "NAME" if free else "FILE::COLUMN"
+    if len(unclear) == 1:
+        against = role_of(next(iter(unclear)), None).against
         rest = [column for column in free if not words(column.name) & against]
-        example = next(iter(likely or rest), None)
-        if example is not None:
-            free.remove(example)
-        options.append(f"`{role}` {_typed(example, columns)}")
-    return f"{' '.join(questions)} {listed(columns)} (for example {' '.join(options)})"
+        if len(rest) == 1 and not _is_monotone(table, rest[0]):
+            example = _typed(rest[0], table.columns)
+    options = " ".join(f"`{role}` {example}" for role in unclear)
+    text = f"{' '.join(questions)} {listed(table.columns)} (for example {options})"
+    patterns = [_pattern(matches) for matches in unclear.values()]
+    channels = {channels for _, channels in patterns}
+    if len(patterns) > 1 and len(channels) == 1 and "" not in channels.pop():
+        pairs = zip(unclear, patterns, strict=True)
+        options = " ".join(f"`{role}` {shlex.quote(text)}" for role, (text, _) in pairs)
+        text += f", or for all channels {options}"
+    return text
 
 
-def _typed(column: Column | None, columns: Sequence[Column]) -> str:
-    """Return how a column is typed in the shell: its name, or its number where that is not enough.
+def _is_monotone(table: Table, column: Column) -> bool:
+    """Return whether the first rows of a column only rise or only fall, as those of a counter do."""
+    try:
+        values = next(iter(table.blocks([column])))[0]
+    except (InputError, StopIteration):
+        return True
+    steps = np.diff(values)
+    return bool((steps >= 0.0).all() or (steps <= 0.0).all())
 
-    Where no column is left, it is one of another file.
-    """
-    if column is None:
-        return "FILE::COLUMN"
+
+def _pattern(columns: Sequence[Column]) -> tuple[str, tuple[str, ...]]:
+    """Return a name with ``{}`` for the channels that columns differ in, and these: ``V{}`` for V1, V2."""
+    names = [column.name for column in columns]
+    before = _common_start(names)
+    behind = _common_start([name[len(before) :][::-1] for name in names])[::-1]
+    stop = -len(behind) or None
+    channels = tuple(name[len(before) : stop] for name in names)
+    return f"{before}{{}}{behind}", channels if before or behind else ("",)
+
+
+def _common_start(names: Sequence[str]) -> str:
+    """Return the letters with which all names begin."""
+    start = min(names, default="")
+    while not all(name.startswith(start) for name in names):
+        start = start[:-1]
+    return start
+
+
+def _typed(column: Column, columns: Sequence[Column]) -> str:
+    """Return how a column is typed in the shell: its name, or its number where that is not enough."""
     same = [twin for twin in columns if twin.name == column.name]
     if not column.name or len(same) > 1 or column.name.isdigit():
         number = str(column.number)
@@ -344,7 +387,7 @@ def candidates(columns: Sequence[Column], role: Role) -> list[Column]:
     part = [c for c in fitting if words(c.quantity) & role.names]
     proved = [c for c in fitting if kind_of(c.unit) in role.proving]
     if part:
-        return part + [c for c in proved if c not in part]
+        return [c for c in fitting if c in part or c in proved]
     free = [column for column in columns if _is_free(column, role)]
     if any(words(c.quantity) & role.names for c in free):
         return []  # the column of that name is in a unit that cannot be meant

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import MISSING, STAMPS, is_number, split_cells, stamp_format
-from dbo_cli.logs.names import read_header
+from dbo_cli.logs.names import are_names, read_header
 from dbo_cli.logs.settings import is_setting
 from dbo_cli.logs.table import LONGEST_CELL, TOO_LONG, Reading, StatedClock
 
@@ -142,6 +142,7 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     layout.counts = lines[layout.first].startswith('"') and 0 in layout.numeric
     above, below = lines[skipped : layout.first], lines[layout.first :]
     read_header(name, above, below, layout)
+    _refuse_other_names(name, layout, lines)
     is_named = any(layout.names)
     if not is_named and reading.skip_lines is None:
         _refuse_numbers_as_names(name, layout, lines)
@@ -326,6 +327,17 @@ def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int
     if lines[rows[min(place + 1, len(rows) - 1)]].rstrip().endswith(":"):
         place = min(place + 2, len(rows) - 1)  # figures above "data:" are no row
     return rows[place]
+
+
+def _refuse_other_names(name: str, layout: Layout, lines: Sequence[str]) -> None:
+    """Refuse names below the first rows: what stands above them is another table (InputError)."""
+    for n in range(layout.first + 1, min(layout.first + _SAMPLE, len(lines))):
+        cells = split_cells(lines[n], layout.delimiter)
+        is_named = len(cells) == layout.width > 1 and are_names(cells)
+        if is_named and cells != layout.names:
+            raise InputError(
+                f"{name}:{n + 1}: names below numbers: type `skip_lines` {n} to begin there"
+            )
 
 
 def _refuse_other_rows(

@@ -165,6 +165,14 @@ def _is_name(word: str) -> bool:
     return is_unit or bool(words(word) & KNOWN_NAMES)
 
 
+def are_names(cells: Sequence[str]) -> bool:
+    """Return whether all cells are texts, and most of them have a unit or a known word."""
+    if any(_is_figure(cell) for cell in cells) or not all(cells):
+        return False
+    known = [c for c in cells if split_header(c)[1] or words(c) & KNOWN_NAMES]
+    return 2 * len(known) > len(cells)
+
+
 def _is_amount(cell: str) -> bool:
     """Return whether a cell is an amount and no name: ``0.1 mm``, ``Range: 0 V to 100 V``, ``2 mV rms``."""
     amount = re.split("[:=]", cell)[-1]

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.check import check_drive
-from dbo_cli.drive.gate import Gate
-from dbo_cli.drive.limits import Limits
+from dbo_cli.drive.limits import Gate, Limits
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.moves.generators import FORMATS, Coding, Format, Signal, Span
 

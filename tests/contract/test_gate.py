@@ -228,7 +228,7 @@ def test_the_library_judges_an_inverse_model_alike(creeping: Path) -> None:
 def test_the_gate_rounds_by_a_few_last_digits_and_no_more() -> None:
     """What passes beyond a slew limit is rounding; a range is kept exactly."""
     from dbo_cli.drive import Limits
-    from dbo_cli.drive.gate import Gate, GateError
+    from dbo_cli.drive.limits import Gate, GateError
     from dbo_cli.model import Quantity
 
     limits = Limits.within(Quantity("voltage", "V", 0.0, 100.0), max_slew=1000.0)

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
 
+from dbo_cli.drive import Drive, Driver, Lead, Limits
+from dbo_cli.drive.ahead import Rows, joined
 from dbo_cli.model import (
     Cascade,
     Delay,
@@ -99,7 +103,7 @@ def gentle(model: Cascade, rows: int, part: float = 0.3) -> np.ndarray:
 
 
 def blocks_of(values: np.ndarray, dt: float, rows: int) -> list[Any]:
-    """Return a trajectory in blocks of so many rows, as ``stream`` takes it."""
+    """Return a trajectory in blocks of so many rows, as ``in_blocks`` takes it."""
     time = dt * np.arange(values.size)
     places = range(0, values.size, rows)
     return [(time[k : k + rows], dt, values[k : k + rows]) for k in places]
@@ -140,3 +144,31 @@ def actuators(draw: st.DrawFn, static: bool = False) -> Cascade:
         sections=() if static else draw(SECTIONS),
         delay=0.0 if static else draw(st.sampled_from([0.0, 0.002, 0.00137])),
     )
+
+
+def driver_of(model: Cascade, limits: Limits, options: dict[str, Any]) -> Driver:
+    """Return a driver by the options of ``plan``."""
+    lead = Lead(
+        options.get("state", "auto"),
+        options.get("start"),
+        options.get("approach"),
+        options.get("condition", False),
+        options.get("lead"),
+    )
+    on_limit, end = options.get("on_limit", "auto"), options.get("return_to")
+    return Driver(model, limits, lead, on_limit, end)
+
+
+def in_blocks(driver: Driver, blocks: Iterable[Any]) -> Iterator[Rows]:
+    """Yield the rows of a drive as they are ready, what was held back at the end."""
+    for time, dt, desired in blocks:
+        yield driver.rows(desired, dt, time)
+    yield driver.finish()[0]
+
+
+def driven_in_blocks(driver: Driver, blocks: Iterable[Any]) -> Drive:
+    """Return the drive of a trajectory that comes in blocks, with its rows."""
+    parts = [driver.rows(desired, dt, time) for time, dt, desired in blocks]
+    rest, drive = driver.finish()
+    rows = joined([*parts, rest])
+    return replace(drive, time=rows.time, desired=rows.x, voltage=rows.y)

@@ -10,11 +10,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbo_cli.drive import Limits, plan, stream
+from dbo_cli.drive import Driver, Lead, Limits, plan
 from dbo_cli.errors import DboWarning, InputError, LimitError, UsageError
 from dbo_cli.model import Cascade, Lag, Resonance
 
-from .actuators import actuator, actuators, blocks_of, gentle, ripple
+from .actuators import (
+    actuator,
+    actuators,
+    blocks_of,
+    driven_in_blocks,
+    gentle,
+    in_blocks,
+    ripple,
+)
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 RATE = 1000.0
@@ -69,9 +77,9 @@ def test_values_do_not_depend_on_blocks(model: Cascade, rows: int, slow: bool) -
     slew = 3.0 * model.input.span if slow else None
     limits = limits_of(model, max_slew=slew)
     whole = plan(model, wanted, DT, limits, on_limit="clip")
-    drive, parts = stream(model, blocks_of(wanted, DT, rows), limits, on_limit="clip")
-    voltage = np.concatenate([part for _, _, part in parts])
-    assert np.abs(voltage - whole.voltage).max() <= 1e-12 * model.input.span
+    driver = Driver(model, limits, on_limit="clip")
+    drive = driven_in_blocks(driver, blocks_of(wanted, DT, rows))
+    assert np.abs(drive.voltage - whole.voltage).max() <= 1e-12 * model.input.span
     assert drive.clipped == whole.clipped
     assert drive.first_clipped == whole.first_clipped
     assert drive.lost_rms == pytest.approx(whole.lost_rms, rel=1e-9, abs=1e-15)
@@ -156,14 +164,14 @@ def test_a_stream_counts_its_loss_and_refuses_in_the_end() -> None:
     model = actuator()
     wanted = ripple(model, 1000, 0.9)
     limits = limits_of(model, 0, 60)
-    _, parts = stream(model, blocks_of(wanted, DT, 100), limits)
+    parts = in_blocks(Driver(model, limits), blocks_of(wanted, DT, 100))
     voltage = []
     with pytest.raises(LimitError):
-        for _, _, part in parts:
-            voltage.append(part)
+        for part in parts:
+            voltage.append(part.y)
     assert sum(rows.size for rows in voltage) == 1000
-    drive, parts = stream(model, blocks_of(wanted, DT, 100), limits, on_limit="clip")
-    list(parts)
+    driver = Driver(model, limits, on_limit="clip")
+    drive = driven_in_blocks(driver, blocks_of(wanted, DT, 100))
     assert drive.clipped > 100
     assert drive.lost_rms > 0.1
 
@@ -172,7 +180,7 @@ def test_nothing_of_a_lead_that_is_too_long_leaves() -> None:
     model = actuator()
     limits = limits_of(model, max_slew=1)
     moves = blocks_of(ripple(model, 9), DT, 3)
-    _, parts = stream(model, moves, limits, condition=True)
+    parts = in_blocks(Driver(model, limits, Lead(condition=True)), moves)
     with pytest.raises(LimitError, match="max_slew"):
         next(parts)
 
@@ -185,9 +193,9 @@ def test_a_stream_takes_constant_memory() -> None:
     def peak(blocks: int) -> int:
         time = DT * np.arange(block.size)
         moves = ((time + 20.0 * k, DT, block) for k in range(blocks))
-        _, rows = stream(model, moves, limits, on_limit="clip")
+        rows = in_blocks(Driver(model, limits, on_limit="clip"), moves)
         tracemalloc.start()
-        count = sum(part.size for _, _, part in rows)
+        count = sum(part.y.size for part in rows)
         _, most = tracemalloc.get_traced_memory()
         tracemalloc.stop()
         assert count == 20000 * blocks
@@ -330,6 +338,6 @@ def test_a_row_that_is_no_displacement_is_named(value: float) -> None:
     for options in ({}, {"bandwidth": 50.0}, {"periodic": True}):
         with pytest.raises(InputError, match="row 42"):
             plan(model, wanted, DT, limits_of(model), **options)  # type: ignore[arg-type]
-    _, rows = stream(model, blocks_of(wanted, DT, 30), limits_of(model))
+    rows = in_blocks(Driver(model, limits_of(model)), blocks_of(wanted, DT, 30))
     with pytest.raises(InputError, match="row 42"):
         list(rows)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -181,37 +182,45 @@ def wanted_rows(desired: np.ndarray, y: np.ndarray) -> np.ndarray:
     return desired
 
 
-def test_a_lead_is_never_long_beside_its_move() -> None:
-    model = actuator()
-    wanted = ripple(model, 200, 0.3)
-    with pytest.raises(LimitError, match="max_slew"):
-        plan(
+@pytest.mark.parametrize("rows", [200, 40_000])
+def test_at_most_a_minute_is_chosen_and_a_refusal_names_the_seconds(rows: int) -> None:
+    """However long the move is; the named seconds are then typed, and drive."""
+    model = actuator(tau=(0.1, 2.0), gain=(0.01, 0.02))
+    wanted = ripple(model, rows, 0.3)
+    for more in ({"condition": True}, {"condition": True, "start": 70.0}):
+        options: dict[str, Any] = {**more, "on_limit": "clip"}
+        limits = limits_of(model, max_slew=1.0)
+        with pytest.raises(LimitError, match="`approach`") as refused:
+            plan(model, wanted, 0.01, limits, **options)
+        seconds = float(str(refused.value).split("`approach` ")[1].split(" ")[0])
+        drive = plan(model, wanted, 0.01, limits, approach=seconds, **options)
+        assert 300.0 < drive.lead_seconds <= seconds + 1.0
+        quick = limits_of(model, max_slew=10.0)
+        assert plan(model, wanted, 0.01, quick, **options).lead_seconds <= 60.0
+
+
+def test_typed_seconds_are_the_whole_way_of_a_sweep() -> None:
+    model = actuator(tau=(0.1, 2.0), gain=(0.01, 0.02))
+    wanted = ripple(model, 300, 0.3)
+    for start, seconds in ((None, 4.0), (60.0, 200.0), (0.0, 5.0)):
+        drive = plan(
             model,
             wanted,
             0.01,
-            limits_of(model, max_slew=1.0),
+            limits_of(model, max_slew=120.0),
+            start=start,
             condition=True,
+            approach=seconds,
             on_limit="clip",
         )
-    drive = plan(
-        model,
-        wanted,
-        0.01,
-        limits_of(model, max_slew=8.0),
-        condition=True,
-        on_limit="clip",
-    )
-    assert 50.0 < drive.lead_seconds <= 60.0
-    longer = ripple(model, 4000, 0.3)
-    drive = plan(
-        model,
-        longer,
-        0.01,
-        limits_of(model, max_slew=1.5),
-        condition=True,
-        on_limit="clip",
-    )
-    assert drive.lead_seconds > 300.0
+        assert drive.lead_seconds == pytest.approx(seconds, abs=0.05)
+        lead = drive.voltage[: drive.move.start]
+        assert (lead.min(), lead.max()) == (0.0, 100.0)
+    with pytest.raises(LimitError, match="whole way") as refused:
+        limits = limits_of(model, max_slew=40.0)
+        plan(model, wanted, 0.01, limits, condition=True, approach=2.0)
+    fits = float(str(refused.value).split("at least ")[1].split(" ")[0])
+    plan(model, wanted, 0.01, limits, condition=True, approach=fits, on_limit="clip")
 
 
 def test_options_that_are_none() -> None:

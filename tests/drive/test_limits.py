@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dbo_cli.drive.gate import Gate, GateError
-from dbo_cli.drive.limits import Limits
+from dbo_cli.drive.limits import Gate, GateError, Limits
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.model import Quantity
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 
 import pytest
@@ -78,7 +77,10 @@ def test_the_question_lists_columns_and_complete_options(tmp_path: Path) -> None
         open_log(path, BOTH)
     message = str(raised.value)
     assert "1 t [s], 2 CH1, 3 Out 2" in message
-    assert f"`voltage` CH1 `displacement` {shlex.quote('Out 2')}" in message
+    assert "`voltage` NAME `displacement` NAME" in message
+    with pytest.raises(InputError) as raised:
+        open_log(path, {"voltage": "CH1", "displacement": None})
+    assert "CH1" in str(raised.value) and "`displacement` NAME" in str(raised.value)
     with open_log(path, {"voltage": "CH1", "displacement": "Out 2"}) as log:
         assert log.read()["displacement"].tolist() == [2.0, 2.001, 2.002]
 
