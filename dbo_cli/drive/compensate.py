@@ -220,7 +220,7 @@ class Driver:
             )
         model = self.model
         plan = loops.plan_loop(
-            model, self.limits, target, dt, self.lead, passes, self.name
+            model, self.limits, target, dt, self.lead, passes, self.name, self.hold
         )
         run, state = plan.settled.run, plan.settled.before
         self._clip(desired, plan.target, run, state, dt)

@@ -100,6 +100,7 @@ def plan_loop(
     lead: Lead,
     passes: int,
     name: str,
+    hold: int = 0,
 ) -> LoopPlan:
     """Return the settled drive of one period, and passes of run-in before it.
 
@@ -115,8 +116,8 @@ def plan_loop(
         What stands before it: a way from where the amplifier stands, or a state.
     passes
         Of the run-in.
-    name
-        Of the trajectory, in messages.
+    name, hold
+        Of the trajectory, in messages; rows for which the amplifier stands still first.
 
     Raises
     ------
@@ -137,7 +138,7 @@ def plan_loop(
         )
     require_closed(name, target)
     static_target = model.inverter(dt).loop(target)
-    return Loop(model, limits, static_target, dt, lead, passes, name).planned()
+    return Loop(model, limits, static_target, dt, lead, passes, name, hold).planned()
 
 
 @dataclass(frozen=True)
@@ -156,6 +157,8 @@ class Loop:
         What stands before it.
     name
         Of the trajectory.
+    hold
+        Rows for which the amplifier stands still before a way to the loop.
     """
 
     model: Cascade
@@ -165,6 +168,7 @@ class Loop:
     lead: Lead
     passes: int
     name: str
+    hold: int = 0
 
     # --- what stands before the period ---
 
@@ -205,7 +209,8 @@ class Loop:
         seconds = self.lead.approach
         if seconds is not None:
             ascent = ramp("approach", begin, float(period[0]), dt, seconds, limits)
-            return np.concatenate([[begin], ascent, np.tile(period, passes)])
+            still = np.full(1 + self.hold, begin)
+            return np.concatenate([still, ascent, np.tile(period, passes)])
         if not passes:
             return NOTHING
         rise = soft_rise(np.linspace(0.0, 1.0, period.size))

@@ -325,6 +325,11 @@ def read_state(path: str, model: Cascade) -> State:
         It is not a state, contradicts itself, or belongs to another model.
     """
     name, values = fields.load(path, "state")
+    return parse_state(values, model, name)
+
+
+def parse_state(values: object, model: Cascade, name: str = "the state") -> State:
+    """Return the state that JSON values describe (ModelError: they do not, or it is another model's)."""
     try:
         return _state(fields.contents(values, "", STATE_FORMAT, "a state"), model)
     except ModelError as problem:
