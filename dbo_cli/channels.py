@@ -52,12 +52,12 @@ def is_pattern(columns: Columns) -> bool:
     return any(typed is not None and PLACE in typed for typed in columns.values())
 
 
-def filled(columns: Columns, name: str) -> dict[str, str | None]:
+def columns_for(columns: Columns, name: str) -> dict[str, str | None]:
     """Return the columns of one channel."""
-    chosen = {}
+    columns_of_channel = {}
     for role, typed in columns.items():
-        chosen[role] = None if typed is None else typed.replace(PLACE, name)
-    return chosen
+        columns_of_channel[role] = None if typed is None else typed.replace(PLACE, name)
+    return columns_of_channel
 
 
 def names(paths: Sequence[str], reading: Reading, columns: Columns) -> list[str]:
@@ -82,9 +82,9 @@ def names(paths: Sequence[str], reading: Reading, columns: Columns) -> list[str]
             continue
         matches = _matches(typed, headers)
         channels = channels or matches
-        odd = sorted(set(channels) ^ set(matches))
-        if odd or not matches:
-            lacking = f"not for channel {odd[0]}" if odd else "no column"
+        mismatched = sorted(set(channels) ^ set(matches))
+        if mismatched or not matches:
+            lacking = f"not for channel {mismatched[0]}" if mismatched else "no column"
             raise InputError(
                 f"{path}: `{role}` {typed}: {lacking}; columns: {', '.join(headers)}"
             )
@@ -93,8 +93,8 @@ def names(paths: Sequence[str], reading: Reading, columns: Columns) -> list[str]
 
 def _matches(pattern: str, headers: Sequence[str]) -> list[str]:
     """Return what stands in the place of ``{}``, for each header that fits, with or without its unit."""
-    before, _, behind = pattern.partition(PLACE)
-    fit = re.compile(re.escape(before) + "(.+)" + re.escape(behind), re.DOTALL)
+    before, _, after = pattern.partition(PLACE)
+    fit = re.compile(re.escape(before) + "(.+)" + re.escape(after), re.DOTALL)
     channels = []
     for header in headers:
         match = fit.fullmatch(split_header(header)[0]) or fit.fullmatch(header)
@@ -122,8 +122,11 @@ def models_of(path: str, channels: Iterable[str]) -> dict[str, Cascade]:
 # --- what is typed for a channel, or for all ---
 
 
-def typed_for(
-    name: str, typed: Sequence[str], channel: str | None, known: Iterable[str] = ()
+def value_for(
+    name: str,
+    typed: Sequence[str],
+    channel: str | None,
+    all_channels: Sequence[str] = (),
 ) -> str | None:
     """Return what was typed for a channel: ``x=120V`` for one of them, ``120V`` for all.
 
@@ -143,14 +146,14 @@ def typed_for(
     """
     values: dict[str | None, str] = {}
     for text in typed:
-        of, mark, value = text.rpartition("=")
-        place = of if mark else None
-        if mark and of not in known:
-            names = ", ".join(known) or "this is no set of channels"
-            raise UsageError(f"`{name}` {text}: no channel {of}: {names}")
-        if place in values:
+        name_of_channel, mark, value = text.rpartition("=")
+        owner = name_of_channel if mark else None
+        if mark and owner not in all_channels:
+            names = ", ".join(all_channels) or "this is no set of channels"
+            raise UsageError(f"`{name}` {text}: no channel {owner}: {names}")
+        if owner in values:
             raise UsageError(f"`{name}` {text}: is given twice")
-        values[place] = value
+        values[owner] = value
     return values.get(channel, values.get(None))
 
 
@@ -194,7 +197,7 @@ def read(
         for role, quantities in roles.items():
             if quantities[name].unit:
                 units[role] = quantities[name].unit
-        with open_log(log_path, filled(columns, name), reading, units) as log:
+        with open_log(log_path, columns_for(columns, name), reading, units) as log:
             tables[name] = log.read()
     return tables
 
@@ -212,19 +215,19 @@ def together(
     """
     drives: dict[str, Drive] = {}
     holds = dict.fromkeys(channels, 0)
-    behind = 0
+    after = 0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DboWarning)
         for _ in range(MOST_TRIES):
             for name, hold in holds.items():
                 if name not in drives:
                     with naming(name):
-                        drives[name] = drive_of(name, hold, behind)
+                        drives[name] = drive_of(name, hold, after)
             lead = max(drive.lead_rows for drive in drives.values())
-            behind = max(drive.rows - drive.move.stop for drive in drives.values())
+            after = max(drive.rows - drive.move.stop for drive in drives.values())
             for name, drive in list(drives.items()):
                 short = lead - drive.lead_rows
-                if short or drive.rows - drive.move.stop < behind:
+                if short or drive.rows - drive.move.stop < after:
                     holds[name] += short
                     del drives[name]
             if len(drives) == len(holds):
@@ -242,11 +245,11 @@ def together(
 @contextmanager
 def naming(channel: str) -> Iterator[None]:
     """Name the channel in an error."""
-    place = f"channel {channel}: "
+    prefix = f"channel {channel}: "
     try:
         yield
     except DboError as problem:
-        raise type(problem)(place + str(problem).removeprefix(place)) from problem
+        raise type(problem)(prefix + str(problem).removeprefix(prefix)) from problem
 
 
 # --- files of all channels ---
@@ -318,7 +321,7 @@ def columns_of_drives(drives: Mapping[str, Drive], time: Floats | None) -> list[
     """Return the table of drives: the time, then displacement and voltage of each channel."""
     results: list[Result] = [] if time is None else [("time", "s", time)]
     for name, drive in drives.items():
-        moved, into = drive.model.output, drive.model.input
-        results.append((f"desired_{name}", moved.unit, drive.desired))
+        output, into = drive.model.output, drive.model.input
+        results.append((f"desired_{name}", output.unit, drive.desired))
         results.append((f"{into.quantity}_{name}", into.unit, drive.voltage))
     return results

@@ -64,10 +64,10 @@ def check(
     for channel in known or [""]:
         limits = {}
         for name, values in typed.items():
-            limits[name] = channels.typed_for(
+            limits[name] = channels.value_for(
                 name, values or [], channel or None, known
             )
-        chosen = channels.filled(columns, channel)
+        chosen = channels.columns_for(columns, channel)
         column = chosen["voltage"] if channel else None
         name = f"{drive}: channel {channel}" if channel else drive
         checks[channel] = checked(

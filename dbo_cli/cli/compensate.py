@@ -178,7 +178,7 @@ class Move:
 
         typed, voltages = {}, {}
         for name, values in self.voltages.items():
-            typed[name] = channels.typed_for(name, values, channel, channels_of_set)
+            typed[name] = channels.value_for(name, values, channel, channels_of_set)
         for name in ("v_min", "v_max", "from", "return"):
             text = typed[name]
             voltages[name] = (
@@ -207,7 +207,7 @@ class Move:
             return {}
         columns, typed = self.columns, self.whole
         if channel is not None:
-            columns = channels.filled(columns, channel)
+            columns = channels.columns_for(columns, channel)
         return {
             "bandwidth": opt.quantity("bandwidth", typed["bandwidth"], "Hz"),
             "periodic": typed["periodic"],

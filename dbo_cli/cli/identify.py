@@ -106,7 +106,7 @@ def identify(
         shapes = {} if prior is None else channels.models_of(prior, known)
         models, lines = {}, []
         for name in known:
-            chosen = channels.filled(columns, name)
+            chosen = channels.columns_for(columns, name)
             own = replace(options, prior=shapes.get(name))
             with channels.naming(name):
                 model, recordings, _ = identified(logs, tests, reading, chosen, own)

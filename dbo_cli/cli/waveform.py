@@ -65,9 +65,9 @@ def waveform(
         ranges = []
         for name, values in typed.items():
             ranges.append(
-                channels.typed_for(name, values or [], channel or None, known)
+                channels.value_for(name, values or [], channel or None, known)
             )
-        chosen = channels.filled(columns, channel)
+        chosen = channels.columns_for(columns, channel)
         signal, log = read_drive(drive, reading, chosen, "V")
         step = step_of(signal)
         if step is None:

@@ -169,7 +169,7 @@ class Driver:
         """
         if self._ahead is None:
             raise InputError(f"{self.name}: has no rows")
-        parts = [self._driven(*block) for block in self._ahead.rest()]
+        parts = [self._driven(*block) for block in self._ahead.remaining()]
         self._require_longer_than_delay()
         self._require_reached()
         voltage = self.way_back()
