@@ -263,6 +263,21 @@ def dumps_files(kind: str, texts: Mapping[str, str]) -> str:
     return json.dumps(content, indent=2) + "\n"
 
 
+def is_file_set(path: str) -> bool:
+    """Return whether a file is one of all channels."""
+    values = fields.load(path, "summary")[1]
+    form = values.get("format") if isinstance(values, dict) else None
+    return isinstance(form, str) and form.endswith("-set")
+
+
+def paths_of(output: str, channels: Iterable[str]) -> dict[str, str]:
+    """Return one name a channel: ``drive.arb`` becomes ``drive_x.arb`` (UsageError: it is ``-``)."""
+    if output == "-":
+        raise UsageError("`output` -: this format has a file a channel: give a name")
+    stem, ending = os.path.splitext(output)
+    return {name: f"{stem}_{name}{ending}" for name in channels}
+
+
 def read_files(path: str, kind: str, channels: Iterable[str]) -> dict[str, Any]:
     """Return the values of each channel's file, of a set of them.
 

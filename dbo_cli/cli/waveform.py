@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import os
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.check import limits_in, read_drive, step_of
 from dbo_cli.cli.options import Text, option
 from dbo_cli.cli.say import detail, say, say_output
-from dbo_cli.errors import InputError, UsageError
-
-if TYPE_CHECKING:
-    from dbo_cli.moves import Waveform
+from dbo_cli.errors import InputError
 
 
 def waveform(
@@ -92,18 +88,14 @@ def waveform(
     files = {output: made[""].data} if not known else {}
     if known:
         whole = side_by_side(list(made.values()), to)
-        files = {output: whole} if whole else files_of(output, made)
+        if whole is None:
+            paths = channels.paths_of(output, made)
+            files = {paths[name]: one.data for name, one in made.items()}
+        else:
+            files = {output: whole}
     with Outputs() as outputs:
         for path, data in files.items():
             outputs.write_bytes(path, data)
     for channel, written in made.items():
         say_output(f"{output}: {channel}" if channel else output, written.line)
         say(written.codes)
-
-
-def files_of(output: str, made: dict[str, Waveform]) -> dict[str, bytes]:
-    """Return one file a channel: ``drive.arb`` becomes ``drive_x.arb``."""
-    if output == "-":
-        raise UsageError("`output` -: this format has a file a channel: give a name")
-    stem, ending = os.path.splitext(output)
-    return {f"{stem}_{name}{ending}": one.data for name, one in made.items()}

@@ -290,3 +290,23 @@ def test_waveforms_of_all_channels(scanner: Path) -> None:
         assert Path(f"d_{axis}.bin").stat().st_size == 2 * volts.shape[0]
     refused(2, *words, "uint16", "--volts", "0:10")
     refused(3, *words, "npy", "--v-max", "y=5", "-o", "e.npy")
+
+
+def test_report_of_every_channel(scanner: Path) -> None:
+    played = drives_of("--summary", "sum.json")
+    measured = {f"m{axis}_um": played[f"desired_{axis}_um"] + 0.01 for axis in "xy"}
+    drives = {f"v{axis}_V": played[f"voltage_{axis}_V"] for axis in "xy"}
+    columns = {"time_s": played["time_s"], **measured, **drives}
+    write("track.csv", ",".join(columns), *columns.values())
+    words = ("report", "track.csv", "--measured", "m{}", "--voltage", "v{}")
+    by_model = done(*words, "--model", "scanner.json", "--format", "json").json
+    for axis in "xy":
+        assert by_model["reports"][axis]["format"] == "dbo-report"
+    words = (*words, "--trajectory", "d.csv", "--desired", "desired_{}_um")
+    outcome = done(*words, "--expected", "sum.json", "-o", "r.txt")
+    text = Path("r.txt").read_text()
+    assert "channel x" in text and "channel y" in text and "0.01" in text
+    assert len([line for line in outcome.said if " y: " in f" {line}"]) == 1
+    done(*words, "-o", "r.html")
+    assert Path("r_x.html").exists() and Path("r_y.html").exists()
+    assert dbo(*words, "--max-rmse", "5nm", "-o", "r.txt").code == 3
