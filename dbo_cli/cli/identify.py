@@ -176,7 +176,9 @@ def relaxation_of(text: str) -> Any:
     """Return time constants in s, 0 for none, or ``auto``."""
     if text == "auto":
         return "auto"
-    constants = [opt.quantity("relaxation", part, "s") for part in text.split(",")]
+    constants = [
+        opt.quantity("relaxation", constant, "s") for constant in text.split(",")
+    ]
     if len(constants) > 1 and 0.0 in constants:
         raise UsageError(f"`relaxation` {text}: give times above 0 s, or 0 alone")
     return tuple(constants)

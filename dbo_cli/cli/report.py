@@ -81,11 +81,11 @@ def report(
         raise UsageError("give either `model` or `trajectory`")
     opt.require("model", model, {"state": state != "auto"})
     opt.require("trajectory", trajectory, {"match": match != "auto"})
-    most = None
+    largest = None
     if max_rmse is not None:  # a wrong word is refused before any work
-        most, _ = split_quantity(max_rmse, "max_rmse")
-    most_percent = opt.number("max_nrmse_percent", max_nrmse_percent, float)
-    for name, bound in (("max_rmse", most), ("max_nrmse_percent", most_percent)):
+        largest, _ = split_quantity(max_rmse, "max_rmse")
+    percent_bound = opt.number("max_nrmse_percent", max_nrmse_percent, float)
+    for name, bound in (("max_rmse", largest), ("max_nrmse_percent", percent_bound)):
         if bound is not None and bound < 0.0:
             raise UsageError(f"`{name}` {bound:g}: give 0 or more")
     # a lag, a model and a match by rows need the rows around those that count
@@ -95,7 +95,7 @@ def report(
     if model is None:
         roles["desired"] = desired
     asked = Asked(logs, reading, rows, trajectory, match, lag, remove_offset, max_rmse,
-                  most_percent)  # fmt: skip
+                  percent_bound)  # fmt: skip
     kind = opt.form_of(form, output)
     if not channels.is_pattern(roles):
         actuator = None if model is None else read_model(model)
