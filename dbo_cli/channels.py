@@ -110,13 +110,7 @@ def models_of(path: str, channels: Iterable[str]) -> dict[str, Cascade]:
     if not is_set(path):
         model = read_model(path)
         return dict.fromkeys(channels, model)
-    models = read_models(path)
-    for name in channels:
-        if name not in models:
-            raise ModelError(
-                f"{path}: no model for channel {name}; models: {', '.join(models)}"
-            )
-    return {name: models[name] for name in channels}
+    return read_models(path, list(channels))
 
 
 # --- what is typed for a channel, or for all ---
