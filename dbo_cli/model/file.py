@@ -8,7 +8,7 @@ an actuator was left, so that the next run goes on from there.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from itertools import chain, groupby, pairwise
 from pathlib import Path
@@ -58,7 +58,7 @@ def read_model(path: str) -> Cascade:
     return parse_model(values, name)
 
 
-def read_models(path: str, only: Sequence[str] | None = None) -> dict[str, Cascade]:
+def read_models(path: str, only: list[str] | None = None) -> dict[str, Cascade]:
     """Read a set of models, or those of some channels: by channel (errors as of ``read_model``)."""
     name, values = fields.load(path, "model")
     models = {}
