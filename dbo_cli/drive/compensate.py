@@ -169,7 +169,7 @@ class Driver:
         """
         if self._ahead is None:
             raise InputError(f"{self.name}: has no rows")
-        parts = [self._driven(*block) for block in self._ahead.rest()]
+        parts = [self._driven(*block) for block in self._ahead.remaining()]
         self._require_longer_than_delay()
         self._require_reached()
         voltage = self.way_back()
@@ -220,7 +220,7 @@ class Driver:
             )
         model = self.model
         plan = loops.plan_loop(
-            model, self.limits, target, dt, self.lead, passes, self.name
+            model, self.limits, target, dt, self.lead, passes, self.name, self.hold
         )
         run, state = plan.settled.run, plan.settled.before
         self._clip(desired, plan.target, run, state, dt)

@@ -387,6 +387,11 @@ def read_history(path: str) -> tuple[PassRecord, ...]:
     if not os.path.exists(path):
         return ()
     name, values = fields.load(path, "history")
+    return parse_history(values, name)
+
+
+def parse_history(values: object, name: str = "the history") -> tuple[PassRecord, ...]:
+    """Return the passes that JSON values describe, the oldest first (ModelError: they do not)."""
     try:
         content = fields.contents(values, "", FORMAT, "a history")
         passes: tuple[PassRecord, ...] = fields.build(

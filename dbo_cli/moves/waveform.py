@@ -30,6 +30,8 @@ class Waveform(NamedTuple):
         Points a second.
     line, codes : str
         What has to be set at the generator, and what its codes mean.
+    values : array of shape (points,)
+        The volts or codes in ``data``.
     """
 
     data: bytes
@@ -37,6 +39,7 @@ class Waveform(NamedTuple):
     rate: float
     line: str
     codes: str = ""
+    values: NDArray[np.float64 | np.int64] = np.zeros(0)
 
 
 def waveform(
@@ -139,7 +142,16 @@ def waveform(
         )
     Gate(allowed).admit(heard, 1.0 / rate, "return")
     data = form.write(Signal(values, rate, ends))
-    return Waveform(data, heard, rate, _line(heard, rate, gain, moved), meaning)
+    line = _line(heard, rate, gain, moved)
+    return Waveform(data, heard, rate, line, meaning, values)
+
+
+def side_by_side(channels: Sequence[Waveform], to: str) -> bytes | None:
+    """Return the file of several channels; None where the format ``to`` holds one."""
+    if not FORMATS[to].holds_channels:
+        return None
+    values = np.column_stack([channel.values for channel in channels])
+    return FORMATS[to].write(Signal(values, channels[0].rate, (0.0, 0.0)))
 
 
 def _check_codes(form: Format, to: str, codes: Span | None, volts: Span | None) -> None:
