@@ -52,9 +52,9 @@ class _Command:
             names = self.inputs.get(output.identity or (0, 0), {})
             for kind, name in names.items():
                 if kind != output.replaces:
-                    place = "standard output" if output.is_stdout else output.path
+                    shown = "standard output" if output.is_stdout else output.path
                     raise OutputError(
-                        f"{place}: this is the {kind} {name}, which is read: write to another file"
+                        f"{shown}: this is the {kind} {name}, which is read: write to another file"
                     )
 
 
@@ -127,9 +127,9 @@ def check_outputs(*paths: str | None, **replacing: str | None) -> None:
         or a path is an input.
     """
     outputs = Outputs()
-    wanted = [(path, "") for path in paths]
-    wanted += [(path, kind) for kind, path in replacing.items()]
-    for path, kind in wanted:
+    kinds = [(path, "") for path in paths]
+    kinds += [(path, kind) for kind, path in replacing.items()]
+    for path, kind in kinds:
         if path is not None:
             outputs.add(path, kind)
 
@@ -366,8 +366,8 @@ def telling(path: str) -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as problem:
-        place = "standard output" if path == "-" else path
+        shown = "standard output" if path == "-" else path
         reason = f"cannot be written: {problem.strerror or problem}"
         if problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             reason = "the disk is full, so nothing was written: free some space, or write elsewhere"
-        raise OutputError(f"{place}: {reason}") from None
+        raise OutputError(f"{shown}: {reason}") from None

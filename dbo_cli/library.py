@@ -75,8 +75,10 @@ class Fit(TypedDict, total=False):
     """The figures of an identification; lengths in the unit of the model's output.
 
     ``rmse`` on the logs, ``left_out_rmse`` on parts left out, ``expected_rmse`` on a new
-    move with an unknown past, ``line_rmse`` of a straight line; ``fastest`` drive per s
-    and ``longest_rest`` (s) of the logs.
+    move with an unknown past, ``noise_rms`` of the sensor, which is in none of these two;
+    ``line_rmse`` of a straight line on the logs, ``left_out_line_rmse`` on parts left
+    out; ``unexplained`` share of the displacement within swings. ``fastest`` drive per s,
+    ``longest_rest`` and ``longest_swing`` (s) of the logs.
     """
 
     method: str
@@ -84,9 +86,13 @@ class Fit(TypedDict, total=False):
     rmse: float
     line_rmse: float
     left_out_rmse: float
+    left_out_line_rmse: float
+    unexplained: float
+    noise_rms: float
     expected_rmse: float | None
     fastest: float | None
     longest_rest: float | None
+    longest_swing: float | None
     sample_period: float | None
     one_amplitude: bool
     swings: float

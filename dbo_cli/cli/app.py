@@ -195,8 +195,8 @@ def _explained(problem: BaseException, words: Sequence[str]) -> tuple[int, str]:
         )
         return WRONG_COMMAND_LINE, f"{_refused(problem)} (dbo {command})"
     if isinstance(problem, OSError):
-        place = f"{problem.filename}: " if problem.filename else ""
-        return 1, f"{place}{problem.strerror or problem}"
+        filename = f"{problem.filename}: " if problem.filename else ""
+        return 1, f"{filename}{problem.strerror or problem}"
     if isinstance(problem, MemoryError):
         return 1, "out of memory: take a part of the log with `rows` A:B"
     kind = type(problem).__name__
@@ -206,16 +206,16 @@ def _explained(problem: BaseException, words: Sequence[str]) -> tuple[int, str]:
 def _refused(problem: Any) -> str:
     """Return why typer refused the command line, with the option that is most like an unknown one."""
     if hasattr(problem, "possibilities"):
-        near = _nearest(problem.option_name, problem.possibilities or [])
-        return f"no such option: {problem.option_name}{near}"
+        closest = _nearest(problem.option_name, problem.possibilities or [])
+        return f"no such option: {problem.option_name}{closest}"
     text: str = problem.format_message().replace("Value error, ", "")
     return text[:1].lower() + text[1:].rstrip(".")
 
 
 def _nearest(word: str, names: Sequence[str]) -> str:
     """Return a question for the name that is most like a word; empty where none is."""
-    near = difflib.get_close_matches(word, names, 1, 0.7)
-    return f"; did you mean {near[0]}?" if near else ""
+    closest = difflib.get_close_matches(word, names, 1, 0.7)
+    return f"; did you mean {closest[0]}?" if closest else ""
 
 
 # --- what belongs to the process ---

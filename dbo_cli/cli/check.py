@@ -63,7 +63,7 @@ def check(
     unit = log.columns["voltage"].unit
     limits = limits_in(unit, v_min, v_max, max_slew)
     position = None if start is None else parse_quantity(start, unit, "from", 0.0)
-    allowed, slack, played = None, 0.0, signal["voltage"] * gain
+    allowed, slack, recorded = None, 0.0, signal["voltage"] * gain
     if against is not None:
         roles: dict[str, str | None] = {"time": None, "voltage": None}
         meant, _ = read_drive(against, Reading(), roles, unit)
@@ -71,7 +71,7 @@ def check(
             allowed = parse_quantity(tolerance, unit, "tolerance", 0.0)
             if allowed < 0.0:
                 raise UsageError(f"`tolerance` {tolerance}: give 0 or more")
-        slack = tolerance_of(meant["voltage"], played, allowed) / abs(gain)
+        slack = tolerance_of(meant["voltage"], recorded, allowed) / abs(gain)
     checked = check_drive(
         signal["voltage"],
         signal.time,
@@ -84,7 +84,7 @@ def check(
     )
     if against is not None:
         steps = (step_of(meant), step_of(signal))
-        check_played(checked, meant["voltage"], played, steps, allowed)
+        check_played(checked, meant["voltage"], recorded, steps, allowed)
     is_json = opt.form_of(form, output) == "json"
     write_text(output, checked.json() if is_json else checked.text())
     detail(*log.doubtful)

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import option
 from dbo_cli.cli.say import say_logs, working
-
-if TYPE_CHECKING:
-    pass
 
 
 def compare(

@@ -46,7 +46,7 @@ def export(
     if output == "-":
         raise UsageError("`output` -: give the name of a folder")
     actuator = read_model(model).forward()
-    made = export_model(
+    result = export_model(
         actuator,
         Limits.within(actuator.input, v_min, v_max, max_slew),
         name=name,
@@ -55,8 +55,8 @@ def export(
         gears=gears,
         lookup=lookup,
     )
-    write_folder(output, made.files, made.figures)
-    figures = made.figures
+    write_folder(output, result.files, result.figures)
+    figures = result.figures
     line = f"{figures['gears']:,} gears in {arithmetic}"
     if figures["ahead"]:
         line += f", {figures['ahead']} samples ahead"

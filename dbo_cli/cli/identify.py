@@ -105,8 +105,8 @@ def identify(
         channels.refuse({"summary": summary})
         models = {}
         for name in channels.names(logs, reading, columns):
-            chosen = channels.filled(columns, name)
-            model, recordings, _ = identified(logs, tests, reading, chosen, options)
+            selected = channels.filled(columns, name)
+            model, recordings, _ = identified(logs, tests, reading, selected, options)
             models[name] = model
             detail(f"{name}: {describe(model, recordings)}")
         write_text(output, dumps_set(models))
@@ -166,7 +166,9 @@ def relaxation_of(text: str) -> Any:
     """Return time constants in s, 0 for none, or ``auto``."""
     if text == "auto":
         return "auto"
-    constants = [opt.quantity("relaxation", part, "s") for part in text.split(",")]
+    constants = [
+        opt.quantity("relaxation", constant, "s") for constant in text.split(",")
+    ]
     if len(constants) > 1 and 0.0 in constants:
         raise UsageError(f"`relaxation` {text}: give times above 0 s, or 0 alone")
     return tuple(constants)

@@ -237,8 +237,8 @@ def number(name: str, text: str | None, kind: type, *words: str) -> Any:
         value = math.nan
     if math.isfinite(value):
         return value
-    wanted = ", ".join([*words, "a whole number" if kind is int else "a number"])
-    raise UsageError(f"`{name}` {text}: give {wanted}")
+    accepted = ", ".join([*words, "a whole number" if kind is int else "a number"])
+    raise UsageError(f"`{name}` {text}: give {accepted}")
 
 
 def quantity(name: str, text: str | None, unit: str | None, *words: str) -> Any:

@@ -82,11 +82,11 @@ def report(
         raise UsageError("give either `model` or `trajectory`")
     opt.require("model", model, {"state": state != "auto"})
     opt.require("trajectory", trajectory, {"match": match != "auto"})
-    most = None
+    largest = None
     if max_rmse is not None:  # a wrong word is refused before any work
-        most, _ = split_quantity(max_rmse, "max_rmse")
-    most_percent = opt.number("max_nrmse_percent", max_nrmse_percent, float)
-    for name, bound in (("max_rmse", most), ("max_nrmse_percent", most_percent)):
+        largest, _ = split_quantity(max_rmse, "max_rmse")
+    percent_bound = opt.number("max_nrmse_percent", max_nrmse_percent, float)
+    for name, bound in (("max_rmse", largest), ("max_nrmse_percent", percent_bound)):
         if bound is not None and bound < 0.0:
             raise UsageError(f"`{name}` {bound:g}: give 0 or more")
     # a lag, a model and a match by rows need the rows around those that count
@@ -130,7 +130,7 @@ def report(
         remove_offset=remove_offset,
         expected=None if expected is None else expected_in(expected, unit),
         max_rmse=opt.quantity("max_rmse", max_rmse, unit),
-        max_nrmse_percent=most_percent,
+        max_nrmse_percent=percent_bound,
         voltage_unit=units.get("voltage"),
         labels=("desired" if actuator is None else "model", "measured"),
         model=actuator,

@@ -47,12 +47,12 @@ def say_output(output: str, text: str) -> None:
     say(f"{'stdout' if output == '-' else output}: {text}")
 
 
-def say_logs(logs: Sequence[Any], rows: int, behind: str = "") -> None:
+def say_logs(logs: Sequence[Any], rows: int, suffix: str = "") -> None:
     """Print what was read: a line a log, of more than two one line for all."""
-    lines = [log.line() + behind for log in logs]
+    lines = [log.line() + suffix for log in logs]
     if len(lines) > 2:
         detail(*lines)
-        lines = [f"{len(logs)} logs, {rows:,} rows{behind}"]
+        lines = [f"{len(logs)} logs, {rows:,} rows{suffix}"]
     for line in lines:
         say(line)
     for log in logs:
@@ -92,13 +92,13 @@ def print_line(text: str) -> None:
         pass
 
 
-def working(what: str) -> None:
+def working(task: str) -> None:
     """Say on a terminal what takes a while; the next line takes its place."""
     if sys.stderr.isatty() and not Level.quiet:
-        print(f"{ERASE}dbo: {what} ...", end="", file=sys.stderr, flush=True)
+        print(f"{ERASE}dbo: {task} ...", end="", file=sys.stderr, flush=True)
 
 
-def progress(blocks: Iterable[Block], what: str) -> Iterator[Block]:
+def progress(blocks: Iterable[Block], task: str) -> Iterator[Block]:
     """Hand blocks on, and say on a terminal how many rows have passed; a block has a length."""
     rows, last = 0, time.monotonic()
     for block in blocks:
@@ -106,4 +106,4 @@ def progress(blocks: Iterable[Block], what: str) -> Iterator[Block]:
         rows += len(block)  # type: ignore[arg-type]
         if time.monotonic() - last > PAUSE:
             last = time.monotonic()
-            working(f"{what} {rows:,} rows")
+            working(f"{task} {rows:,} rows")

@@ -64,8 +64,8 @@ def trajectory(
     models = [read_model(path) for path in model or []]
     for path, actuator in zip(model or [], models, strict=True):
         actuator.require("forward", path)
-    typed = opt.unit_behind(range_.rpartition(":")[2]) or UNIT
-    units = {actuator.output.unit for actuator in models} or {typed}
+    range_unit = opt.unit_behind(range_.rpartition(":")[2]) or UNIT
+    units = {actuator.output.unit for actuator in models} or {range_unit}
     if len(units) > 1:
         raise UsageError("`model`: the units differ; write one axis at a time")
     unit = units.pop()
@@ -73,7 +73,7 @@ def trajectory(
     limit = opt.quantity("bandwidth", bandwidth, "Hz")
     if limit is None:
         limit = trusted_frequency(models)
-    made = make(
+    move = make(
         shape,
         rate=opt.quantity("rate", rate, "Hz"),
         range=ends,
@@ -85,15 +85,15 @@ def trajectory(
         loop=loop,
         bandwidth=limit,
     )
-    if len(models) > len(made.axes):
+    if len(models) > len(move.axes):
         raise UsageError(f"`model`: a {shape} has one axis; give one model")
     if models:
-        check_reach(made, models)
-    names = ("displacement",) if len(made.axes) == 1 else ("x", "y")
+        check_reach(move, models)
+    names = ("displacement",) if len(move.axes) == 1 else ("x", "y")
     columns = [("time", "s"), *((name, unit) for name in names)]
     with create(output, columns) as table:
-        table.write(made.time, *made.axes)
+        table.write(move.time, *move.axes)
     rounded = "sharp corners (`bandwidth` HZ)"
     if limit is not None:
         rounded = f"rounded to {limit:.4g} Hz"
-    say_output(output, f"{made.time.size:,} rows, {made.note}; {rounded}")
+    say_output(output, f"{move.time.size:,} rows, {move.note}; {rounded}")

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.check import limits_in, read_drive, step_of
 from dbo_cli.cli.options import Text, flag, option
 from dbo_cli.cli.say import detail, say, say_output
 from dbo_cli.errors import InputError
-
-if TYPE_CHECKING:
-    pass
 
 
 def waveform(
@@ -61,7 +58,7 @@ def waveform(
         raise InputError(
             f"{drive}: needs an even clock: add `resample` HZ, or `sample_rate` HZ if it has none"
         )
-    made = make(
+    result = make(
         signal["voltage"],
         1.0 / step,
         to,
@@ -77,7 +74,7 @@ def waveform(
         doubts=log.doubtful,
     )
     with Outputs() as outputs:
-        outputs.write_bytes(output, made.data)
+        outputs.write_bytes(output, result.data)
     detail(*log.doubtful)
-    say_output(output, made.line)
-    say(made.codes)
+    say_output(output, result.line)
+    say(result.codes)

@@ -515,10 +515,11 @@ class Driver:
         beyond = judge.beyond_identified(limits, *figures.voltage_range)
         error = known = None
         if not beyond:
-            played = model, self._excerpt
-            error = judge.expected(*played, figures.past_known, figures.lead_rows, lost)
+            played, rest = (model, self._excerpt), (figures.lead_rows, lost)
+            saved = isinstance(self.lead.state, State)
+            error = judge.expected(*played, figures.past_known, saved, *rest)
             if error is not None and not figures.past_known:
-                known = judge.expected(*played, True, figures.lead_rows, lost)
+                known = judge.expected(*played, True, True, *rest)
         start = judge.start_warnings(
             model, limits, clipping, figures.missed, figures.off
         )

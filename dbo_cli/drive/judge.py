@@ -245,14 +245,18 @@ def expected(
     model: Cascade,
     excerpt: Excerpt,
     past_known: bool,
+    memory_known: bool,
     lead_rows: int,
     lost_rms: float,
 ) -> float | None:
-    """Return the error to expect of the move (RMS), with what is clipped; None where it is not known."""
+    """Return the error to expect of the move (RMS), with what is clipped; None where it is not known.
+
+    A sweep makes the past of the gears known, a state that of the memories, too.
+    """
     from dbo_cli.model.expect import expected_error
 
     voltage, dt = excerpt.played()
-    error = expected_error(model, voltage, dt, past_known, lead_rows)
+    error = expected_error(model, voltage, dt, past_known, lead_rows, memory_known)
     return None if error is None else math.hypot(error, lost_rms)
 
 

@@ -27,6 +27,8 @@ TAU_RATIO = 3.0  # of neighbouring time constants
 RISING = 1e-6  # of a step: what a clock that repeats stamps rises by at least
 BLOCK_ROWS = 4096  # of the full rate that are held at once
 LANES = 8  # plays in a group of the kernel
+PAST_GROUPS = 5  # of cells, each with a past of its own
+LEAST_PAST = 1e-3  # of the range: a past that adds less is none
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,7 @@ class Structure:
     bend : of the drive
     segments : of the curve
     drift : whether a straight drift in time is fitted beside the model
+    past : whether the unknown past of the gears is fitted beside it
     """
 
     slopes: str = "growing"
@@ -53,6 +56,7 @@ class Structure:
     bend: float = 0.0
     segments: int = SEGMENTS
     drift: bool = False
+    past: bool = False
 
 
 @dataclass(frozen=True)
@@ -199,6 +203,40 @@ def columns_of(log: PreparedLog, sums: Floats, cells: Cells, delay: float) -> Fl
     engaged = table[:, : plays - 1] - table[:, 1:plays]
     engaged[:, -1:] += beyond
     return np.hstack((engaged, lags, table[:, :1] + beyond - lags))
+
+
+def past_columns(log: PreparedLog, cells: Cells) -> Floats:
+    """Return what another past than the settled one may add to a log's output; (rows, k).
+
+    A play of reach r that begins at z0 is clip(z0, M - r, m + r), with the highest and
+    lowest drive M and m so far, until these are 2 r apart; then z0 is forgotten. A column
+    is the engaged parts of a group of cells after a drive from far below, or from far
+    above, less those of the settled start: a mean slope of 1 is the most that it can be
+    multiplied by. What stays to the end is an offset, which is taken off.
+    """
+    settled = plays_at_start(float(log.drive[0]), cells.reach)
+    group = np.arange(cells.count) * PAST_GROUPS // cells.count
+    columns = []
+    for side in (-1.0, 1.0):
+        plays = log.drive[0] + side * cells.reach
+        plays[-1] = settled[-1]
+        added = _unswept(log, cells.reach, plays) - _unswept(log, cells.reach, settled)
+        engaged = -np.diff(added, axis=1)
+        for number in range(PAST_GROUPS):
+            column = engaged[:, group == number].sum(axis=1)
+            column -= column[-1]
+            if np.abs(column).max() > LEAST_PAST:
+                columns.append(column)
+    return np.array(columns).reshape(-1, len(log.rows)).T
+
+
+def _unswept(log: PreparedLog, reach: Floats, start: Floats) -> Floats:
+    """Return plays of these reaches at the fitted rows, from a start; 0 once the drive has swept them."""
+    highest = np.maximum.accumulate(log.drive)[log.rows, None]
+    lowest = np.minimum.accumulate(log.drive)[log.rows, None]
+    unknown = highest - lowest < 2.0 * reach
+    plays = np.minimum(np.maximum(start, highest - reach), lowest + reach)
+    return np.where(unknown, plays, 0.0)
 
 
 def sums_of(log: PreparedLog, cells: Cells, taus: Floats, bend: float) -> Floats:

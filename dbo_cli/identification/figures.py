@@ -10,17 +10,23 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.arrays import Floats
+from dbo_cli.arrays import Floats, Integers
 from dbo_cli.errors import FitError, LimitError
-from dbo_cli.identification.distill import Average, invented_log
-from dbo_cli.identification.judge import error_left_out
+from dbo_cli.identification.averaging import Average, invented_log
+from dbo_cli.identification.basis import means
+from dbo_cli.identification.cross_validation import error_left_out, without_lost_offsets
 from dbo_cli.identification.problem import Problem, falling
 from dbo_cli.identification.recording import Options, Recording, Swings
 from dbo_cli.model import Cascade
 from dbo_cli.model.expect import expected_error, fastest_drive, longest_rest
+from dbo_cli.signals import noise
 
-NO_BETTER = 0.95  # of a straight line's error: above it there is nothing but a line
+NO_BETTER = 0.95  # of another error: above it there is nothing to be learnt
 FEW_SWINGS = 4  # fewer leave nothing that the rest holds, too
+GUESSED = (
+    2.0  # times the error left out: what is expected of moves that the logs do not show
+)
+MOST_DRIFT = 1.0  # of the range
 LARGE_DRIFT = 0.05  # of the range: no sensor's
 
 
@@ -37,15 +43,40 @@ def refuse_other_sign(logs: Sequence[Recording], options: Options) -> None:
 
 
 def stated(
-    model: Cascade, problem: Problem, average: Average, logs: Sequence[Recording]
+    model: Cascade,
+    problem: Problem,
+    average: Average,
+    logs: Sequence[Recording],
+    options: Options,
 ) -> Cascade:
     """Return the model with the error to expect on an invented move.
 
-    No part that was left out is predicted better than the logs are followed, row by row.
+    No part that was left out is predicted better than the logs are followed, row by row,
+    but for the sensor's noise.
+
+    Raises
+    ------
+    FitError
+        Parts left out are predicted no better than by a line or an offset, or not at all
+        within swings.
     """
+    left, line = left_out_rmse(problem, average), line_left_out(problem, average)
+    unexplained = unexplained_share(problem, average)
+    if not options.force:
+        refuse_no_better(left, line, logs)
+        _refuse_unrelated(unexplained, logs)
     followed = pooled([residual_of(model, log) for log in logs])
-    left = max(left_out_rmse(problem, average), followed)
-    figures = {"method": "least-squares", **model.fit, "left_out_rmse": left}
+    noise_of_sensor = noise_rms(model, logs)
+    figures = {
+        "method": "least-squares",
+        **model.fit,
+        "left_out_rmse": max(
+            left, math.sqrt(max(followed**2 - noise_of_sensor**2, 0.0))
+        ),
+        "left_out_line_rmse": line,
+        "unexplained": unexplained,
+        "noise_rms": noise_of_sensor,
+    }
     model = replace(model, fit=figures)
     invented = invented_log(problem)
     inside = np.clip(invented.drive, 0.0, 1.0)
@@ -60,11 +91,81 @@ def stated(
 
 def left_out_rmse(problem: Problem, average: Average) -> float:
     """Return the RMS over parts left out of what the mean prediction leaves of them, in the output's unit."""
-    left = []
-    for number in range(len(problem.parts)):
-        parts = [fit.left[number] for fit in average.fits]
-        left.append(np.einsum("k,kr->r", average.weights, np.stack(parts)))
-    return abs(problem.scale) * error_left_out(left)
+    left = [average.left(number) for number in range(len(problem.parts))]
+    return abs(problem.scale) * error_left_out(problem, left)
+
+
+def line_left_out(problem: Problem, average: Average) -> float:
+    """Return the same of a straight line, or of an offset where that is better.
+
+    Beside them stand what stands beside the heaviest fit: offsets of logs, and drifts.
+    """
+    drift = problem.drift(average.fits[0].structure.drift)
+    offset = np.column_stack((np.ones(len(drift)), drift))
+    drive = [means(log.drive, log.rows, log.ends) for log in problem.logs]
+    errors = []
+    for table in (offset, np.column_stack((offset, np.concatenate(drive)))):
+        left = []
+        for mask in problem.parts:
+            kept = ~mask
+            weights = np.linalg.lstsq(table[kept], problem.output[kept], rcond=None)[0]
+            error = problem.output - table @ weights
+            left.append(without_lost_offsets(error, mask, problem)[mask])
+        errors.append(error_left_out(problem, left))
+    return abs(problem.scale) * min(errors)
+
+
+def unexplained_share(problem: Problem, average: Average) -> float:
+    """Return what is left of parts left out over the output there, both less their mean over each swing.
+
+    Walks that have nothing to do with each other go along for a while, but not within a
+    swing. About 1: the displacement does not follow the drive. Windows from swing to
+    swing and from mid-swing to mid-swing; the smaller share counts.
+    """
+    left = [average.left(number) for number in range(len(problem.parts))]
+    shares = []
+    for late in (0.0, 0.5):
+        windows = _windows(problem, late)
+        squares = np.zeros(2)
+        for mask, error in zip(problem.parts, left, strict=True):
+            squares += (
+                _variance_within(error, windows[mask]),
+                _variance_within(problem.output[mask], windows[mask]),
+            )
+        shares.append(math.sqrt(squares[0] / max(squares[1], 1e-300)))
+    return min(shares)
+
+
+def _windows(problem: Problem, late: float) -> Integers:
+    """Return the number of each row's swing; swings begin a part ``late`` of themselves later."""
+    numbers, first = [], 0
+    for log, swings in zip(problem.logs, problem.swings, strict=True):
+        begins = swings.turns[:-1] + late * swings.rows
+        numbers.append(first + np.searchsorted(begins, log.rows, side="right"))
+        first += len(begins) + 1
+    return np.concatenate(numbers)
+
+
+def _variance_within(values: Floats, windows: Integers) -> float:
+    """Return the mean square of values less their mean over each window."""
+    _, place = np.unique(windows, return_inverse=True)
+    mean = np.bincount(place, values) / np.bincount(place)
+    return float(np.mean((values - mean[place]) ** 2))
+
+
+def noise_rms(model: Cascade, logs: Sequence[Recording]) -> float:
+    """Return the RMS of what is white in the residual: the sensor's noise.
+
+    Every second row of white noise is as rough as all rows, and of a random walk twice:
+    2 s_1^2 - s_2^2 leaves what walks to the actuator and the model.
+    """
+    squares = rows = 0.0
+    for log in logs:
+        left = (log.displacement - predicted(model, log))[log.usable]
+        white = 2.0 * noise(left) ** 2 - noise(left[::2]) ** 2
+        squares += len(left) * max(white, 0.0)
+        rows += len(left)
+    return math.sqrt(squares / rows)
 
 
 def measured(
@@ -73,13 +174,18 @@ def measured(
     """Return the model with its figures on the logs; refuse (FitError) what is no better than a line."""
     residuals = [residual_of(model, log) for log in logs]
     rmse, line = pooled(residuals), line_rmse(logs)
-    _refuse_no_better(rmse, line, logs, options)
-    speeds, rests = [], []
+    if not options.force:
+        if "left_out_line_rmse" not in model.fit:  # no part was left out
+            refuse_no_better(rmse, line, logs)
+        _refuse_drift(model, residuals)
+    speeds, rests, ways = [], [], []
     for log in logs:
         if log.time is not None:
             steps = np.diff(log.time)
             speeds.append(fastest_drive(log.voltage, steps))
             rests.append(longest_rest(log.voltage, steps))
+            turns = Swings.of(log.voltage).turns
+            ways.append(float(np.diff(log.time[turns]).max()))
     figures: dict[str, Any] = {
         **model.fit,
         "sign": model.sign,
@@ -87,6 +193,7 @@ def measured(
         "line_rmse": line,
         "fastest": max(speeds, default=None),
         "longest_rest": max(rests, default=None),
+        "longest_swing": max(ways, default=None),
         "sample_period": min((log.dt for log in logs if log.dt), default=None),
         "logs": residuals,
         "notes": list(notes),
@@ -95,23 +202,47 @@ def measured(
     return replace(model, fit={**figures, "warnings": found})
 
 
-def _refuse_no_better(
-    rmse: float, line: float, logs: Sequence[Recording], options: Options
-) -> None:
+def refuse_no_better(error: float, line: float, logs: Sequence[Recording]) -> None:
     """Refuse (FitError) a model that follows the logs no better than a straight line."""
-    if rmse <= NO_BETTER * line or options.force:
+    if error <= NO_BETTER * line:
         return
-    names = ", ".join(os.path.basename(log.name) for log in logs)
     raise FitError(
-        f"{names}: RMSE {rmse:.4g}, a straight line's is {line:.4g}: check columns and sensor, or "
+        f"{_names(logs)}: error {error:.4g}, a straight line's is {line:.4g}: check columns and sensor, or "
         "record more amplitudes (`force` keeps it)"
     )
+
+
+def _refuse_unrelated(unexplained: float, logs: Sequence[Recording]) -> None:
+    """Refuse (FitError) a displacement that does not follow the drive within its swings."""
+    if unexplained <= NO_BETTER:
+        return
+    raise FitError(
+        f"{_names(logs)}: within swings of the drive {min(unexplained, 1.0):.0%} of the displacement does "
+        "not follow it: check columns and clocks (`force` keeps it)"
+    )
+
+
+def _refuse_drift(model: Cascade, residuals: Sequence[dict[str, Any]]) -> None:
+    """Refuse (FitError) a drift that goes further than the drive moves the actuator."""
+    unit, span = model.output.suffix, model.output.span
+    for log in residuals:
+        if abs(log["drift"]) > MOST_DRIFT * span:
+            raise FitError(
+                f"{log['name']}: the displacement drifts by {log['drift']:.3g}{unit}, the drive moves it by "
+                f"{span:.3g}: check the columns, or warm up and record again (`force` keeps it)"
+            )
+
+
+def _names(logs: Sequence[Recording]) -> str:
+    """Return the names of the logs' files."""
+    return ", ".join(os.path.basename(log.name) for log in logs)
 
 
 def _warnings(model: Cascade, figures: dict[str, Any]) -> list[str]:
     """Return what to be careful about."""
     found = []
-    expected, line = figures.get("expected_rmse"), figures["line_rmse"]
+    expected = figures.get("expected_rmse")
+    line = figures.get("left_out_line_rmse", figures["line_rmse"])
     if figures.get("dynamics"):
         found += figures["dynamics"].get("warnings", [])
     if figures.get("one_amplitude"):

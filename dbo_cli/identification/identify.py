@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dbo_cli.errors import warn
+from dbo_cli.identification.averaging import Average, average_model, candidates
 from dbo_cli.identification.clean import clean
-from dbo_cli.identification.distill import Average, distill
 from dbo_cli.identification.fast import split
 from dbo_cli.identification.figures import (
     measured,
@@ -14,9 +14,9 @@ from dbo_cli.identification.figures import (
     stated,
 )
 from dbo_cli.identification.moving import moving
-from dbo_cli.identification.problem import prepare, without_unknown_past
+from dbo_cli.identification.problem import prepare
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.identification.search import Search, choices_for
+from dbo_cli.identification.search import FEWEST_SWINGS, Search, choices_for
 from dbo_cli.identification.stages import model_of
 from dbo_cli.identification.verdict import judged
 from dbo_cli.model import Cascade
@@ -54,7 +54,7 @@ def identify(
 
         model = rescale(options.prior, logs, options)
     else:
-        model, logs = _searched(logs, options, notes)
+        model = _searched(logs, options, notes)
     model = measured(model, logs, options, notes)
     model = judged(model, recordings, validation)
     for text in model.fit["warnings"]:
@@ -62,13 +62,10 @@ def identify(
     return model
 
 
-def _searched(
-    logs: Sequence[Recording], options: Options, notes: list[str]
-) -> tuple[Cascade, list[Recording]]:
-    """Return the model that structures judged on parts left out add up to, and its slow logs."""
+def _searched(logs: Sequence[Recording], options: Options, notes: list[str]) -> Cascade:
+    """Return the model that structures judged on parts left out add up to."""
     slow, fast = split(logs)
-    prepared = without_unknown_past(prepare(slow, options), notes)
-    problem, choices = choices_for(prepared, options)
+    problem, choices = choices_for(prepare(slow, options), options)
     search = Search(problem, choices)
     fits = search.run()
     moved = None
@@ -76,14 +73,13 @@ def _searched(
         moved = moving(problem, fits, slow, fast, options)
         problem, fits = moved.problem, moved.fits
     average = Average.of(fits)
-    fit = distill(problem, average)
-    others = average.heaviest()
-    if problem.one_amplitude and moved is None:
-        found = search.as_smooth(average.fits[0])
-        others = [(1.0 / len(found), other) for other in found]
-    model = model_of(problem, fit, slow[0], options, others)
+    fit = average_model(problem, average)
+    others = list(zip(average.weights.tolist(), average.fits, strict=True))
+    few = problem.one_amplitude or problem.different_swings < FEWEST_SWINGS
+    if few and moved is None:
+        others = search.unjudged(average.fits[0])
+    model = model_of(problem, fit, slow[0], options, candidates(others))
     if moved is not None:
         model = moved.applied(model)
     notes += average.words()
-    known = problem.known(slow)
-    return stated(model, problem, average, known), known
+    return stated(model, problem, average, slow, options)

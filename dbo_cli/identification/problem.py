@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,11 +16,12 @@ from dbo_cli.identification.basis import (
     PreparedLog,
     Structure,
     columns_of,
+    past_columns,
     sums_of,
     time_constants,
 )
 from dbo_cli.identification.recording import Options, Recording, Swings
-from dbo_cli.identification.solve import Rows, solve, times
+from dbo_cli.identification.solve import Rows
 
 SEARCH_ROWS = 900  # of all logs: means of more
 STEADY = 0.02  # of a swing's rows, over which a mean is taken at most
@@ -28,11 +30,11 @@ BLOCKS = 6  # of time, each left out in turn
 SMALL = 0.75  # of the largest swing: swings below are left out together
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 BOTH_WAYS = 2  # swings, up and down: less shows no loop
-NEAR_END = 0.02  # of the log's range
-MOST_EARLY = 0.25  # of a log's rows: of a shorter rest less is learnt than is lost
-STRANGE = 4.0  # mean square of early rows over that of the others
-PROBE = Structure("free", "t", smooth_slopes=2e-3, smooth_curve=1e-1)
-LEAST_PART, MOST_PART = 0.08, 0.9  # of the rows, of small swings that are left out
+KNOWN = (
+    0.005  # of the range: what an unknown past adds beside it lessens a row's weight
+)
+SAME_LEVEL = 0.1  # of the range: turns that are nearer are alike
+LEAST_PART, MOST_PART = 0.08, 0.9  # of the way, of small swings that are left out
 
 
 @dataclass
@@ -86,6 +88,15 @@ class Problem:
         return sum(len(swings.sizes) for swings in self.swings)
 
     @cached_property
+    def different_swings(self) -> int:
+        """How many swings differ in a turn: one that is repeated tells nothing new."""
+        different: set[tuple[float, float]] = set()
+        for log, swings in zip(self.logs, self.swings, strict=True):
+            levels = np.round(log.drive[swings.turns] / SAME_LEVEL).tolist()
+            different |= set(pairwise(levels))
+        return len(different)
+
+    @cached_property
     def swing(self) -> float:
         """Seconds that a swing usually takes, the mean over all logs weighted by rows."""
         seconds, weights = [], []
@@ -105,18 +116,46 @@ class Problem:
         return small
 
     @cached_property
+    def smaller_share(self) -> float:
+        """The share of the smaller loops in the way of the drive: a rest is no way."""
+        ways = []
+        for log in self.logs:
+            drive = log.drive[log.rows]
+            ways.append(np.abs(np.diff(drive, prepend=drive[0])))
+        way = np.concatenate(ways)
+        return float(way[self.smaller].sum() / way.sum())
+
+    @cached_property
+    def past(self) -> Floats:
+        """What an unknown past of each log may add to the fitted rows; (rows, k)."""
+        owner, columns = self.owner, []
+        for place, log in enumerate(self.logs):
+            table = past_columns(log, self.cells)
+            padded = np.zeros((len(owner), table.shape[1]))
+            padded[owner == place] = table
+            columns.append(padded)
+        return np.hstack(columns)
+
+    @cached_property
+    def known(self) -> Floats:
+        """The weight of each row among those left out: the less, the more of an unknown past may show."""
+        variance = np.sum(self.past**2, axis=1)
+        weight: Floats = KNOWN**2 / (KNOWN**2 + variance)
+        return weight
+
+    @cached_property
     def parts(self) -> list[Booleans]:
         """What is left out in turn, masks over the fitted rows: blocks of time, and the smaller loops.
 
         Smaller loops stay where the rest would show no way up and down.
         """
-        count = len(self.output)
-        block = np.arange(count) * BLOCKS // count
+        before = np.cumsum(self.known) - self.known
+        block = (before * BLOCKS / self.known.sum()).astype(np.int64)
         parts = [block == number for number in range(BLOCKS)]
-        many = LEAST_PART < self.smaller.mean() < MOST_PART
+        many = LEAST_PART < self.smaller_share < MOST_PART
         if many and self.swing_count > BOTH_WAYS:
             parts.append(self.smaller)
-        return parts
+        return [part for part in parts if part.any()]
 
     @cached_property
     def groups(self) -> tuple[Booleans, Integers]:
@@ -128,7 +167,7 @@ class Problem:
     @property
     def one_amplitude(self) -> bool:
         """Whether all swings go over one range, so that other amplitudes cannot be left out and judged."""
-        few = float(self.smaller.mean()) <= LEAST_PART
+        few = self.smaller_share <= LEAST_PART
         return few and self.swing_count >= BOTH_WAYS
 
     def columns(self, structure: Structure) -> Floats:
@@ -167,23 +206,17 @@ class Problem:
 
     def rows(self, structure: Structure) -> Rows:
         """Return the rows that a structure is fitted to."""
+        drift = self.drift(structure.drift)
+        past = self.past if structure.past else self.past[:, :0]
         return Rows(
             self.columns(structure),
             self.output,
             np.full(len(self.output), 1.0 / len(self.output)),
-            self.drift(structure.drift),
+            np.hstack((drift, past)),
             self.cells.shares,
             len(self.taus),
+            past.shape[1],
         )
-
-    def known(self, recordings: Sequence[Recording]) -> list[Recording]:
-        """Return the recordings with the rows that could be fitted: those of an unknown past do not count."""
-        logs = []
-        for recording, log in zip(recordings, self.logs, strict=True):
-            first = round(int(log.rows[0]) * len(recording.voltage) / len(log.drive))
-            late = np.arange(len(recording.voltage)) >= first
-            logs.append(replace(recording, good=recording.usable & late))
-        return logs
 
 
 def prepare(recordings: Sequence[Recording], options: Options) -> Problem:
@@ -276,62 +309,3 @@ def falling(recordings: Sequence[Recording]) -> bool:
         v, y = log.voltage[log.usable], log.displacement[log.usable]
         together += float(np.sum((v - v.mean()) * (y - y.mean())))
     return together < 0.0
-
-
-# --- the unknown past: rows at the beginning that tell of it, not of the actuator ---
-
-
-def without_unknown_past(problem: Problem, notes: list[str]) -> Problem:
-    """Return the problem without early rows that a fit to all others does not follow.
-
-    Until the drive has been at both ends of its range, the gears stand where an earlier
-    drive has left them.
-    """
-    early = [early_rows(log) for log in problem.logs]
-    if not any(rows.any() for rows in early):
-        return problem
-    later = _without(problem, early)
-    probe = PROBE if len(problem.taus) else replace(PROBE, memories="")
-    fit = solve(later.rows(probe), probe)
-    columns = problem.columns(probe)[:, : problem.cells.count + len(fit.gains)]
-    error = (
-        problem.output - fit.predict(columns) - times(problem.drift(False), fit.drift)
-    )
-    usual = float(np.mean(fit.error**2))
-    strange = []
-    for place, rows in enumerate(early):
-        left = error[problem.owner == place][rows]
-        if not rows.any() or float(np.mean(left**2)) <= STRANGE * usual:
-            strange.append(np.zeros(len(rows), bool))
-            continue
-        strange.append(rows)
-        log = problem.logs[place]
-        last = int(log.rows[rows][-1]) + 1
-        notes.append(
-            f"{log.name}: rows 1 to {last} left out: unknown past, before the drive was at both ends "
-            "of its range"
-        )
-    return _without(problem, strange)
-
-
-def early_rows(log: PreparedLog) -> Booleans:
-    """Return which fitted rows come before the drive has been at both ends; none where they are too many."""
-    drive = log.drive[log.rows]
-    low, high = float(drive.min()), float(drive.max())
-    near = NEAR_END * (high - low)
-    both = max(
-        int(np.argmax(drive <= low + near)), int(np.argmax(drive >= high - near))
-    )
-    early = np.arange(len(drive)) < both
-    again = np.ptp(drive[both:]) >= (1.0 - 2.0 * NEAR_END) * (high - low)
-    if both > MOST_EARLY * len(drive) or not again:
-        early[:] = False
-    return early
-
-
-def _without(problem: Problem, early: list[Booleans]) -> Problem:
-    """Return the problem without these of its fitted rows."""
-    logs = []
-    for log, rows in zip(problem.logs, early, strict=True):
-        logs.append(replace(log, rows=log.rows[~rows], ends=log.ends[~rows]))
-    return replace(problem, logs=tuple(logs))

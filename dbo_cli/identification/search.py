@@ -9,7 +9,7 @@ import numpy as np
 
 from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import SEGMENTS, Structure
-from dbo_cli.identification.judge import judge, least_score
+from dbo_cli.identification.cross_validation import cross_validate, least_score
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options
 from dbo_cli.identification.solve import Equations, Fit, solve
@@ -30,7 +30,8 @@ HOPELESS = 1.0  # of the score: a fit that is worse at best weighs nothing
 FEWEST_SWINGS = 4  # with fewer neither bend nor drift can be told from the loop
 ONE_WAY = 2  # swings, up and down once: a curve cannot be told from the loop, either
 SLOWEST = 3.0  # swings: the slowest memory that a log of one amplitude can tell
-OTHER_SMOOTHNESS = (0.01, 0.1, 1.0, 10.0, 100.0)  # of the candidates of one amplitude
+OTHER_SMOOTHNESS = (0.01, 0.1, 10.0, 100.0)  # of candidates that logs cannot judge
+OTHER_BENDS = (-0.25, 0.25)  # the same
 
 
 @dataclass(frozen=True)
@@ -158,38 +159,57 @@ class Search:
                 first = equations.solve(first)
                 if least_score(self.problem, first) > self.best + HOPELESS:
                     continue
-                judged = judge(self.problem, first, equations)
+                judged = cross_validate(self.problem, first, equations)
             except FitError:
                 continue
             self.best = min(self.best, judged.score)
             self.fits.append(judged)
 
-    def as_smooth(self, best: Fit) -> list[Fit]:
-        """Return fits of a structure with other smoothness of the slopes.
+    def unjudged(self, best: Fit) -> list[tuple[float, Fit]]:
+        """Return weight and fit of structures that the logs cannot tell from the best one.
 
-        Of one amplitude they explain the logs alike, and differ where the logs show
-        nothing: in smaller loops.
+        They explain the logs nearly alike, and differ where these show nothing: in smaller
+        loops, for one. The weight is the likelihood of a Gaussian error of one size a swing.
         """
-        fits = []
+        structure, problem = best.structure, self.problem
+        straight = np.isinf(structure.smooth_curve)
+        trials = [replace(structure, slopes=rule) for rule in RULES]
         for factor in OTHER_SMOOTHNESS:
-            smooth = factor * best.structure.smooth_slopes
-            structure = replace(best.structure, smooth_slopes=smooth)
-            fits.append(solve(self.problem.rows(structure), structure))
-        return fits
+            smooth = factor * structure.smooth_slopes
+            trials.append(replace(structure, smooth_slopes=smooth))
+        for bend in OTHER_BENDS:
+            trials.append(replace(structure, bend=structure.bend + bend))
+        curve = ONE_AMPLITUDE_CURVE if straight else np.inf
+        trials.append(replace(structure, smooth_curve=curve))
+        if len(problem.taus):
+            other = "" if structure.memories else "t"
+            trials.append(replace(structure, memories=other))
+        if problem.past.size:
+            trials.append(replace(structure, past=not structure.past))
+        weighted = []
+        for trial in dict.fromkeys(trials):
+            fit = solve(problem.rows(trial), trial)
+            share = min(best.rmse / max(fit.rmse, 1e-300), 1.0)
+            weighted.append((share**problem.different_swings, fit))
+        return weighted
 
     def _best_kinds(self) -> list[Fit]:
         """Return the best fit of each of the best kinds of slopes and memories."""
-        best: dict[tuple[str, str], Fit] = {}
+        best: dict[tuple[str, str, bool], Fit] = {}
         for fit in sorted(self.fits, key=lambda fit: fit.score):
-            best.setdefault((fit.structure.slopes, fit.structure.memories), fit)
+            kind = fit.structure
+            best.setdefault((kind.slopes, kind.memories, kind.past), fit)
         return list(best.values())
 
     def _neighbours(self, fit: Fit) -> None:
         """Fit what differs from a good fit in one thing."""
         structure, choices = fit.structure, self.choices
         trials = [replace(structure, bend=bend) for bend in (0.0, *choices.bends)]
+        trials += [replace(structure, smooth_curve=curve) for curve in choices.curves]
         if choices.drift:
             trials.append(replace(structure, drift=not structure.drift))
+        if self.problem.past.size:
+            trials.append(replace(structure, past=not structure.past))
         if choices.delay is None and self.problem.clock:
             dt, swing = self.problem.dt, self.problem.swing
             for part in DELAYS:
@@ -197,7 +217,7 @@ class Search:
                 trials.append(replace(structure, delay=steps * dt))
         for trial in trials:
             if trial != structure:
-                self.path(trial, [structure.smooth_curve])
+                self.path(trial, [trial.smooth_curve])
 
     def _finer_delay(self, factor: float) -> None:
         """Try a delay beside the best one."""

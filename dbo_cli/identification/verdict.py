@@ -34,21 +34,21 @@ def judged(
     logs, validation
         As they were read.
     """
-    stated = model.fit.get("expected_rmse")
+    expected = model.fit.get("expected_rmse")
     entries, warnings = [], list(model.fit.get("warnings", []))
     for log in validation:
         name = os.path.basename(log.name)
         error = (log.displacement - predicted(model, log))[log.usable]
         rmse, spread = math.sqrt(float(np.mean(error**2))), float(np.std(error))
         entries.append({"name": name, "rmse": rmse, "offset_free_rmse": spread})
-        if any(_is_same(log, other) for other in logs):
+        if any(_is_same(log, fitted) for fitted in logs):
             warnings.append(
                 f"{name}: a log of the fit validates nothing: record another one"
             )
-        if stated and spread >= BEYOND_STATED * stated:
+        if expected and spread >= BEYOND_STATED * expected:
             warnings.append(
-                f"{name}: {spread / stated:.2g} times the stated error: identify from a log like it, too, or "
-                "check that it is of this actuator"
+                f"{name}: {spread / expected:.2g} times the stated error: identify from a log like it, too, "
+                "or check that it is of this actuator"
             )
     if leads(logs):
         warnings.append(
@@ -75,8 +75,8 @@ def leads(logs: Sequence[Recording]) -> bool:
     """Return whether the displacement leads the drive: dampers do, and exchanged columns."""
     senses = []
     for log in logs:
-        drive, moved = log.voltage[log.usable], log.displacement[log.usable]
-        senses.append(loop_sense(drive, moved))
+        drive, output = log.voltage[log.usable], log.displacement[log.usable]
+        senses.append(loop_sense(drive, output))
     return float(np.mean(senses)) > LEADING
 
 
@@ -105,7 +105,7 @@ def loop_sense(drive: Floats, output: Floats) -> float:
     return rising * float(area.sum()) / size
 
 
-def _is_same(log: Recording, other: Recording) -> bool:
+def _is_same(log: Recording, second: Recording) -> bool:
     """Return whether two logs hold the same rows."""
-    same_drive = np.array_equal(log.voltage, other.voltage)
-    return same_drive and np.array_equal(log.displacement, other.displacement)
+    same_drive = np.array_equal(log.voltage, second.voltage)
+    return same_drive and np.array_equal(log.displacement, second.displacement)

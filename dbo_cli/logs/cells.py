@@ -120,33 +120,33 @@ class Marks:
     ----------
     is_clear
         Whether a cell has shown that they stand before decimals.
-    whole, grouped
+    plain, grouped
         The first cells of either kind, and their rows.
     """
 
     is_clear: bool = False
-    whole: tuple[int, str] | None = None
+    plain: tuple[int, str] | None = None
     grouped: tuple[int, str] | None = None
 
     def watch(self, row: int, cell: str) -> None:
         """Take the next cell into account."""
         if _WHOLE.fullmatch(cell):
-            self.whole = self.whole or (row, cell)
+            self.plain = self.plain or (row, cell)
         elif _GROUPED.fullmatch(cell):
             self.grouped = self.grouped or (row, cell)
         elif is_number(cell, ".") or is_number(cell, ","):
             self.is_clear = not self.is_doubtful(row)
 
-    def is_doubtful(self, row: int, most: int = MOST_DOUBTFUL) -> bool:
+    def is_doubtful(self, row: int, limit: int = MOST_DOUBTFUL) -> bool:
         """Return whether both kinds stand above a row, by more than so many rows."""
-        if self.whole is None or self.grouped is None:
+        if self.plain is None or self.grouped is None:
             return False
-        return row - max(self.whole[0], self.grouped[0]) > most
+        return row - max(self.plain[0], self.grouped[0]) > limit
 
     def refuse(self, name: str, column: Column) -> None:
         """Refuse a column whose marks are doubtful (InputError)."""
-        assert self.whole is not None and self.grouped is not None
+        assert self.plain is not None and self.grouped is not None
         raise InputError(
-            f"{name}: {column.label}: {self.grouped[1]} beside {self.whole[1]}: thousands or decimals? Type "
+            f"{name}: {column.label}: {self.grouped[1]} beside {self.plain[1]}: thousands or decimals? Type "
             "`decimal` point or comma, or write them without the mark"
         )

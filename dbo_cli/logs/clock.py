@@ -21,6 +21,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs.columns import TIME_NAMES, listed, named, words
 from dbo_cli.logs.table import Column, Reading, Table
+from dbo_cli.signals import even
 from dbo_cli.units import kind_of, multiplied, ratio, time_unit
 
 _KINDS = (None, "time", "count", "number of samples")  # what its unit may measure
@@ -42,9 +43,6 @@ _SAME = 0.01  # of a step
 _LONG_LOG = 3600.0  # s
 _LATEST = 1e8  # s, three years; a clock that counts a run never gets there
 _EPOCH = (1e9, 4.1e9)  # s since 1970: the years 2001 to 2100
-# steps are even where they differ by no more than this part of a step, or by the
-# rounding of the file's decimals
-_EVEN = 1e-6
 _GAP = 1.5  # usual steps
 
 
@@ -81,7 +79,7 @@ class Clock:
     column: Column | None = None
     factor: Fraction = Fraction(1)
     unit: str | None = None
-    given: bool = False
+    is_typed: bool = False
     rate: float | None = None
     start: float = 0.0
     rate_beside: float | None = None
@@ -137,12 +135,12 @@ class Clock:
             return None, None
         time = self._seconds(numbers, stored)
         steps = np.diff(time, prepend=self.last if self.rows else time[0])
-        known = steps if self.rows else steps[1:]
+        differences = steps if self.rows else steps[1:]
         if not self.rows:
             self.first = float(time[0])
-            steps[:1] = steps[1:2] if len(known) else 0.0
-        if len(known):
-            self._watch(known, time, numbers)
+            steps[:1] = steps[1:2] if len(differences) else 0.0
+        if len(differences):
+            self._watch(differences, time, numbers)
         self.rows += len(time)
         self.last = float(time[-1])
         return time, steps if self.step is None else self.step
@@ -170,8 +168,7 @@ class Clock:
                 f"{after:.9g} s: cut with `rows` A:B, or add `sample_rate` HZ"
             )
         if not self.uneven:
-            mean = float(steps.mean())
-            self.step = self._even_step(low, high, mean, time)
+            self.step = self._even_step(time, high)
             self.uneven = self.step is None
         if not self.usual_step:
             self.usual_step = self.step or float(np.median(steps))
@@ -185,36 +182,19 @@ class Clock:
             self.gaps += int(np.count_nonzero(gaps))
             self.largest_gap = max(self.largest_gap, high)
 
+    def _even_step(self, time: Floats, largest: float) -> float | None:
+        """Return the one step of rows that are even so far; None where they are not."""
+        if self.rate is not None:
+            return 1.0 / self.rate if largest < _GAP / self.rate else None
+        if self.rows:
+            time = np.concatenate([[self.last], time])
+        return even(time, self.step)
+
     @property
     def called(self) -> str:
         """How messages call the time column."""
         assert self.column is not None
         return f"{self.name}: the time {self.column.label}"
-
-    def _even_step(
-        self, low: float, high: float, mean: float, time: Floats
-    ) -> float | None:
-        """Return the one step of rows that are even to rounding; None where they are not."""
-        if self.rate is not None:
-            return 1.0 / self.rate if high < _GAP / self.rate else None
-        step = mean if self.step is None else self.step
-        off = max(high - step, step - low)
-        rounding = 4.0 * float(np.spacing(max(abs(time[0]), abs(time[-1]))))
-        if off > _EVEN * step + rounding:
-            rounding += self._resolution(time, step)
-        is_even = step > 0.0 and off <= _EVEN * step + rounding
-        return step if is_even else None
-
-    @staticmethod
-    def _resolution(time: Floats, step: float) -> float:
-        """Return the last decimal place of the times, where it is a small part of a step."""
-        times = time[:50]
-        for places in range(1, 13):
-            place = 10.0**-places
-            off = np.abs(times - np.round(times, places)).max()
-            if off < 1e-3 * place + 4.0 * np.spacing(np.abs(times).max()):
-                return 1.01 * place if place < 0.05 * step else 0.0
-        return 0.0
 
     def _require_seconds(self, reach: float) -> None:
         """Refuse figures without a unit that can hardly be seconds."""
@@ -222,22 +202,22 @@ class Clock:
             return
         is_epoch = _EPOCH[0] < self.first < _EPOCH[1]
         is_days = abs(86400.0 * self.usual_step - 1.0) < _SAME  # rows a second apart
-        beside = self.usual_step * (self.rate_beside or 0.0)
-        thousands = round(math.log10(beside) / 3.0) if beside else 0
-        if thousands and abs(beside / 1e3**thousands - 1.0) < _SAME:
-            odd = f"its steps contradict the stated rate by a factor of 1e{3 * abs(thousands)}"
+        samples = self.usual_step * (self.rate_beside or 0.0)
+        thousands = round(math.log10(samples) / 3.0) if samples else 0
+        if thousands and abs(samples / 1e3**thousands - 1.0) < _SAME:
+            reason = f"its steps contradict the stated rate by a factor of 1e{3 * abs(thousands)}"
         elif (
             self.usual_step >= _LONG_STEP
             or 0.0 < self.usual_step < _SHORT_STEP
             or is_days
         ):
-            odd = f"its usual step would be {self.usual_step:.4g} s"
+            reason = f"its usual step would be {self.usual_step:.4g} s"
         elif reach > _LATEST and not is_epoch:
-            odd = f"its stamps would reach {reach:.6g} s"
+            reason = f"its stamps would reach {reach:.6g} s"
         else:
             return
         raise InputError(
-            f"{self.called} has no unit: in seconds, {odd}: add `time_unit` s, ms, us, ns or d, or "
+            f"{self.called} has no unit: in seconds, {reason}: add `time_unit` s, ms, us, ns or d, or "
             "`sample_rate` HZ"
         )
 
@@ -256,7 +236,7 @@ class Clock:
             )
         span = self.last - self.first
         is_slow = self.usual_step >= _LONG_STEP and span >= _LONG_LOG
-        if self.kind == "column" and self.unit == "s" and not self.given and is_slow:
+        if self.kind == "column" and self.unit == "s" and not self.is_typed and is_slow:
             warn(
                 f"{self.called} in s makes steps of {self.usual_step:.6g} s and a log of "
                 f"{span / 3600.0:.3g} h: confirm with `time_unit` s, or type ms or us"
@@ -326,8 +306,8 @@ def find_clock(
             clock.remarks.append(f"`sample_rate` replaces {matches[0].label}")
         return clock
     if len(matches) > 1:
-        typed = [f"`time` {column.number} ('{column.name}')" for column in matches]
-        which = " or ".join(typed)
+        spelled = [f"`time` {column.number} ('{column.name}')" for column in matches]
+        which = " or ".join(spelled)
         raise InputError(
             f"{name}: which column is the time? Type {which}{source.hint}; columns of two clocks belong into "
             "two files (`clock_offset`)"
@@ -339,18 +319,20 @@ def find_clock(
 
 def _stated_clock(source: Table, reading: Reading) -> Clock:
     """Return the clock of a file without a time column."""
-    name, stated = source.name, source.stated
+    name, statement = source.name, source.stated
     if reading.time_unit is not None:
         raise InputError(
             f"{name}: `time_unit` {reading.time_unit}: no time column: "
             f"{listed(source.columns)} (`time` NAME or NUMBER)"
         )
-    if stated.problem:
-        raise InputError(f"{name}: {stated.problem}")
-    if stated.rate is None:
+    if statement.problem:
+        raise InputError(f"{name}: {statement.problem}")
+    if statement.rate is None:
         return Clock(name)
-    remarks = list(stated.remarks)
-    return Clock(name, "rate", rate=stated.rate, start=stated.start, remarks=remarks)
+    remarks = list(statement.remarks)
+    return Clock(
+        name, "rate", rate=statement.rate, start=statement.start, remarks=remarks
+    )
 
 
 def _time_columns(source: Table, used: Sequence[Column], needed: bool) -> list[Column]:
@@ -377,7 +359,7 @@ def _time_columns(source: Table, used: Sequence[Column], needed: bool) -> list[C
     return matches
 
 
-def _clock_of(source: Table, column: Column, typed: str | None) -> Clock:
+def _clock_of(source: Table, column: Column, spelled: str | None) -> Clock:
     """Return the clock of a time column.
 
     Raises
@@ -386,15 +368,15 @@ def _clock_of(source: Table, column: Column, typed: str | None) -> Clock:
         Its figures count something that is no known unit of time.
     """
     name = source.name
-    if column.kind == "stamp" and typed is not None:
+    if column.kind == "stamp" and spelled is not None:
         raise InputError(
             f"{name}: {column.label} holds time stamps: leave out `time_unit`"
         )
     if column.kind == "stamp":
         return Clock(name, "stamps", column, unit="s")
-    if typed is not None:
-        factor = parse_time_unit(typed)
-        return Clock(name, "column", column, factor, typed.strip(), given=True)
+    if spelled is not None:
+        factor = parse_time_unit(spelled)
+        return Clock(name, "column", column, factor, spelled.strip(), is_typed=True)
     unit = _stated_unit(name, column)
     clock = Clock(name, "column", column, ratio(unit, "s"), unit)
     clock.rate_beside = source.stated.rate
@@ -409,21 +391,22 @@ def _stated_unit(name: str, column: Column) -> str | None:
     InputError
         What it states is no unit of time.
     """
-    stated = column.unit
-    if stated is not None and stated.lower() not in _NO_UNIT:
-        unit = time_unit(stated.partition(" since ")[0])  # netCDF: s since 2026-01-02
+    statement = column.unit
+    if statement is not None and statement.lower() not in _NO_UNIT:
+        before, _, _ = statement.partition(" since ")  # netCDF: s since 2026-01-02
+        unit = time_unit(before)
     else:
         parts = words(column.quantity)
-        units = {time_unit(part) for part in parts if len(part) > 1} - {None, "min"}
+        units = {time_unit(word) for word in parts if len(word) > 1} - {None, "min"}
         if len(units) == 1:
             return units.pop()
         counted = sorted(parts & _COUNTED) or sorted(unit for unit in units if unit)
         if not counted:
             return None
-        unit, stated = None, counted[0]
+        unit, statement = None, counted[0]
     if unit is None:
         raise InputError(
-            f"{name}: {column.label}: '{stated}' is not a unit of time: type `time_unit` ms, 10us, "
+            f"{name}: {column.label}: '{statement}' is not a unit of time: type `time_unit` ms, 10us, "
             "..., or `sample_rate` HZ"
         )
     return unit

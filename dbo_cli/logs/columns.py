@@ -124,16 +124,16 @@ def role_of(role: str, unit: str | None) -> Role:
     kind = kind_of(unit)
     if role == "input":
         role = "trajectory" if kind in ("length", "angle", *MOVED_KINDS) else "voltage"
-    known = ROLES.get(role)
-    if known is None:
+    definition = ROLES.get(role)
+    if definition is None:
         raise UsageError(
             f"`{role}`: no such role; give voltage, displacement, desired or measured"
         )
-    if kind is None or kind in known.allowed:
-        return known
+    if kind is None or kind in definition.allowed:
+        return definition
     return replace(
-        known,
-        names=known.names | {kind},
+        definition,
+        names=definition.names | {kind},
         proving=frozenset((kind,)),
         more=frozenset(),
         allowed=frozenset((kind,)),
@@ -174,27 +174,27 @@ def named(source: Table, selector: str, option: str) -> Column:
         The number is not above 0.
     """
     name, columns = source.name, source.columns
-    how, _, rest = selector.partition("=")
-    typed = rest if how in ("number", "name") else selector
-    by_name = [] if how == "number" else _by_name(columns, typed)
+    how, _, remaining = selector.partition("=")
+    text = remaining if how in ("number", "name") else selector
+    by_name = [] if how == "number" else _by_name(columns, text)
     by_number: list[Column] = []
-    if how != "name" and re.fullmatch(r"[-+]?\d{1,9}", typed):
-        if int(typed) < 1:
-            raise UsageError(f"`{option}` {typed}: columns are counted from 1")
-        by_number = columns[int(typed) - 1 : int(typed)]
+    if how != "name" and re.fullmatch(r"[-+]?\d{1,9}", text):
+        if int(text) < 1:
+            raise UsageError(f"`{option}` {text}: columns are counted from 1")
+        by_number = columns[int(text) - 1 : int(text)]
     if by_name and by_number and by_name != by_number:
         raise InputError(
-            f"{name}: `{option}` {typed}: {by_number[0].label}, or {by_name[0].number}, which is named "
-            f"'{typed}'? (`{option}` number={typed} or `{option}` name={typed})"
+            f"{name}: `{option}` {text}: {by_number[0].label}, or {by_name[0].number}, which is named "
+            f"'{text}'? (`{option}` number={text} or `{option}` name={text})"
         )
     matches = by_number or by_name
     if len(matches) > 1:
         numbers = " or ".join(f"`{option}` {column.number}" for column in matches)
-        raise InputError(f"{name}: column '{typed}' occurs more than once ({numbers})")
-    column = matches[0] if matches else source.find(typed)
+        raise InputError(f"{name}: column '{text}' occurs more than once ({numbers})")
+    column = matches[0] if matches else source.find(text)
     if column is None:
         raise InputError(
-            f"{name}: no column '{typed}': {listed(columns)}{source.hint} (`{option}` NAME or NUMBER)"
+            f"{name}: no column '{text}': {listed(columns)}{source.hint} (`{option}` NAME or NUMBER)"
         )
     if column.kind in ("text", "empty"):
         raise InputError(
@@ -221,7 +221,7 @@ def _by_name(columns: Sequence[Column], selector: str) -> list[Column]:
 def choose(
     table: Table,
     selectors: Mapping[str, str | None],
-    taken: Sequence[Column],
+    clock_columns: Sequence[Column],
     units: Mapping[str, str],
     optional: Sequence[str],
 ) -> dict[str, Column]:
@@ -233,7 +233,7 @@ def choose(
         The columns.
     selectors
         What the user typed for each role, or None.
-    taken
+    clock_columns
         The columns of the clock.
     units
         What roles are wanted in.
@@ -245,44 +245,44 @@ def choose(
     InputError
         Several columns may be meant for a role, or none; or two roles share one.
     """
-    chosen: dict[str, Column] = {}
+    picks: dict[str, Column] = {}
     for role, selector in selectors.items():
         if selector is not None:
-            chosen[role] = named(table, selector, role)
-            if chosen[role].kind == "stamp":
+            picks[role] = named(table, selector, role)
+            if picks[role].kind == "stamp":
                 raise InputError(
-                    f"{table.name}: `{role}`: {chosen[role].label} holds time stamps"
+                    f"{table.name}: `{role}`: {picks[role].label} holds time stamps"
                 )
-    used = [*taken, *chosen.values()]
+    used = [*clock_columns, *picks.values()]
     unclear: dict[str, list[Column]] = {}
-    untyped = [role for role in selectors if role not in chosen]
+    untyped = [role for role in selectors if role not in picks]
     for role in sorted(untyped, key=lambda role: role in optional):
         if role in optional:
-            used = [*used, *chosen.values()]
+            used = [*used, *picks.values()]
         free = [column for column in table.columns if column not in used]
         matches = candidates(free, role_of(role, units.get(role)))
         if len(matches) == 1:
-            chosen[role] = matches[0]
+            picks[role] = matches[0]
         elif role not in optional:
             unclear[role] = matches
-    _refuse_shared(table.name, table.columns, chosen)
+    _refuse_shared(table.name, table.columns, picks)
     if unclear:
-        used = [*taken, *chosen.values()]
+        used = [*clock_columns, *picks.values()]
         free = [c for c in table.columns if c.kind == "number" and c not in used]
         if not all(unclear.values()):
-            untyped = [role for role in untyped if role in chosen]
-            unclear |= _rivals({role: chosen[role] for role in untyped}, free)
+            untyped = [role for role in untyped if role in picks]
+            unclear |= _rivals({role: picks[role] for role in untyped}, free)
         question = _question(table, unclear, free)
         raise InputError(f"{table.name}: {question}{table.hint}")
-    return {role: chosen[role] for role in selectors if role in chosen}
+    return {role: picks[role] for role in selectors if role in picks}
 
 
 def _rivals(
-    chosen: Mapping[str, Column], free: Sequence[Column]
+    picks: Mapping[str, Column], free: Sequence[Column]
 ) -> dict[str, list[Column]]:
     """Return the roles that a column might have which is left for another role."""
     rivals = {}
-    for role, column in chosen.items():
+    for role, column in picks.items():
         fitting = [c for c in free if kind_of(c.unit) in role_of(role, None).proving]
         if fitting:
             rivals[role] = [column, *fitting]
@@ -290,10 +290,10 @@ def _rivals(
 
 
 def _refuse_shared(
-    name: str, columns: Sequence[Column], chosen: Mapping[str, Column]
+    name: str, columns: Sequence[Column], picks: Mapping[str, Column]
 ) -> None:
     roles: dict[int, str] = {}
-    for role, column in chosen.items():
+    for role, column in picks.items():
         first = roles.setdefault(column.number, role)
         if first != role:
             raise InputError(
@@ -319,9 +319,9 @@ def _question(
     example = "NAME" if free else "FILE::COLUMN"
     if len(unclear) == 1:
         against = role_of(next(iter(unclear)), None).against
-        rest = [column for column in free if not words(column.name) & against]
-        if len(rest) == 1 and not _is_monotone(table, rest[0]):
-            example = _typed(rest[0], table.columns)
+        remaining = [column for column in free if not words(column.name) & against]
+        if len(remaining) == 1 and not _is_monotone(table, remaining[0]):
+            example = _typed(remaining[0], table.columns)
     options = " ".join(f"`{role}` {example}" for role in unclear)
     text = f"{' '.join(questions)} {listed(table.columns)} (for example {options})"
     patterns = [_pattern(matches) for matches in unclear.values()]
@@ -347,10 +347,10 @@ def _pattern(columns: Sequence[Column]) -> tuple[str, tuple[str, ...]]:
     """Return a name with ``{}`` for the channels that columns differ in, and these: ``V{}`` for V1, V2."""
     names = [column.name for column in columns]
     before = _common_start(names)
-    behind = _common_start([name[len(before) :][::-1] for name in names])[::-1]
-    stop = -len(behind) or None
+    after = _common_start([name[len(before) :][::-1] for name in names])[::-1]
+    stop = -len(after) or None
     channels = tuple(name[len(before) : stop] for name in names)
-    return f"{before}{{}}{behind}", channels if before or behind else ("",)
+    return f"{before}{{}}{after}", channels if before or after else ("",)
 
 
 def _common_start(names: Sequence[str]) -> str:
@@ -381,13 +381,13 @@ def candidates(columns: Sequence[Column], role: Role) -> list[Column]:
     preferred = [c for c in fitting if words(c.quantity) & role.preferred]
     if preferred:
         return preferred
-    whole = [c for c in fitting if c.quantity.lower() in role.names]
-    if any(len(c.quantity) > 1 for c in whole):
-        return whole
-    part = [c for c in fitting if words(c.quantity) & role.names]
+    exact = [c for c in fitting if c.quantity.lower() in role.names]
+    if any(len(c.quantity) > 1 for c in exact):
+        return exact
+    partial = [c for c in fitting if words(c.quantity) & role.names]
     proved = [c for c in fitting if kind_of(c.unit) in role.proving]
-    if part:
-        return [c for c in fitting if c in part or c in proved]
+    if partial:
+        return [c for c in fitting if c in partial or c in proved]
     free = [column for column in columns if _is_free(column, role)]
     if any(words(c.quantity) & role.names for c in free):
         return []  # the column of that name is in a unit that cannot be meant

@@ -261,10 +261,10 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
     weights = [_FADING**k for k in range(len(table))][::-1]
     shares: dict[int, float] = {}
     for cells, weight in zip(table, weights, strict=True):
-        filled = [cell for cell in cells if cell.lower() not in MISSING]
-        numbers = [cell for cell in filled if is_number(cell, sign)]
+        nonempty = [cell for cell in cells if cell.lower() not in MISSING]
+        numbers = [cell for cell in nonempty if is_number(cell, sign)]
         if numbers:
-            share = weight * len(numbers) / len(filled)
+            share = weight * len(numbers) / len(nonempty)
             shares[len(cells)] = shares.get(len(cells), 0.0) + share
     if not shares:
         return 0.0, layout
@@ -318,15 +318,15 @@ def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int
     refused, not passed over.
     """
     fitting = (k for k, n in enumerate(rows) if layout.fits(lines[n]))
-    place = next(fitting, None)
-    if place is None:
+    index = next(fitting, None)
+    if index is None:
         partly = (k for k, n in enumerate(rows) if layout.partly_fits(lines[n]))
-        place = next(partly, 0)
-    while place > 0 and layout.partly_fits(lines[rows[place - 1]]):
-        place -= 1
-    if lines[rows[min(place + 1, len(rows) - 1)]].rstrip().endswith(":"):
-        place = min(place + 2, len(rows) - 1)  # figures above "data:" are no row
-    return rows[place]
+        index = next(partly, 0)
+    while index > 0 and layout.partly_fits(lines[rows[index - 1]]):
+        index -= 1
+    if lines[rows[min(index + 1, len(rows) - 1)]].rstrip().endswith(":"):
+        index = min(index + 2, len(rows) - 1)  # figures above "data:" are no row
+    return rows[index]
 
 
 def _refuse_other_names(name: str, layout: Layout, lines: Sequence[str]) -> None:

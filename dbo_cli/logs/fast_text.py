@@ -66,9 +66,9 @@ def has_long_cell(text: bytes, delimiter: str) -> bool:
     """Return whether a cell has more than ``LONGEST_CELL`` bytes."""
     letters = np.frombuffer(text, np.uint8)
     is_end = letters == ord("\n")
-    whole = len(text) // STRETCH * STRETCH
-    stretches = is_end[:whole].view(np.uint64).reshape(-1, STRETCH // 8)
-    if whole and np.bitwise_or.reduce(stretches, axis=1).all():
+    length = len(text) // STRETCH * STRETCH
+    stretches = is_end[:length].view(np.uint64).reshape(-1, STRETCH // 8)
+    if length and np.bitwise_or.reduce(stretches, axis=1).all():
         return False
     is_end |= letters == ord(delimiter)
     ends = np.flatnonzero(is_end)
@@ -83,7 +83,7 @@ def _arrays(
     first_row: int,
 ) -> Arrays | None:
     """Read the columns; None where polars refuses, or a cell or a line is not regular."""
-    unclear = [number for number, known in marks.items() if not known.is_clear]
+    unclear = [number for number, mark in marks.items() if not mark.is_clear]
     schema: dict[str, Any] = {}
     for n in range(layout.width):
         is_plain = n in layout.numeric and n + 1 not in unclear

@@ -191,8 +191,10 @@ def stated_unit(values: Any, role: str) -> str | None:
     title = str(getattr(values, "name", None) or "")
     header = split_header(title)[1]
     if attrs is None:
-        own = None if title else getattr(values, "units", getattr(values, "unit", None))
-        return spell(header if own is None else str(own))
+        unit = (
+            None if title else getattr(values, "units", getattr(values, "unit", None))
+        )
+        return spell(header if unit is None else str(unit))
     units = attrs.get("units", attrs.get("unit"))
     if isinstance(units, Mapping):
         units = units[title] if title in units else header or units.get(role)

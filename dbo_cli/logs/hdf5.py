@@ -40,8 +40,8 @@ MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8"
 _EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
 
 
-def read(path: str, part: str, reading: Reading) -> Table:
-    """Read an HDF5 log; ``part`` is a group or a dataset, by its path.
+def read(path: str, inner: str, reading: Reading) -> Table:
+    """Read an HDF5 log; ``inner`` is a group or a dataset, by its path.
 
     Without it, the columns are those of the shallowest group that has any.
 
@@ -54,7 +54,7 @@ def read(path: str, part: str, reading: Reading) -> Table:
         file = h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE)
     try:
         with fenced(path, "HDF5"):
-            return Hdf5Table(path, part, file, bool(reading.scale))
+            return Hdf5Table(path, inner, file, bool(reading.scale))
     except BaseException:
         file.close()
         raise
@@ -105,11 +105,11 @@ class Hdf5Table(StoredTable):
     it is read, or warned of where the user types a scale (``is_scaled``).
     """
 
-    def __init__(self, path: str, part: str, file: Any, is_scaled: bool) -> None:
-        node = _node(path, file, part)
+    def __init__(self, path: str, inner: str, file: Any, is_scaled: bool) -> None:
+        node = _node(path, file, inner)
         if node is None:
             raise InputError(
-                f"{path}::{part}: no such part; the file has {_listed(file)}"
+                f"{path}::{inner}: no such part; the file has {_listed(file)}"
             )
         self._node = node
         self._is_scaled = is_scaled
@@ -119,17 +119,17 @@ class Hdf5Table(StoredTable):
             groups[0].take(node, name)
         else:
             groups = list(_groups(path, node, "", set()))
-        chosen = _holding(groups)
-        if not chosen:
+        holders = _holding(groups)
+        if not holders:
             raise no_columns(path, [_listed(file)])
         columns: list[StoredColumn] = []
-        for group in chosen:
-            columns += group.named(len(chosen) > 1)
+        for group in holders:
+            columns += group.named(len(holders) > 1)
         above = groups[0].statements or _attributes(file)
-        statements = [text for group in chosen for text in group.statements] or above
+        statements = [text for group in holders for text in group.statements] or above
         super().__init__(path, columns, statements, file.close)
-        if len(chosen) > 1:
-            self.hint = f" (or one group alone: {path}::{chosen[0].path})"
+        if len(holders) > 1:
+            self.hint = f" (or one group alone: {path}::{holders[0].path})"
 
     def find(self, name: str) -> Column | None:
         """Return the column that a dataset's path names, from the part that is read or from the top."""
@@ -171,8 +171,8 @@ def _node(path: str, base: Any, inner: str, hops: int = 0) -> Any:
                 f"{path}: '{inner}' links to another file: type {link.filename}"
             )
         if isinstance(link, h5py.SoftLink):
-            rest = "/".join([link.path, *steps[number + 1 :]])
-            return None if hops >= MOST_HOPS else _node(path, node, rest, hops + 1)
+            target = "/".join([link.path, *steps[number + 1 :]])
+            return None if hops >= MOST_HOPS else _node(path, node, target, hops + 1)
         if link is None:
             return None
         node = node[step]
@@ -337,13 +337,13 @@ def _attribute(node: Any, name: str) -> Any:
         value = node.attrs.get_id(name).asstr("latin-1")
     if value is None or isinstance(value, h5py.Empty):
         return []
-    return [_plain(part) for part in np.ravel(value)]
+    return [_plain(item) for item in np.ravel(value)]
 
 
 def _texts(node: Any, *names: str) -> list[str]:
     """Return the first of several attributes as texts; a text with commas is a list."""
     for name in names:
-        texts = [str(part).strip() for part in _attribute(node, name)]
+        texts = [str(item).strip() for item in _attribute(node, name)]
         if len(texts) == 1:
             return [text.strip() for text in texts[0].split(",")]
         if texts:
@@ -353,13 +353,13 @@ def _texts(node: Any, *names: str) -> list[str]:
 
 def _attributes(node: Any) -> list[Statement]:
     """Return what attributes state of the sample rate."""
-    stated: list[Statement] = []
+    statements: list[Statement] = []
     for key in node.attrs:
         values = _attribute(node, key) if is_clock_setting(key) else []
         if len(values) == 1:
             unit = _texts(node, f"{key}_units", f"{key}_unit")
-            stated.append((key, values[0], "".join(unit)))
-    return stated
+            statements.append((key, values[0], "".join(unit)))
+    return statements
 
 
 def _single_value(node: Any, name: str) -> list[Statement]:

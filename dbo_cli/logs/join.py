@@ -10,7 +10,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, warn
 from dbo_cli.logs.clock_offset import Pair, apart, find_offset
-from dbo_cli.logs.log import Log, TableLog
+from dbo_cli.logs.log import Log
 from dbo_cli.logs.table import Block
 
 SENSORS = ("displacement", "measured")  # the rows are those of their file
@@ -59,27 +59,27 @@ def joined(log: Log, second: Log, clock_offset: float | str | None) -> Log:
     base, guest = log, second
     if any(role in second.columns for role in SENSORS):
         base, guest = second, log
-    place = f"{base.name} and {guest.name}"
+    pair_name = f"{base.name} and {guest.name}"
     rows, table = base.read(), guest.read()
     time = _time_beside(base, guest, table, clock_offset)
     offset = None
     if clock_offset is None:
-        _warn_if_apart(place, rows, time, table)
+        _warn_if_apart(pair_name, rows, time, table)
     else:
-        seconds, deviation = _offset(place, rows, time, table, clock_offset)
+        seconds, deviation = _offset(pair_name, rows, time, table, clock_offset)
         offset = ClockOffset(guest.name, seconds, deviation, clock_offset == "auto")
         time = time + seconds
-    beside = _beside(rows, time, table, place)
+    matched = _beside(rows, time, table, pair_name)
     remarks = [*base.remarks, *guest.remarks]
-    if len(beside) < len(rows):
+    if len(matched) < len(rows):
         remarks.append(
-            f"{len(rows) - len(beside):,} rows of {base.name} left out: {guest.name} has none there"
+            f"{len(rows) - len(matched):,} rows of {base.name} left out: {guest.name} has none there"
         )
-    assert beside.time is not None
-    first, last = float(beside.time[0]), float(beside.time[-1])
-    clock = replace(base.clock, first=first, last=last, rows=len(beside))
+    assert matched.time is not None
+    first, last = float(matched.time[0]), float(matched.time[-1])
+    clock = replace(base.clock, first=first, last=last, rows=len(matched))
     columns = {**base.columns, **guest.columns}
-    result = TableLog(log.name, columns, beside, clock, remarks)
+    result = Log.in_memory(log.name, columns, matched, clock, remarks)
     result.doubtful = [*base.doubtful, *guest.doubtful]
     result.clock_offset = offset
     return result
@@ -89,10 +89,10 @@ def _time_beside(
     base: Log, log: Log, table: Block, clock_offset: float | str | None
 ) -> Floats:
     """Return a log's times on the clock of the base (InputError)."""
-    for part in (base, log):
-        if part.clock.kind == "none":
+    for member in (base, log):
+        if member.clock.kind == "none":
             raise InputError(
-                f"{part.name} has no clock to join by: add a time column, or `sample_rate` HZ if both "
+                f"{member.name} has no clock to join by: add a time column, or `sample_rate` HZ if both "
                 "have one rate"
             )
     assert table.time is not None
@@ -109,7 +109,7 @@ def _time_beside(
     )
 
 
-def _beside(rows: Block, time: Floats, table: Block, place: str) -> Block:
+def _beside(rows: Block, time: Floats, table: Block, pair_name: str) -> Block:
     """Put another log's signals beside rows, where it has some; none in its gaps.
 
     Raises
@@ -122,13 +122,13 @@ def _beside(rows: Block, time: Floats, table: Block, place: str) -> Block:
     covered = (at >= time[0]) & (at <= time[-1])
     if len(time) > 1:
         steps = np.diff(time)
-        behind = np.clip(np.searchsorted(time, at, side="right"), 1, len(time) - 1)
-        in_gap = steps[behind - 1] > GAP_STEPS * np.sort(steps)[len(steps) // 2]
-        is_stamp = (at == time[behind]) | (at == time[behind - 1])
+        following = np.clip(np.searchsorted(time, at, side="right"), 1, len(time) - 1)
+        in_gap = steps[following - 1] > GAP_STEPS * np.sort(steps)[len(steps) // 2]
+        is_stamp = (at == time[following]) | (at == time[following - 1])
         covered &= ~in_gap | is_stamp
     if not covered.any():
         raise InputError(
-            f"{place}: no time in common, {at[0]:.9g} to {at[-1]:.9g} s and {time[0]:.9g} to "
+            f"{pair_name}: no time in common, {at[0]:.9g} to {at[-1]:.9g} s and {time[0]:.9g} to "
             f"{time[-1]:.9g} s: try `clock_offset` {at[0] - time[0]:.9g}, or auto"
         )
     times = at[covered]
@@ -155,7 +155,7 @@ def _pair(rows: Block, time: Floats, table: Block) -> Pair | None:
 
 
 def _offset(
-    place: str, rows: Block, time: Floats, table: Block, typed: float | str
+    pair_name: str, rows: Block, time: Floats, table: Block, clock_offset: float | str
 ) -> tuple[float, float]:
     """Return the offset (s) that is typed, or that the signals show, and two standard deviations of it.
 
@@ -164,8 +164,8 @@ def _offset(
     InputError
         The signals do not show it.
     """
-    if typed != "auto":
-        return float(typed), 0.0
+    if clock_offset != "auto":
+        return float(clock_offset), 0.0
     try:
         pair = _pair(rows, time, table)
         if pair is None:
@@ -173,12 +173,12 @@ def _offset(
         fit = find_offset(pair)
     except InputError as problem:
         raise InputError(
-            f"{place}: `clock_offset` auto: {problem} (give SECONDS)"
+            f"{pair_name}: `clock_offset` auto: {problem} (give SECONDS)"
         ) from None
     return fit.offset, 2.0 * fit.deviation
 
 
-def _warn_if_apart(place: str, rows: Block, time: Floats, table: Block) -> None:
+def _warn_if_apart(pair_name: str, rows: Block, time: Floats, table: Block) -> None:
     """Warn where the drive explains the displacement much better when its clock is moved."""
     try:
         pair = _pair(rows, time, table)
@@ -187,6 +187,6 @@ def _warn_if_apart(place: str, rows: Block, time: Floats, table: Block) -> None:
     offset = 0.0 if pair is None else apart(pair)
     if offset:
         warn(
-            f"{place}: drive and sensor do not line up in time (by {offset:+.3g} s): try "
+            f"{pair_name}: drive and sensor do not line up in time (by {offset:+.3g} s): try "
             "`clock_offset` auto"
         )

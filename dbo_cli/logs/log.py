@@ -85,6 +85,22 @@ class Log:
         self._first_dropped = ""
         self._torn: tuple[int, str] | None = None
         self._count = 0
+        self._rows: Block | None = None
+
+    @classmethod
+    def in_memory(
+        cls,
+        name: str,
+        columns: Mapping[str, Column],
+        rows: Block,
+        clock: Clock,
+        remarks: list[str],
+    ) -> Log:
+        """Return a log of rows in memory, as a joined or resampled one is."""
+        scales = {role: (Fraction(1), column.unit) for role, column in columns.items()}
+        log = cls(Table(name), clock, columns, scales, Reading())
+        log.remarks, log._rows = remarks, rows
+        return log
 
     def provided(self, role: str) -> bool:
         """Return whether the log has a column for a role, or a clock for ``time``."""
@@ -122,6 +138,10 @@ class Log:
 
     def _blocks(self) -> Iterator[Block]:
         """Read the file once, in its own blocks."""
+        if self._rows is not None:
+            self._count = len(self._rows)
+            yield self._rows
+            return
         columns = list(self._picks.values())
         if self.clock.is_read and self.clock.column is not None:
             columns.append(self.clock.column)
@@ -172,12 +192,12 @@ class Log:
         good = ~np.logical_or.reduce(bad)
         at = int(np.argmin(good))
         column = columns[[bool(marks[at]) for marks in bad].index(True)]
-        place = self._source.where(int(numbers[at]), column)
+        location = self._source.where(int(numbers[at]), column)
         count = int(np.count_nonzero(~good))
         if not self._skip_bad:
             more = f", and {count - 1:,} more such rows near it" if count > 1 else ""
-            raise InputError(f"{place}{more} ({self._source.cure})")
-        self._first_dropped = self._first_dropped or place
+            raise InputError(f"{location}{more} ({self._source.cure})")
+        self._first_dropped = self._first_dropped or location
         self._dropped += count
         all_numbers, numbers = numbers, numbers[good]
         torn = list(self._source.torn)
@@ -194,10 +214,10 @@ class Log:
         """Refuse rows whose time is counted behind a line that may be no sample (InputError)."""
         if self._torn is None or self.clock.kind != "rate":
             return
-        row, place = self._torn
+        row, location = self._torn
         if numbers[-1] > row:
             raise InputError(
-                f"{place}: the time behind it is not known: cut with `rows` {self._first}:{row - 1}"
+                f"{location}: the time behind it is not known: cut with `rows` {self._first}:{row - 1}"
             )
 
     def _finish(self, rows: int) -> None:
@@ -240,27 +260,6 @@ class Log:
     def __exit__(self, *_: object) -> None:
         """Close the file."""
         self.close()
-
-
-class TableLog(Log):
-    """A log in memory, as a joined or resampled one is."""
-
-    def __init__(
-        self,
-        name: str,
-        columns: Mapping[str, Column],
-        table: Block,
-        clock: Clock,
-        remarks: list[str],
-    ) -> None:
-        scales = {role: (Fraction(1), c.unit) for role, c in columns.items()}
-        super().__init__(Table(name), clock, columns, scales, Reading())
-        self.remarks = remarks
-        self._table = table
-
-    def _blocks(self) -> Iterator[Block]:
-        self._count = len(self._table)
-        yield self._table
 
 
 def _is_good(array: NDArray[Any]) -> bool:
@@ -362,13 +361,13 @@ def _with_columns_of(
     with log:
         files = {text.rpartition("::")[0] for text in elsewhere.values()}
         if len(files) > 1:
-            listed = ", ".join(sorted(files))
+            listing = ", ".join(sorted(files))
             raise UsageError(
-                f"{log.name}: one more file, not {listed}: join them first"
+                f"{log.name}: one more file, not {listing}: join them first"
             )
         roles = {role: text.rpartition("::")[2] for role, text in elsewhere.items()}
-        whole = replace(reading, rows=None)
-        with _open_file(files.pop(), roles, whole, units, ()) as second:
+        uncut = replace(reading, rows=None)
+        with _open_file(files.pop(), roles, uncut, units, ()) as second:
             return joined(log, second, reading.clock_offset)
 
 
@@ -393,7 +392,7 @@ def _open_file(
 
 def open_table(name: str, reading: Reading) -> Table:
     """Open a file with the reader that its first bytes ask for (InputError)."""
-    path, _, part = name.partition("::")
+    path, _, inner = name.partition("::")
     note_input(path, "log")
     if os.path.isfile(path):
         try:
@@ -404,8 +403,8 @@ def open_table(name: str, reading: Reading) -> Table:
             raise InputError(f"{path}: cannot be read: {reason}") from None
         reader = reader_of(path, start)
         if reader is not None:
-            return reader(path, part, reading)
-    return text.read(path, part, reading)
+            return reader(path, inner, reading)
+    return text.read(path, inner, reading)
 
 
 def _chosen(
@@ -419,8 +418,8 @@ def _chosen(
     selectors = {role: text for role, text in roles.items() if role != "time"}
     used = [named(source, text, role) for role, text in selectors.items() if text]
     clock = find_clock(source, reading, roles.get("time"), used)
-    taken = [] if clock.column is None else [clock.column]
-    return clock, choose(source, selectors, taken, units, optional)
+    clock_columns = [] if clock.column is None else [clock.column]
+    return clock, choose(source, selectors, clock_columns, units, optional)
 
 
 def columns_of(

@@ -59,11 +59,11 @@ def read_header(
     InputError
         The last line above the rows has another number of cells than they have.
     """
-    beside = []
+    margin = []
     for line in rows[:_BESIDE]:
         cells = split_cells(line, layout.delimiter)[: min(layout.numeric)]
-        beside.append(layout.delimiter.join(cells))  # where Tektronix has its settings
-    settings = read_settings([*above, *beside], layout.delimiter)
+        margin.append(layout.delimiter.join(cells))  # where Tektronix has its settings
+    settings = read_settings([*above, *margin], layout.delimiter)
     if settings.get("X_Columns", [""])[0].lower() == "multi":
         raise InputError(
             f"{name}: each channel has an X column: export with X_Columns One or No"
@@ -169,8 +169,8 @@ def are_names(cells: Sequence[str]) -> bool:
     """Return whether all cells are texts, and most of them have a unit or a known word."""
     if any(_is_figure(cell) for cell in cells) or not all(cells):
         return False
-    known = [c for c in cells if split_header(c)[1] or words(c) & KNOWN_NAMES]
-    return 2 * len(known) > len(cells)
+    recognised = [c for c in cells if split_header(c)[1] or words(c) & KNOWN_NAMES]
+    return 2 * len(recognised) > len(cells)
 
 
 def _is_amount(cell: str) -> bool:
@@ -219,20 +219,20 @@ def _units_line(headers: Sequence[Sequence[str]]) -> int | None:
         if _are_units(cells):
             return k
     for k, cells in enumerate(headers[:-1]):
-        filled = [cell for cell in cells if cell.strip("()[]- ")]
-        known = [cell for cell in filled if parse_unit(cell) or time_unit(cell)]
-        is_long = any(len(spell(cell) or "") > 1 for cell in known)
-        if 2 * len(known) > len(filled) and is_long:
+        nonempty = [cell for cell in cells if cell.strip("()[]- ")]
+        recognised = [cell for cell in nonempty if parse_unit(cell) or time_unit(cell)]
+        is_long = any(len(spell(cell) or "") > 1 for cell in recognised)
+        if 2 * len(recognised) > len(nonempty) and is_long:
             return k
     return None
 
 
 def _are_units(cells: Sequence[str]) -> bool:
     """Return whether every filled cell is a known unit (a label in front and numbers aside)."""
-    filled = [cell for cell in cells if cell.strip("()[]- ")]
-    if filled and re.fullmatch(r"units?:?|sequence", filled[0].lower()):
-        filled = filled[1:]
-    texts = [cell for cell in filled if not is_number(cell, ".")]
+    nonempty = [cell for cell in cells if cell.strip("()[]- ")]
+    if nonempty and re.fullmatch(r"units?:?|sequence", nonempty[0].lower()):
+        nonempty = nonempty[1:]
+    texts = [cell for cell in nonempty if not is_number(cell, ".")]
     return bool(texts) and all(parse_unit(cell) or time_unit(cell) for cell in texts)
 
 
@@ -242,10 +242,10 @@ def _is_figure(cell: str) -> bool:
 
 def _refuse_unclear(name: str, above: Sequence[str], layout: Layout) -> None:
     """Refuse a last line above the rows that may be names for other columns, or a torn row."""
-    filled = [n for n, line in enumerate(above) if line.strip()]
-    if not filled or above[filled[-1]].strip()[0] in "#%":
+    nonempty = [n for n, line in enumerate(above) if line.strip()]
+    if not nonempty or above[nonempty[-1]].strip()[0] in "#%":
         return
-    last = filled[-1]
+    last = nonempty[-1]
     cells = split_cells(above[last].rstrip(f" {layout.delimiter}"), layout.delimiter)
     if len(cells) < 2 or is_setting(cells[0]):
         return
@@ -286,24 +286,24 @@ def _stated_by_channel(
     settings: dict[str, list[str]], keys: Collection[str], width: int
 ) -> list[str]:
     """Return what the last setting of a key states of each channel."""
-    stated: list[str] = []
+    statements: list[str] = []
     for key, values in settings.items():
-        filled = [value for value in values if value and value != key]
-        if plain_key(key) not in keys or not filled:
+        nonempty = [value for value in values if value and value != key]
+        if plain_key(key) not in keys or not nonempty:
             continue
-        stated = filled
+        statements = nonempty
         if len(values) + 1 == width and key in values:  # in the places of the columns
-            stated = ["" if value == key else value for value in (key, *values)]
-    return stated
+            statements = ["" if value == key else value for value in (key, *values)]
+    return statements
 
 
-def _give(cells: list[str], stated: Sequence[str], places: Sequence[int]) -> None:
+def _give(cells: list[str], statements: Sequence[str], places: Sequence[int]) -> None:
     """Give what is stated by channel to the columns of numbers; the first may be the time."""
-    if len(stated) == len(cells):
-        cells[:] = stated
-    elif stated and len(stated) in (len(places), len(places) - 1):
-        for place, text in zip(places[-len(stated) :], stated, strict=True):
-            cells[place] = text
+    if len(statements) == len(cells):
+        cells[:] = statements
+    elif statements and len(statements) in (len(places), len(places) - 1):
+        for index, text in zip(places[-len(statements) :], statements, strict=True):
+            cells[index] = text
 
 
 def describe_columns(table: Table, layout: Layout) -> None:
@@ -323,8 +323,13 @@ def describe_columns(table: Table, layout: Layout) -> None:
         elif n in layout.empty:
             kind = "empty"
         header, unit = layout.names[n], spell(layout.units[n])
-        stated = split_header(header)[1]
-        if stated and unit and stated != unit and kind_of(unit) == kind_of(stated):
+        unit_in_name = split_header(header)[1]
+        if (
+            unit_in_name
+            and unit
+            and unit_in_name != unit
+            and kind_of(unit) == kind_of(unit_in_name)
+        ):
             raise InputError(
                 f"{table.name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
                 f"{layout.first}"

@@ -6,7 +6,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.clock import Clock
-from dbo_cli.logs.log import Log, TableLog
+from dbo_cli.logs.log import Log
 from dbo_cli.logs.table import Block
 
 MOST_ROWS = 100_000_000  # some gigabytes
@@ -46,7 +46,7 @@ def resampled(log: Log, rate: float) -> Log:
         f"{table.rows:,} rows are interpolated to {count:,} at {rate:g} Hz"
     )
     even = Block(time, values, dt=clock.step)
-    table_log = TableLog(log.name, log.columns, even, clock, log.remarks)
+    table_log = Log.in_memory(log.name, log.columns, even, clock, log.remarks)
     table_log.doubtful = log.doubtful
     table_log.clock_offset = log.clock_offset
     return table_log

@@ -21,7 +21,7 @@ _FACTOR = re.compile(
 def scales_of(
     name: str,
     columns: Mapping[str, Column],
-    typed: Mapping[str, str | float],
+    factors: Mapping[str, str | float],
     units: Mapping[str, str],
     remarks: list[str],
 ) -> dict[str, Scale]:
@@ -34,28 +34,28 @@ def scales_of(
     UsageError
         A scale is typed for a role that is absent, or it is malformed.
     """
-    for role in typed:
+    for role in factors:
         if role not in columns:
             raise UsageError(f"`scale` {role}=...: give one of {', '.join(columns)}")
     scales = {}
     for role, column in columns.items():
-        if role in typed:
-            factor, unit = _typed_scale(name, role, column, str(typed[role]))
+        if role in factors:
+            factor, unit = _typed_scale(name, role, column, str(factors[role]))
         else:
             _refuse_unclear_unit(name, role, column)
             factor, unit = Fraction(1), column.unit
-        wanted = units.get(role)
-        if wanted is not None and unit is None:
-            remarks.append(f"{column.label} has no unit: {wanted} assumed")
-        if wanted is not None:
+        target = units.get(role)
+        if target is not None and unit is None:
+            remarks.append(f"{column.label} has no unit: {target} assumed")
+        if target is not None:
             try:
-                factor *= ratio(unit, wanted)
+                factor *= ratio(unit, target)
             except InputError:
                 raise InputError(
-                    f"{name}: {column.label} is in {unit}, not {wanted}: add `scale` "
-                    f"{role}=FACTOR{wanted}/{unit}"
+                    f"{name}: {column.label} is in {unit}, not {target}: add `scale` "
+                    f"{role}=FACTOR{target}/{unit}"
                 ) from None
-            unit = spell(wanted)
+            unit = spell(target)
         scales[role] = factor, unit
     return scales
 
@@ -81,23 +81,23 @@ def _typed_scale(name: str, role: str, column: Column, text: str) -> Scale:
 def _refuse_unclear_unit(name: str, role: str, column: Column) -> None:
     """Refuse a unit whose capitals are those of the name (``VOLTAGE (MV)``), and several units."""
     unit = column.unit or ""
-    stated = sorted(units_in(column.name)) if parse_unit(unit) is None else []
+    spellings = sorted(units_in(column.name)) if parse_unit(unit) is None else []
     if unit in ("MV", "Mv"):
-        stated = ["mV", "MV"]
+        spellings = ["mV", "MV"]
     if unit in ("MM", "Mm"):
-        stated = ["mm", "Mm"]
+        spellings = ["mm", "Mm"]
     camel = re.search(r"[a-z]([KMN][mv]|Uv)$", column.name)
     if camel and not unit:  # VoltageMv
-        stated = [camel[1].lower().replace("v", "V"), camel[1]]
+        spellings = [camel[1].lower().replace("v", "V"), camel[1]]
     bare = column.name if re.search(r"[\[(]", column.name) is None else ""
     amounts = re.findall(r"(?<!\S)\d[\d.,]*(?:\s+(\S+)|$)", bare)  # at 100 V, kV x 1000
-    for behind in amounts if split_header(bare)[1] == unit else ():
-        if spell(behind) in (unit, None):
+    for amount in amounts if split_header(bare)[1] == unit else ():
+        if spell(amount) in (unit, None):
             raise InputError(
                 f"{name}: is {column.label} in {unit}? add `scale` {role}=FACTORUNIT/{unit}"
             )
-    if len(stated) > 1:
+    if len(spellings) > 1:
         raise InputError(
-            f"{name}: {column.label} may be in {' or '.join(stated)}: add `scale` "
-            f"{role}=1{stated[0]}/{unit or stated[0]}"
+            f"{name}: {column.label} may be in {' or '.join(spellings)}: add `scale` "
+            f"{role}=1{spellings[0]}/{unit or spellings[0]}"
         )

@@ -117,8 +117,11 @@ def stated_clock(statements: Sequence[Statement], decimal: str = ".") -> StatedC
         clock.problem = str(problem)
         return clock
     if rates and max(rates.values()) > (1.0 + _SAME) * min(rates.values()):
-        listed = " and ".join(rates)
-        clock.problem = f"two sample rates, {listed}: type `sample_rate` HZ, or export each channel to a file"
+        listing = " and ".join(rates)
+        clock.problem = (
+            f"two sample rates, {listing}: type `sample_rate` HZ, or export each channel to "
+            "a file"
+        )
     elif rates:
         clock.rate = next(iter(rates.values()))
     starts: dict[str, float] = {}
@@ -147,9 +150,9 @@ def _stated_rates(
         One cannot be read. The message has no file in front.
     """
     rates: dict[str, float] = {}
-    for key, value, beside in statements:
+    for key, value, unit_text in statements:
         kind, unit_in_key = _kind_of(key)
-        text = f"{value} {beside}".strip()
+        text = f"{value} {unit_text}".strip()
         match = _AMOUNT.fullmatch(text)
         if not kind or match is None:
             continue  # a text under such a name is no statement (ts: a time stamp)
@@ -189,11 +192,11 @@ def _rate(kind: str, amount: float, unit: str) -> float | None:
         return None
     for suffix in ("/sample", "/Sample", "/S", "/Sa"):
         plain = plain.removesuffix(suffix)
-    known = time_unit(plain) if plain else "s"
-    if known is None:
+    spelling = time_unit(plain) if plain else "s"
+    if spelling is None:
         return None
     # 0.1 ms is 10,000 Hz exactly
-    return conversion("s", known) / amount if amount > 0.0 else 0.0
+    return conversion("s", spelling) / amount if amount > 0.0 else 0.0
 
 
 # --- settings ---
@@ -236,21 +239,21 @@ def _values(text: str, mark: str, delimiter: str) -> list[str]:
 
 def clock_of_settings(settings: dict[str, list[str]], decimal: str) -> StatedClock:
     """Return the clock that settings state above rows with this decimal sign."""
-    beside = ""
+    unit_text = ""
     for key, values in settings.items():
         if plain_key(key) in TIME_UNIT_KEYS:
-            beside = beside or values[0].strip('" ')
+            unit_text = unit_text or values[0].strip('" ')
     statements: list[Statement] = []
     for key, values in settings.items():
         if not is_clock_setting(key):
             continue
-        filled = [value for value in dict.fromkeys(values) if value and value != key]
-        unit = beside if plain_key(key) in _IN_TIME_UNIT else ""
-        if len(filled) == 2 and re.fullmatch(r"[^\d=:\[]{1,12}", filled[1]):
-            unit = filled.pop()  # 1,kHz
-        if plain_key(key) in STARTS and not all(is_number(x, ".") for x in filled):
-            filled = filled[:1]
-        statements += [(key, value, unit) for value in filled]
+        nonempty = [value for value in dict.fromkeys(values) if value and value != key]
+        unit = unit_text if plain_key(key) in _IN_TIME_UNIT else ""
+        if len(nonempty) == 2 and re.fullmatch(r"[^\d=:\[]{1,12}", nonempty[1]):
+            unit = nonempty.pop()  # 1,kHz
+        if plain_key(key) in STARTS and not all(is_number(x, ".") for x in nonempty):
+            nonempty = nonempty[:1]
+        statements += [(key, value, unit) for value in nonempty]
     clock = stated_clock(statements, decimal)
     for key, values in settings.items():
         divided = plain_key(key) in _DIVIDERS and to_number(values[0], ".") > 1.0

@@ -77,21 +77,21 @@ class TextStream:
         InputError
             It cannot be read, or it is no text.
         """
-        head = b""
-        while len(head) < HEAD:
-            data = self._read(HEAD - len(head))
+        start = b""
+        while len(start) < HEAD:
+            data = self._read(HEAD - len(start))
             self.ended = not data
-            head += data
+            start += data
             if self.ended:
                 break
-            is_pause = self.is_pipe and head.endswith(b"\n") and not self._has_more()
-            if is_pause and is_enough(self._first_lines(head)):
+            is_pause = self.is_pipe and start.endswith(b"\n") and not self._has_more()
+            if is_pause and is_enough(self._first_lines(start)):
                 break
-        self._ends_in_cr = b"\r" in head[:-1] and b"\n" not in head  # Igor's do
-        self._encoding = _find_encoding(self.name, head, self._typed_encoding)
+        self._ends_in_cr = b"\r" in start[:-1] and b"\n" not in start  # Igor's do
+        self._encoding = _find_encoding(self.name, start, self._typed_encoding)
         if self._encoding not in _ASCII:
             self._decoder = codecs.getincrementaldecoder(self._encoding)("replace")
-        return self._plain(head.removeprefix(codecs.BOM_UTF8))
+        return self._plain(start.removeprefix(codecs.BOM_UTF8))
 
     def next(self) -> bytes:
         """Return the next text; none at the end (InputError)."""
@@ -109,10 +109,10 @@ class TextStream:
         if not self._is_stdin:
             self._file.close()
 
-    def _first_lines(self, head: bytes) -> list[str]:
+    def _first_lines(self, start: bytes) -> list[str]:
         """Return the lines of a head whose encoding is not settled yet."""
-        encoding = _find_encoding(self.name, head, self._typed_encoding)
-        return head.decode(encoding, "replace").split("\n")
+        encoding = _find_encoding(self.name, start, self._typed_encoding)
+        return start.decode(encoding, "replace").split("\n")
 
     def _plain(self, data: bytes) -> bytes:
         """Turn bytes into a superset of ASCII with plain line ends."""
@@ -176,7 +176,7 @@ def _opened(path: str) -> IO[bytes]:
         raise InputError(f"{path}: cannot be read: {reason}") from None
 
 
-def _find_encoding(name: str, head: bytes, typed: str | None) -> str:
+def _find_encoding(name: str, start: bytes, requested: str | None) -> str:
     """Return the encoding: by a mark, by what the user types, UTF-8, else Western.
 
     Raises
@@ -186,30 +186,30 @@ def _find_encoding(name: str, head: bytes, typed: str | None) -> str:
     UsageError
         The encoding that the user names is not known.
     """
-    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+    if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
-    if head.startswith(codecs.BOM_UTF8):
+    if start.startswith(codecs.BOM_UTF8):
         return "utf-8"
-    if typed is not None:
+    if requested is not None:
         try:
-            head[:4].decode(typed, "replace")
+            start[:4].decode(requested, "replace")
         except (LookupError, UnicodeError):
             raise UsageError(
-                f"`encoding` {typed}: there is no such text encoding"
+                f"`encoding` {requested}: there is no such text encoding"
             ) from None
-        encoding = codecs.lookup(typed).name
+        encoding = codecs.lookup(requested).name
         if encoding in ("utf-16", "utf-32"):
             raise InputError(
                 f"{name}: has no byte order mark: type `encoding` {encoding}-le or {encoding}-be"
             )
         return encoding
-    if b"\0" in head[:200]:
+    if b"\0" in start[:200]:
         raise InputError(
             f"{name}: no text: export it as CSV or HDF5; if it is one, type `encoding` utf-16-le, utf-16-be "
             "or utf-8"
         )
     try:
-        codecs.getincrementaldecoder("utf-8")().decode(head)
+        codecs.getincrementaldecoder("utf-8")().decode(start)
     except UnicodeDecodeError:
         return "cp1252"
     return "utf-8"

@@ -205,10 +205,10 @@ class Table:
     first_row: int = 1
     torn: Sequence[int] = ()
 
-    def __init__(self, name: str, stated: StatedClock | None = None) -> None:
+    def __init__(self, name: str, clock: StatedClock | None = None) -> None:
         self.name = name
         self.columns: list[Column] = []
-        self.stated = stated or StatedClock()
+        self.stated = clock or StatedClock()
         self.remarks: list[str] = []
         self.last_block: dict[int, NDArray[Any]] = {}
 

@@ -32,7 +32,7 @@ TINY = 1 << 12  # bytes that are read faster in Python than by polars
 _COMMENT = re.compile(rb"(?m)^[ \t]*[#%].*\n?")
 
 
-def read(path: str, part: str, reading: Reading) -> Table:
+def read(path: str, inner: str, reading: Reading) -> Table:
     """Read a text log; see ``Table``.
 
     Raises
@@ -40,9 +40,9 @@ def read(path: str, part: str, reading: Reading) -> Table:
     InputError
         It cannot be read, or it is not clear how it is written.
     """
-    if part:
+    if inner:
         raise UsageError(
-            f"{path}::{part}: '::' names a part of a file, and this is a text file"
+            f"{path}::{inner}: '::' names a part of a file, and this is a text file"
         )
     return TextTable(TextStream(path, reading.encoding), reading)
 
@@ -115,8 +115,8 @@ class TextTable(Table):
         self._marks: dict[int, Marks] = {}
         self._size = 0  # bytes of rows
         try:
-            head = stream.head(self._has_layout)
-            lines = stream.lines(head)
+            start = stream.head(self._has_layout)
+            lines = stream.lines(start)
             if not stream.ended and len(lines) > 2:
                 lines.pop()  # perhaps not whole
             self.layout = self._layout_of(lines)
@@ -128,7 +128,7 @@ class TextTable(Table):
         if self.columns[0].kind in ("number", "stamp"):
             self.guard = self.columns[0]
         self._line = self.layout.first + 1  # of the first row in the text
-        self._text = head.split(b"\n", self.layout.first)[-1]
+        self._text = start.split(b"\n", self.layout.first)[-1]
 
     def _layout_of(self, lines: Sequence[str]) -> Layout:
         """Return how the file is written (InputError)."""
@@ -157,7 +157,7 @@ class TextTable(Table):
                 yield arrays
             self.first_row += len(arrays[0])
             self._line += lines
-        self._refuse_doubtful(self.first_row, most=0)
+        self._refuse_doubtful(self.first_row, limit=0)
 
     def _texts(self) -> Iterator[bytes]:
         """Return the rows in blocks of whole lines, without those of delimiters at the end of the file."""
@@ -187,10 +187,10 @@ class TextTable(Table):
                 f"line {number}, the last one, has no line end: was the record cut there?"
             )
 
-    def _refuse_doubtful(self, row: int, **most: int) -> None:
+    def _refuse_doubtful(self, row: int, **limit: int) -> None:
         """Refuse a column whose marks may stand between thousands (InputError)."""
         for number, marks in self._marks.items():
-            if not marks.is_clear and marks.is_doubtful(row, **most):
+            if not marks.is_clear and marks.is_doubtful(row, **limit):
                 marks.refuse(self.name, self.columns[number - 1])
 
     def _read_block(

@@ -2,23 +2,28 @@
 
     expected = sqrt(left_out^2 + sum_k w_k mean (y_k - y)^2)
 
-over the model's candidates, played on this move; for an unknown past the spread over
-starts is part of it: the mean of (y_s - y)^2 over empty, full and settled.
+over the model's candidates, played on this move. For an unknown past the spread over
+starts is part of it, the mean of (y_s - y)^2 over empty, full and settled; and what
+memories may hold that came to rest at any voltage of the range, equally likely.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.model.model import Cascade
+from dbo_cli.model.points import value_through
 
 MOST_ROWS = 131_072  # of a move that are played
 STARTS = ("empty", "full", "settled")
-NEAR_END = 0.02  # of the range
-LONGER = 1.1  # times the log's fastest drive or longest rest: less is not worth a word
+UNLIKE = 3.0
+"""Times the logs' fastest drive or longest rest: time constants of a model are as far apart."""
+STILL = 1e-3  # of the range, within which a drive rests
+FAST_WAY = 0.05  # of the way: it is gone at the fastest rate, or faster
 
 
 def expected_error(
@@ -27,6 +32,7 @@ def expected_error(
     dt: float | Floats | None,
     past_known: bool = False,
     begin: int = 0,
+    memory_known: bool = False,
 ) -> float | None:
     """Return the RMS error to expect on a move, in the displacement's unit; None without candidates.
 
@@ -37,6 +43,7 @@ def expected_error(
     dt : seconds since the sample before, one number or one each
     past_known : whether the state before the first row is known
     begin : rows before the move, played but not counted; 131,072 rows from there on are
+    memory_known : whether the memories before the first row are, or have come to rest
     """
     left = model.fit.get("left_out_rmse")
     if left is None or not model.candidates:
@@ -54,16 +61,33 @@ def expected_error(
     squares = float(left) ** 2
     for weight, candidate in model.candidate_models():
         squares += weight * _mean_square(played(candidate) - expected)
-    if not past_known and _begins_inside(model, float(drive[0])):
+    inside = model.input.min < float(drive[0]) < model.input.max
+    if inside and not past_known:
         for start in STARTS:
             squares += _mean_square(played(model, start) - expected) / len(STARTS)
+    if not memory_known and model.gears.relaxation is not None:
+        squares += _spread_of_memory(model, drive, steps, begin)
     return math.sqrt(squares)
 
 
-def _begins_inside(model: Cascade, voltage: float) -> bool:
-    """Whether a move begins where the past shows: at the ends of the range it does not."""
-    near = NEAR_END * model.input.span
-    return model.input.min + near < voltage < model.input.max - near
+def _spread_of_memory(
+    model: Cascade, drive: Floats, dt: float | Floats | None, begin: int
+) -> float:
+    """Return the mean square of what memories add that rested elsewhere than at the first voltage.
+
+    They add a share of D, the difference between a rest at the greatest and the least
+    voltage. A rest that is equally likely anywhere is off by 1/12 + (p - 1/2)^2 of that,
+    squared, where the first voltage is at the part p of the range.
+    """
+    relaxation = model.gears.relaxation
+    assert relaxation is not None
+    state, played = model.start(float(drive[0])), []
+    for voltage in (model.input.min, model.input.max):
+        rest = value_through(model.head, voltage) - relaxation.reference
+        rested = replace(state, memory=(rest,) * len(relaxation.tau))
+        played.append(model.simulate(drive, dt=dt, state=rested)[0][begin:])
+    place = (float(drive[0]) - model.input.min) / model.input.span
+    return (1.0 / 12.0 + (place - 0.5) ** 2) * _mean_square(played[1] - played[0])
 
 
 def _mean_square(values: Floats) -> float:
@@ -84,35 +108,47 @@ def move_warnings(
         return []
     steps = np.broadcast_to(np.asarray(dt, dtype=np.float64), (len(voltage),))[1:]
     texts = []
-    fastest, rest = model.fit.get("fastest"), model.fit.get("longest_rest")
-    unit = model.input.suffix.strip() or "units"
-    speed = fastest_drive(voltage, steps)
-    if fastest and speed > LONGER * float(fastest):
+    fit, unit = model.fit, model.input.suffix.strip() or "units"
+    fastest, speed = fit.get("fastest"), fastest_drive(voltage, steps)
+    if fastest and speed > UNLIKE * float(fastest):
         texts.append(
             f"{speed:.3g} {unit}/s, the logs at most {float(fastest):.3g}: the error may be larger; "
             "identify with a faster log"
         )
-    hold = longest_rest(voltage, steps)
-    if rest is not None and hold > LONGER * float(rest):
+    rest, hold = fit.get("longest_rest"), longest_rest(voltage, steps)
+    slowest = max(float(rest or 0.0), float(fit.get("longest_swing") or 0.0))
+    if rest is not None and hold > UNLIKE * slowest:
         texts.append(
-            f"holds for {hold:.3g} s, the logs at most {float(rest):.3g}: the error may be larger; "
-            "identify with a longer hold"
+            f"holds for {hold:.3g} s, the logs take at most {slowest:.3g} for a rest or a swing: the error "
+            "may be larger; identify with a longer hold"
         )
     return texts
 
 
 def fastest_drive(voltage: Floats, steps: Floats) -> float:
-    """Return the rate (a second) that 2 % of the steps exceed; ``steps`` in seconds, shape (n - 1,)."""
-    moving = steps > 0.0
-    if not moving.any():
+    """Return the rate (a second) at which 5 % of the way is gone, or faster; ``steps`` in seconds, (n - 1,).
+
+    Of the way and not of the rows, so that no rest hides the jumps.
+    """
+    way = np.abs(np.diff(voltage))
+    moved = (way > 0.0) & (steps > 0.0)
+    if not moved.any():
         return 0.0
-    rates = np.abs(np.diff(voltage)[moving]) / steps[moving]
-    return float(np.percentile(rates, 98.0))
+    way = way[moved]
+    rates = way / steps[moved]
+    order = np.argsort(-rates, kind="stable")
+    gone = np.cumsum(way[order])
+    return float(rates[order[np.searchsorted(gone, FAST_WAY * gone[-1])]])
 
 
 def longest_rest(voltage: Floats, steps: Floats) -> float:
-    """Return the seconds of the longest hold of the drive."""
-    still = np.abs(np.diff(voltage)) <= 1e-4 * float(np.ptp(voltage))
-    time = np.concatenate(([0.0], np.cumsum(np.where(still, steps, 0.0))))
-    last_moved = np.maximum.accumulate(np.where(np.append(True, ~still), time, 0.0))
-    return float((time - last_moved).max())
+    """Return the seconds of the longest hold of the drive, within a thousandth of its range."""
+    band = STILL * float(np.ptp(voltage)) or 1.0
+    longest = 0.0
+    for shift in (0.0, 0.5):  # a hold at the edge of one band is within the other
+        still = np.diff(np.floor(voltage / band + shift)) == 0.0
+        time = np.concatenate(([0.0], np.cumsum(np.where(still, steps, 0.0))))
+        moved = np.where(np.append(True, ~still), time, 0.0)
+        held = time - np.maximum.accumulate(moved)
+        longest = max(longest, float(held.max()))
+    return longest

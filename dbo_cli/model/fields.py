@@ -81,15 +81,15 @@ def contents(values: Any, path: str, form: str, noun: str) -> Json:
     """Return what stands behind format and version, which must be of ``form``."""
     if not isinstance(values, dict):
         raise ModelError(f"{path or 'the file'}: is not an object")
-    rest = dict(values)
-    if rest.pop("format", None) != form:
+    fields = dict(values)
+    if fields.pop("format", None) != form:
         raise ModelError(f'{_join(path, "format")}: must be "{form}" in {noun}')
-    version = rest.pop("version", None)
+    version = fields.pop("version", None)
     if type(version) is not int or version != VERSION:
         raise ModelError(
             f"{_join(path, 'version')}: {shown(version)} is not version {VERSION}: make {noun} again"
         )
-    return rest
+    return fields
 
 
 def build(

@@ -125,7 +125,7 @@ def expected_of(
             raise ModelError(
                 "states no expected error: give a summary of compensate, or a model"
             )
-        stated = _value(content, "unit", fields.text)
+        own_unit = _value(content, "unit", fields.text)
         rmse = _value(content, "expected_rmse", fields.magnitude)
         move = _value(content, "move_range", fields.interval)
         move_time = _value(content, "move_time", fields.interval)
@@ -135,8 +135,8 @@ def expected_of(
             footer = _footer(limits, fields.text(content.get("model"), "model"))
     except ModelError as problem:
         raise ModelError(f"{name}: {problem}") from None
-    if stated and unit and stated != unit:
-        raise InputError(f"{name}: is in {stated}, the comparison in {unit}")
+    if own_unit and unit and own_unit != unit:
+        raise InputError(f"{name}: is in {own_unit}, the comparison in {unit}")
     # an error of exactly 0 was never measured: it states nothing
     return Expected(rmse or None, move, move_time, footer)
 

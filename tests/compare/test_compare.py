@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
@@ -24,8 +22,6 @@ from dbo_cli.model import (
     Scale,
 )
 
-KEYS = """name words rmse expected_rmse validation_rmse parameters forward_ns inverse_ns
-refused""".split()
 NAMES = ["dbo", "line", "pi", "modified", "rate", "extended", "asymmetric"]
 
 
@@ -64,17 +60,6 @@ def test_every_operator_has_a_row(table):
         assert rows[name].validation_rmse < 0.05 * line
         assert rows[name].rmse == pytest.approx(0.01, rel=0.2)
         assert rows[name].rmse <= rows[name].expected_rmse < 3.0 * rows[name].rmse
-
-
-def test_json_and_text(table):
-    content = json.loads(table.json())
-    assert (content["format"], content["version"]) == ("dbo-compare", 1)
-    assert (content["logs"], content["validation"]) == (["a.csv"], ["b.csv"])
-    assert content["unit"] == "um"
-    assert [list(row) for row in content["models"]] == [KEYS] * len(NAMES)
-    text = table.text()
-    for name in NAMES:
-        assert f"\n{name} " in text
 
 
 @pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")

@@ -411,7 +411,7 @@ def test_a_summary_states_what_to_expect() -> None:
     assert unknown["expected_rmse_past_known"] == pytest.approx(square**0.5, rel=1e-6)
     for start in ("empty", "full", "settled"):
         square += rms(simulated(drive, stored["stages"], start) - came) ** 2 / 3.0
-    assert unknown["expected_rmse"] == pytest.approx(square**0.5, rel=1e-6)
+    assert unknown["expected_rmse"] > square**0.5  # and what memories may hold
     known = summary_of("--condition", name="known")
     assert (unknown["past_known"], known["past_known"]) == (False, True)
     assert 0.0 < known["expected_rmse"] < unknown["expected_rmse"]

@@ -251,7 +251,10 @@ def test_rows_before_the_move_do_not_count_in_the_expected_error() -> None:
         wanted, time=TIME, condition=True, details=True, return_=actuator.input.min
     )
     again = actuator.compensate(
-        np.tile(wanted, 3), sample_rate=1000.0, condition=True, details=True
+        np.concatenate((wanted, wanted[::-1], wanted)),
+        sample_rate=1000.0,
+        condition=True,
+        details=True,
     )
     from dbo_cli.model.expect import expected_error
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from .conftest import creep_log
-from .program import dbo, done, model, process, refused, table, write
+from .program import dbo, done, model, process, table, write
 
 QUICK = "--relaxation 0 --gears 20 --points 0 --delay 0".split()
 
@@ -150,7 +150,3 @@ def test_figures_need_no_backend_of_a_notebook() -> None:
     ended = process(*words, env=environment)
     assert ended.returncode == 0, ended.stderr
     assert list(Path("figures").glob("*.png"))
-
-
-def test_a_missing_log_is_one_line() -> None:
-    assert "none.csv" in refused(1, "identify", "none.csv", "-o", "model.json")

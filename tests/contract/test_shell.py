@@ -269,24 +269,10 @@ def test_an_output_replaces_what_was_there_or_leaves_it(drive: Path) -> None:
     assert len(table("out.csv")["time_s"]) == 500
 
 
-def test_two_outputs_appear_together_or_not_at_all(wish: Path) -> None:
-    refused(
-        1, "compensate", model("small"), wish, "-o", "o.csv", "--summary", "no/s.json"
-    )
-    assert set(listing()) == {"wish.csv"}
-
-
 def test_the_same_output_twice_is_refused(wish: Path) -> None:
     outcome = dbo("compensate", model("small"), wish, "-o", "o", "--summary", "o")
     assert outcome.code in (1, 2)
     assert set(listing()) == {"wish.csv"}
-
-
-def test_an_output_that_is_the_input_is_not_spoilt(drive: Path) -> None:
-    """Done whole, or refused: never half of it."""
-    before, expected = drive.read_bytes(), done("simulate", model("small"), drive).raw
-    outcome = dbo("simulate", model("small"), drive, "-o", drive)
-    assert drive.read_bytes() == (expected if outcome.code == 0 else before)
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".tsv", ".csv.gz", ".h5", ".txt"])

@@ -67,15 +67,6 @@ def test_a_state_belongs_to_one_model(drive: Path) -> None:
     assert "s.json" in error
 
 
-def test_a_state_that_is_none_is_refused(drive: Path) -> None:
-    Path("s.json").write_text('{"format": "dbo-model"}')
-    assert "s.json" in refused(
-        1, "simulate", model("small"), drive, "--state", "s.json"
-    )
-    outcome = dbo("simulate", model("small"), drive, "--state", "half")
-    assert outcome.code in (1, 2) and "half" in outcome.lines[-1]
-
-
 def test_where_a_run_starts() -> None:
     """At 2 V: coming from 0 V, from 10 V, or after swings that faded."""
     write("drive.csv", "voltage_V", [2.0, 2.0])

@@ -10,7 +10,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from dbo_cli.drive import Limits, plan
 from dbo_cli.drive.live import Controller
-from dbo_cli.errors import InputError, LimitError, ModelError, UsageError
+from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.model import Lag, Resonance
 
 from .actuators import actuator, ripple
@@ -44,31 +44,6 @@ def test_live_is_compensate(parts):
     np.testing.assert_allclose(sent, whole.voltage, rtol=0, atol=1e-9)
     assert live.clipped == whole.clipped > 0
     assert np.abs(np.diff(sent)).max() <= 0.9 * (1 + 1e-12)
-
-
-@pytest.mark.parametrize("state", ["auto", "full"])
-@pytest.mark.parametrize("slew", [None, 9000.0])
-@pytest.mark.parametrize(
-    "parts",
-    [
-        {"tau": (0.05,), "gain": (0.004,), "bend": (1.0, 1.5)},
-        {"sections": (Lag(0.002),)},
-        {"sections": (Resonance(120.0, 0.05),), "delay": 0.00137},
-    ],
-)
-def test_a_known_voltage_starts_live_as_compensate(parts, slew, state):
-    model = actuator(**parts)
-    wanted = ripple(model, 200)
-    live = Controller(
-        model, RATE, max_slew=slew, from_=30.0, state=state, lookahead="auto"
-    )
-    led = np.concatenate([np.full(live.lookahead, wanted[0]), wanted])
-    limits = Limits.within(model.input, None, None, slew)
-    whole = plan(
-        model, led, 1 / RATE, limits, start=30.0, state=state, on_limit="clip"
-    ).voltage
-    sent = stepped(live, wanted)
-    np.testing.assert_allclose(sent, whole[: len(sent)], rtol=0, atol=1e-9)
 
 
 def test_a_state_without_a_voltage_takes_the_typed_one():
@@ -116,74 +91,12 @@ def test_lookahead_undoes_what_needs_the_future(parts):
         Controller(model, RATE, lookahead=0.0)
 
 
-def test_a_state_goes_on_where_it_stopped():
-    model = actuator(tau=(0.02,), gain=(0.02,))
-    wanted = ripple(model, 300)
-    whole = stepped(Controller(model, RATE), wanted)
-    first = Controller(model, RATE)
-    stepped(first, wanted[:120])
-    second = Controller(model, RATE, state=first.state)
-    np.testing.assert_allclose(
-        stepped(second, wanted[120:]), whole[120:], rtol=0, atol=1e-9
-    )
-
-
-def test_a_typed_start_that_contradicts_the_state_is_refused():
-    model = actuator()
-    first = Controller(model, RATE)
-    stepped(first, ripple(model, 50))
-    with pytest.raises(UsageError, match="contradicts"):
-        Controller(model, RATE, state=first.state, from_=first.last + 1.0)
-    assert (
-        Controller(model, RATE, state=first.state, from_=first.last).last == first.last
-    )
-
-
-def test_a_plan_without_commit_leaves_no_trace():
-    model = actuator(tau=(0.02,), gain=(0.02,))
-    wanted = ripple(model, 50)
-    plain, teased = Controller(model, RATE), Controller(model, RATE)
-    for x in wanted:
-        teased.plan(model.output.max)
-        teased.plan(x)
-        teased.commit()
-        plain.step(x)
-    assert teased.last == plain.last and teased.state == plain.state
-
-
 def test_an_applied_voltage_outside_walks_inwards():
     live = Controller(actuator(), RATE, v_min=0, v_max=80, max_slew=1000)
     live.plan(3.0)
     live.commit(82.5)
     inwards = [live.step(3.0) for _ in range(4)]
     np.testing.assert_allclose(inwards, [81.5, 80.5, 80.0, 79.0], rtol=0, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    "wrong", [math.nan, math.inf, "3", True, None, 1e99, [1.0, 2.0]]
-)
-def test_what_is_no_number_leaves_nothing_to_commit(wrong):
-    live = Controller(actuator(), RATE)
-    live.plan(3.0)
-    with pytest.raises(InputError):
-        live.plan(wrong)
-    with pytest.raises(UsageError):
-        live.commit()
-    before = live.step(3.0)
-    live.plan(4.0)
-    if wrong is not None:
-        with pytest.raises(InputError):
-            live.commit(wrong)
-    assert live.last == before
-
-
-def test_a_start_outside_the_rating_is_refused():
-    with pytest.raises(LimitError):
-        Controller(actuator(), RATE, v_min=-20, v_max=120, from_=1000)
-    with pytest.raises(LimitError):
-        Controller(actuator(), RATE, v_max=50, from_=50.1)
-    live = Controller(actuator(), RATE, v_min=-20, v_max=120, max_slew=1000, from_=-10)
-    assert live.plan(5.0) <= -9.0 + 1e-12
 
 
 class LiveMachine(RuleBasedStateMachine):

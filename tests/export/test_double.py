@@ -16,7 +16,7 @@ from firmware import (
     with_rest,
 )
 
-from dbo_cli.errors import InputError, ModelError, UsageError
+from dbo_cli.errors import ModelError, UsageError
 from dbo_cli.export import export_model
 from dbo_cli.export.plan import with_fewer_gears
 
@@ -92,23 +92,6 @@ def test_less_code_and_less_memory_change_no_bit(flags, tmp_path):
     assert same_bits(*compared(model, firmware, limits_of(model)))
 
 
-@pytest.mark.parametrize(
-    ("name", "kept"),
-    [
-        ("bent, falling", "limited"),
-        ("points behind", "free"),
-        ("short delay", "limited"),
-    ],
-)
-def test_a_table_of_all_states(name, kept, tmp_path):
-    fewer, _ = with_fewer_gears(MODELS[name], 9)
-    limits = limits_of(fewer, **LIMITS[kept])
-    firmware = exported(fewer, tmp_path, limits, lookup=True)
-    assert "corners[512]" in firmware.export.files["actuator.c"]
-    assert same_bits(*compared(fewer, firmware, limits))
-    assert firmware.self_test()[0] == 0
-
-
 def test_too_many_gears_for_a_table_and_a_memory_are_refused(tmp_path):
     with pytest.raises(ModelError, match="`gears` 12"):
         exported(MODELS["gears"], tmp_path, lookup=True)
@@ -156,30 +139,6 @@ def test_more_gears_than_there_are_are_refused(gears):
 
 
 # ---- refusals and texts
-
-
-@pytest.mark.parametrize("name", ["dbo_x", "x" * 41])
-def test_names_that_c_does_not_take(name):
-    with pytest.raises(UsageError, match="`name`"):
-        export_model(MODELS["gears"], limits_of(MODELS["gears"]), name=name)
-
-
-def test_a_rate_is_needed_where_time_matters():
-    free = limits_of(MODELS["gears"])
-    assert export_model(MODELS["gears"], free).figures["sample_rate"] is None
-    with pytest.raises(UsageError, match="`sample_rate`"):
-        export_model(MODELS["gears"], limits_of(MODELS["gears"], max_slew=5.0))
-    with pytest.raises(UsageError, match="`sample_rate`"):
-        export_model(MODELS["delay"], free)
-    with pytest.raises(InputError, match="too fast"):
-        export_model(MODELS["dynamics"], free, sample_rate=400.0)
-
-
-def test_the_same_model_gives_the_same_bytes_with_and_without_candidates(tmp_path):
-    model = MODELS["creep"]
-    made = export_model(model, limits_of(model), sample_rate=RATE)
-    again = export_model(model.inverse(), limits_of(model), sample_rate=RATE)
-    assert made == again
 
 
 def test_a_unit_cannot_end_a_comment(tmp_path):

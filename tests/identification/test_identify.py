@@ -9,16 +9,15 @@ import pytest
 from numpy.typing import NDArray
 from test_solve import DRIVE, TIME, hysteresis
 
-from dbo_cli.errors import FitError, InputError, LimitError, UsageError
+from dbo_cli.errors import FitError, InputError, UsageError
 from dbo_cli.identification import Options, Recording, describe
-from dbo_cli.identification.clean import clean, spiked_rows
+from dbo_cli.identification.clean import clean
 from dbo_cli.identification.identify import identify
 from dbo_cli.model import Cascade, dumps_model
 from dbo_cli.model.expect import expected_error, longest_rest, move_warnings
 
 Floats = NDArray[np.float64]
 NOISE = 0.005 * np.random.default_rng(7).normal(size=len(TIME))
-NEW = 50.0 - 50.0 * np.cos(2.0 * np.pi * 0.4 * TIME) * np.cos(0.12 * TIME) ** 2
 
 
 def quiet(log: Recording, options: Options | None = None) -> Cascade:
@@ -35,13 +34,6 @@ def model() -> Cascade:
 def error(model: Cascade, drive: Floats, displacement: Floats) -> float:
     played, _ = model.simulate(drive, time=TIME)
     return float(np.sqrt(np.mean((played - displacement) ** 2)))
-
-
-def test_new_moves_are_predicted(model: Cascade) -> None:
-    actual = error(model, NEW, hysteresis(NEW))
-    assert actual < 0.01 * 4.0
-    assert actual < 0.05 * model.fit["line_rmse"]
-    assert 0.05 < actual / model.fit["expected_rmse"] < 3.0
 
 
 def test_figures_are_complete(model: Cascade) -> None:
@@ -61,23 +53,6 @@ def test_same_log_same_bytes(model: Cascade) -> None:
     assert dumps_model(again) == dumps_model(model)
 
 
-def test_falling_displacement() -> None:
-    log = Recording("log", DRIVE, 3.0 - hysteresis(DRIVE), TIME)
-    falling = quiet(log)
-    assert falling.sign == "falling"
-    assert error(falling, NEW, 3.0 - hysteresis(NEW)) < 0.05
-    with pytest.raises(LimitError, match="sign"):
-        quiet(log, Options(sign="rising"))
-
-
-def test_one_amplitude_states_more_and_warns(model: Cascade) -> None:
-    drive = 50.0 - 50.0 * np.cos(2.0 * np.pi * 0.5 * TIME)
-    with pytest.warns(UserWarning, match="one amplitude"):
-        one = identify([Recording("log", drive, hysteresis(drive) + NOISE, TIME)])
-    assert one.fit["one_amplitude"]
-    assert one.fit["expected_rmse"] > 1.5 * model.fit["expected_rmse"]
-
-
 def test_noise_is_refused() -> None:
     noise = np.random.default_rng(3).normal(size=len(TIME))
     with pytest.raises(FitError, match="straight line"):
@@ -87,25 +62,6 @@ def test_noise_is_refused() -> None:
 def test_voltage_that_only_rises_is_refused() -> None:
     with pytest.raises(FitError, match="never turns back"):
         quiet(Recording("ramp", TIME, TIME**2, TIME))
-
-
-def test_a_delay_is_found() -> None:
-    late = np.interp(TIME - 0.02, TIME, hysteresis(DRIVE)) + NOISE
-    delayed = quiet(Recording("log", DRIVE, late, TIME))
-    new = np.interp(TIME - 0.02, TIME, hysteresis(NEW))
-    assert delayed.delay_seconds == pytest.approx(0.02, abs=0.002)
-    assert error(delayed, NEW, new) < 0.15
-    sensor = quiet(Recording("log", DRIVE, late, TIME), Options(sensor_delay=0.02))
-    assert error(sensor, NEW, hysteresis(NEW)) < 0.05
-
-
-def test_spikes_are_left_out() -> None:
-    displacement = hysteresis(DRIVE) + NOISE
-    displacement[[500, 1500, 2500]] += 3.0
-    logs, notes = clean([Recording("log", DRIVE, displacement, TIME)], Options())
-    assert np.flatnonzero(~logs[0].usable).tolist() == [500, 1500, 2500]
-    assert "3 rows left out" in notes[0]
-    assert not spiked_rows(hysteresis(DRIVE)).any()
 
 
 def test_stuck_and_clipped_sensors_are_left_out() -> None:
@@ -165,13 +121,3 @@ def test_moves_unlike_the_logs_warn(model: Cascade) -> None:
     assert longest_rest(held, np.full(len(held) - 1, 0.005)) == pytest.approx(
         20.0, abs=0.2
     )
-
-
-def test_validation_logs_are_measured(model: Cascade) -> None:
-    log = Recording("log", DRIVE, hysteresis(DRIVE) + NOISE, TIME)
-    new = Recording("new", NEW, hysteresis(NEW), TIME)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        tried = identify([log], validation=[new])
-    entry = tried.fit["validation"][0]
-    assert entry["name"] == "new" and entry["rmse"] < 0.05

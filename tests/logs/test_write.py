@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import gzip
 import os
-import resource
-import signal
 import subprocess
 import sys
 import textwrap
@@ -18,7 +16,7 @@ import pytest
 
 from dbo_cli.errors import DboError, OutputError, UsageError
 from dbo_cli.files import Outputs, check_outputs, write_text
-from dbo_cli.logs.write import add_table, create, header_cell
+from dbo_cli.logs.write import create, header_cell
 
 COLUMNS = [("time", "s"), ("desired", "um"), ("voltage", "V")]
 
@@ -34,13 +32,6 @@ def rows(count: int = 1000) -> list[np.ndarray]:
 
 def only(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
-
-
-def run(
-    script: str, *arguments: str, **options: object
-) -> subprocess.CompletedProcess[bytes]:
-    command = [sys.executable, "-c", textwrap.dedent(script), *arguments]
-    return subprocess.run(command, capture_output=True, timeout=600, **options)  # type: ignore[call-overload]
 
 
 @pytest.mark.parametrize(
@@ -159,34 +150,6 @@ def test_permissions_links_and_inputs(tmp_path: Path) -> None:
     assert (tmp_path / "new.json").stat().st_mode & 0o777 == 0o640
 
 
-def refuse(source: str, target: str) -> None:
-    raise OSError(5, "Input/output error")
-
-
-def test_several_outputs_appear_together_or_not_at_all(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    old, new = tmp_path / "old.csv", tmp_path / "new.json"
-    old.write_text("before")
-    with (
-        pytest.raises(OutputError, match="cannot be written"),
-        monkeypatch.context() as patched,
-        Outputs() as outputs,
-    ):
-        outputs.write_text(old, "1")
-        outputs.write_text(new, "2")
-        patched.setattr(os, "replace", refuse)
-    assert only(tmp_path) == ["old.csv"]
-    assert old.read_text() == "before"
-    with Outputs() as outputs:
-        add_table(outputs, old, [("x", "V")]).write([1.0])
-        outputs.write_text(new, "{}")
-        outputs.write_bytes(tmp_path / "figure.png", b"png")
-        assert old.read_text() == "before"
-    assert old.read_text() == "x_V\n1.0\n"
-    assert only(tmp_path) == ["figure.png", "new.json", "old.csv"]
-
-
 def test_places_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "x.csv")
@@ -209,91 +172,6 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
         pass
     write_text("/dev/null", "x")
     assert only(tmp_path) == ["folder", "link"]
-
-
-KILLED = """
-    import sys, time
-    import numpy as np
-    from dbo_cli.files import Outputs
-    from dbo_cli.logs.write import add_table
-    with Outputs() as outputs:
-        out = add_table(outputs, sys.argv[1], [("x", "V"), ("y", "um")])
-        outputs.write_text(sys.argv[2], "{}")
-        while True:
-            out.write(np.arange(1000.0), np.arange(1000.0))
-            print("written", flush=True)
-"""
-
-
-@pytest.mark.parametrize("name", ["a.csv", "a.h5", "a.csv.gz"])
-@pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGKILL])
-def test_a_process_that_is_ended(tmp_path: Path, name: str, signal_number: int) -> None:
-    path = tmp_path / name
-    path.write_text("before")
-    command = [
-        sys.executable,
-        "-c",
-        textwrap.dedent(KILLED),
-        str(path),
-        str(tmp_path / "s.json"),
-    ]
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-    )
-    assert process.stdout is not None
-    for _ in range(5):
-        assert process.stdout.readline() == b"written\n"
-    process.send_signal(signal_number)
-    process.stdout.close()
-    assert process.wait() != 0
-    assert path.read_text() == "before"
-    visible = [found for found in only(tmp_path) if not found.startswith(".")]
-    assert visible == [name]
-    if signal_number == signal.SIGINT:
-        assert only(tmp_path) == [name]
-
-
-FULL = """
-    import sys
-    import numpy as np
-    from dbo_cli.errors import OutputError
-    from dbo_cli.logs.write import create
-    try:
-        with create(sys.argv[1], [("x", "V")]) as out:
-            for _ in range(20):
-                out.write(np.random.default_rng(0).normal(size=20_000))
-    except OutputError as problem:
-        print(problem)
-        sys.exit(9)
-"""
-
-
-@pytest.mark.parametrize("name", ["a.csv", "a.h5"])
-def test_a_full_disk_leaves_the_old_file(tmp_path: Path, name: str) -> None:
-    path = tmp_path / name
-    path.write_text("before")
-    most = 300_000  # bytes that a file may have
-
-    def limit() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
-
-    done = run(FULL, str(path), preexec_fn=limit)
-    assert done.returncode == 9, done.stderr
-    assert b"disk is full" in done.stdout
-    assert path.read_text() == "before"
-    assert only(tmp_path) == [name]
-
-
-def test_a_full_disk_behind_a_redirection() -> None:
-    with open("/dev/full", "wb") as full:
-        command = [
-            sys.executable,
-            "-c",
-            textwrap.dedent(FULL.replace("print(problem)", "")),
-            "-",
-        ]
-        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, timeout=600)
-    assert done.returncode in (9, 120), done.stderr  # 120: Python's flush at its end
 
 
 PIPED = """

@@ -60,24 +60,6 @@ def test_a_rounded_move_starts_and_stops_softly(shape):
         assert cornered(axis) < 0.3
 
 
-def test_corners_are_sharp_without_a_bandwidth():
-    made = trajectory("triangle", rate=RATE, range=ENDS, frequency=5.0)
-    assert cornered(made.axes[0]) == pytest.approx(2.0)
-
-
-@pytest.mark.parametrize("shape", ["raster", "sine", "triangle"])
-@pytest.mark.parametrize("bandwidth", [None, 40.0])
-def test_a_loop_closes_like_any_other_step(shape, bandwidth):
-    options = {key: value for key, value in MOVES[shape].items() if key != "duration"}
-    made = trajectory(
-        shape, rate=RATE, range=ENDS, loop=True, bandwidth=bandwidth, **options
-    )
-    for axis in made.axes:
-        twice = np.tile(axis, 2)
-        inside = np.abs(np.diff(axis, 2)).max()
-        assert np.abs(np.diff(twice, 2)).max() <= inside * (1.0 + 1e-6) + 1e-12
-
-
 def test_a_raster_loop_is_a_frame_up_and_a_frame_down():
     made = trajectory(
         "raster", rate=RATE, range=ENDS, frequency=5.0, lines=6, loop=True
@@ -99,13 +81,6 @@ def test_a_raster_draws_lines_at_still_levels():
     speeds = np.abs(np.diff(fast))[inside]
     np.testing.assert_allclose(speeds, 6.0 / 175.0, rtol=1e-9)
     assert np.unique(np.round(slow[1:][inside], 9)).size == 6
-
-
-def test_a_staircase_holds_its_levels():
-    made = trajectory("staircase", rate=RATE, range=(0.0, 4.0), steps=4, dwell=0.1)
-    levels, rows = np.unique(made.axes[0], return_counts=True)
-    assert levels.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
-    assert rows.tolist() == [202, 202, 202, 202, 101]
 
 
 def test_a_rise_is_one_period_of_a_sine_in_acceleration():
@@ -131,15 +106,6 @@ def test_a_move_is_trusted_to_a_third_of_the_lowest_resonance():
     swinging = Dynamics((Resonance(900.0, 0.02), Resonance(300.0, 0.02)))
     assert trusted_frequency([actuator(dynamics=(swinging,))]) == pytest.approx(100.0)
     assert trusted_frequency([actuator()]) is None
-
-
-@pytest.mark.parametrize("ends", [(2.0, 9.9), (0.1, 8.0)])
-def test_turns_beyond_the_model_are_refused(ends):
-    options = {"rate": RATE, "frequency": 4.0, "lines": 3}
-    check_reach(trajectory("raster", range=ends, **options), [actuator()])
-    rounded = trajectory("raster", range=ends, bandwidth=12.0, **options)
-    with pytest.raises(UsageError, match="from 0 to 10 um: narrow `range`"):
-        check_reach(rounded, [actuator()])
 
 
 def test_each_axis_has_its_own_model():

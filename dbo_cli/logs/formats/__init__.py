@@ -16,11 +16,11 @@ from dbo_cli.logs.formats.stored import Format, Reader
 from dbo_cli.logs.table import Reading, Table
 
 
-def _read_hdf5(path: str, part: str, reading: Reading) -> Table:
+def _read_hdf5(path: str, inner: str, reading: Reading) -> Table:
     """Read an HDF5 file; its library is imported here (InputError)."""
     from dbo_cli.logs.hdf5 import read
 
-    return read(path, part, reading)
+    return read(path, inner, reading)
 
 
 HDF5 = Format("HDF5", (b"\x89HDF\r\n\x1a\n",), (), _read_hdf5, offsets=(0, 512))

@@ -63,9 +63,9 @@ def _array_of(series: Any) -> NDArray[Any]:
     return np.asarray(series.cast(pl.Float64).to_numpy())
 
 
-def read(path: str, part: str, reading: Reading) -> Table:
+def read(path: str, inner: str, reading: Reading) -> Table:
     """Read a Parquet or Feather file (InputError)."""
-    refuse_part(path, part)
+    refuse_part(path, inner)
     return ArrowTable(path)
 
 

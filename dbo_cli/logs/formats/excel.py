@@ -12,17 +12,17 @@ from dbo_cli.logs.table import Reading, Table
 from dbo_cli.logs.text import TextTable
 
 
-def read(path: str, part: str, reading: Reading) -> Table:
+def read(path: str, inner: str, reading: Reading) -> Table:
     """Read the only sheet of a workbook, or ``FILE::SHEET`` (InputError)."""
     fastexcel = import_extra("fastexcel", "excel", path)
     with fenced(path, "a workbook"):
         book = fastexcel.read_excel(path)
         names = list(book.sheet_names)
-        if (part or len(names) > 1) and part not in names:
+        if (inner or len(names) > 1) and inner not in names:
             raise InputError(
                 f"{path}: several sheets, {', '.join(names)}: type {path}::{names[0]}"
             )
-        content = _sheet_as_text(book, part or names[0])
+        content = _sheet_as_text(book, inner or names[0])
     stream = TextStream(path, content=content)
     return TextTable(stream, replace(reading, delimiter="tab", encoding=None))
 

@@ -160,9 +160,9 @@ def _fields_of(elements: Elements, kind: str) -> tuple[str, ...]:
     return tuple(cell.partition(b"\0")[0].decode("utf-8", "replace") for cell in cells)
 
 
-def read(path: str, part: str, reading: Reading) -> Table:
+def read(path: str, inner: str, reading: Reading) -> Table:
     """Read the vectors and matrices of a file before version 7.3 (InputError)."""
-    refuse_part(path, part)
+    refuse_part(path, inner)
     with open(path, "rb") as file, fenced(path, "MATLAB"):
         data = file.read()
         if 0 in data[:4]:

@@ -15,9 +15,9 @@ from dbo_cli.logs.formats.stored import (
 from dbo_cli.logs.table import Reading, Table
 
 
-def read(path: str, part: str, reading: Reading) -> Table:
+def read(path: str, inner: str, reading: Reading) -> Table:
     """Read an array in memory of the system (InputError)."""
-    refuse_part(path, part)
+    refuse_part(path, inner)
     with fenced(path, "NumPy"):
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     columns = array_columns("", array)

@@ -66,10 +66,10 @@ def fenced(path: str, kind: str) -> Iterator[None]:
         raise InputError(f"{path}: cannot be read as {kind}: {reason[0]}") from None
 
 
-def refuse_part(path: str, part: str) -> None:
+def refuse_part(path: str, inner: str) -> None:
     """Refuse a part of a file that has none (InputError)."""
-    if part:
-        raise InputError(f"{path}::{part}: this format has no parts: type {path}")
+    if inner:
+        raise InputError(f"{path}::{inner}: this format has no parts: type {path}")
 
 
 @dataclass(frozen=True)

@@ -40,14 +40,14 @@ class TdmsTable(StoredTable):
             )
 
 
-def read(path: str, part: str, reading: Reading) -> Table:
+def read(path: str, inner: str, reading: Reading) -> Table:
     """Read a TDMS file, or one group of it (``FILE::GROUP``) (InputError)."""
     nptdms = import_extra("nptdms", "tdms", path)
     stream = open(path, "rb")
     try:
         with fenced(path, "TDMS"):
             file = nptdms.TdmsFile.open(stream)
-            groups = [group for group in file.groups() if part in ("", group.name)]
+            groups = [group for group in file.groups() if inner in ("", group.name)]
             columns, statements = _channels(groups)
         if not columns:
             raise no_columns(path, [f"::{group.name}" for group in file.groups()])

@@ -12,15 +12,15 @@ from dbo_cli.logs.formats.stored import Format, fenced, refuse_part, table_of
 from dbo_cli.logs.table import Reading, Table
 
 
-def read(path: str, part: str, reading: Reading) -> Table:
+def read(path: str, inner: str, reading: Reading) -> Table:
     """Read the arrays of an archive, or the sheet of a workbook (InputError)."""
     with fenced(path, "a zip archive"), zipfile.ZipFile(path) as archive:
         names = archive.namelist()
     if any(name.startswith("xl/") or name == "content.xml" for name in names):
-        return excel.read(path, part, reading)
+        return excel.read(path, inner, reading)
     if not any(name.endswith(".npy") for name in names):
         raise InputError(f"{path}: this is a zip archive: unpack it")
-    refuse_part(path, part)
+    refuse_part(path, inner)
     with fenced(path, "NumPy"), np.load(path, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in stored.files}
     return table_of(path, arrays)

@@ -1,4 +1,4 @@
-"""One model of the class, nearest to the weighted mean of the fits that can be averaged."""
+"""Model averaging: one model of the class, nearest to the weighted mean of the fits."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.identification.basis import PreparedLog, Structure, columns_of, sums_of
-from dbo_cli.identification.judge import error_left_out
+from dbo_cli.identification.cross_validation import error_left_out
 from dbo_cli.identification.problem import GOLDEN, Problem
 from dbo_cli.identification.search import CURVES
 from dbo_cli.identification.solve import Fit, Rows, solve
+from dbo_cli.model.model import MOST_CANDIDATES
 
 WIDTH = 0.15  # of the score: a fit that is worse by so much weighs exp(-1)
 LEAST_WEIGHT = 1e-3
-CANDIDATES = 5  # that travel in the model file
 INVENTED_ROWS = 1500
 INVENTED_WEIGHT = 0.5  # of a row, beside one of the logs
 BEYOND = 0.05  # of the range: the invented drive goes so far beyond the logs'
@@ -45,11 +45,11 @@ class Average:
         some = weights[order] / weights[order].sum()
         return Average(tuple(fits[place] for place in order), some)
 
-    def heaviest(self) -> list[tuple[float, Fit]]:
-        """Return weight and fit of the few that travel with a model; the weights have the sum 1."""
-        weights = self.weights[:CANDIDATES]
-        shares = (weights / weights.sum()).tolist()
-        return list(zip(shares, self.fits[:CANDIDATES], strict=True))
+    def left(self, number: int) -> Floats:
+        """Return what the mean prediction leaves of a part that was left out."""
+        parts = [fit.left[number] for fit in self.fits]
+        left: Floats = np.einsum("k,kr->r", self.weights, np.stack(parts))
+        return left
 
     def words(self) -> list[str]:
         """Return in words what has most of the weight."""
@@ -79,12 +79,19 @@ class Average:
         return [heaviest, (delay, bend)]
 
 
+def candidates(weighted: Sequence[tuple[float, Fit]]) -> list[tuple[float, Fit]]:
+    """Return the heaviest of fits and weights, as many as a file holds; the weights add up to 1."""
+    order = sorted(weighted, key=lambda pair: -pair[0])[:MOST_CANDIDATES]
+    total = sum(weight for weight, _ in order)
+    return [(weight / total, fit) for weight, fit in order]
+
+
 def frame(fit: Fit) -> tuple[float, float]:
     """Return delay (s) and bend, with which the columns change."""
     return fit.structure.delay, fit.structure.bend
 
 
-def distill(problem: Problem, average: Average) -> Fit:
+def average_model(problem: Problem, average: Average) -> Fit:
     """Return the fit nearest to the mean prediction on the logs' drives and on an invented one.
 
     Where it is far from that mean, the best fit.
@@ -115,7 +122,7 @@ def distill(problem: Problem, average: Average) -> Fit:
         misfit = math.sqrt(float(weights @ fit.error**2))
         if misfit < least:
             least, nearest = misfit, fit
-    return best if least > MOST_MISFIT * error_left_out(best.left) else nearest
+    return best if least > MOST_MISFIT * error_left_out(problem, best.left) else nearest
 
 
 def _table(problem: Problem, invented: PreparedLog, structure: Structure) -> Floats:

@@ -1,4 +1,4 @@
-"""How well a fit predicts parts of the logs that it was made without."""
+"""Cross-validation: how well a fit predicts parts of the logs that it was made without."""
 
 from __future__ import annotations
 
@@ -13,54 +13,41 @@ from dbo_cli.errors import FitError
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.solve import Equations, Fit, products
 
-WORSE_ALLOWED = 1.3  # mean square on the rows kept, over that of the whole fit
-SHORTENED = (1.0, 0.5, 0.25, 0.1)
 FLOOR = 1e-4  # of the output's standard deviation: a smaller error is as good
 PRICE = 0.1
-"""What a family must gain in the logarithm of the error left out: lags, the drive less its lags, drift."""
+"""What a family must gain in the logarithm of the error left out: each kind of memory, drift, past."""
 CURVE_PRICE = 0.05
 """The same for each power of ten by which the curve may be rougher; not of one amplitude, whose loop and
 curve are fitted by one another."""
 
 
-def judge(problem: Problem, fit: Fit, equations: Equations) -> Fit:
+def cross_validate(problem: Problem, fit: Fit, equations: Equations) -> Fit:
     """Return the fit with what it leaves of each part left out, and its score.
 
-    A fit without a part is one step from the fit to all rows; ``equations`` are the
-    fit's.
+    A fit without a part is one step from the fit to all rows. Rows in which an unknown
+    past may show are left out by their weight only. ``equations`` are the fit's.
     """
     rows = equations.rows
     table = equations.table(fit)
+    shown = table * np.sqrt(problem.known)[:, None]
     groups, of_row = problem.groups
-    grams = np.stack([products(table[of_row == place]) for place in range(len(groups))])
-    total = np.add.reduce(grams)
+    grams = np.stack([products(shown[of_row == place]) for place in range(len(groups))])
+    total = products(table)
     left = []
     for number, mask in enumerate(problem.parts):
         rest = total - np.add.reduce(grams[groups[:, number]])
-        kept = rest / (1.0 - float(rows.weights[mask].sum()))
-        left.append(_left_out(equations, fit, mask, kept, problem))
+        share = float(rows.weights[mask] @ problem.known[mask])
+        error = fit.error
+        try:
+            step = equations.step(rest / (1.0 - share), fit)
+            error = equations.fit_of(step).error
+        except FitError:
+            pass
+        left.append(without_lost_offsets(error, mask, problem)[mask])
     return replace(fit, left=tuple(left), score=score(problem, fit, left))
 
 
-def _left_out(
-    equations: Equations, fit: Fit, mask: Booleans, gram: Floats, problem: Problem
-) -> Floats:
-    """Return what a step without a part leaves of it, shortened where it spoils the rows kept."""
-    whole = float(np.mean(fit.error[~mask] ** 2))
-    error = fit.error
-    try:
-        goal = equations.fit_of(equations.step(gram, fit))
-        for part in SHORTENED:
-            trial = equations.between(fit, goal, part)
-            if float(np.mean(trial.error[~mask] ** 2)) <= WORSE_ALLOWED * whole:
-                error = trial.error
-                break
-    except FitError:
-        pass
-    return _without_lost_offsets(error, mask, problem)[mask]
-
-
-def _without_lost_offsets(error: Floats, mask: Booleans, problem: Problem) -> Floats:
+def without_lost_offsets(error: Floats, mask: Booleans, problem: Problem) -> Floats:
     """Return errors less their mean over each log that was left out as a whole."""
     owner, error = problem.owner, error.copy()
     for place in range(len(problem.logs)):
@@ -70,10 +57,18 @@ def _without_lost_offsets(error: Floats, mask: Booleans, problem: Problem) -> Fl
     return error
 
 
-def error_left_out(left: Sequence[Floats]) -> float:
+def rms_of_parts(problem: Problem, left: Sequence[Floats]) -> list[float]:
+    """Return the RMS of what is left of each part, rows weighted by how well their past is known."""
+    errors = []
+    for mask, error in zip(problem.parts, left, strict=True):
+        square = np.average(error**2, weights=problem.known[mask])
+        errors.append(math.sqrt(float(square)))
+    return errors
+
+
+def error_left_out(problem: Problem, left: Sequence[Floats]) -> float:
     """Return the RMS over all parts, each as heavy as another, of what was left of them."""
-    squares = [float(np.mean(values**2)) for values in left]
-    return float(np.sqrt(np.mean(squares)))
+    return float(np.sqrt(np.mean(np.square(rms_of_parts(problem, left)))))
 
 
 def score(problem: Problem, fit: Fit, left: Sequence[Floats]) -> float:
@@ -82,8 +77,8 @@ def score(problem: Problem, fit: Fit, left: Sequence[Floats]) -> float:
     Not the mean of their squares, since a part that nothing predicts must not decide alone.
     """
     floor = FLOOR * float(problem.output.std())
-    errors = [math.sqrt(float(np.mean(values**2))) for values in left]
-    return math.log(max(float(np.mean(errors)), floor)) + price(problem, fit)
+    error = float(np.mean(rms_of_parts(problem, left)))
+    return math.log(max(error, floor)) + price(problem, fit)
 
 
 def least_score(problem: Problem, fit: Fit) -> float:
@@ -93,9 +88,9 @@ def least_score(problem: Problem, fit: Fit) -> float:
 
 def price(problem: Problem, fit: Fit) -> float:
     """Return what the families of terms of a structure cost."""
-    families = len(fit.structure.memories) + fit.structure.drift
-    cost = PRICE * families
-    smooth = fit.structure.smooth_curve
+    structure = fit.structure
+    cost = PRICE * (len(structure.memories) + structure.drift + structure.past)
+    smooth = structure.smooth_curve
     if np.isfinite(smooth) and not problem.one_amplitude:
         cost += CURVE_PRICE * max(1.0 - float(np.log10(smooth)), 0.0)
     return cost
