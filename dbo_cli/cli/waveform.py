@@ -6,7 +6,7 @@ from typing import Annotated
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.check import limits_in, read_drive, step_of
-from dbo_cli.cli.options import Text, option
+from dbo_cli.cli.options import Text, flag, option
 from dbo_cli.cli.say import detail, say, say_output
 from dbo_cli.errors import InputError
 
@@ -25,6 +25,9 @@ def waveform(
     points: Annotated[
         int | None, option("N", "Points, over the same time.", min=0)
     ] = None,
+    loop: Annotated[
+        bool, flag("--loop", "The drive is one period: other points keep it.")
+    ] = False,
     codes: Annotated[
         Text, option("LOW:HIGH", "Range of codes; default: the format's.")
     ] = None,
@@ -77,6 +80,7 @@ def waveform(
             limits_in("V", *ranges),
             name=f"{drive}: channel {channel}" if channel else drive,
             gain=gain,
+            loop=loop,
             points=points,
             rate=opt.quantity("rate", rate, "Hz"),
             codes=None if codes is None else opt.span("codes", codes, None),
