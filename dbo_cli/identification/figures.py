@@ -42,41 +42,43 @@ def refuse_other_sign(logs: Sequence[Recording], options: Options) -> None:
         )
 
 
-def stated(
-    model: Cascade,
-    problem: Problem,
-    average: Average,
-    logs: Sequence[Recording],
-    options: Options,
-) -> Cascade:
-    """Return the model with the error to expect on an invented move.
-
-    No part that was left out is predicted better than the logs are followed, row by row,
-    but for the sensor's noise.
+def left_out_figures(
+    problem: Problem, average: Average, logs: Sequence[Recording], options: Options
+) -> dict[str, Any]:
+    """Return what is left of parts left out, and what a line leaves of them.
 
     Raises
     ------
     FitError
-        Parts left out are predicted no better than by a line or an offset, or not at all
-        within swings.
+        They are predicted no better than by a line or an offset, or not at all within
+        swings.
     """
     left, line = left_out_rmse(problem, average), line_left_out(problem, average)
     unexplained = unexplained_share(problem, average)
     if not options.force:
-        refuse_no_better(left, line, logs)
         _refuse_unrelated(unexplained, logs)
-    followed = pooled([residual_of(model, log) for log in logs])
-    noise_of_sensor = noise_rms(model, logs)
-    figures = {
+        refuse_no_better(left, line, logs)
+    return {
         "method": "least-squares",
-        **model.fit,
-        "left_out_rmse": max(
-            left, math.sqrt(max(followed**2 - noise_of_sensor**2, 0.0))
-        ),
+        "left_out_rmse": left,
         "left_out_line_rmse": line,
         "unexplained": unexplained,
-        "noise_rms": noise_of_sensor,
     }
+
+
+def stated(
+    model: Cascade, problem: Problem, figures: dict[str, Any], logs: Sequence[Recording]
+) -> Cascade:
+    """Return the model with the error to expect on an invented move.
+
+    No part that was left out is predicted better than the logs are followed, row by row,
+    but for the sensor's noise. ``figures`` are those of the parts left out.
+    """
+    followed = pooled([residual_of(model, log) for log in logs])
+    sensor = noise_rms(model, logs)
+    actuator = math.sqrt(max(followed**2 - sensor**2, 0.0))
+    left = max(float(figures["left_out_rmse"]), actuator)
+    figures = {**figures, **model.fit, "left_out_rmse": left, "noise_rms": sensor}
     model = replace(model, fit=figures)
     invented = invented_log(problem)
     inside = np.clip(invented.drive, 0.0, 1.0)
