@@ -23,11 +23,8 @@ from dbo_cli.signals import noise
 
 NO_BETTER = 0.95  # of another error: above it there is nothing to be learnt
 UNRELATED = 0.7
-"""Share of the displacement within swings that is left: 29 real logs had at most .46, most walks .8 and more."""
+"""Of the displacement within swings, left unexplained: 29 real logs at most .46, most walks .8 and more."""
 FEW_SWINGS = 4  # fewer leave nothing that the rest holds, too
-GUESSED = (
-    2.0  # times the error left out: what is expected of moves that the logs do not show
-)
 MOST_DRIFT = 1.0  # of the range
 LARGE_DRIFT = 0.05  # of the range: no sensor's
 
