@@ -60,11 +60,14 @@ def trajectory(
     from dbo_cli.model import read_model
     from dbo_cli.moves import check_reach, trusted_frequency
     from dbo_cli.moves import trajectory as make
+    from dbo_cli.units import parse_unit, spell
 
     models = [read_model(path) for path in model or []]
     for path, actuator in zip(model or [], models, strict=True):
         actuator.require("forward", path)
-    typed = opt.unit_behind(range_.rpartition(":")[2]) or UNIT
+    typed = spell(opt.unit_behind(range_.rpartition(":")[2])) or UNIT
+    if parse_unit(typed) is None:
+        raise UsageError(f"`range` {range_}: '{typed}' is no unit: type LOW:HIGHum")
     units = {actuator.output.unit for actuator in models} or {typed}
     if len(units) > 1:
         raise UsageError("`model`: the units differ; write one axis at a time")

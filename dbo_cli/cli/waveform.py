@@ -51,18 +51,25 @@ def waveform(
     """
     from dbo_cli.files import Outputs
     from dbo_cli.moves import waveform as make
+    from dbo_cli.units import kind_of, multiplied, ratio
 
-    signal, log = read_drive(drive, reading, {"time": time, "voltage": voltage}, "V")
+    signal, log = read_drive(drive, reading, {"time": time, "voltage": voltage}, None)
+    unit = log.columns["voltage"].unit
+    volt = None if unit is None else "V"  # of limits: a unit needs one in the file
+    if kind_of(unit) not in (None, "voltage"):
+        raise InputError(
+            f"{drive}: the drive is in {unit}, not V: add `scale` voltage=FACTORV/{unit}"
+        )
     step = step_of(signal)
     if step is None:
         raise InputError(
             f"{drive}: needs an even clock: add `resample` HZ, or `sample_rate` HZ if it has none"
         )
     made = make(
-        signal["voltage"],
+        multiplied(signal["voltage"], ratio(unit, "V")),
         1.0 / step,
         to,
-        limits_in("V", v_min, v_max, max_slew),
+        limits_in(volt, v_min, v_max, max_slew),
         name=drive,
         gain=gain,
         points=points,
