@@ -50,14 +50,15 @@ demo: demo/report.html demo/picture.png
 	@echo
 	@cat demo/report.txt
 	@echo
-	@echo "demo/ holds the model, both drives, both measured logs, report.html, picture.png and more in figures/"
+	@echo "demo/ holds the model, both drives, both measured logs, report.html and picture.png"
 
 demo/model.json: $(LOG) | $(VENV)/installed
 	@mkdir -p demo
 	$(DBO) identify $(LOG) -o $@
 
 demo/drive.csv: demo/model.json $(TRAJECTORY)
-	$(DBO) compensate demo/model.json $(TRAJECTORY) -o $@
+	$(DBO) compensate demo/model.json $(TRAJECTORY) --v-min 0 --v-max 100 --max-slew 2000 --from 0 \
+	  --summary demo/summary.json -o $@
 
 demo/straight_line_drive.csv: $(LOG) $(TRAJECTORY) sample_data/straight_line.py | $(VENV)/installed
 	@mkdir -p demo
@@ -69,11 +70,11 @@ demo/uncompensated.csv: demo/straight_line_drive.csv sample_data/virtual_actuato
 demo/compensated.csv: demo/drive.csv sample_data/virtual_actuator.py
 	$(BENCH) demo/drive.csv --seed 2 -o $@
 
-demo/report.txt: demo/uncompensated.csv demo/compensated.csv
-	$(DBO) report demo/uncompensated.csv demo/compensated.csv -o $@
+demo/report.txt: demo/compensated.csv
+	$(DBO) report demo/compensated.csv --expected demo/summary.json -o $@
 
 demo/report.html: demo/uncompensated.csv demo/compensated.csv demo/report.txt
-	$(DBO) report demo/uncompensated.csv demo/compensated.csv --figures demo/figures -o $@
+	$(DBO) report demo/uncompensated.csv demo/compensated.csv -o $@
 
 # the picture at the top of README.md
 picture: demo/picture.png

@@ -87,7 +87,6 @@ def identified() -> Gears:
 def costs(gears: Gears, inputs: dict[str, Floats]) -> list[float]:
     """Return ns a sample of each input, forward and back."""
     relaxation = gears.relaxation
-    back = gears.inverse()
     found = []
     for x in inputs.values():
         memory = None
@@ -100,7 +99,7 @@ def costs(gears: Gears, inputs: dict[str, Floats]) -> list[float]:
             return gears.run(x, state, DT)
 
         def inverse(y: Floats = y, state: State = state) -> object:
-            return back.run(y, state, DT)
+            return gears.undo(y, state, DT)
 
         found.append(1e9 * best(forward) / x.size)
         found.append(1e9 * best(inverse) / x.size)

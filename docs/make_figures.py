@@ -173,9 +173,9 @@ def segments(axes: Axes) -> None:
     """Paint a point operator, as in the paper's Fig. 3."""
     points = Points([1.0, 1.4, 1.2], [1.5, 1.3, 0.8], 0.0, 0.0)
     x = np.linspace(-0.4, 4.0, 200)
-    axes.plot(x, points.run(x), label="three segments", **SOLID)
+    axes.plot(x, points(x), label="three segments", **SOLID)
     knots = np.array([0.0, 1.0, 2.4, 3.6])
-    axes.plot(knots, points.run(knots), zorder=4, **DOT)
+    axes.plot(knots, points(knots), zorder=4, **DOT)
     named(axes)
 
 
@@ -183,7 +183,7 @@ def inverse(axes: Axes) -> None:
     """Paint an operator, its inverse and the two in cascade."""
     gears = even_gears(24)
     wanted = sweep(0.0, 3.6, 0.7, 2.8, 0.0)
-    drive = played(gears.inverse(), wanted)
+    drive = gears.undo(wanted, State(0)).y
     reached = played(gears, drive)
     axes.plot(drive, reached, label="Γ", **SOLID)
     axes.plot(wanted, drive, label="Γ⁻¹", **DASHED)
@@ -197,8 +197,8 @@ def relaxation(axes: Axes) -> None:
     gears = even_gears(64, RELAXING)
     time = np.arange(0.0, 8.0, step)
     wanted = np.select([time < 0.5, time < 3.0, time < 5.5], [0.0, 2.4, 0.8], 1.6)
-    plain = played(even_gears(64).inverse(), wanted)
-    known = played(gears.inverse(), wanted, dt=step)
+    plain = even_gears(64).undo(wanted, State(0)).y
+    known = gears.undo(wanted, State(0), step).y
     for drive, label, look in (
         (plain, "gears alone inverted", DASHED),
         (known, "inverted with its memory", SOLID),

@@ -40,6 +40,7 @@ def draw(uncompensated: str, compensated: str, picture: str) -> None:
             above.plot(time, log["displacement"], label=label, **look)
             labels.append(f"{label}: {rmse:.2g} µm RMSE")
             below.plot(time, error, label=labels[-1], **look)
+        above.set_title("Simulated actuator", loc="left")
         above.set_ylabel("Displacement (µm)")
         below.set_ylabel("Error (µm)")
         below.set_xlabel("Time (s)")

@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Make the sample logs beside this file, with the virtual actuator as the bench; the same bytes every time.
 
-``identification.csv/.h5``  nested amplitudes over 0…100 V: what a lab records to identify an actuator.
+``identification.csv/.h5``  swings of many sizes and three speeds over 0…100 V, with rests, as a lab records
+                            them; it covers the speeds and the holds of the trajectory.
 ``trajectory.csv/.h5``      a displacement to follow: slow scan, soft steps, a mixed-frequency part.
 
     python make_samples.py [FOLDER]
@@ -23,19 +24,26 @@ RATE = 500.0  # Hz: recorded faster and decimated, as most loggers do
 SEED = 20180701
 
 
+# One line a swing: where it goes (V), how fast on average (V/s), how long it rests there (s).
+SWINGS = [
+    *[(100.0, 130.0, 0.0), (0.0, 130.0, 0.0), (100.0, 60.0, 1.2), (0.0, 130.0, 0.0)],
+    *[(88.0, 400.0, 0.0), (12.0, 400.0, 0.0), (70.0, 130.0, 1.2), (0.0, 400.0, 0.0)],
+    *[(100.0, 130.0, 0.0), (30.0, 130.0, 1.2), (60.0, 130.0, 0.0), (20.0, 400.0, 0.0)],
+    *[(80.0, 400.0, 0.0), (45.0, 400.0, 0.0), (65.0, 130.0, 0.0), (50.0, 60.0, 1.2)],
+    *[(75.0, 400.0, 0.0), (5.0, 130.0, 0.0), (50.0, 400.0, 0.0), (0.0, 130.0, 0.0)],
+    *[(100.0, 400.0, 0.0), (0.0, 130.0, 0.0)],
+]
+
+
 def identification_drive() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Two full cycles, then cycles of falling amplitude about a moving centre; starts and ends at 0 V."""
-    highs = [100.0, 100.0, 88.0, 70.0, 100.0, 60.0, 80.0, 65.0, 75.0, 50.0, 100.0]
-    lows = [0.0, 0.0, 12.0, 0.0, 30.0, 20.0, 45.0, 50.0, 5.0, 0.0, 0.0]
-    corners = [0.0] + [
-        level for cycle in zip(highs, lows, strict=True) for level in cycle
-    ]
-    speed = 130.0  # V/s on average
+    """Return time in s and drive in V: full cycles, then smaller ones; 0 V at both ends."""
     pieces = [np.zeros(int(0.4 * RATE))]
-    for start, end in itertools.pairwise(corners):
-        steps = max(1, round(abs(end - start) / speed * RATE))
+    start = 0.0
+    for end, speed, rest in SWINGS:
+        steps = round(abs(end - start) / speed * RATE)
         phase = (1.0 - np.cos(np.pi * np.arange(1, steps + 1) / steps)) / 2.0
-        pieces.append(start + (end - start) * phase)
+        pieces += [start + (end - start) * phase, np.full(round(rest * RATE), end)]
+        start = end
     voltage = np.asarray(np.round(np.concatenate(pieces), 4), dtype=np.float64)
     return np.arange(len(voltage)) / RATE, voltage
 

@@ -185,7 +185,7 @@ def prepare(logs: Sequence[Recording], skip: float = 0.0) -> Problem:
         scale = Scale(bottom - top, top)
     outputs, folds = [], []
     for log, fitted in zip(logs, rows, strict=True):
-        outputs.append(scale.inverse().run(log.displacement[fitted]))
+        outputs.append(scale.inverse()(log.displacement[fitted]))
         folds.append(np.arange(len(fitted)) * FOLDS // len(fitted))
     fastest = 0.0
     if all(log.time is not None for log in logs):
@@ -274,7 +274,7 @@ class Equations:
     def error(self, solution: Solution) -> Floats:
         """Return the error of the output in each row."""
         bare = self.columns @ solution.weights + self.problem.drift @ solution.drift
-        return solution.curve.run(bare) - self.problem.output
+        return solution.curve(bare) - self.problem.output
 
     @functools.cached_property
     def fit_error(self) -> float:

@@ -18,6 +18,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.limits import ROUNDING, Figure, GateError, Limits, voltage_in
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.model import Cascade, State, Undoing, state_of
+from dbo_cli.model.amplifier import AmplifiedGears
 from dbo_cli.model.points import value_through
 
 WANTED_SPANS = 1e12
@@ -93,9 +94,6 @@ class Controller:
         self._dt = 1.0 / sample_rate
         step = self.limits.largest_step(self._dt)
         self._step = math.inf if step is None else float(step)
-        inverse = model.inverse()
-        self._to_gears, self._from_gears = inverse.head, inverse.tail
-        self._back_to_gears = model.head
         typed = None if from_ is None else voltage_in("from_", from_, model.input)
         left_at = self._begin.drive if isinstance(self._begin, State) else None
         self.last = self.limits.standing(typed, left_at, "`from_`")
@@ -107,6 +105,17 @@ class Controller:
         self._pending: (
             tuple[float, bool, Floats | None, Undoing | None, State | None] | None
         ) = None
+        self._to_gears = tuple(curve.inverse() for curve in reversed(model.tail))
+        self._from_gears = tuple(curve.inverse() for curve in reversed(model.head))
+        # the amplifier before the gears, what comes out of it now and behind a plan
+        self._amplified: AmplifiedGears | None = None
+        self._output, self._planned_output = 0.0, 0.0
+        self._first: State | None = (
+            None  # behind the first row, where it was asked of the gears
+        )
+        if model.amplifier is not None:
+            self._amplified = AmplifiedGears(model.amplifier, model.head, model.gears)
+            self._share = float(model.amplifier.share(self._dt)[0])
         self._inverter = model.inverter(self._dt)
         self.lookahead = self._samples_ahead(lookahead)
         self._wanted: Floats | None = None
@@ -144,11 +153,15 @@ class Controller:
         """The state after the last sample committed, of gears and memories; None before the first."""
         if self._stepper is None:
             return self._begin if isinstance(self._begin, State) else None
-        after = self._model.inverse().gears.committed(self._stepper)
-        digest = self._model.digest
-        return dataclasses.replace(
-            after, drive=self.last, undoing=self._undoing, model=digest
+        after = dataclasses.replace(
+            self._model.gears.committed(self._stepper),
+            drive=self.last,
+            undoing=self._undoing,
+            model=self._model.digest,
         )
+        if self._amplified is not None:
+            after = dataclasses.replace(after, amplifier=self._output)
+        return after
 
     def plan(self, wanted: float) -> float:
         """Return the voltage for what is wanted now (or ``lookahead`` later); nothing has changed yet.
@@ -170,7 +183,7 @@ class Controller:
         elif voltage is None:
             voltage, clipped = self._planned(u)
         else:
-            self._stepper.follow(value_through(self._back_to_gears, voltage))
+            self._follow(voltage)
         self._admit(voltage)
         self._pending = voltage, clipped, queue, undoing, begun
         return voltage
@@ -192,11 +205,12 @@ class Controller:
             voltage = _number(applied, "applied", *self.limits.rating, APPLIED_SPANS)
         if self._stepper is None:
             assert begun is not None
-            self._stepper = self._stepper_after(begun, voltage)
+            self._stepper = self._stepper_after(begun, voltage, applied is not None)
         else:
             if applied is not None:
-                self._stepper.follow(value_through(self._back_to_gears, voltage))
+                self._follow(voltage)
             self._stepper.commit()
+        self._output = self._planned_output
         self.last, self._wanted, self._undoing = voltage, queue, undoing
         self.clipped += clipped
         self._pending = None
@@ -209,7 +223,7 @@ class Controller:
 
     def _undone(self, wanted: float) -> tuple[float, Floats | None, Undoing | None]:
         """Return what the gears are to reach now, what is wanted from now on, and what undoing remembers."""
-        if not self.lookahead and not self._inverter.parts:
+        if not self.lookahead and self._inverter.dynamics is None:
             return wanted, None, None
         if self._wanted is None:
             queue = np.full(self.lookahead + 1, wanted)
@@ -225,20 +239,44 @@ class Controller:
         """Return the voltage of the first row, and whether a limit held it back."""
         move, slew = self.limits.move, self.limits.slew
         done = self._model.drive(np.array([u]), begun, self._dt, move, slew)
+        self._first = done.state
         return float(done.y[0]), bool(done.clipped)
 
-    def _stepper_after(self, begun: State, voltage: float) -> Any:
+    def _follow(self, voltage: float) -> None:
+        """Plan a voltage that was not asked of the gears."""
+        if self._amplified is not None:
+            before = State(amplifier=self._output)
+            block = np.array([voltage])
+            run = self._amplified.amplifier.run(block, before, self._dt)
+            voltage = self._planned_output = float(run.y[0])
+        self._stepper.follow(value_through(self._model.head, voltage))
+
+    def _stepper_after(self, begun: State, voltage: float, is_applied: bool) -> Any:
         """Return the stepper behind the first row."""
         start = dataclasses.replace(begun, first=None)
         moved = self._model.static.run(np.array([voltage]), start, self._dt).state
-        at_gears = value_through(self._back_to_gears, voltage)
+        if self._amplified is not None and self._first is not None and not is_applied:
+            moved = self._first
+        self._planned_output = moved.amplifier or 0.0
+        at_gears = value_through(self._model.head, voltage)
         moved = dataclasses.replace(moved, drive=at_gears)
         window, slew = self._model.inner_limits(self.limits.move, self.limits.slew)
-        return self._model.inverse().gears.stepper(moved, self._dt, window, slew)
+        return self._model.gears.stepper(moved, self._dt, window, slew)
 
     def _planned(self, u: float) -> tuple[float, bool]:
         """Return the voltage of a row behind another one, and whether a limit held it back."""
-        voltage = self._stepper.plan(value_through(self._to_gears, u))
+        output = value_through(self._to_gears, u)
+        if self._amplified is not None:
+            (low, high), last = self.limits.move, self.last
+            assert last is not None
+            low, high = max(low, last - self._step), min(high, last + self._step)
+            range_ = self._output, self._share, low, high
+            window = self._amplified.window(*range_)
+            self._stepper.limit(*window, self._model.gears.slack(*window))
+            at_gears = self._stepper.plan(output)
+            voltage, self._planned_output = self._amplified.drive(at_gears, *range_)
+            return voltage, bool(self._stepper.clipped)
+        voltage = self._stepper.plan(output)
         if self._from_gears:
             low, high = self.limits.move
             voltage = min(max(value_through(self._from_gears, voltage), low), high)

@@ -49,15 +49,20 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
     low, high = plan.limits.move
     _undo_delay(plan, parts)
     _undo_dynamics(plan, parts)
-    parts.step += _curves(plan.model.head, "before", parts)
+    parts.step += _curves(plan.to_gears, "before", parts)
+    if plan.forward.amplifier is not None:
+        parts.reset += ["state->amplifier = x;", "state->begun = 1;"]
+        _limit_amplifier(plan, parts)
     parts.reset += _curves(plan.forward.head, "drive", parts)
     if lookup:
         _lookup_gears(plan, parts)
     else:
         _gears(plan, parts)
-    parts.step += _curves(plan.model.tail, "behind", parts)
+    parts.step += _curves(plan.to_drive, "behind", parts)
+    if plan.forward.amplifier is not None:
+        parts.step.append(c.fill("amplifier.c", {}).rstrip("\n"))
     least, most = c.real(low), c.real(high)
-    if plan.model.tail:  # rounding on the way back through the points
+    if plan.to_drive:  # rounding on the way back through the points
         parts.step.append(f"x = x < {least} ? {least} : x > {most} ? {most} : x;")
     values = {
         "TABLES": "".join(parts.tables),
@@ -67,8 +72,8 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
         "FIRST_OUTPUT": c.real(plan.first_drive),
         "LEAST": least,
         "MOST": most,
-        "REACH": repr(_ignored_beyond(plan.model.input)),
-        "DRIVE_REACH": repr(_ignored_beyond(plan.model.output)),
+        "REACH": repr(_ignored_beyond(plan.forward.output)),
+        "DRIVE_REACH": repr(_ignored_beyond(plan.forward.input)),
     }
     runs = [_run(plan, None, 1), _run(plan, plan.trimmed, 2)]
     return c.Sources(values, parts.members, parts.kernel, runs)
@@ -87,7 +92,7 @@ def _ignored_beyond(quantity: Quantity) -> float:
 
 def _run(plan: Plan, reset: float | None, seed: int) -> c.Run:
     """Return a run of the self-test, as the library computes it."""
-    moves = trial_moves(plan.model.input.min, plan.model.input.max, seed)
+    moves = trial_moves(plan.forward.output.min, plan.forward.output.max, seed)
     state, start = plan.empty, None
     if reset is not None:
         state, start = plan.settled(reset), c.real(reset)
@@ -101,7 +106,7 @@ def _run(plan: Plan, reset: float | None, seed: int) -> c.Run:
 def _operator(plan: Plan, parts: _Parts, run: int) -> None:
     """Add the table of the gears, the operator, and the limits."""
     gears, terms = plan.gears, plan.gain.size
-    table, _ = kernel_table(gears.table, run)
+    table, _ = kernel_table(gears.exchanged, run)
     parts.tables.append(c.array("dbo_gear", "gears", c.real_structs(table)))
     gain = "0"
     if terms:
@@ -109,22 +114,23 @@ def _operator(plan: Plan, parts: _Parts, run: int) -> None:
         parts.tables.append(c.reals("gain", plan.gain))
     parts.tables.append(
         f"static const dbo_backlash op = {{gears, {gears.n}, {run}, DBO_ROW_FACTOR({run}), 0, 0, 0.0,\n"
-        f"    {c.real(gears.x0)}, {c.real(gears.y0)}, 1, {terms}, {gain}, {c.real(plan.reference)}, 1}};\n"
+        f"    {c.real(gears.y0)}, {c.real(gears.x0)}, 1, {terms}, {gain}, {c.real(plan.reference)}, 1}};\n"
     )
     ends = ", ".join(map(c.real, plan.inner))
     largest = "0"
-    if plan.inner_step is not None:
+    if plan.inner_step is not None and plan.forward.amplifier is None:
         largest = "&largest_step"
         step = c.real(plan.inner_step)
         parts.tables.append(f"static const double largest_step = {step};\n")
-    parts.tables.append(
-        f"static const dbo_limits limits = {{{ends}, 0.0, {largest}, 0}};\n"
-    )
+    if plan.forward.amplifier is None:
+        parts.tables.append(
+            f"static const dbo_limits limits = {{{ends}, 0.0, {largest}, 0}};\n"
+        )
 
 
 def _fixed_step(plan: Plan, parts: _Parts, run: int) -> None:
     """Add what the time step makes constant, as dbo_prepare_fixed_step computes it."""
-    rows = kernel_table(plan.gears.table, run)[0][:-1]
+    rows = kernel_table(plan.gears.exchanged, run)[0][:-1]
     wide = rows[:, 0] + plan.kappa * rows[:, 1]
     begins = rows[:, 4] + plan.kappa * rows[:, 5]
     steps = np.column_stack(
@@ -148,7 +154,7 @@ def _gears(plan: Plan, parts: _Parts) -> None:
     _operator(plan, parts, run)
     _fixed_step(plan, parts, run)
     words = "0"
-    spare = c.words_of(plan.forward.empty, n, 64)
+    spare = c.words_of(plan.forward.starts.empty, n, 64)
     if spare:
         words = "spare"
         parts.tables.append(c.array("uint64_t", "spare", spare))
@@ -161,10 +167,12 @@ def _gears(plan: Plan, parts: _Parts) -> None:
     if terms:
         memory = "state->memory"
         parts.tables.append(c.reals("at_rest", np.zeros(terms)))
-        parts.members += [f"double memory[{terms}];", "int begun;"]
+        parts.members.append(f"double memory[{terms}];")
         parts.init.append(f"for (int k = 0; k < {terms}; k++) state->memory[k] = 0.0;")
-        parts.init.append("state->begun = 0;")
-        parts.reset.append("state->begun = 1;")
+        if plan.forward.amplifier is None:
+            parts.members.append("int begun;")
+            parts.init.append("state->begun = 0;")
+            parts.reset.append("state->begun = 1;")
         first = "x = dbo_backlash_step(&op, &state->gears, x, at_rest, &limits, 0);"
         step = f"if (state->begun) {step}\n    else {first}\n    state->begun = 1;"
     pointers = [  # a state may be a copy of another
@@ -177,7 +185,7 @@ def _gears(plan: Plan, parts: _Parts) -> None:
         f"dbo_backlash_load(&op, &state->gears, {words});",
         f"state->gears.last = {c.real(plan.at_gears(plan.first_drive))};",
     ]
-    moved = plan.forward.moved.n
+    moved = plan.forward.starts.inside.n
     parts.reset.append(f"dbo_backlash_settle(&op, &state->gears, {moved}, {words}, x);")
     parts.step += [*pointers, step]
 
@@ -190,7 +198,7 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
     ModelError
         There are too many gears, or a memory beside them.
     """
-    n, empty = plan.gears.n, plan.forward.empty
+    n, empty = plan.gears.n, plan.forward.starts.empty
     if n > MOST_LOOKUP_GEARS:
         raise ModelError(
             f"dx: {n} gears are too many for `lookup`: add `gears` {MOST_LOOKUP_GEARS}, or leave "
@@ -204,7 +212,7 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
     states = np.arange(2**n)
     engaged = (states[:, None] >> np.arange(n) & 1).astype(np.float64)
     # exact: the widths lie on one binary grid
-    corners = engaged @ plan.gears.table[:, :2]
+    corners = engaged @ plan.gears.exchanged[:, :2]
     lowest = [str(n)]
     for state in range(1, 2**n):
         lowest.append(str((state & -state).bit_length() - 1))
@@ -218,7 +226,7 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
         f"state->gears.state = {empty}U;",
         f"state->gears.last = {first};",
     ]
-    covered = f"{plan.forward.moved.n}U, {empty}U"
+    covered = f"{plan.forward.starts.inside.n}U, {empty}U"
     parts.reset.append(f"dbo_lookup_settle(&lookup, &state->gears, {covered}, x);")
     parts.step.append("x = dbo_lookup_step(&lookup, &state->gears, x, &limits);")
 
@@ -242,6 +250,28 @@ def _curves(curves: Curves, label: str, parts: _Parts) -> list[str]:
         begin = f"{stage.m}, {c.real(stage.x0)}, {c.real(stage.y0)}"
         steps.append(f"x = dbo_point_step({name}, {begin}, &state->{name}_segment, x);")
     return steps
+
+
+def _limit_amplifier(plan: Plan, parts: _Parts) -> None:
+    """Add the window that the limits of the drive leave of the voltage at the gears."""
+    amplifier = plan.forward.amplifier
+    assert amplifier is not None and plan.dt is not None
+    parts.members += ["double amplifier;", "int begun;"]
+    parts.init += ["state->amplifier = 0.0;", "state->begun = 0;"]
+    low, high = plan.limits.move
+    slew = ""
+    if plan.drive_step is not None:
+        step = c.real(plan.drive_step)
+        slew = c.fill("amplifier_slew.c", {"STEP": step}).rstrip("\n")
+    values = {
+        "LEAST": c.real(low),
+        "MOST": c.real(high),
+        "SHARE": c.real(float(amplifier.share(plan.dt)[0])),
+        "SLEW": slew,
+        "LOW_END": _statements(_curves(plan.forward.head, "low", parts)),
+        "HIGH_END": _statements(_curves(plan.forward.head, "high", parts)),
+    }
+    parts.step.append(c.fill("amplifier_limits.c", values).rstrip("\n"))
 
 
 def _undo_delay(plan: Plan, parts: _Parts) -> None:

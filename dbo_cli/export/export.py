@@ -133,7 +133,7 @@ def _files(values: dict[str, str], sources: c.Sources) -> dict[str, str]:
 
 def _about_model(plan: Plan) -> dict[str, str]:
     """Return what goes in and comes out, in words."""
-    wanted, drive = plan.model.input, plan.model.output
+    wanted, drive = plan.forward.output, plan.forward.input
     into, out = c.plain(wanted.quantity), c.plain(drive.quantity)
     low, high = plan.limits.move
     unit = c.plain(plan.limits.suffix)
@@ -177,7 +177,7 @@ def _duties(
             " behind the gears has rung out."
         )
     if loss is not None:
-        span, suffix = plan.model.input.span, c.plain(plan.model.input.suffix)
+        span, suffix = plan.forward.output.span, c.plain(plan.forward.output.suffix)
         lost = (
             f"{plan.gears.n} gears instead of the model's: {loss.most:.3g}{suffix}"
             f" ({100.0 * loss.most / span:.2g} % of the range) at most, {loss.rms:.3g}{suffix} RMS on test"

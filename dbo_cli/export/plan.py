@@ -15,7 +15,7 @@ from dbo_cli.errors import ModelError, UsageError
 from dbo_cli.model import Cascade, Gears, State
 from dbo_cli.model.delay import AFTER, whole_and_part
 from dbo_cli.model.gears import Window, largest_step
-from dbo_cli.model.points import through
+from dbo_cli.model.points import Curves, through
 from dbo_cli.model.undoing import SectionInverse, section_inverse
 
 TRIALS = 20  # test moves over which the loss of fewer gears is taken: 5,000 samples
@@ -40,26 +40,37 @@ class Plan:
     dt: float | None
     limits: Limits
 
-    @cached_property
-    def model(self) -> Cascade:
-        """The inverse model, whose output is the drive."""
-        return self.forward.inverse()
-
     @property
     def gears(self) -> Gears:
-        """The inverse gears."""
-        return self.model.gears
+        """The gears; the operator that is exported has their axes exchanged."""
+        return self.forward.gears
+
+    @cached_property
+    def to_gears(self) -> Curves:
+        """The curves from the displacement to the gears."""
+        return tuple(curve.inverse() for curve in reversed(self.forward.tail))
+
+    @cached_property
+    def to_drive(self) -> Curves:
+        """The curves from the gears to the drive."""
+        return tuple(curve.inverse() for curve in reversed(self.forward.head))
 
     @property
     def inner(self) -> Window:
         """The range of the drive as the gears meet it."""
-        return self.model.inner_limits(self.limits.move, None)[0]
+        return self.forward.inner_limits(self.limits.move, None)[0]
 
     @property
     def inner_step(self) -> float | None:
         """The largest change of the gears' output in a step."""
-        _, slew = self.model.inner_limits(self.limits.move, self.limits.slew)
+        _, slew = self.forward.inner_limits(self.limits.move, self.limits.slew)
         step = largest_step(slew, self.dt)
+        return None if step is None else float(step)
+
+    @property
+    def drive_step(self) -> float | None:
+        """The largest change of the drive in a step."""
+        step = largest_step(self.limits.slew, self.dt)
         return None if step is None else float(step)
 
     @property
@@ -137,11 +148,12 @@ class Plan:
     def resting(self, drive: float, bits: int) -> State:
         """Return the state of an actuator that rests at a drive, its gears coming from ``bits``."""
         moved = self.forward.gears.run([self.at_gears(drive)], State(bits)).state
-        return replace(moved, drive=drive)
+        amplifier = None if self.forward.amplifier is None else drive
+        return replace(moved, drive=drive, amplifier=amplifier)
 
     def settled(self, drive: float) -> State:
         """Return the state after ``NAME_reset``."""
-        bits = self.forward.start_bits(self.at_gears(drive), "settled")
+        bits = self.forward.starts.bits(self.at_gears(drive), "settled")
         return self.resting(drive, bits)
 
     @property
@@ -230,11 +242,11 @@ def with_fewer_gears(model: Cascade, gears: int) -> tuple[Cascade, Loss | None]:
         raise UsageError(f"`gears` {gears}: give 1 to {full.n}")
     if gears == full.n:
         return forward, None
-    low, high = forward.moved.x_range
+    low, high = forward.starts.inside.x_range
     width = (high - low) / gears
     bare = Gears(full.dx, full.dy, full.x0, full.y0)
     sweep = low + width * np.arange(gears + 1.0)
-    up = bare.run(sweep, State(forward.empty)).y
+    up = bare.run(sweep, State(forward.starts.empty)).y
     widths, heights = np.full(gears, width), np.diff(up)
     fewer = Gears(widths, heights, low, float(up[0]), full.relaxation)
     stages = tuple(

@@ -42,25 +42,25 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
         for which no bound is known.
     """
     _check(plan)
-    gears, source, drive = plan.gears, plan.model.input, plan.model.output
-    wide = gears.table[:, 0] + plan.kappa * gears.table[:, 1]
+    gears, source, drive = plan.gears, plan.forward.output, plan.forward.input
+    wide = gears.exchanged[:, 0] + plan.kappa * gears.exchanged[:, 1]
     x_axis = Axis.of(wide, gears.equal_run)
-    y_axis = Axis.of(gears.table[:, 1].copy(), gears.equal_run)
+    y_axis = Axis.of(gears.exchanged[:, 1].copy(), gears.equal_run)
     memory = memory_of(plan, x_axis, y_axis)
-    before = fold(plan.model.head, source.min, source.max)
+    before = fold(plan.to_gears, source.min, source.max)
     height = float(y_axis.exact.sum())
-    behind = fold(plan.model.tail, gears.y0, gears.y0 + height)
+    behind = fold(plan.to_drive, gears.x0, gears.x0 + height)
     drives = fold(plan.forward.head, drive.min, drive.max)
     bounds = bounds_of(plan, x_axis, y_axis, memory, before, behind)
     limits = limits_of(plan, y_axis)
     runs = [_run(plan, None, 1), _run(plan, plan.trimmed, 2)]
     # where the gears begin on the input, which the memory widens
-    begin = gears.x0 + plan.kappa * (gears.y0 - plan.reference)
+    begin = gears.y0 + plan.kappa * (gears.x0 - plan.reference)
     source_counts, drive_counts = counts_of_range(source), counts_of_range(drive)
     functions = {
         "BEFORE": segments_of(before, source_counts, (begin, x_axis.unit)),
-        "BEHIND": segments_of(behind, (gears.y0, y_axis.count), drive_counts),
-        "DRIVE": segments_of(drives, drive_counts, (gears.y0, y_axis.unit)),
+        "BEHIND": segments_of(behind, (gears.x0, y_axis.count), drive_counts),
+        "DRIVE": segments_of(drives, drive_counts, (gears.x0, y_axis.unit)),
     }
     tables = _gear_tables(plan, x_axis, y_axis, memory, bounds)
     values = _values(plan, y_axis, limits)
@@ -72,7 +72,7 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
     tables += (
         f"static const dboq_limits limits = {c.whole_structs([limits.positions])[0]};\n"
     )
-    spare = c.words_of(plan.forward.empty, gears.n, 32)
+    spare = c.words_of(plan.forward.starts.empty, gears.n, 32)
     if spare:
         tables += c.array("uint32_t", "spare", spare)
     values["TABLES"] = tables
@@ -86,6 +86,10 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
 
 def _check(plan: Plan) -> None:
     """Refuse what q31 has no arithmetic or no bound for."""
+    if plan.forward.amplifier is not None:
+        raise ModelError(
+            "amplifier: not possible in q31: use `arithmetic` double, or identify without it"
+        )
     if plan.forward.dynamics is not None:
         raise ModelError(
             "dynamics: not possible in q31: use `arithmetic` double, or identify with `dynamics` 0"
@@ -123,8 +127,8 @@ def _members(plan: Plan) -> list[str]:
 def _values(plan: Plan, y_axis: Axis, limits: CountLimits) -> dict[str, str]:
     """Return what the state begins with, and what surrounds the gears in a step."""
     first = plan.first_drive
-    place = round((plan.at_gears(first) - plan.gears.y0) / y_axis.unit)
-    output = min(max(to_counts(first, plan.model.output), limits.low), limits.high)
+    place = round((plan.at_gears(first) - plan.gears.x0) / y_axis.unit)
+    output = min(max(to_counts(first, plan.forward.input), limits.low), limits.high)
     init = delay = slew = ""
     part = plan.delay_samples[1]
     if part:
@@ -138,14 +142,14 @@ def _values(plan: Plan, y_axis: Axis, limits: CountLimits) -> dict[str, str]:
         "SLEW": slew.rstrip("\n"),
         "CHECKPOINTS": "state->checkpoints" if plan.gears.n > SPACING else "0",
         "MEMORY": "state->memory" if plan.gain.size else "0",
-        "COVERED": str(plan.forward.moved.n),
+        "COVERED": str(plan.forward.starts.inside.n),
         "FIRST_DRIVE": c.whole(place),
         "FIRST_OUTPUT": c.whole(output),
         "LEAST": c.whole(limits.low),
         "MOST": c.whole(limits.high),
         "Y_SHIFT": str(y_axis.fine),
-        **_scales("IN", plan.model.input),
-        **_scales("OUT", plan.model.output),
+        **_scales("IN", plan.forward.output),
+        **_scales("OUT", plan.forward.input),
     }
 
 
@@ -224,13 +228,13 @@ def _guide(starts: np.ndarray) -> tuple[int, list[int]]:
 
 def _run(plan: Plan, reset: float | None, seed: int) -> c.Run:
     """Return a run of the self-test: inputs in counts, and the library's output for them."""
-    source, drive = plan.model.input, plan.model.output
+    source, drive = plan.forward.output, plan.forward.input
     middle, unit = counts_of_range(source)
     inputs = []
     for move in trial_moves(source.min, source.max, seed).tolist():
         inputs.append(to_counts(move, source))
     begun = None
-    state = plan.resting(plan.first_drive, plan.forward.empty)
+    state = plan.resting(plan.first_drive, plan.forward.starts.empty)
     if reset is not None:
         start = to_counts(reset, drive)
         begun = c.whole(start)

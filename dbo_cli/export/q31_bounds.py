@@ -84,8 +84,8 @@ def bounds_of(
     steepest = float(slopes.max())
     run = plan.gears.equal_run
     # what each part rounds: the input, the gears' widths, the memory, and their heights
-    unit = counts_of_range(plan.model.input)[1]
-    place = _function_error(before, plan.model.input.max, unit, x_axis.unit)
+    unit = counts_of_range(plan.forward.output)[1]
+    place = _function_error(before, plan.forward.output.max, unit, x_axis.unit)
     if plan.delay_samples[1]:
         place += INTERPOLATED * unit * float(np.abs(before.slope).max())
     place += _subset_error(x_axis, run)
@@ -100,13 +100,13 @@ def bounds_of(
     variation = float(np.sum(np.abs(np.diff(slopes))))
     hop = float(x_axis.exact.max()) * variation * growth
     # and from the gears to the drive
-    output_unit = counts_of_range(plan.model.output)[1]
+    output_unit = counts_of_range(plan.forward.input)[1]
     bend = float(np.abs(behind.slope).max())
-    end = plan.gears.y0 + float(y_axis.exact.sum())
+    end = plan.gears.x0 + float(y_axis.exact.sum())
     leaving = _function_error(behind, end, y_axis.count, output_unit)
     same = bend * (inner + 0.5 * y_axis.count) + leaving + output_unit
     close = same + bend * hop
-    percent = 100.0 / plan.model.output.span
+    percent = 100.0 / plan.forward.input.span
     return Bounds(same, percent * same, close, percent * close, fraction)
 
 

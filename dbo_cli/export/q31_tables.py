@@ -175,7 +175,7 @@ def memory_of(plan: Plan, x_axis: Axis, y_axis: Axis) -> Memory | None:
     """
     if not plan.gain.size:
         return None
-    offset = plan.gears.y0 - plan.reference
+    offset = plan.gears.x0 - plan.reference
     coarse = max(math.frexp(abs(offset) / y_axis.count / COUNTS)[1], 0)
     unit = y_axis.count * 2.0**coarse
     carried = plan.gain * plan.decay * (unit / x_axis.unit)
@@ -212,7 +212,7 @@ def limits_of(plan: Plan, y_axis: Axis) -> CountLimits:
     ModelError
         They are beyond what counts hold, or finer than they resolve.
     """
-    middle, unit = counts_of_range(plan.model.output)
+    middle, unit = counts_of_range(plan.forward.input)
     least, most = plan.limits.move
     low, high = round((least - middle) / unit), round((most - middle) / unit)
     # within the limits as NAME_OUT converts them
@@ -220,7 +220,7 @@ def limits_of(plan: Plan, y_axis: Axis) -> CountLimits:
         low += 1
     while high * unit + middle > most:
         high -= 1
-    y0 = plan.gears.y0
+    y0 = plan.gears.x0
     inner_low, inner_high = ((end - y0) / y_axis.unit for end in plan.inner)
     if not low < high or max(abs(inner_low), abs(inner_high)) >= 2.0**59:
         raise ModelError(

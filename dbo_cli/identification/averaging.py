@@ -14,7 +14,7 @@ from dbo_cli.identification.cross_validation import error_left_out
 from dbo_cli.identification.problem import GOLDEN, Problem
 from dbo_cli.identification.search import CURVES
 from dbo_cli.identification.solve import Fit, Rows, solve
-from dbo_cli.model.model import MOST_CANDIDATES
+from dbo_cli.model.cascade import MOST_CANDIDATES
 
 WIDTH = 0.15  # of the score: a fit that is worse by so much weighs exp(-1)
 LEAST_WEIGHT = 1e-3

@@ -35,7 +35,7 @@ from dbo_cli.model import (
     Section,
     Stage,
 )
-from dbo_cli.model.undoing import Inverter
+from dbo_cli.model.inverter import Inverter
 
 CREEP_ROUNDS = 8  # of gears and creep in turn
 CREEP_RATIO = 1.4  # of neighbouring time constants: 3 leaves 2 % of the creep

@@ -28,7 +28,7 @@ from dbo_cli.identification.recording import (
     Swings,
     white_noise,
 )
-from dbo_cli.model import Candidate, Cascade, Delay, Dynamics, Scale, steps_of
+from dbo_cli.model import Candidate, Cascade, Delay, Dynamics, Scale, State, steps_of
 from dbo_cli.model.expect import expected_error
 
 STUDENT = 2.0  # standard errors of a 95 % interval
@@ -142,7 +142,7 @@ def _played(prior: Cascade, log: Recording, before: float, start: str) -> Floats
     moved, _ = prior.static.simulate(voltage, dt=steps, state=start)
     moved = moved[1:]
     if prior.dynamics is not None and log.time is not None:
-        moved, _ = prior.dynamics.run(moved, steps_of(log.time))
+        moved = prior.dynamics.run(moved, State(), steps_of(log.time)).y
     return moved
 
 

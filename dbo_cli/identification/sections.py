@@ -13,7 +13,7 @@ from scipy.signal import csd, welch
 from dbo_cli.arrays import Floats
 from dbo_cli.identification.fast import FastPart
 from dbo_cli.identification.recording import white_noise
-from dbo_cli.model import Cascade, Delay, Dynamics, Lag, Mode, Resonance, Section
+from dbo_cli.model import Cascade, Delay, Dynamics, Lag, Mode, Resonance, Section, State
 
 Band = tuple[float, float]  # lowest and highest frequency swept, Hz
 
@@ -86,7 +86,7 @@ class Signals:
         log, rows = part.recording, part.rows
         moved, _ = static.simulate(log.voltage[: rows.stop], dt=part.dt)
         if creep:
-            moved, _ = Dynamics(tuple(creep)).run(moved, part.dt)
+            moved = Dynamics(tuple(creep)).run(moved, State(), part.dt).y
         self.dt = part.dt
         self.predicted = np.asarray(moved[rows], dtype=np.float64)
         self.measured = log.displacement[rows]
@@ -105,9 +105,10 @@ class Signals:
         """Return the prediction through lag, resonances and delay."""
         sections: list[Section] = [Lag(float(np.exp(parameters[-1])))]
         sections += resonances_of(parameters, form)
-        moved, _ = Dynamics(tuple(sections)).run(self.predicted, self.dt)
+        moved = Dynamics(tuple(sections)).run(self.predicted, State(), self.dt).y
         if form.delay:
-            moved, _ = Delay(float(np.exp(parameters[-2]))).run(moved, self.dt)
+            late = Delay(float(np.exp(parameters[-2])))
+            moved = late.run(moved, State(), self.dt).y
         return np.asarray(moved, dtype=np.float64)
 
     def left(self, parameters: Floats, form: Form) -> Floats:

@@ -1,8 +1,9 @@
-"""The model of an actuator: gears, points, relaxation, dynamics and delay; its files and states."""
+"""The model of an actuator: its stages, their cascade, its files and states."""
 
-from dbo_cli.model.cascade import Stage
+from dbo_cli.model.amplifier import Amplifier
+from dbo_cli.model.cascade import Candidate, Cascade, Outside, Stage
 from dbo_cli.model.delay import Delay
-from dbo_cli.model.dynamics import Dynamics, Lag, Mode, Resonance, Section
+from dbo_cli.model.dynamics import Dynamics
 from dbo_cli.model.file import (
     dumps_model,
     dumps_set,
@@ -15,9 +16,10 @@ from dbo_cli.model.file import (
     state_of,
 )
 from dbo_cli.model.gears import Gears
-from dbo_cli.model.model import Candidate, Cascade, Outside
+from dbo_cli.model.inverter import read_ahead
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
+from dbo_cli.model.sections import Lag, Mode, Resonance, Section
 from dbo_cli.model.state import (
     Quantity,
     Run,
@@ -27,9 +29,9 @@ from dbo_cli.model.state import (
     steps_behind,
     steps_of,
 )
-from dbo_cli.model.undoing import read_ahead
 
 __all__ = [
+    "Amplifier",
     "Candidate",
     "Cascade",
     "Delay",

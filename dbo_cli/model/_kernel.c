@@ -333,6 +333,17 @@ static PyObject *stepper_follow_output(PyObject *object, PyObject *value) {
     return Py_BuildValue("");
 }
 
+static PyObject *stepper_limit(PyObject *object, PyObject *args) {
+    dbo_limits *limits = &((stepper *)object)->limits;
+    double low, high, slack;
+    if (!PyArg_ParseTuple(args, "ddd", &low, &high, &slack)) return NULL;
+    limits->low = low;
+    limits->high = high;
+    limits->slack = slack;
+    limits->step = NULL;
+    return Py_BuildValue("");
+}
+
 static PyObject *stepper_clipped(PyObject *object, void *nothing) {
     (void)nothing;
     return PyLong_FromSize_t(((const stepper *)object)->clipped);
@@ -342,6 +353,7 @@ static PyMethodDef stepper_methods[] = {
     {"plan", stepper_plan, METH_O, "The output for an input; nothing changes yet."},
     {"commit", stepper_commit, METH_NOARGS, "Go on to the state that was worked out last."},
     {"follow", stepper_follow_output, METH_O, "Work out the state that this output leads to; nothing changes yet."},
+    {"limit", stepper_limit, METH_VARARGS, "Keep from now on to a range, and to no largest change."},
     {"set", stepper_set, METH_VARARGS, "Take over words, memory and the output before."},
     {"get", stepper_get, METH_VARARGS, "Fill words and memory; return the output before."},
     {NULL, NULL, 0, NULL}};
@@ -615,7 +627,7 @@ static PyMethodDef methods[] = {
     {"between_even", between_even, METH_VARARGS, "Evenly spaced samples, shifted by a part of a step."},
     {NULL, NULL, 0, NULL}};
 
-#define INTERFACE 2 /* of the functions' arguments; kernel.py has the same number and refuses another */
+#define INTERFACE 3 /* of the functions' arguments; kernel.py has the same number and refuses another */
 
 static int add_types(PyObject *module) {
     PyObject *type;

@@ -1,79 +1,619 @@
-"""The order of the stages of a model, and a name for what they are."""
+"""The cascade of a model: run forward, undone backward, driven within limits.
+
+displacement = Y0 + K S(Gamma(v - X0)): Gamma the gears, S points, K and Y0 a scale.
+Dynamics stand behind them, and a delay last, on the output. Beyond the paper, an
+amplifier's lag and points may also stand before the gears. The inverse (17)-(18) undoes
+every stage in reversed order; started in the same state, both compose to the identity,
+to rounding.
+"""
 
 from __future__ import annotations
 
-import dataclasses
+import functools
 import hashlib
 import json
-from collections.abc import Sequence
-from typing import Literal
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any, Literal, NamedTuple, TypeVar
 
-from dbo_cli.errors import ModelError
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dbo_cli.arrays import Booleans, Floats
+from dbo_cli.errors import InputError, ModelError
+from dbo_cli.model.amplifier import AmplifiedGears, Amplifier
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics
-from dbo_cli.model.gears import Gears
-from dbo_cli.model.points import Curve, Scale
+from dbo_cli.model.gears import NEGLIGIBLE, Gears, Window
+from dbo_cli.model.inverter import Inverter
+from dbo_cli.model.points import (
+    Curve,
+    Curves,
+    Points,
+    Scale,
+    back_through,
+    through,
+    value_back_through,
+    value_through,
+)
+from dbo_cli.model.start import Starts
+from dbo_cli.model.state import Quantity, Run, State, Steps, steps_of
 
-Stage = Gears | Curve | Dynamics | Delay
+Stage = Amplifier | Gears | Curve | Dynamics | Delay
 Direction = Literal["forward", "inverse"]
+Outside = Literal["extend", "hold", "error"]
+Sign = Literal["rising", "falling"]
+Kind = TypeVar("Kind")
+
+MOST_CANDIDATES = 5
+_EVEN = 0.01  # of a step: what the steps of an even clock differ by at most
+_TIME_IS_NEEDED = "this model needs a clock: add `time` COLUMN or `sample_rate` HZ"
 
 
-def check_order(stages: Sequence[Stage], direction: Direction) -> None:
-    """See that stages stand as a model has them.
+# the order in which a signal passes the kinds of stages
+_RANKS = {Amplifier: 0, Points: 1, Scale: 1, Gears: 1, Dynamics: 2, Delay: 3}
 
-    That is: points and scales around one stage of gears, then at most one dynamics and
-    at most one delay; in an inverse model mirrored.
+
+class Arrangement(NamedTuple):
+    """The stages of a cascade by what they are, in the order in which a signal passes them."""
+
+    amplifier: Amplifier | None
+    head: Curves
+    gears: Gears
+    tail: Curves
+    dynamics: Dynamics | None
+    delay: Delay | None
+
+
+def arrange(stages: Sequence[Stage], direction: Direction = "forward") -> Arrangement:
+    """Return stages by what they are.
+
+    At most one amplifier comes first, then curves around one stage of gears, then at most
+    one dynamics and at most one delay. ``direction`` is that of the file, whose keys
+    count the stages of an inverse from the other end.
 
     Raises
     ------
     ModelError
-        They do not; the message begins with the key.
+        They stand in another order; the message begins with the key.
     """
-    gears = [place for place, stage in enumerate(stages) if isinstance(stage, Gears)]
-    if not gears:
+
+    def key(index: int) -> str:
+        if direction == "inverse":
+            index = len(stages) - 1 - index
+        return f"stages[{index}]"
+
+    gears = _only(Gears, stages)
+    if gears is None:
         raise ModelError("stages: one of type backlash is missing")
-    if len(gears) > 1:
-        raise ModelError(f"stages[{gears[1]}]: a second backlash stage")
-    places, sign, on = list(range(len(stages))), 1.0, "input"
-    if direction == "inverse":
-        places.reverse()
-        sign, on = -1.0, "output"
-    beyond = 0
-    for place in places:
-        stage = stages[place]
-        rank = 0
-        if isinstance(stage, Gears) and stage.on != on:
+    at = stages.index(gears)
+    for index, stage in enumerate(stages[at + 1 :], at + 1):
+        if isinstance(stage, Gears):
+            raise ModelError(f"{key(index)}: a second backlash stage")
+    ranks = [_RANKS[type(stage)] for stage in stages]
+    for index, (previous, rank) in enumerate(pairwise(ranks), 1):
+        if rank < previous or rank == previous != _RANKS[Gears]:
             raise ModelError(
-                f"stages[{place}].relaxation.on: must be {on!r} in this direction"
+                f"{key(index)}: wrong order; one amplifier, points and scales around the gears, one "
+                "dynamics, one delay (inverse: mirrored)"
             )
-        if isinstance(stage, Dynamics):
-            rank = 1
-        elif isinstance(stage, Delay):
-            rank = 2
-            if sign * stage.seconds < 0.0:
-                raise ModelError(
-                    f"stages[{place}].seconds: {stage.seconds!r} has the wrong sign in this direction"
+    delay = _only(Delay, stages)
+    if delay is not None and delay.seconds == 0.0:
+        delay = None
+    return Arrangement(
+        _only(Amplifier, stages),
+        tuple(stage for stage in stages[:at] if isinstance(stage, Points | Scale)),
+        gears,
+        tuple(stage for stage in stages[at:] if isinstance(stage, Points | Scale)),
+        _only(Dynamics, stages),
+        delay,
+    )
+
+
+def _only(kind: type[Kind], stages: Sequence[Stage]) -> Kind | None:
+    """Return the stage of a kind that occurs once at most."""
+    return next((stage for stage in stages if isinstance(stage, kind)), None)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Another model that explains the logs: its weight, and its stages as of a forward model."""
+
+    weight: float
+    stages: tuple[Stage, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse a weight that is not above 0, and stages that are no model."""
+        if not (math.isfinite(self.weight) and self.weight > 0.0):
+            raise ModelError(
+                f"weight: {self.weight!r} is not a finite number greater than 0"
+            )
+        arrange(self.stages)
+
+
+@dataclass(eq=False)
+class Cascade:
+    """A cascade of stages between voltage and displacement; never changed.
+
+    Parameters
+    ----------
+    direction : {"forward", "inverse"}
+        Which way ``simulate`` goes: through the stages, or back through them.
+    input, output : Quantity
+        What goes in and comes out; the output's range is what the model reaches slowly.
+    stages : tuple of Amplifier, Gears, Points, Scale, Dynamics or Delay
+        From voltage to displacement, whatever the direction.
+    fit : mapping
+        Figures of the identification.
+    candidates : tuple of Candidate
+        At most five other models that explain the logs, for the error of a very move.
+    provenance : mapping
+        Where the model comes from; carried along.
+
+    Attributes
+    ----------
+    amplifier : Amplifier, or None
+        The lag before everything else.
+    head, tail : tuple of Points or Scale
+        The curves before and behind the gears.
+    gears : Gears
+        The gears.
+    dynamics : Dynamics, or None
+        The dynamics.
+    delay : Delay, or None
+        The delay; None where it is 0.
+
+    Raises
+    ------
+    ModelError
+        The cascade is not of that form; the message begins with the key.
+    """
+
+    direction: Direction
+    input: Quantity
+    output: Quantity
+    stages: tuple[Stage, ...]
+    fit: Mapping[str, Any] = field(default_factory=dict)
+    candidates: tuple[Candidate, ...] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    amplifier: Amplifier | None = field(init=False)
+    head: Curves = field(init=False)
+    gears: Gears = field(init=False)
+    tail: Curves = field(init=False)
+    dynamics: Dynamics | None = field(init=False)
+    delay: Delay | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Check the cascade, and name its stages."""
+        arrangement = arrange(self.stages, self.direction)
+        self.amplifier, self.head, self.gears = arrangement[:3]
+        self.tail, self.dynamics, self.delay = arrangement[3:]
+        if len(self.candidates) > MOST_CANDIDATES:
+            raise ModelError(
+                f"candidates: {len(self.candidates)} are more than {MOST_CANDIDATES}"
+            )
+
+    # ---- what it is ----
+
+    @property
+    def sign(self) -> Sign:
+        """Whether the displacement rises or falls as the voltage rises."""
+        gains = [stage.gain for stage in self.stages if isinstance(stage, Scale)]
+        if math.prod(math.copysign(1.0, gain) for gain in gains) < 0.0:
+            return "falling"
+        return "rising"
+
+    @property
+    def is_forward(self) -> bool:
+        """Whether the voltage goes in, and the displacement comes out."""
+        return self.direction == "forward"
+
+    @property
+    def voltage(self) -> Quantity:
+        """The drive and its range, whatever the direction."""
+        return self.input if self.is_forward else self.output
+
+    @property
+    def delay_seconds(self) -> float:
+        """Seconds by which the displacement lags."""
+        return 0.0 if self.delay is None else self.delay.seconds
+
+    @property
+    def needs_time(self) -> bool:
+        """Whether the time between samples matters."""
+        return any(stage.needs_time for stage in self.stages)
+
+    @functools.cached_property
+    def digest(self) -> str:
+        """A name for everything a state refers to: equal for a model and its inverse."""
+        identity: list[object] = []
+        for stage in self.stages:
+            identity += stage.identity()
+        return hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
+
+    def require(self, direction: Direction, name: str = "the model") -> None:
+        """Raise ModelError, with the remedy, where the model is of the other direction."""
+        if self.direction == direction:
+            return
+        raise ModelError(
+            f"{name}: a {direction} model is needed, this is an {self.direction} one: dbo invert "
+            "turns it"
+        )
+
+    # ---- other models made of it ----
+
+    def inverse(self) -> Cascade:
+        """Return the same cascade for the other direction, without candidates."""
+        return self._turned
+
+    @functools.cached_property
+    def _turned(self) -> Cascade:
+        direction: Direction = "inverse" if self.is_forward else "forward"
+        ends = self.output, self.input
+        return Cascade(
+            direction, *ends, self.stages, self.fit, provenance=self.provenance
+        )
+
+    def forward(self) -> Cascade:
+        """Return the model for the forward direction."""
+        return self if self.is_forward else self.inverse()
+
+    @functools.cached_property
+    def static(self) -> Cascade:
+        """The same model without dynamics and delay."""
+        if self.dynamics is None and self.delay is None:
+            return self
+        amplifier = () if self.amplifier is None else (self.amplifier,)
+        return self.with_stages((*amplifier, *self.head, self.gears, *self.tail))
+
+    def with_stages(self, stages: tuple[Stage, ...]) -> Cascade:
+        """Return a model of the same quantities with other stages, without candidates."""
+        return replace(self, stages=stages, candidates=())
+
+    def candidate_models(self) -> list[tuple[float, Cascade]]:
+        """Return weight and model of every candidate of a forward model."""
+        return self._candidate_models
+
+    @functools.cached_property
+    def _candidate_models(self) -> list[tuple[float, Cascade]]:
+        return [
+            (each.weight, self.with_stages(each.stages)) for each in self.candidates
+        ]
+
+    # ---- starts ----
+
+    @functools.cached_property
+    def starts(self) -> Starts:
+        """The starts of the gears; their voltage is that behind the curves before them."""
+        return Starts(self.gears, *self._at_gears(self.voltage.min, self.voltage.max))
+
+    def start(self, first_input: float, state: str | State = "auto") -> State:
+        """Return the state before the first sample: one that is known, or by its name (``Starts.bits``).
+
+        Of an inverse model the voltage is sought whose own start leads to the first
+        displacement, so that the forward model, driven by the output, starts alike.
+        """
+        if isinstance(state, State):
+            return state
+        if not self.is_forward:
+            return self.forward().start_drive(first_input, state)
+        voltage = value_through(self.head, float(first_input))
+        return State(self.starts.bits(voltage, state))
+
+    def start_drive(
+        self,
+        first: float,
+        state: str | State = "auto",
+        low: float = -math.inf,
+        high: float = math.inf,
+    ) -> State:
+        """Return the state of ``drive`` in which ``run`` of its output starts.
+
+        Parameters
+        ----------
+        first : float
+            The first displacement that the static part is to reach (after ``inverter``).
+        state : State or name of a start
+            An actuator that starts ``empty`` or ``full`` stands at that end of the
+            drive's range, so a slew limit holds from the first row on.
+        low, high : float
+            Where the first voltage may be.
+        """
+        self.require("forward")
+        if isinstance(state, State):
+            return state
+        starts, ends = self.starts, self._at_gears(low, high)
+        if state in ("empty", "full"):
+            at_end = starts.inside.x_range[1 if state == "full" else 0]
+            voltage = value_back_through(self.head, min(max(at_end, ends[0]), ends[1]))
+            bits = starts.bits(at_end, state)
+            return State(bits, drive=min(max(voltage, low), high))
+        output = value_back_through(self.tail, float(first))
+        inner = starts.voltage_settled_at(output, *ends)
+        voltage = min(max(value_back_through(self.head, inner), low), high)
+        bits = starts.bits(value_through(self.head, voltage), state)
+        return State(bits, first=voltage)
+
+    # ---- simulation ----
+
+    def simulate(
+        self,
+        x: ArrayLike,
+        time: ArrayLike | None = None,
+        dt: Steps = None,
+        state: str | State = "auto",
+        outside: Outside = "extend",
+    ) -> tuple[Floats, State]:
+        """Return the output for a whole signal, and the state after it.
+
+        Parameters
+        ----------
+        x : array_like
+            The input. An inverse model reads it ahead where it has dynamics or a delay;
+            beyond its end the last value holds.
+        time : array_like, optional
+            Time stamps (s); or
+        dt : float or array, optional
+            Seconds since the sample before. One of the two is needed with relaxation,
+            dynamics or a delay.
+        state : State or name of a start
+            Before the first sample.
+        outside : {"extend", "hold", "error"}
+            Beyond the range: go on with the last slope, hold, or refuse.
+
+        Raises
+        ------
+        InputError
+            Time goes backwards, or is not even where it must be; or a sample is outside
+            the range and that is refused.
+        ModelError
+            The time between samples is needed and not given.
+        """
+        signal = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        if dt is None and time is not None:
+            dt = steps_of(time)
+        undoing = None
+        if not self.is_forward and signal.size:
+            inverter = self.inverter(dt)
+            if isinstance(state, State):
+                undoing = inverter.behind(state)
+            ahead = np.full(inverter.ahead, signal[-1])
+            signal, _ = inverter.run(np.concatenate([signal, ahead]), undoing)
+        state = self.start(float(signal[0]) if signal.size else 0.0, state)
+        if outside == "error":
+            self.require_inside(signal)
+        done = self.run(signal, state, dt, outside)
+        return done.y, done.state
+
+    def run(
+        self, x: ArrayLike, state: State, dt: Steps = None, outside: Outside = "extend"
+    ) -> Run:
+        """Return the output for one block; cut a signal as you like, the values stay the same.
+
+        Of an inverse model this is the part without dynamics and delay: ``inverter``
+        comes first. ``dt`` is as of ``simulate``; the first one of a state that has just
+        been started does not matter. With ``outside`` error, ``require_inside`` comes
+        first.
+        """
+        if not self.is_forward:
+            return self.forward().drive(x, state, dt, outside=outside)
+        y = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        steps = self._checked_steps(dt, y.size)
+        if y.size == 0:
+            return Run(y, state)
+        extend = outside != "hold"
+        after = State(
+            state.bits, state.memory, state.drive, None, state.sections, state.delay,
+            state.amplifier,
+        )  # fmt: skip
+        last = float(y[-1])
+        if self.amplifier is not None:
+            y, after, *_ = self.amplifier.run(y, after, steps)
+        y = through(self.head, y)
+        if not extend and self.starts.inside is not self.gears:
+            y = np.clip(y, *self.starts.inside.x_range)
+        y, after, *_ = self.gears.run(y, after, steps, extend)
+        y = through(self.tail, y)
+        for stage in (self.dynamics, self.delay):
+            if stage is not None:
+                y, after, *_ = stage.run(y, after, steps)
+        if after.drive != last:  # the gears have it as they meet it
+            after = after.behind(after.bits, after.memory, last)
+        return Run(y, after)
+
+    def _checked_steps(self, dt: Steps, count: int) -> float | Floats:
+        """Return the time steps of ``count`` samples; ModelError where they are missing, more or fewer."""
+        if dt is None:
+            if self.needs_time:
+                raise ModelError(_TIME_IS_NEEDED)
+            return math.inf  # nothing depends on it
+        if isinstance(dt, np.ndarray) and dt.shape != (count,):
+            raise ModelError(f"{dt.size} time steps for {count} samples")
+        return dt
+
+    @functools.cached_property
+    def covered(self) -> tuple[float, float]:
+        """The range of this model's input: what it was identified on, or less where its gears end."""
+        low, high = self.input.min, self.input.max
+        if self.is_forward:
+            ends = [value_back_through(self.head, end) for end in self.gears.x_range]
+            low, high = max(low, min(ends)), min(high, max(ends))
+        slack = NEGLIGIBLE * self.input.span
+        return low - slack, high + slack
+
+    def outside(self, x: Floats) -> Booleans:
+        """Return which samples of the input lie outside the model's range."""
+        low, high = self.covered
+        return (x < low) | (x > high)
+
+    def require_inside(self, x: Floats, before: int = 0, name: str = "") -> None:
+        """Refuse a block of input with a sample outside the model's range (InputError).
+
+        Parameters
+        ----------
+        x
+            The block.
+        before
+            Rows before the block.
+        name
+            Of the signal, for the message.
+        """
+        beyond = self.outside(x)
+        if not beyond.any():
+            return
+        row = int(np.argmax(beyond))
+        low, high = self.covered
+        raise InputError(
+            f"{name}{': ' if name else ''}row {before + row + 1:,}: {x[row]:.6g} is outside the "
+            f"model's range, {low:.6g} to {high:.6g} (`outside` extend)"
+        )
+
+    # ---- drive ----
+
+    def inverter(self, dt: Steps) -> Inverter:
+        """Return what undoes dynamics and delay on an even clock (``dt`` in s); nothing where there are none.
+
+        Raises
+        ------
+        InputError
+            The clock is not even, or does not resolve the dynamics.
+        """
+        if self.dynamics is None and self.delay is None:
+            return _inverter(None, None, 0.0)
+        if dt is None:
+            raise ModelError(_TIME_IS_NEEDED)
+        if isinstance(dt, np.ndarray):
+            if dt.size > 1 and np.ptp(dt[1:]) < _EVEN * dt[1] < dt[0]:
+                raise InputError(
+                    f"row 1 comes {dt[0]:.6g} s after the state: dynamics and a delay are not undone over a "
+                    "pause; leave `state` out"
                 )
-        if rank < beyond or rank == beyond > 0:
-            raise ModelError(
-                f"stages[{place}]: wrong order; points and scales around the gears, one dynamics, one "
-                "delay (inverse: mirrored)"
+            raise InputError(
+                "the model's delay and dynamics need an even clock: add `resample` HZ"
             )
-        beyond = rank
+        if not dt > 0.0:
+            raise InputError(f"time step: {dt!r} s is not greater than 0")
+        return _inverter(self.dynamics, self.delay, float(dt))
 
+    def follow_loop(self, y: Floats, dt: float) -> Floats:
+        """Return the displacement behind dynamics and delay, for one period of a static one that repeats."""
+        if self.dynamics is not None:
+            y = self.dynamics.loop(y, dt)
+        if self.delay is not None:
+            y = self.delay.loop(y, dt)
+        return y
 
-def digest_of(stages: Sequence[Stage]) -> str:
-    """Return a name for a forward cascade; a gain inverted twice may differ in its last digits."""
-    parts: list[object] = []
-    for stage in stages:
-        if isinstance(stage, Scale):
-            parts.append([f"{stage.gain:.9e}", f"{stage.offset + 0.0:.9e}"])
-        elif isinstance(stage, Delay):
-            parts.append(stage.seconds)
-        elif isinstance(stage, Dynamics):
-            parts.append([dataclasses.asdict(section) for section in stage.sections])
+    def drive(
+        self,
+        desired: ArrayLike,
+        state: State,
+        dt: Steps = None,
+        window: Window | None = None,
+        slew: float | None = None,
+        outside: Outside = "extend",
+    ) -> Run:
+        """Return the drive that makes the static part reach one block of displacement.
+
+        Where its limits clip, the state is that of the model driven by what is left.
+        Dynamics and delay of the state follow the drive itself.
+
+        Parameters
+        ----------
+        desired : array_like
+            Displacement, with dynamics and delay undone (``inverter``).
+        state : State
+            From ``start_drive``, ``drive`` or ``run``.
+        dt : float, array, or None
+            Seconds since the sample before; needed with relaxation, an amplifier or a
+            slew limit.
+        window : (float, float), optional
+            Least and greatest voltage.
+        slew : float, optional
+            With a window, which wins over it: largest change of the voltage a second.
+        outside : {"extend", "hold"}
+            Beyond the range: go on with the last slope, or hold.
+        """
+        y = np.ascontiguousarray(desired, dtype=np.float64).reshape(-1)
+        steps = self._checked_steps(dt, y.size)
+        if dt is None and slew is not None:
+            raise ModelError(_TIME_IS_NEEDED)
+        if y.size == 0:
+            return Run(y, state)
+        clipped = 0
+        if state.first is not None:
+            reached = self.static.run([state.first], state, 0.0).y
+            missed = abs(float(y[0] - reached[0])) > NEGLIGIBLE * self.output.span
+            if missed and window is not None:
+                clipped = int(not window[0] < state.first < window[1])
+            y = np.concatenate([reached, y[1:]])
+        extend = outside != "hold"
+        output = back_through(self.tail, y)
+        if self.amplifier is None:
+            done = self._undo_gears(output, state, steps, window, slew, extend)
         else:
-            parts.append([stage.dx.tolist(), stage.dy.tolist(), stage.x0, stage.y0])
-            if isinstance(stage, Gears) and stage.relaxation is not None:
-                parts.append(dataclasses.asdict(stage.relaxation))
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+            before = AmplifiedGears(self.amplifier, self.head, self.gears)
+            done = before.undo(output, state, steps, window, slew, extend)
+        after = State(
+            done.state.bits,
+            done.state.memory,
+            float(done.y[-1]),
+            amplifier=done.state.amplifier,
+        )
+        if self.dynamics is not None or self.delay is not None:
+            played = self.run(done.y, state, dt).state
+            after = replace(after, sections=played.sections, delay=played.delay)
+        first_clipped = 0 if clipped else done.first_clipped
+        return Run(done.y, after, done.clipped + clipped, first_clipped)
+
+    def _undo_gears(
+        self,
+        output: Floats,
+        state: State,
+        steps: float | Floats,
+        window: Window | None,
+        slew: float | None,
+        extend: bool,
+    ) -> Run:
+        """Return the voltage before gears and head for an output of the gears."""
+        inner, inner_slew = window, slew
+        if window is not None:
+            inner, inner_slew = self.inner_limits(window, slew)
+        if state.drive is not None:
+            state = replace(state, drive=value_through(self.head, state.drive))
+        done = self.gears.undo(output, state, steps, inner, inner_slew, extend)
+        voltage = back_through(self.head, done.y)
+        if window is not None and self.head:
+            # rounding on the way back through the points
+            voltage = np.clip(voltage, *window)
+        return done._replace(y=voltage)
+
+    def inner_limits(
+        self, window: Window, slew: float | None
+    ) -> tuple[Window, float | None]:
+        """Return the limits of the voltage before the curves as the gears meet them.
+
+        The slew limit counts on the steepest step everywhere, so that it is kept with
+        something to spare.
+        """
+        if not self.head:
+            return window, slew
+        low, high = self._at_gears(*window)
+        if slew is not None:
+            for curve in self.head:
+                slew *= curve.least_slope
+            slew *= 1.0 - NEGLIGIBLE  # the points round
+        # a window of a last digit may be empty behind the points
+        return (low, max(high, math.nextafter(low, math.inf))), slew
+
+    def _at_gears(self, low: float, high: float) -> tuple[float, float]:
+        """Return a range of the voltage behind the curves before the gears."""
+        ends = [value_through(self.head, low), value_through(self.head, high)]
+        return min(ends), max(ends)
+
+
+@functools.lru_cache(maxsize=8)
+def _inverter(dynamics: Dynamics | None, delay: Delay | None, dt: float) -> Inverter:
+    """Return what undoes dynamics and delay; a stream asks for it at every block."""
+    return Inverter(dynamics, delay, dt)

@@ -12,14 +12,16 @@ of a sine, the error (RMS, in percent of peak to peak) is 1.3 with 5 samples a p
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import kernel
-from dbo_cli.model.state import Held
+from dbo_cli.model.fields import Json
+from dbo_cli.model.state import Held, Run, SectionStates, State
 
 WINDOW = 6
 """Samples that a value between two samples is made of."""
@@ -54,7 +56,7 @@ def between_even(values: Floats, place: int, part: float) -> Floats:
 
 @dataclass(frozen=True)
 class Delay:
-    """A pure delay of the output, in seconds; negative in an inverse model, which reads ahead by it.
+    """A pure delay of the output, in seconds.
 
     A value between two samples is made of those alone that have come: a delay of less
     than two samples has fewer of them behind the time wanted.
@@ -62,24 +64,21 @@ class Delay:
     Raises
     ------
     ModelError
-        ``seconds`` is not a finite number.
+        ``seconds`` is not a finite number of at least 0.
     """
 
     seconds: float
+    needs_time: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse what is not a time."""
-        if not math.isfinite(self.seconds):
-            raise ModelError(f"seconds: {self.seconds!r} is not a finite number")
+        if not (math.isfinite(self.seconds) and self.seconds >= 0.0):
+            raise ModelError(
+                f"seconds: {self.seconds!r} is not a finite time of at least 0"
+            )
 
-    def inverse(self) -> Delay:
-        """Return the stage that undoes this one."""
-        return Delay(-self.seconds)
-
-    def run(
-        self, x: Floats, dt: float | Floats, held: Held | None = None
-    ) -> tuple[Floats, Held | None]:
-        """Return one block delayed, and what is held back after it.
+    def run(self, x: Floats, state: State, dt: float | Floats) -> Run:
+        """Return one block delayed, and the state with what is held back after it.
 
         Before the first sample ever the first value holds. With a single ``dt`` (s) the
         delay is counted in samples, so that a whole number of them shifts exactly; with
@@ -92,18 +91,20 @@ class Delay:
             The clock stands still, or the delay is more samples than can be held back.
         """
         if x.size == 0 or self.seconds == 0.0:
-            return x, held
-        past_times, past_values = held or ((), ())
+            return Run(x, state)
+        past_times, past_values = state.delay or ((), ())
         steps = np.array(np.broadcast_to(dt, x.shape))
-        if held is None:
+        if state.delay is None:
             steps[0] = 0.0
         else:
             steps[0] += past_times[-1]
         times = np.concatenate([past_times, np.cumsum(steps)])
         values = np.concatenate([past_values, x])
         if isinstance(dt, np.ndarray):
-            return self._by_time(times, values, x.size)
-        return self._by_count(dt, times, values, x.size)
+            y, held = self._by_time(times, values, x.size)
+        else:
+            y, held = self._by_count(dt, times, values, x.size)
+        return Run(y, replace(state, delay=held))
 
     def _by_time(
         self, times: Floats, values: Floats, count: int
@@ -146,54 +147,84 @@ class Delay:
 
     def _samples(self, dt: float) -> tuple[int, float]:
         """Return how many samples of a clock of ``dt`` (s) the delay takes, and the part beyond."""
-        samples = abs(self.seconds) / dt
+        samples = self.seconds / dt
         if samples > MOST_DELAYED:
             raise InputError(
-                f"time step: {dt:g} s: a delay of {abs(self.seconds):g} s has more than {MOST_DELAYED:,} "
+                f"time step: {dt:g} s: a delay of {self.seconds:g} s has more than {MOST_DELAYED:,} "
                 "samples: lower the sample rate"
             )
         return whole_and_part(samples)
 
-    def rows_ahead(self, dt: float) -> int:
-        """Return how many rows of an even clock reading ahead by this delay takes."""
+    def ahead(self, dt: float) -> int:
+        """Return how many rows of an even clock ``undo`` reads ahead."""
         whole, part = self._samples(dt)
         if not part:
             return whole
         return max(whole + AFTER, WINDOW - 1)
 
-    def read_ahead(self, x: Floats, dt: float, past: tuple[float, ...]) -> Floats:
-        """Return an even signal earlier by the delay, for all rows but the last ``rows_ahead``.
+    def undo(self, y: Floats, state: State, dt: float, ahead: int) -> Run:
+        """Return an even signal earlier by the delay, and the state with what undoing remembers.
 
-        ``past`` are the two values before the block; without them the signal begins, and
-        its first rows are made of its first six samples.
+        Parameters
+        ----------
+        y : array
+            A block of the output and ``ahead`` rows of what follows it.
+        state : State
+            The last two values of its ``undoing`` are those before the block; without
+            them the signal begins, and its first rows are made of its first six samples.
+
+        Returns
+        -------
+        Run
+            Shorter than ``y`` by what this stage reads ahead.
         """
-        ahead = self.rows_ahead(dt)
-        count = x.size - ahead
+        past: tuple[float, ...] = ()
+        memory: SectionStates = ()
+        if state.undoing is not None and state.undoing[0] == dt:
+            _, memory, past = state.undoing
+        earlier = self._earlier(y, dt, past)
+        count = y.size - ahead
+        last = y[max(count - BEFORE, 0) : count].tolist()
+        undoing = dt, memory, (*past, *last)[-BEFORE:]
+        return Run(earlier, replace(state, undoing=undoing))
+
+    def _earlier(self, y: Floats, dt: float, past: tuple[float, ...]) -> Floats:
+        """Return all rows but the last that are read ahead, earlier by the delay."""
+        count = y.size - self.ahead(dt)
         whole, part = self._samples(dt)
         if not part:
-            return x[whole : whole + count]
-        signal = np.concatenate([past, x])
+            return y[whole : whole + count]
+        signal = np.concatenate([past, y])
         first = len(past) + whole - BEFORE  # begin of the first row's six
         early = min(max(-first, 0), count)
-        parts = [
+        blocks = [
             between_even(signal[:WINDOW], BEFORE + first + row, part)
             for row in range(early)
         ]
         begin = first + early
         if early < count:
             six = signal[begin : begin + count - early + WINDOW - 1]
-            parts.append(between_even(six, BEFORE, part))
-        return np.concatenate(parts)
+            blocks.append(between_even(six, BEFORE, part))
+        return np.concatenate(blocks)
 
-    def late_loop(self, x: Floats, dt: float) -> Floats:
+    def loop(self, x: Floats, dt: float) -> Floats:
         """Return one period of a signal that repeats, late by the delay."""
         periods = 2 + math.ceil(self._samples(dt)[0] / x.size)
-        return self.run(np.tile(x, periods + WINDOW // x.size), dt)[0][-x.size :]
+        signal = np.tile(x, periods + WINDOW // x.size)
+        return self.run(signal, State(), dt).y[-x.size :]
 
-    def early_loop(self, x: Floats, dt: float) -> Floats:
+    def undo_loop(self, y: Floats, dt: float) -> Floats:
         """Return one period of a signal that repeats, earlier by the delay."""
-        known = np.resize(x, x.size + self.rows_ahead(dt))
-        return self.read_ahead(known, dt, tuple(x[-BEFORE:].tolist()))
+        signal = np.resize(y, y.size + self.ahead(dt))
+        return self._earlier(signal, dt, tuple(y[-BEFORE:].tolist()))
+
+    def keys(self) -> Json:
+        """Return what a model file holds of the stage."""
+        return {"type": "delay", "seconds": self.seconds}
+
+    def identity(self) -> list[object]:
+        """Return what a state of the stage refers to."""
+        return [self.seconds]
 
 
 def _with_rest_before(

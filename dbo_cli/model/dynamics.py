@@ -1,202 +1,34 @@
-"""Dynamics behind the gears: resonances and first-order lags, one after the other (beyond the paper).
-
-What moves is a mass on springs behind an amplifier. Sections of unit gain follow one
-another: resonances, 1/(1 + 2 zeta s/omega + s^2/omega^2), each perhaps with an
-antiresonance as numerator, and first-order lags.
-
-A resonance is discretised with a first-order hold: exact for an input that is straight
-between samples, for any time between them. In p, the output of 1/(...), and q, its rate
-over omega, one sample changes p by p_by_q q + S (u - p) + R (u' - u), where u and u' are
-the input before and now, S the step response after one time step and R the response to a
-ramp. A rest, u = p and q = 0, stays a rest to the last bit. A first-order hold of a lag
-has its zero near -1, whose inverse rings for ever. With d = 1 - 1/z the lag is taken as
-(1 - b d)/(1 + (tau/dt - b) d): late by tau at any rate, its zero at -b/(1 - b), -2/3
-here, its error in amplitude, (1/2 - b) tau dt omega^2, a fifth of the backward
-difference's (b = 0).
-"""
+"""Dynamics behind the gears: sections of unit gain, one after the other (beyond the paper)."""
 
 from __future__ import annotations
 
-import math
+import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
+from dbo_cli.model.fields import Json
 from dbo_cli.model.relaxation import checked_steps
-from dbo_cli.model.state import SectionStates
-
-Complexes = NDArray[np.complexfloating]
-
-LAG_ZERO = 0.4
-"""b of a lag, see above: between ringing of the inverse and error of the amplitude."""
-# radians of the resonance a step, below which responses are summed as series: no
-# cancellation
-_SERIES = 1.0
-_TERMS = 24  # of the series; the last is below 1e-20 of the first at one radian
-
-
-def _positive(key: str, value: float, most: float = math.inf) -> None:
-    """Refuse a number that is not between 0 and ``most``, naming the key."""
-    if math.isfinite(value) and 0.0 < value < most:
-        return
-    bound = "greater than 0"
-    if most < math.inf:
-        bound = f"between 0 and {most:g}"
-    raise ModelError(f"{key}: {value!r} is not a finite number {bound}")
-
-
-@dataclass(frozen=True)
-class Mode:
-    """The polynomial 1 + 2 zeta s/omega + s^2/omega^2.
-
-    Attributes
-    ----------
-    frequency : float
-        omega/2 pi in Hz, > 0.
-    damping : float
-        zeta, between 0 and 1.
-    """
-
-    frequency: float
-    damping: float
-
-    def __post_init__(self) -> None:
-        """Refuse numbers out of range, naming the key."""
-        _positive("frequency", self.frequency)
-        _positive("damping", self.damping, 1.0)
-
-    def polynomial(self, frequency: Floats) -> Complexes:
-        """Return its value at s = 2 pi i f, for frequencies in Hz."""
-        s = 1j * frequency / self.frequency
-        value: Complexes = 1.0 + 2.0 * self.damping * s + s * s
-        return value
-
-
-@dataclass(frozen=True)
-class Resonance(Mode):
-    """A second-order section, perhaps with an antiresonance (a ``Mode``) as numerator."""
-
-    antiresonance: Mode | None = None
-
-    @property
-    def highest(self) -> float:
-        """The higher of the resonance's and the antiresonance's frequency (Hz)."""
-        if self.antiresonance is None:
-            return self.frequency
-        return max(self.frequency, self.antiresonance.frequency)
-
-    @property
-    def output(self) -> tuple[float, float]:
-        """The parts of u - p and of q that the numerator adds to p."""
-        if self.antiresonance is None:
-            return 0.0, 0.0
-        ratio = self.frequency / self.antiresonance.frequency
-        damping = self.antiresonance.damping - ratio * self.damping
-        return ratio * ratio, 2.0 * ratio * damping
-
-    def step(self, dt: Floats) -> Floats:
-        """Return the kernel's six numbers for each time step (s): what p and q change by."""
-        angle = 2.0 * math.pi * self.frequency * dt
-        zeta = self.damping
-        root = math.sqrt(1.0 - zeta * zeta)
-        fade = np.exp(-zeta * angle)
-        sine = fade * np.sin(root * angle) / root
-        cosine = fade * np.cos(root * angle)
-        slow = angle < _SERIES
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            step = np.where(slow, _series(angle, zeta, 0), 1.0 - (cosine + zeta * sine))
-            late = 1.0 - (2.0 * zeta * step + sine) / angle
-            ramp = np.where(slow, _series(angle, zeta, 1), late)
-            rate = np.where(angle > 0.0, step / angle, 0.0)
-        return np.column_stack([sine, step, ramp, cosine - zeta * sine, sine, rate])
-
-    def response(self, frequency: Floats) -> Complexes:
-        """Return G(2 pi i f) for frequencies in Hz."""
-        gain: Complexes = 1.0 / self.polynomial(frequency)
-        if self.antiresonance is not None:
-            gain = gain * self.antiresonance.polynomial(frequency)
-        return gain
-
-
-def _series(angle: Any, zeta: float, order: int) -> Any:
-    """Return p after an input that rises from 0 to 1 at once (``order`` 0) or evenly (1), as a power series.
-
-    p'' + 2 zeta p' + p = input in units of 1/omega; the terms d_n = c_n angle^n follow
-    from the two before.
-    """
-    squared = angle * angle
-    before = now = total = 0.0 * squared  # d_0 and d_1
-    for n in range(_TERMS):
-        forcing = squared if n == order else 0.0
-        drag = 2.0 * zeta * (n + 1) * angle * now
-        following = (forcing - drag - squared * before) / ((n + 2) * (n + 1))
-        total = total + following
-        before, now = now, following
-    return total
-
-
-@dataclass(frozen=True)
-class Lag:
-    """A first-order section (1 + lambda s)/(1 + tau s): a lag, or creep of which 1 - lambda/tau comes late.
-
-    Attributes
-    ----------
-    seconds : float
-        tau, > 0.
-    lead : float
-        lambda, from 0 to less than tau.
-    """
-
-    seconds: float
-    lead: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse numbers out of range, naming the key."""
-        _positive("lag", self.seconds)
-        if not 0.0 <= self.lead < self.seconds:
-            raise ModelError(
-                f"lead: {self.lead!r} is not from 0 to less than the lag of {self.seconds!r} s"
-            )
-
-    @property
-    def output(self) -> tuple[float, float]:
-        """The part of u - p that the lead adds to p; nothing of q."""
-        return self.lead / self.seconds, 0.0
-
-    def step(self, dt: Floats) -> Floats:
-        """Return the kernel's six numbers for each time step (s)."""
-        none = np.zeros_like(dt)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            late = np.where(dt > 0.0, self.seconds / dt, np.inf)
-            beta = np.minimum(LAG_ZERO, late)
-            part = 1.0 / (1.0 + (late - beta))
-        return np.column_stack([none, part, part * (1.0 - beta), none, none, none])
-
-    def response(self, frequency: Floats) -> Complexes:
-        """Return G(2 pi i f) for frequencies in Hz."""
-        turn = 2j * math.pi * frequency
-        gain: Complexes = (1.0 + turn * self.lead) / (1.0 + turn * self.seconds)
-        return gain
-
-
-Section = Resonance | Lag
+from dbo_cli.model.sections import Complexes, Resonance, Section
+from dbo_cli.model.state import Run, SectionStates, State
+from dbo_cli.model.undoing import SectionInverse, section_inverse
 
 
 @dataclass(frozen=True)
 class Dynamics:
-    """Sections of unit gain one after the other; an inverse model undoes them (``undoing.py``).
+    """Sections of unit gain one after the other.
 
     Parameters
     ----------
     sections : tuple of Resonance or Lag
-        In the order in which a forward signal passes them.
+        In the order in which a signal passes them.
 
     Raises
     ------
@@ -205,15 +37,12 @@ class Dynamics:
     """
 
     sections: tuple[Section, ...]
+    needs_time: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         """Refuse a stage without sections."""
         if not self.sections:
             raise ModelError("sections: is empty; leave the stage out instead")
-
-    def inverse(self) -> Dynamics:
-        """Return the same stage: the direction of a model tells whether it acts or is undone."""
-        return self
 
     @cached_property
     def _output(self) -> Floats:
@@ -222,8 +51,8 @@ class Dynamics:
     @property
     def resonances(self) -> tuple[Resonance, ...]:
         """The second-order sections, lowest first."""
-        found = [part for part in self.sections if isinstance(part, Resonance)]
-        return tuple(sorted(found, key=lambda part: part.frequency))
+        sections = [each for each in self.sections if isinstance(each, Resonance)]
+        return tuple(sorted(sections, key=lambda section: section.frequency))
 
     def response(self, frequency: ArrayLike) -> Complexes:
         """Return G(2 pi i f), gain and phase of all sections, for frequencies in Hz."""
@@ -233,22 +62,17 @@ class Dynamics:
             total = total * section.response(at)
         return total
 
-    def rest(self, value: float) -> SectionStates:
-        """Return the state after a long rest at ``value``."""
-        return ((value, 0.0, value),) * len(self.sections)
+    def run(self, x: Floats, state: State, dt: float | Floats) -> Run:
+        """Return one block behind all sections, and the state with (p, q, u) of each section after it.
 
-    def run(
-        self, x: Floats, dt: float | Floats, sections: SectionStates | None = None
-    ) -> tuple[Floats, SectionStates | None]:
-        """Return one block behind all sections, and (p, q, u) of each section after it.
-
-        Without a state the stage is at rest at the first sample, whose time step (s)
-        does not matter.
+        Without them the stage is at rest at the first sample, whose time step (s) does
+        not matter.
         """
         if x.size == 0:
-            return x, sections
-        state = sections or self.rest(float(x[0]))
-        memory = np.array(state, dtype=np.float64)
+            return Run(x, state)
+        first = float(x[0])
+        rest = ((first, 0.0, first),) * len(self.sections)
+        memory = np.array(state.sections or rest, dtype=np.float64)
         y = np.empty(x.size)
         if isinstance(dt, np.ndarray):
             rows = _step_rows(self.sections, checked_steps(dt))
@@ -256,21 +80,103 @@ class Dynamics:
             rows = _even_row(self.sections, dt)
         signal = np.ascontiguousarray(x, dtype=np.float64)
         kernel.extension.dynamics_run(self._output, memory, signal, y, rows)
-        return y, as_states(memory)
+        return Run(y, replace(state, sections=as_states(memory)))
+
+    def inverses(self, dt: float) -> tuple[SectionInverse, ...]:
+        """Return the inverse of each section on an even clock of ``dt`` (s).
+
+        Raises
+        ------
+        InputError
+            The clock does not resolve a section.
+        """
+        return _inverses(self.sections, dt)
+
+    def ahead(self, dt: float) -> int:
+        """Return how many rows of an even clock ``undo`` reads ahead."""
+        return sum(inverse.weight.size for inverse in self.inverses(dt))
+
+    def undo(self, y: Floats, state: State, dt: float, ahead: int) -> Run:
+        """Return the input of all sections on an even clock, and the state with what undoing remembers.
+
+        Parameters
+        ----------
+        y : array
+            A block of the output and ``ahead`` rows of what follows it.
+        state : State
+            Its ``undoing`` is of the block before; without it the stage is at rest at
+            the first row.
+
+        Returns
+        -------
+        Run
+            Shorter than ``y`` by what this stage reads ahead.
+        """
+        inverses = self.inverses(dt)
+        first = float(y[0])
+        memory: list[tuple[float, float, float]] = [(first, 0.0, 0.0)] * len(inverses)
+        past: tuple[float, ...] = ()
+        if state.undoing is not None and state.undoing[0] == dt:
+            memory = list(state.undoing[1]) or memory
+            past = state.undoing[2]
+        count = y.size - ahead
+        undo = kernel.extension.dynamics_undo
+        signal = np.ascontiguousarray(y)
+        for index, inverse in reversed(list(enumerate(inverses))):
+            numbers, weight = inverse.numbers, inverse.weight
+            values = np.array(memory[index])
+            u = np.empty(signal.size - weight.size)
+            undo(numbers, weight, values, signal[: count + weight.size], u[:count])
+            memory[index] = tuple(values.tolist())
+            # what the next section reads ahead, without going on from there
+            if u.size > count:
+                undo(numbers, weight, values, signal[count:], u[count:])
+            signal = u
+        return Run(signal, replace(state, undoing=(dt, tuple(memory), past)))
+
+    def undoing_behind(self, sections: SectionStates, dt: float) -> SectionStates:
+        """Return what ``undo`` remembers where the forward sections are in a state."""
+        memories = []
+        each = zip(self.inverses(dt), sections, self.sections, strict=True)
+        for inverse, (p, q, u), section in each:
+            by_lead, by_q = section.output
+            a, b = (inverse.from_state @ np.array([u - p, q])).tolist()
+            memories.append((p + (by_lead * (u - p) + by_q * q), a, b))
+        return tuple(memories)
 
     def loop(self, x: Floats, dt: float) -> Floats:
         """Return one period behind all sections when it has been repeated for ever."""
 
         def run(x: Floats, states: SectionStates) -> tuple[Floats, SectionStates]:
-            y, after = self.run(x, dt, states)
-            return y, after or states
+            done = self.run(x, State(sections=states), dt)
+            return done.y, done.state.sections or states
 
         return repeated(run, x, len(self.sections))
+
+    def undo_loop(self, y: Floats, dt: float) -> Floats:
+        """Return what ``undo`` does, for one period of a signal that repeats for ever."""
+        ahead = self.ahead(dt)
+
+        def undo(y: Floats, states: SectionStates) -> tuple[Floats, SectionStates]:
+            done = self.undo(y, State(undoing=(dt, states, ())), dt, ahead)
+            assert done.state.undoing is not None
+            return done.y, done.state.undoing[1]
+
+        return repeated(undo, np.pad(y, (0, ahead), mode="wrap"), len(self.sections))
+
+    def keys(self) -> Json:
+        """Return what a model file holds of the stage."""
+        sections = [section.keys() for section in self.sections]
+        return {"type": "dynamics", "sections": sections}
+
+    def identity(self) -> list[object]:
+        """Return what a state of the stage refers to."""
+        return [[dataclasses.asdict(section) for section in self.sections]]
 
 
 def _step_rows(sections: tuple[Section, ...], steps: Floats) -> Floats:
     """Return the kernel's numbers, six for each section, in a row for each time step (s)."""
-    rows = np.concatenate([part.step(steps) for part in sections], axis=1)
+    rows = np.concatenate([section.step(steps) for section in sections], axis=1)
     return np.ascontiguousarray(rows)
 
 
@@ -278,6 +184,12 @@ def _step_rows(sections: tuple[Section, ...], steps: Floats) -> Floats:
 def _even_row(sections: tuple[Section, ...], dt: float) -> Floats:
     """Return ``_step_rows`` of one step; every block of a stream asks for it."""
     return _step_rows(sections, checked_steps(dt))
+
+
+@lru_cache(maxsize=32)
+def _inverses(sections: tuple[Section, ...], dt: float) -> tuple[SectionInverse, ...]:
+    """Return the inverse of each section; every block of a stream asks for them."""
+    return tuple(section_inverse(section, dt) for section in sections)
 
 
 def as_states(memories: Floats) -> SectionStates:
@@ -303,5 +215,5 @@ def repeated(
     base = after(np.zeros(3 * sections))[1]
     unit = np.eye(3 * sections)
     columns = np.column_stack([after(row)[1] - base for row in unit])
-    begun = np.asarray(np.linalg.solve(unit - columns, base), dtype=np.float64)
-    return after(begun)[0]
+    start = np.asarray(np.linalg.solve(unit - columns, base), dtype=np.float64)
+    return after(start)[0]

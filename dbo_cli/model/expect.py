@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.model.model import Cascade
+from dbo_cli.model.cascade import Cascade
 from dbo_cli.model.points import value_through
 
 MOST_ROWS = 131_072  # of a move that are played

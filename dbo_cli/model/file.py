@@ -8,7 +8,8 @@ an actuator was left, so that the next run goes on from there.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import chain, groupby, pairwise
 from pathlib import Path
@@ -16,20 +17,21 @@ from typing import Any
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import fields
-from dbo_cli.model.cascade import Stage
+from dbo_cli.model.amplifier import Amplifier
+from dbo_cli.model.cascade import Candidate, Cascade, Direction, Stage
 from dbo_cli.model.delay import Delay
-from dbo_cli.model.dynamics import Dynamics, Lag, Mode, Resonance, Section
+from dbo_cli.model.dynamics import Dynamics
 from dbo_cli.model.fields import VERSION, Json, build, number, numbers
-from dbo_cli.model.gears import Axis, Gears
-from dbo_cli.model.model import Candidate, Cascade
+from dbo_cli.model.gears import Gears
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
+from dbo_cli.model.sections import Lag, Mode, Resonance
 from dbo_cli.model.state import START_NAMES, Held, Quantity, State
 
 MODEL_FORMAT = "dbo-model"
 SET_FORMAT = "dbo-model-set"
 STATE_FORMAT = "dbo-state"
-TYPES = ("backlash", "point", "scale", "dynamics", "delay")
+TYPES = ("amplifier", "backlash", "point", "scale", "dynamics", "delay")
 # equal widths in a row are written once from this many on: two are shorter as they are
 SHORTEST_RUN = 3
 
@@ -109,7 +111,9 @@ def parse_model(values: object, name: str = "the model") -> Cascade:
 def _model(values: Any, path: str) -> Cascade:
     """Return the model that an object describes."""
     values = fields.contents(values, path, MODEL_FORMAT, "a model")
-    axis: Axis = "output" if values.get("direction") == "inverse" else "input"
+    direction: Direction = "forward"
+    if values.get("direction") == "inverse":
+        direction = "inverse"
     model: Cascade = build(
         Cascade,
         values,
@@ -118,7 +122,7 @@ def _model(values: Any, path: str) -> Cascade:
         direction=partial(fields.choice, words=("forward", "inverse")),
         input=_quantity,
         output=_quantity,
-        stages=partial(fields.listed, read=partial(_stage, axis=axis)),
+        stages=partial(_stages, direction=direction),
         fit=_fit,
         candidates=partial(fields.listed, read=_candidate),
         provenance=fields.notes,
@@ -143,33 +147,70 @@ def _quantity(values: Any, path: str) -> Any:
 
 
 def _candidate(values: Any, path: str) -> Any:
-    stages = partial(fields.listed, read=_stage)
-    return build(Candidate, values, path, weight=number, stages=stages)
+    return build(Candidate, values, path, weight=number, stages=_stages)
 
 
-def _stage(values: Any, path: str, axis: Axis = "input") -> Any:
-    """Return a stage; ``axis`` is the side of the gears on which the voltage is."""
+def _stages(
+    values: Any, path: str, direction: Direction = "forward"
+) -> tuple[Stage, ...]:
+    """Return stages from voltage to displacement; those of an inverse model stand mirrored in its file."""
+    stages = fields.listed(values, path, partial(_stage, direction=direction))
+    return stages if direction == "forward" else stages[::-1]
+
+
+def _stage(values: Any, path: str, direction: Direction) -> Any:
+    """Return the stage that an object describes; in an inverse model it describes what undoes the stage."""
     rest = dict(fields.notes(values, path))
     kind = fields.choice(rest.pop("type", None), f"{path}.type", TYPES)
+    is_inverse = direction == "inverse"
     if kind == "scale":
-        return build(Scale, rest, path, gain=number, offset=number)
+        scale = build(Scale, rest, path, gain=number, offset=number)
+        return scale.inverse() if is_inverse else scale
     if kind == "delay":
-        return build(Delay, rest, path, seconds=number)
+        delay = _negative_delay if is_inverse else Delay
+        return build(delay, rest, path, seconds=number)
+    if kind == "amplifier":
+        return build(Amplifier, rest, path, seconds=number)
     if kind == "dynamics":
         sections = partial(fields.listed, read=_section)
         return build(Dynamics, rest, path, sections=sections)
     table = {"dx": fields.widths, "dy": fields.widths, "x0": number, "y0": number}
+    make: Callable[..., Stage] = Points if kind == "point" else Gears
+    if is_inverse:
+        make = partial(_exchanged, make)
     if kind == "point":
-        return build(Points, rest, path, **table)
-    terms = partial(_relaxation, axis=axis)
-    gears = partial(Gears, on=axis)
-    return build(gears, rest, path, ("relaxation",), relaxation=terms, **table)
+        return build(make, rest, path, **table)
+    terms = partial(_relaxation, on="output" if is_inverse else "input")
+    return build(make, rest, path, ("relaxation",), relaxation=terms, **table)
 
 
-def _relaxation(values: Any, path: str, axis: str) -> Any:
+def _exchanged(
+    make: Callable[..., Stage], dx: Any, dy: Any, x0: float, y0: float, **terms: Any
+) -> Stage:
+    """Return the stage that exchanged axes describe (17)-(18); what is wrong has the keys of the file."""
+    try:
+        return make(dy, dx, y0, x0, **terms)
+    except ModelError as problem:
+        exchange = {"x": "y", "y": "x"}
+        text = re.sub(
+            r"\b(d?)([xy])(0?)\b",
+            lambda key: key[1] + exchange[key[2]] + key[3],
+            str(problem),
+        )
+        raise ModelError(text) from None
+
+
+def _negative_delay(seconds: float) -> Delay:
+    """Return the delay that an inverse model reads ahead by."""
+    if seconds > 0.0:
+        raise ModelError(f"seconds: {seconds!r} has the wrong sign in this direction")
+    return Delay(-seconds)
+
+
+def _relaxation(values: Any, path: str, on: str) -> Any:
     rest = dict(fields.notes(values, path))
-    if rest.pop("on", None) != axis:
-        raise ModelError(f"{path}.on: must be {axis!r} in this direction")
+    if rest.pop("on", None) != on:
+        raise ModelError(f"{path}.on: must be {on!r} in this direction")
     return build(Relaxation, rest, path, reference=number, tau=numbers, gain=numbers)
 
 
@@ -215,66 +256,49 @@ def model_values(model: Cascade) -> Json:
         "direction": model.direction,
         "input": _quantity_values(model.input),
         "output": _quantity_values(model.output),
-        "stages": [_stage_values(stage) for stage in model.stages],
+        "stages": _stage_values(model.stages, model.direction),
     }
     if model.fit:
         values["fit"] = dict(model.fit)
     if model.candidates:
         values["candidates"] = []
-    for part in model.candidates:
-        stages = [_stage_values(stage) for stage in part.stages]
-        values["candidates"].append({**_numbers(part, "weight"), "stages": stages})
+    for candidate in model.candidates:
+        stages = _stage_values(candidate.stages)
+        content = {"weight": float(candidate.weight), "stages": stages}
+        values["candidates"].append(content)
     if model.provenance:
         values["provenance"] = dict(model.provenance)
     return values
 
 
-def _numbers(part: object, *names: str) -> Json:
-    """Return attributes as floats under their names."""
-    return {name: float(getattr(part, name)) for name in names}
+def _quantity_values(quantity: Quantity) -> Json:
+    ends = {"min": float(quantity.min), "max": float(quantity.max)}
+    return {"quantity": quantity.quantity, "unit": quantity.unit, **ends}
 
 
-def _quantity_values(part: Quantity) -> Json:
-    named = {"quantity": part.quantity, "unit": part.unit}
-    return {**named, **_numbers(part, "min", "max")}
-
-
-def _stage_values(stage: Stage) -> Json:
-    """Return a stage as plain values, its type first."""
-    if isinstance(stage, Scale):
-        return {"type": "scale", **_numbers(stage, "gain", "offset")}
-    if isinstance(stage, Delay):
-        return {"type": "delay", **_numbers(stage, "seconds")}
-    if isinstance(stage, Dynamics):
-        sections = [_section_values(section) for section in stage.sections]
-        return {"type": "dynamics", "sections": sections}
-    values: Json = {
-        "type": "point" if isinstance(stage, Points) else "backlash",
-        **_numbers(stage, "x0", "y0"),
-        "dx": _runs(stage.dx.tolist()),
-        "dy": _runs(stage.dy.tolist()),
-    }
-    if isinstance(stage, Gears) and stage.relaxation is not None:
-        values["relaxation"] = {
-            "on": stage.on,
-            **_numbers(stage.relaxation, "reference"),
-            "tau": [float(tau) for tau in stage.relaxation.tau],
-            "gain": [float(gain) for gain in stage.relaxation.gain],
-        }
+def _stage_values(
+    stages: tuple[Stage, ...], direction: Direction = "forward"
+) -> list[Json]:
+    """Return stages as plain values, their types first; those of an inverse model mirrored."""
+    values = [stage.keys() for stage in stages]
+    if direction == "inverse":
+        values = [_mirrored(keys) for keys in reversed(values)]
+    for keys in values:
+        keys |= {axis: _runs(keys[axis]) for axis in ("dx", "dy") if axis in keys}
     return values
 
 
-def _section_values(section: Section) -> Json:
-    if isinstance(section, Lag):
-        values: Json = {"lag": float(section.seconds)}
-        if section.lead:
-            values["lead"] = float(section.lead)
-        return values
-    values = _numbers(section, "frequency", "damping")
-    if section.antiresonance is not None:
-        beside = section.antiresonance
-        values["antiresonance"] = _numbers(beside, "frequency", "damping")
-    return values
+def _mirrored(keys: Json) -> Json:
+    """Return the keys of what undoes a stage: exchanged axes (17)-(18), or the opposite number."""
+    if keys["type"] == "scale":
+        return Scale(keys["gain"], keys["offset"]).inverse().keys()
+    if keys["type"] == "delay":
+        return {**keys, "seconds": -keys["seconds"]}
+    exchange = {"x0": "y0", "y0": "x0", "dx": "dy", "dy": "dx"}
+    mirrored = {key: keys[exchange.get(key, key)] for key in keys}
+    if "relaxation" in mirrored:
+        mirrored["relaxation"] = {**mirrored["relaxation"], "on": "output"}
+    return mirrored
 
 
 def _runs(widths: list[float]) -> list[float | Json]:
@@ -311,6 +335,8 @@ def dumps_state(state: State, model: Cascade) -> str:
         "sections": sections,
         "delay": held,
     }
+    if model.amplifier is not None:
+        values["amplifier"] = state.amplifier
     return fields.dumps(values)
 
 
@@ -353,6 +379,9 @@ def state_of(state: State | str | Path, model: Cascade) -> State | str:
 
 def _state(values: Json, model: Cascade) -> State:
     """Return the state that an object describes, which must be one of ``model``."""
+    amplifier = {}
+    if model.amplifier is not None:
+        amplifier["amplifier"] = fields.unless_null(number)
     parts = build(
         dict,
         values,
@@ -365,6 +394,7 @@ def _state(values: Json, model: Cascade) -> State:
         drive=fields.unless_null(number),
         sections=fields.unless_null(numbers),
         delay=fields.unless_null(_held),
+        **amplifier,
     )
     if parts["model"] != model.digest:
         raise ModelError(
@@ -395,6 +425,7 @@ def _state(values: Json, model: Cascade) -> State:
         parts["time"],
         sections,
         parts["delay"],
+        parts.get("amplifier"),
         model=parts["model"],
     )
 

@@ -10,10 +10,11 @@ numbers are the paper's.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
+from dbo_cli.model.fields import Json
 from dbo_cli.model.relaxation import Relaxation
 from dbo_cli.model.state import Run, State
 from dbo_cli.model.widths import (
@@ -32,7 +34,7 @@ from dbo_cli.model.widths import (
 )
 
 Words = NDArray[np.uint64]
-Axis = Literal["input", "output"]
+Places = NDArray[np.uint32]
 Window = tuple[float, float]  # least and greatest voltage
 
 NEGLIGIBLE = 1e-9
@@ -63,10 +65,7 @@ class Gears:
     x0, y0 : float
         X_0 and Y_0, the coordinates of B = 0.
     relaxation : Relaxation, optional
-        Lag and creep; they follow the voltage.
-    on : {"input", "output"}
-        Which of the two signals is the voltage: the input of forward gears, the output
-        of inverse ones.
+        Lag and creep; they follow the input, the voltage.
 
     Attributes
     ----------
@@ -92,14 +91,11 @@ class Gears:
         x0: float = 0.0,
         y0: float = 0.0,
         relaxation: Relaxation | None = None,
-        on: Axis = "input",
     ) -> None:
         self.dx, self.dy = checked_pair(dx, dy, x0, y0)
         self.x0 = float(x0)
         self.y0 = float(y0)
         self.relaxation = relaxation
-        self.on: Axis = on
-        self._inverse: Gears | None = None
         self.n = int(self.dx.size)
         widths = on_binary_grid("dx", self.dx)
         heights = on_binary_grid("dy", self.dy)
@@ -108,20 +104,14 @@ class Gears:
         gains: tuple[float, ...] = ()
         if relaxation is not None:
             gains = relaxation.gain
-        self.gain = np.array(gains, dtype=np.float64)
-        if relaxation is not None and on == "input":
             relaxation.require_slopes(heights / widths, self.height / self.width)
-        elif relaxation is not None:
-            relaxation.require_slopes(widths / heights, self.width / self.height)
+        self.gain = np.array(gains, dtype=np.float64)
         self.table = gear_table(widths, heights, self._rounding(widths, heights))
         low, high = self.x0, self.x0 + self.width
         bottom, top = self.y0, self.y0 + self.height
-        if relaxation is not None and on == "input":
+        if relaxation is not None:
             bottom += relaxation.at_rest(low)
             top += relaxation.at_rest(high)
-        elif relaxation is not None:
-            low += relaxation.at_rest(bottom)
-            high += relaxation.at_rest(top)
         self.x_range, self.y_range = (low, high), (bottom, top)
         for key, (low, high) in (("x0", self.x_range), ("y0", self.y_range)):
             if not low < high:
@@ -133,26 +123,18 @@ class Gears:
         """Return the largest numbers of an axis over what is told apart of each gear, the greater of both."""
         scale_x = max(abs(self.x0), abs(self.x0 + self.width), self.width)
         scale_y = max(abs(self.y0), abs(self.y0 + self.height), self.height)
-        apart_x, apart_y = widths, heights
-        terms = self.relaxation
-        if terms is not None and self.on == "input":
-            scale_y += terms.most(scale_x)
-            apart_y = heights + terms.negative * widths
-        elif terms is not None:
-            scale_x += terms.most(scale_y)
-            apart_x = widths + terms.negative * heights
+        apart_y = heights
+        if self.relaxation is not None:
+            scale_y += self.relaxation.most(scale_x)
+            apart_y = heights + self.relaxation.negative * widths
         with np.errstate(over="ignore", divide="ignore"):
-            rounding: Floats = np.maximum(scale_x / apart_x, scale_y / apart_y)
+            rounding: Floats = np.maximum(scale_x / widths, scale_y / apart_y)
         return rounding
 
-    def inverse(self) -> Gears:
-        """Return the inverse (17)-(18): dX and dY exchanged in every gear, and the origins."""
-        if self._inverse is None:
-            on: Axis = "output" if self.on == "input" else "input"
-            self._inverse = Gears(
-                self.dy, self.dx, self.y0, self.x0, self.relaxation, on
-            )
-        return self._inverse
+    @property
+    def needs_time(self) -> bool:
+        """Whether the time between samples matters."""
+        return self.relaxation is not None
 
     @property
     def equal_run(self) -> int:
@@ -160,17 +142,37 @@ class Gears:
         return equal_run(self.table)
 
     @functools.cached_property
-    def kernel_rows(self) -> tuple[Floats, NDArray[np.uint32]]:
+    def exchanged(self) -> Floats:
+        """The table of the inverse (17)-(18): dX and dY exchanged in every gear."""
+        dx, dy, _, fraction = self.table.T
+        table: Floats = np.ascontiguousarray(
+            np.column_stack([dy, dx, dx / dy, fraction])
+        )
+        table.flags.writeable = False
+        return table
+
+    @functools.cached_property
+    def kernel_rows(self) -> tuple[Floats, Places]:
         """The kernel's table and its guide, a row for each gear."""
         return kernel_table(self.table)
 
-    def constants(self, extend: bool) -> tuple[Any, ...]:
+    @functools.cached_property
+    def _exchanged_rows(self) -> tuple[Floats, Places]:
+        return kernel_table(self.exchanged)
+
+    def _operator(self, extend: bool) -> tuple[Any, ...]:
         """Return the kernel's first arguments, the same for all blocks."""
-        reference = 0.0
-        if self.relaxation is not None:
-            reference = self.relaxation.reference
-        table = *self.kernel_rows, self.n, 1, self.x0, self.y0
-        return *table, extend, self.gain, reference, self.on == "output"
+        ends = self.x0, self.y0, extend
+        return *self.kernel_rows, self.n, 1, *ends, self.gain, self._reference, False
+
+    def _inverse_operator(self, extend: bool) -> tuple[Any, ...]:
+        """Return the kernel's first arguments for the inverse: its memory follows the output."""
+        ends = self.y0, self.x0, extend
+        return *self._exchanged_rows, self.n, 1, *ends, self.gain, self._reference, True
+
+    @property
+    def _reference(self) -> float:
+        return 0.0 if self.relaxation is None else self.relaxation.reference
 
     def words(self, bits: int) -> Words:
         """Return the kernel's buffer with the bits of a state in it (ModelError where they are too many)."""
@@ -191,15 +193,12 @@ class Gears:
         from ``voltage``. A tie, as with even gears halfway, stays 1; a tolerance
         decides that, not rounding.
         """
-        low, high = self.x0, self.x0 + self.width
-        if self.on == "output":
-            low, high = self.y0, self.y0 + self.height
-        if voltage <= low:
+        if voltage <= self.x0:
             return 0
-        if voltage >= high:
+        if voltage >= self.x0 + self.width:
             return (1 << self.n) - 1
         words = self.words(0)
-        kernel.extension.backlash_decay(*self.constants(True), words, float(voltage))
+        kernel.extension.backlash_decay(*self._operator(True), words, float(voltage))
         return bits_of(words)
 
     def run(
@@ -207,29 +206,21 @@ class Gears:
         x: ArrayLike,
         state: State,
         dt: float | Floats = math.inf,
-        *,
         extend: bool = True,
-        window: Window | None = None,
-        slew: float | None = None,
     ) -> Run:
-        """Return the output of (1)-(12) for one block, the state after it, and what was clipped.
+        """Return the output of (1)-(12) for one block, and the state after it.
 
         Parameters
         ----------
         x : array_like
-            One block of the input.
+            One block of the voltage.
         state : State
             Bits and memory before it; without memory the actuator rests at the first
-            sample. Its drive is the voltage before, for the slew.
+            sample.
         dt : float or array
             Seconds since the sample before, one number or one a sample.
         extend : bool
             Beyond the gears go on with the last slope; else keep Y_B.
-        window : (float, float), optional
-            Clip the output of inverse gears to this range; the state is then that of
-            the forward gears driven by the clipped output.
-        slew : float, optional
-            With a window: the largest change of the output a second.
 
         Raises
         ------
@@ -237,6 +228,48 @@ class Gears:
             The state is not of these gears.
         """
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        return self._block(self._operator(extend), x, state, dt, None, None)
+
+    def undo(
+        self,
+        y: ArrayLike,
+        state: State,
+        dt: float | Floats = math.inf,
+        window: Window | None = None,
+        slew: float | None = None,
+        extend: bool = True,
+    ) -> Run:
+        """Return the voltage (17)-(18) of one block of the output, the state after it, and what was clipped.
+
+        Parameters
+        ----------
+        y, state, dt, extend
+            As of ``run``; the state's drive is the voltage before, for the slew.
+        window : (float, float), optional
+            Clip the voltage to this range; the state is then that of ``run`` for the
+            clipped voltage.
+        slew : float, optional
+            With a window: the largest change of the voltage a second.
+
+        Raises
+        ------
+        ModelError
+            The state is not of these gears.
+        """
+        y = np.ascontiguousarray(y, dtype=np.float64).reshape(-1)
+        operator = self._inverse_operator(extend)
+        return self._block(operator, y, state, dt, window, slew)
+
+    def _block(
+        self,
+        operator: tuple[Any, ...],
+        x: Floats,
+        state: State,
+        dt: float | Floats,
+        window: Window | None,
+        slew: float | None,
+    ) -> Run:
+        """Run the kernel over a block; where no memory is known, the first sample is at rest."""
         if x.size == 0:
             return Run(x, state)
         decay = steps = _NO_NUMBERS
@@ -245,26 +278,26 @@ class Gears:
         if window is not None and slew is not None:
             steps = np.array(largest_step(slew, dt), dtype=np.float64).reshape(-1)
         if self.relaxation is None or state.memory is not None:
-            return self._run(x, state, decay, extend, window, steps)
+            return self._kernel(operator, x, state, decay, window, steps)
         # at rest at the first sample: without decay nothing of the past is left
         rest = replace(state, memory=(0.0,) * self.gain.size)
-        first = self._run(x[:1], rest, 0.0 * decay[:1], extend, window, steps[:1])
+        first = self._kernel(operator, x[:1], rest, 0.0 * decay[:1], window, steps[:1])
         if x.size == 1:
             return first
-        later = decay if len(decay) == 1 else np.ascontiguousarray(decay[1:])
+        decay = decay if len(decay) == 1 else np.ascontiguousarray(decay[1:])
         steps = steps if steps.size == 1 else steps[1:]
-        behind = self._run(x[1:], first.state, later, extend, window, steps)
+        behind = self._kernel(operator, x[1:], first.state, decay, window, steps)
         y = np.concatenate([first.y, behind.y])
         clipped = first.clipped + behind.clipped
-        place = 0 if first.clipped or not clipped else behind.first_clipped + 1
-        return Run(y, behind.state, clipped, place)
+        index = 0 if first.clipped or not clipped else behind.first_clipped + 1
+        return Run(y, behind.state, clipped, index)
 
-    def _run(
+    def _kernel(
         self,
+        operator: tuple[Any, ...],
         x: Floats,
         state: State,
         decay: Floats,
-        extend: bool,
         window: Window | None,
         steps: Floats,
     ) -> Run:
@@ -279,27 +312,28 @@ class Gears:
         before = math.nan if state.drive is None else state.drive
         low, high = window or OPEN
         counts = kernel.extension.backlash_run(
-            *self.constants(extend), words, memories, before, x, y, decay,
+            *operator, words, memories, before, x, y, decay,
             window is not None, low, high, self.slack(low, high), steps,
         )  # fmt: skip
-        after = None if self.relaxation is None else tuple(memories.tolist())
-        voltage = y if self.on == "output" else x
-        return Run(y, State(bits_of(words), after, float(voltage[-1])), *counts[2:])
+        memory = None if self.relaxation is None else tuple(memories.tolist())
+        is_inverse = operator[-1]
+        voltage = float(y[-1]) if is_inverse else float(x[-1])
+        return Run(y, state.behind(bits_of(words), memory, voltage), *counts[2:])
 
     def slack(self, low: float, high: float) -> float:
-        """Return by how much clipping to a range has to move an output to count."""
-        begin, end = self.y_range
+        """Return by how much clipping to a range has to move a voltage to count."""
+        begin, end = self.x_range
         return NEGLIGIBLE * min(high - low, end - begin)
 
     def stepper(
         self, state: State, dt: float, window: Window, slew: float | None
     ) -> Any:
-        """Return the kernel's stepper of inverse gears at an even rate, for live control.
+        """Return the kernel's stepper of ``undo`` at an even rate, for live control.
 
-        Its ``plan(x) -> y`` returns the output for an input within ``window`` and
-        ``slew``, and ``clipped`` tells whether they held it back; ``follow(y)`` works
-        out the state that this output leads to. Nothing changes until ``commit()``.
-        The values are those of ``run``, which checks, allocates and converts for every
+        Its ``plan(y)`` returns the voltage for an output within ``window`` and
+        ``slew``, and ``clipped`` tells whether they held it back; ``follow(voltage)``
+        works out the state that a voltage leads to. Nothing changes until ``commit()``.
+        The values are those of ``undo``, which checks, allocates and converts for every
         block.
         """
         decay = np.zeros((0, 0))
@@ -307,7 +341,7 @@ class Gears:
             decay = self.relaxation.decay(dt)
         step = largest_step(slew, dt)
         stepper = kernel.extension.Stepper(
-            *self.constants(True), decay, True, *window, self.slack(*window),
+            *self._inverse_operator(True), decay, True, *window, self.slack(*window),
             math.nan if step is None else step,
         )  # fmt: skip
         memories = np.array(state.memory or (), dtype=np.float64)
@@ -321,6 +355,21 @@ class Gears:
         stepper.get(words, memory)
         after = None if self.relaxation is None else tuple(memory.tolist())
         return State(bits_of(words), after)
+
+    def keys(self) -> Json:
+        """Return what a model file holds of the stage."""
+        keys: Json = {"type": "backlash", "x0": self.x0, "y0": self.y0}
+        keys |= {"dx": self.dx.tolist(), "dy": self.dy.tolist()}
+        if self.relaxation is not None:
+            keys["relaxation"] = {"on": "input", **self.relaxation.keys()}
+        return keys
+
+    def identity(self) -> list[object]:
+        """Return what a state of the stage refers to."""
+        axes = [self.dx.tolist(), self.dy.tolist(), self.x0, self.y0]
+        if self.relaxation is None:
+            return [axes]
+        return [axes, dataclasses.asdict(self.relaxation)]
 
     def engagement(
         self, x: ArrayLike, bits: int = 0, group_size: int = 1

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,10 +14,34 @@ from numpy.typing import ArrayLike
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
+from dbo_cli.model.fields import Json
+from dbo_cli.model.state import Run, State
 from dbo_cli.model.widths import checked_pair, on_binary_grid
 
 
-class Points:
+class _Curve:
+    """A function of the present sample alone: what its kinds have in common as stages."""
+
+    needs_time: ClassVar[bool] = False
+
+    def __call__(self, x: ArrayLike) -> Floats:
+        """Return the output for one block."""
+        raise NotImplementedError
+
+    def inverse(self) -> _Curve:
+        """Return the curve that undoes this one."""
+        raise NotImplementedError
+
+    def run(self, x: Floats, state: State, dt: float | Floats) -> Run:
+        """Return the output for one block; the state stays as it is."""
+        return Run(self(x), state)
+
+    def undo(self, y: Floats, state: State, dt: float | Floats) -> Run:
+        """Return the input for one block of the output; the state stays as it is."""
+        return Run(self.inverse()(y), state)
+
+
+class Points(_Curve):
     """The Discrete Point Operator of m segments, (13)-(16): memory-free, increasing, piecewise linear.
 
     Parameters
@@ -38,7 +64,6 @@ class Points:
         self.dx, self.dy = checked_pair(dx, dy, x0, y0)
         self.x0, self.y0 = float(x0), float(y0)
         self.m = int(self.dx.size)
-        self._inverse: Points | None = None
         widths = on_binary_grid("dx", self.dx)
         heights = on_binary_grid("dy", self.dy)
         x = np.concatenate([[0.0], np.cumsum(widths)])
@@ -49,18 +74,20 @@ class Points:
         self.segments: Floats = np.ascontiguousarray(rows)
         self.segments.flags.writeable = False
 
+    @cached_property
+    def _exchanged(self) -> Points:
+        return Points(self.dy, self.dx, self.y0, self.x0)
+
     def inverse(self) -> Points:
         """Return the inverse (17)-(18): dX and dY exchanged in every segment, and the origins."""
-        if self._inverse is None:
-            self._inverse = Points(self.dy, self.dx, self.y0, self.x0)
-        return self._inverse
+        return self._exchanged
 
     @property
     def least_slope(self) -> float:
         """The least slope of the segments."""
         return float(np.min(self.dy / self.dx))
 
-    def run(self, x: ArrayLike) -> Floats:
+    def __call__(self, x: ArrayLike) -> Floats:
         """Return the output of (13)-(16) for one block."""
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         y = np.empty_like(x)
@@ -73,9 +100,18 @@ class Points:
         kernel.extension.point_run(self.segments, self.x0, self.y0, y, y)
         return float(y[0])
 
+    def keys(self) -> Json:
+        """Return what a model file holds of the stage."""
+        widths = {"dx": self.dx.tolist(), "dy": self.dy.tolist()}
+        return {"type": "point", "x0": self.x0, "y0": self.y0, **widths}
+
+    def identity(self) -> list[object]:
+        """Return what a state of the stage refers to."""
+        return [[self.dx.tolist(), self.dy.tolist(), self.x0, self.y0]]
+
 
 @dataclass(frozen=True)
-class Scale:
+class Scale(_Curve):
     """A gain and an offset: y = gain x + offset, as K and Y_0 in the paper's Section V.
 
     Raises
@@ -96,15 +132,19 @@ class Scale:
         if not math.isfinite(self.offset) or not math.isfinite(self.offset / self.gain):
             raise ModelError(f"offset: {self.offset!r} is not a finite number")
 
-    def run(self, x: ArrayLike) -> Floats:
+    def __call__(self, x: ArrayLike) -> Floats:
         """Return the output for one block."""
         y: Floats = np.multiply(self.gain, x, dtype=np.float64)
         y += self.offset
         return y
 
+    @cached_property
+    def _undone(self) -> Scale:
+        return Scale(1.0 / self.gain, -self.offset / self.gain)
+
     def inverse(self) -> Scale:
         """Return the stage that undoes this one, to rounding."""
-        return Scale(1.0 / self.gain, -self.offset / self.gain)
+        return self._undone
 
     def value(self, x: float) -> float:
         """Return the output for one number."""
@@ -115,20 +155,42 @@ class Scale:
         """The gain without its sign."""
         return abs(self.gain)
 
+    def keys(self) -> Json:
+        """Return what a model file holds of the stage."""
+        return {"type": "scale", "gain": self.gain, "offset": self.offset}
+
+    def identity(self) -> list[object]:
+        """Return what a state of the stage refers to; inverted twice, the last digits may differ."""
+        return [[f"{self.gain:.9e}", f"{self.offset + 0.0:.9e}"]]
+
 
 Curve = Points | Scale
 Curves = tuple[Curve, ...]
 
 
 def through(curves: Sequence[Curve], x: Floats) -> Floats:
-    """Pass a block through stages without memory."""
+    """Pass a block through curves."""
     for curve in curves:
-        x = curve.run(x)
+        x = curve(x)
     return x
+
+
+def back_through(curves: Sequence[Curve], y: Floats) -> Floats:
+    """Return the block that curves make ``y`` of."""
+    for curve in reversed(curves):
+        y = curve.inverse()(y)
+    return y
 
 
 def value_through(curves: Sequence[Curve], x: float) -> float:
-    """Pass one number through stages without memory."""
+    """Pass one number through curves."""
     for curve in curves:
         x = curve.value(x)
     return x
+
+
+def value_back_through(curves: Sequence[Curve], y: float) -> float:
+    """Return the number that curves make ``y`` of."""
+    for curve in reversed(curves):
+        y = curve.inverse().value(y)
+    return y

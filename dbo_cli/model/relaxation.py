@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import kernel
+from dbo_cli.model.fields import Json
 
 LEAST_SLOPE = 0.03
 """Of the mean slope: what the negative gains must leave of every slope. At 0.1 % a wish with 1e-4 um of noise
@@ -71,6 +72,11 @@ class Relaxation:
         for place, gain in enumerate(self.gain):
             if not math.isfinite(gain):
                 raise ModelError(f"gain[{place}]: {gain!r} is not a finite number")
+
+    def keys(self) -> Json:
+        """Return what a model file holds of the terms."""
+        tau, gain = list(self.tau), list(self.gain)
+        return {"reference": self.reference, "tau": tau, "gain": gain}
 
     @property
     def negative(self) -> float:

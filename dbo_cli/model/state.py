@@ -68,7 +68,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class State:
-    """Everything that one sample leaves behind for the next; the same for a model and its inverse.
+    """Everything that one sample leaves behind for the next; the same whether a model runs or is undone.
 
     Attributes
     ----------
@@ -84,6 +84,8 @@ class State:
         (p, q, u) of each section of the dynamics; None: at rest at the sample to come.
     delay : Held, or None
         What a delay still holds back.
+    amplifier : float, or None
+        The output of the amplifier; None: at rest at the sample to come.
     undoing : Undoing, or None
         What undoing dynamics and delay remembers; put there by its caller.
     first : float, or None
@@ -92,15 +94,25 @@ class State:
         Digest of the model that it is of; empty inside a run.
     """
 
-    bits: int
+    bits: int = 0
     memory: tuple[float, ...] | None = None
     drive: float | None = None
     time: float | None = None
     sections: SectionStates | None = None
     delay: Held | None = None
+    amplifier: float | None = None
     undoing: Undoing | None = None
     first: float | None = None
     model: str = ""
+
+    def behind(
+        self, bits: int, memory: tuple[float, ...] | None, drive: float
+    ) -> State:
+        """Return the state with the gears and the voltage of a later sample."""
+        return State(
+            bits, memory, drive, self.time, self.sections, self.delay,
+            self.amplifier, self.undoing, self.first,
+        )  # fmt: skip
 
 
 class Run(NamedTuple):

@@ -1,4 +1,4 @@
-"""Dynamics and delay undone on an even clock, reading ahead.
+"""The inverse of a section of dynamics on an even clock, reading ahead.
 
 With the output of a section given, u - p and q follow a recursion of two eigenvalues,
 the zeros of the discretised section. For a resonance one lies near -0.268 and is run
@@ -10,27 +10,13 @@ rest. The zeros of an antiresonance are both inside, and run forward.
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Iterable, Iterator
-from itertools import chain
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
-from dbo_cli.model import kernel
-from dbo_cli.model.delay import BEFORE, Delay
-from dbo_cli.model.dynamics import (
-    Dynamics,
-    Lag,
-    Resonance,
-    Section,
-    repeated,
-)
-from dbo_cli.model.state import SectionStates, State, Undoing
-
-Payload = TypeVar("Payload")
+from dbo_cli.model.sections import Lag, Resonance, Section
 
 HIGHEST_PART = 0.3
 """Of the sample rate: a resonance above it is not undone; its inverse would ring."""
@@ -142,119 +128,3 @@ def _unresolved(section: Resonance, dt: float) -> InputError:
         f"the model's {name} is too fast to be undone at {1.0 / dt:.6g} Hz"
         f" (`resample` {6.0 * section.highest:.6g} or more)"
     )
-
-
-class Inverter:
-    """Undoes dynamics and a delay on an even clock of ``dt`` (s), reading ahead by ``ahead`` samples.
-
-    Raises
-    ------
-    InputError
-        The clock does not resolve a section.
-    """
-
-    def __init__(
-        self, dynamics: Dynamics | None, delay: Delay | None, dt: float
-    ) -> None:
-        self.sections = () if dynamics is None else dynamics.sections
-        self.delay, self.dt = delay, dt
-        self.parts = [section_inverse(part, dt) for part in self.sections]
-        self.ahead = sum(part.weight.size for part in self.parts)
-        if delay is not None:
-            self.ahead += delay.rows_ahead(dt)
-
-    def run(
-        self, wanted: Floats, undoing: Undoing | None = None
-    ) -> tuple[Floats, Undoing | None]:
-        """Return what the static part must reach for a wanted displacement, and what comes next goes on from.
-
-        Parameters
-        ----------
-        wanted : array
-            A block and ``ahead`` samples of what follows it.
-        undoing : Undoing, or None
-            From the block before, or ``behind``; None: at rest at the first value.
-        """
-        if not self.parts and self.delay is None:
-            return wanted, None
-        memory: SectionStates = ()
-        past: tuple[float, ...] = ()
-        if undoing is not None and undoing[0] == self.dt:
-            _, memory, past = undoing
-        signal = wanted
-        if self.delay is not None:
-            signal = self.delay.read_ahead(wanted, self.dt, past)
-            count = wanted.size - self.ahead
-            before = wanted[max(count - BEFORE, 0) : count].tolist()
-            past = (*past, *before)[-BEFORE:]
-        if self.parts:
-            rest = ((float(signal[0]), 0.0, 0.0),) * len(self.parts)
-            signal, memory = self._undone(signal, memory or rest)
-        return signal, (self.dt, memory, past)
-
-    def behind(self, state: State) -> Undoing | None:
-        """Return what ``run`` goes on from behind a state; None where nothing is known of it."""
-        if state.undoing is not None and state.undoing[0] == self.dt:
-            return state.undoing
-        if not self.parts or state.sections is None:
-            return None
-        memories = []
-        for part, (p, q, u), section in zip(
-            self.parts, state.sections, self.sections, strict=True
-        ):
-            by_lead, by_q = section.output
-            a, b = (part.from_state @ np.array([u - p, q])).tolist()
-            memories.append((p + (by_lead * (u - p) + by_q * q), a, b))
-        return self.dt, tuple(memories), ()
-
-    def _undone(self, y: Floats, memory: SectionStates) -> tuple[Floats, SectionStates]:
-        """Return the input of all sections but for what they read ahead, and the memory after it."""
-        count = y.size - sum(part.weight.size for part in self.parts)
-        undo = kernel.extension.dynamics_undo
-        signal = np.ascontiguousarray(y)
-        states = list(memory)
-        for place, part in reversed(list(enumerate(self.parts))):
-            ahead = part.weight.size
-            state = np.array(states[place])
-            out = np.empty(signal.size - ahead)
-            undo(part.numbers, part.weight, state, signal[: count + ahead], out[:count])
-            states[place] = tuple(state.tolist())
-            # what the next section reads ahead, without going on from there
-            if out.size > count:
-                undo(part.numbers, part.weight, state, signal[count:], out[count:])
-            signal = out
-        return signal, tuple(states)
-
-    def loop(self, wanted: Floats) -> Floats:
-        """Return what ``run`` does, for one period of a displacement that repeats for ever."""
-        signal, ahead = wanted, self.ahead
-        if self.delay is not None:
-            signal = self.delay.early_loop(signal, self.dt)
-            ahead -= self.delay.rows_ahead(self.dt)
-        if not self.parts:
-            return signal
-        wrapped = np.pad(signal, (0, ahead), mode="wrap")
-        return repeated(self._undone, wrapped, len(self.parts))
-
-
-def read_ahead(
-    blocks: Iterable[tuple[Payload, Floats]], rows: int
-) -> Iterator[tuple[Payload, Floats]]:
-    """Yield each block with ``rows`` samples of those after it; at the end the last value holds.
-
-    Empty blocks are dropped.
-    """
-    waiting: deque[tuple[Payload, int]] = deque()
-    values = np.empty(0)  # of the blocks that wait, and what is known of those after
-    for block in chain(blocks, [None]):
-        if block is not None:
-            payload, part = block
-            if part.size:
-                waiting.append((payload, part.size))
-            values = np.concatenate([values, part])
-        elif values.size:  # at the end
-            values = np.concatenate([values, np.full(rows, values[-1])])
-        while waiting and values.size - waiting[0][1] >= rows:
-            payload, count = waiting.popleft()
-            yield payload, values[: count + rows]
-            values = values[count:]

@@ -47,6 +47,7 @@ class ShownModel:
             "gears": forward.gears.n,
             "segments": [stage.dx.size for stage in points],
             "relaxation_seconds": [] if relaxation is None else list(relaxation.tau),
+            "amplifier_seconds": forward.amplifier and forward.amplifier.seconds,
             "delay_seconds": model.delay_seconds,
             "dynamics": sections,
             "candidates": len(model.candidates),
@@ -75,6 +76,8 @@ class ShownModel:
         ]
         if values["relaxation_seconds"]:
             rows.append(("creep", ", ".join(map(_time, values["relaxation_seconds"]))))
+        if values["amplifier_seconds"]:
+            rows.append(("amplifier", _time(values["amplifier_seconds"])))
         if values["delay_seconds"]:
             rows.append(("delay", _time(values["delay_seconds"])))
         rows += [("dynamics", _section(section)) for section in values["dynamics"]]

@@ -159,7 +159,7 @@ BROKEN: list[tuple[Change, str, bool]] = [
     (lambda m: m["input"].update(max=0.0), "input.max: 0.0", False),
     (lambda m: m["input"].update(unit=3), "input.unit: 3", True),
     (lambda m: m.update(version=3), "version: 3", True),
-    (lambda m: m.update(version=True), "version: True", True),
+    (lambda m: m.update(version=True), "version: true", True),
     (lambda m: m.update(direction="sideways"), "direction: 'sideways'", True),
     (lambda m: m["fit"].update(rmse=-1.0), "fit.rmse: -1.0", True),
     (lambda m: m["fit"].update(rmse="small"), 'fit.rmse: "small"', True),
@@ -242,7 +242,7 @@ def test_a_state_comes_back_and_serves_the_inverse(tmp_path: Path) -> None:
     SCHEMA.validate(json.loads(text))
     path = written(tmp_path, text, "state.json")
     back = read_state(path, model.inverse())
-    assert back == state
+    assert back == replace(state, model=model.digest)
     assert dumps_state(back, model) == text
     rest, _ = model.simulate(drive[300:], dt=DT, state=back)
     assert np.array_equal(rest, whole[300:])

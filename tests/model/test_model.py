@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import (
+    Amplifier,
     Candidate,
     Cascade,
     Delay,
@@ -169,8 +170,8 @@ def test_dynamics_and_delay_are_undone(seconds: float, damping: float) -> None:
 def test_a_delay_is_the_same_by_count_and_by_time(seconds: float) -> None:
     """Before the first sample the first value holds, however the clock is given."""
     x = np.cumsum(np.random.default_rng(1).normal(size=40))
-    counted, _ = Delay(seconds).run(x, DT)
-    looked_up, _ = Delay(seconds).run(x, np.full(40, DT))
+    counted = Delay(seconds).run(x, State(), DT).y
+    looked_up = Delay(seconds).run(x, State(), np.full(40, DT)).y
     np.testing.assert_allclose(looked_up, counted, rtol=0, atol=1e-9)
 
 
@@ -186,7 +187,7 @@ def test_dynamics_are_the_continuous_ones() -> None:
     section = Resonance(50.0, 0.1)
     time = np.arange(400) * DT
     x = np.minimum(time, 0.1)
-    y, _ = Dynamics((section,)).run(x, DT)
+    y = Dynamics((section,)).run(x, State(), DT).y
     omega, zeta = 2 * np.pi * 50.0, 0.1
     damped = omega * np.sqrt(1 - zeta**2)
 
@@ -206,8 +207,9 @@ def test_loops_are_settled() -> None:
     undone = model.inverter(DT).loop(period)
     back = model.follow_loop(undone, DT)
     np.testing.assert_allclose(back, period, rtol=0, atol=2e-5)
-    many, _ = model.dynamics.run(np.tile(undone, 200), DT)  # type: ignore[union-attr]
-    late, _ = model.delay.run(many, DT)  # type: ignore[union-attr]
+    assert model.dynamics is not None and model.delay is not None
+    many = model.dynamics.run(np.tile(undone, 200), State(), DT)
+    late = model.delay.run(many.y, State(), DT).y
     np.testing.assert_allclose(late[-200:], back, rtol=0, atol=1e-9)
 
 
@@ -396,11 +398,8 @@ def test_signs_and_digests() -> None:
         ((Gears([1], [1]), Gears([1], [1])), "stages[1]: "),
         ((Gears([1], [1]), Delay(1.0), Scale(1.0, 0.0)), "stages[2]: "),
         ((Dynamics((Lag(1.0),)), Gears([1], [1])), "stages[1]: "),
-        ((Gears([1], [1]), Delay(-1.0)), "stages[1].seconds"),
-        (
-            (Gears([1], [1], 0, 0, Relaxation(0.0, (1.0,), (1.0,)), "output"),),
-            "stages[0].relaxation.on",
-        ),
+        ((Gears([1], [1]), Amplifier(1.0)), "stages[1]: "),
+        ((Amplifier(1.0), Amplifier(1.0), Gears([1], [1])), "stages[1]: "),
     ],
 )
 def test_bad_cascades_are_named(stages: tuple[Stage, ...], place: str) -> None:

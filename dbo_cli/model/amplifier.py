@@ -1,0 +1,259 @@
+"""The lag of an amplifier before the gears (beyond the paper).
+
+u_k = u_k-1 + (1 - a)(v_k - u_k-1), a = exp(-dt/seconds): v is the drive that is logged and
+played, u the voltage that reaches the actuator. It is undone exactly, without reading
+ahead: v_k = u_k-1 + (u_k - u_k-1)/(1 - a). Limits of v are a window of u that moves with
+u_k-1. At rest at the first sample, u is v.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from dbo_cli.arrays import Floats
+from dbo_cli.errors import InputError, ModelError
+from dbo_cli.model import kernel
+from dbo_cli.model.fields import Json
+from dbo_cli.model.gears import Gears, Window, largest_step
+from dbo_cli.model.points import (
+    Curves,
+    back_through,
+    through,
+    value_back_through,
+    value_through,
+)
+from dbo_cli.model.relaxation import checked_steps
+from dbo_cli.model.state import Run, State
+
+Limits = tuple[Floats, Floats, Window]
+"""Of a block: 1 - a and the largest change of the drive for each row, and the range of the drive."""
+AT_REST = 0.0, 1.0
+"""Output before, and share, of the first sample of a record: u is v."""
+
+
+@dataclass(frozen=True)
+class Amplifier:
+    """A first-order lag of the drive.
+
+    Parameters
+    ----------
+    seconds : float
+        Its time constant, > 0.
+
+    Raises
+    ------
+    ModelError
+        ``seconds`` is not a finite time above 0.
+    """
+
+    seconds: float
+    needs_time: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        """Refuse what is not a time."""
+        if not (math.isfinite(self.seconds) and self.seconds > 0.0):
+            raise ModelError(
+                f"seconds: {self.seconds!r} is not a finite time greater than 0"
+            )
+
+    def share(self, dt: float | Floats) -> Floats:
+        """Return 1 - a for one time step (s), or for each (InputError: one is negative)."""
+        share: Floats = 1.0 - np.exp(-checked_steps(dt) / self.seconds)
+        return share
+
+    def shares(
+        self, state: State, dt: float | Floats, count: int
+    ) -> tuple[float, Floats]:
+        """Return the output before a block of samples, and 1 - a for each of them.
+
+        Raises
+        ------
+        InputError
+            The clock stands still: no drive changes the output in no time.
+        """
+        shares = np.array(np.broadcast_to(self.share(dt), (count,)))
+        before = state.amplifier
+        if before is None:
+            before, shares[0] = AT_REST
+        still = np.flatnonzero(shares == 0.0)
+        if still.size:
+            raise InputError(
+                f"time step {int(still[0]) + 1}: 0 s: the amplifier's lag cannot be undone where "
+                "time stands still (`resample` HZ)"
+            )
+        return before, shares
+
+    def run(self, x: Floats, state: State, dt: float | Floats) -> Run:
+        """Return the voltage behind the amplifier for one block, and the state after it."""
+        if x.size == 0:
+            return Run(x, state)
+        decay = np.exp(-checked_steps(dt) / self.seconds)
+        memory, u = np.zeros(1), np.empty((x.size, 1))
+        first = 0
+        if state.amplifier is None:
+            memory[0] = u[0] = x[0]
+            first = 1
+        else:
+            memory[0] = state.amplifier
+        if len(decay) > 1:
+            decay = decay[first:]
+        decay = np.ascontiguousarray(decay[:, np.newaxis])
+        signal = np.ascontiguousarray(x[first:])
+        kernel.extension.memory_run(0.0, memory, signal, u[first:], decay)
+        return Run(u[:, 0].copy(), replace(state, amplifier=float(memory[0])))
+
+    def undo(self, y: Floats, state: State, dt: float | Floats) -> Run:
+        """Return the drive for one block of the voltage behind the amplifier, and the state after it."""
+        if y.size == 0:
+            return Run(y, state)
+        before, shares = self.shares(state, dt, y.size)
+        previous = np.concatenate([[before], y[:-1]])
+        drive = previous + (y - previous) / shares
+        return Run(drive, replace(state, amplifier=float(y[-1])))
+
+    def keys(self) -> Json:
+        """Return what a model file holds of the stage."""
+        return {"type": "amplifier", "seconds": self.seconds}
+
+    def identity(self) -> list[object]:
+        """Return what a state of the stage refers to."""
+        return [{"amplifier": self.seconds}]
+
+
+@dataclass(frozen=True)
+class AmplifiedGears:
+    """Gears behind an amplifier and curves, undone together: limits of the drive reach through all."""
+
+    amplifier: Amplifier
+    head: Curves
+    gears: Gears
+
+    def window(self, before: float, share: float, low: float, high: float) -> Window:
+        """Return the range of the voltage at the gears for a drive from ``low`` to ``high``."""
+        ends = [
+            value_through(self.head, before + share * (end - before))
+            for end in (low, high)
+        ]
+        return min(ends), max(ends)
+
+    def drive(
+        self, voltage: float, before: float, share: float, low: float, high: float
+    ) -> tuple[float, float]:
+        """Return the drive for a voltage at the gears, and what comes out of the amplifier."""
+        u = value_back_through(self.head, voltage)
+        drive = before + (u - before) / share
+        return min(max(drive, low), high), u  # rounding on the way back
+
+    def undo(
+        self,
+        output: Floats,
+        state: State,
+        dt: float | Floats,
+        window: Window | None,
+        slew: float | None,
+        extend: bool,
+    ) -> Run:
+        """Return the drive for one block of the gears' output; see ``Gears.undo``.
+
+        Rows are undone in blocks as if there were no limits. From the first one on that a
+        limit may hold back, each is undone within its own window; then blocks grow again.
+        """
+        _, shares = self.amplifier.shares(state, dt, output.size)
+        if window is None:
+            return self._undo_freely(output, state, dt, extend)[0]
+        changes = np.broadcast_to(np.inf, output.shape)
+        if slew is not None:
+            changes = np.broadcast_to(largest_step(slew, dt), output.shape)
+        drive = np.empty_like(output)
+        row, size, clipped, first_clipped = 0, output.size, 0, 0
+        while row < output.size:
+            rows = slice(row, row + size)
+            block, limits = output[rows], (shares[rows], changes[rows], window)
+            steps = dt[rows] if isinstance(dt, np.ndarray) else dt
+            if block.size == 1:
+                done = self._undo_row(block, state, steps, limits, extend)
+            else:
+                done = self._undo_rows(block, state, steps, limits, extend)
+            count = done.y.size
+            drive[row : row + count] = done.y
+            if done.clipped and not clipped:
+                first_clipped = row
+            clipped += done.clipped
+            row, state = row + count, done.state
+            size = 1 if done.clipped or count < block.size else 2 * size
+        return Run(drive, state, clipped, first_clipped)
+
+    def _undo_freely(
+        self, output: Floats, state: State, dt: float | Floats, extend: bool
+    ) -> tuple[Run, Floats]:
+        """Return the drive as if there were no limits, and the voltage at the gears."""
+        done = self.gears.undo(output, state, dt, extend=extend)
+        u = back_through(self.head, done.y)
+        run = self.amplifier.undo(u, done.state, dt)
+        last = float(run.y[-1])
+        return Run(run.y, replace(run.state, drive=last)), done.y
+
+    def _undo_rows(
+        self,
+        output: Floats,
+        state: State,
+        dt: float | Floats,
+        limits: Limits,
+        extend: bool,
+    ) -> Run:
+        """Return the drive of the rows before the first one that a limit may hold back."""
+        free, voltage = self._undo_freely(output, state, dt, extend)
+        shares, changes, window = limits
+        u = back_through(self.head, voltage)
+        previous = np.concatenate([[state.amplifier or 0.0], u[:-1]])
+        last = np.concatenate([[_or_nan(state.drive)], free.y[:-1]])
+        low, high = _range(last, changes, window)
+        one_end = through(self.head, previous + shares * (low - previous))
+        other_end = through(self.head, previous + shares * (high - previous))
+        held = (free.y < low) | (free.y > high)
+        held |= voltage < np.minimum(one_end, other_end)
+        held |= voltage > np.maximum(one_end, other_end)
+        if not held.any():
+            return free
+        count = int(np.argmax(held))
+        if count == 0:
+            return Run(free.y[:0], state)
+        steps = dt[:count] if isinstance(dt, np.ndarray) else dt
+        return self._undo_freely(output[:count], state, steps, extend)[0]
+
+    def _undo_row(
+        self,
+        output: Floats,
+        state: State,
+        dt: float | Floats,
+        limits: Limits,
+        extend: bool,
+    ) -> Run:
+        """Return the drive of one row within its window."""
+        shares, changes, window = limits
+        share, before = float(shares[0]), state.amplifier or 0.0
+        last = np.array([_or_nan(state.drive)])
+        low, high = (float(end[0]) for end in _range(last, changes, window))
+        at_gears = self.window(before, share, low, high)
+        done = self.gears.undo(output, state, dt, at_gears, None, extend)
+        drive, u = self.drive(float(done.y[0]), before, share, low, high)
+        state = replace(done.state, amplifier=u, drive=drive)
+        return Run(np.array([drive]), state, done.clipped)
+
+
+def _or_nan(drive: float | None) -> float:
+    return math.nan if drive is None else drive
+
+
+def _range(last: Floats, changes: Floats, window: Window) -> tuple[Floats, Floats]:
+    """Return the least and greatest drive of each row behind ``last``; the window wins over the change."""
+    low, high = window
+    with np.errstate(invalid="ignore"):
+        least, largest = last - changes, last + changes
+    least[~(least >= low)] = low
+    largest[~(largest <= high)] = high
+    return np.minimum(least, high), np.maximum(largest, low)

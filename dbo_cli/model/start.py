@@ -1,0 +1,116 @@
+"""Starts: what the gears have been through before the first sample, by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from dbo_cli.errors import ModelError
+from dbo_cli.model.gears import Gears
+from dbo_cli.model.state import START_NAMES, State
+from dbo_cli.model.widths import CROSSING_TOLERANCE
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """The starts of gears whose voltage stays between ``low`` and ``high``.
+
+    Spare gears may go on beyond that range, so that a drive that goes a little further
+    turns there as it does inside. They come last in the table. No drive inside the range
+    moves them: those that reach below it are crossed, the others open.
+    """
+
+    gears: Gears
+    low: float
+    high: float
+
+    @cached_property
+    def inside(self) -> Gears:
+        """The gears that a drive inside the range moves."""
+        gears = self.gears
+        count = self._count(self.high - max(self.low, gears.x0))
+        if count == gears.n:
+            return gears
+        below = gears.dx[count : self._count(self.high - gears.x0)]
+        begin = gears.x0 + float(below.sum())
+        return Gears(gears.dx[:count], gears.dy[:count], begin)
+
+    @cached_property
+    def full(self) -> int:
+        """The bits of all gears, where the drive comes from the upper end of its range."""
+        return (1 << self._count(self.high - self.gears.x0)) - 1
+
+    @cached_property
+    def empty(self) -> int:
+        """The bits of all gears, where the drive comes from the lower end of its range."""
+        return self.full + 1 - (1 << self.inside.n)
+
+    def _count(self, width: float) -> int:
+        """Return how many gears, the first ones, span ``width``, to half a gear."""
+        ends = np.cumsum(self.gears.dx)
+        last = int(np.searchsorted(ends, width - 0.5 * float(self.gears.dx[-1])))
+        return min(last + 1, self.gears.n)
+
+    def bits(self, voltage: float, name: str = "auto") -> int:
+        """Return the bits of the start ``name``.
+
+        ``empty``: the actuator has been at or below the lower end of the drive's range.
+        ``full``: likewise the upper end. ``settled``: after an oscillation that decays
+        from the whole range to ``voltage``. ``auto``: empty where that is at or below the
+        lower end, else settled.
+
+        Raises
+        ------
+        ModelError
+            There is no start of that name.
+        """
+        if name not in START_NAMES:
+            raise ModelError(f"`state` {name}: give {', '.join(START_NAMES)} or a file")
+        if name == "full":
+            return self.full
+        if name == "empty":
+            return self.empty
+        return self.empty | self.inside.settled(voltage)
+
+    def voltage_settled_at(self, output: float, low: float, high: float) -> float:
+        """Return the voltage in [low, high] whose own settled state leads to ``output``.
+
+        The output at rest in the settled state rises with the voltage, but by steps
+        where the state changes: where it steps over ``output``, the voltage on the
+        nearer side is taken. It is found by halving the range, and within the reach of
+        one state exactly.
+        """
+
+        def voltage_from(bits: int) -> float:
+            return float(self.gears.undo([output], State(bits)).y[0])
+
+        def miss_at(voltage: float) -> float:
+            state = State(self.bits(voltage))
+            return abs(float(self.gears.run([voltage], state).y[0]) - output)
+
+        below, above = self.inside.x_range
+        voltage = voltage_from(self.empty)
+        if voltage <= below:
+            return min(max(voltage, low), high)
+        voltage = voltage_from(self.full)
+        if voltage >= above:
+            return min(max(voltage, low), high)
+        # a little beside the step, so that a voltage that is rounded on its way still
+        # starts on the same side
+        margin = CROSSING_TOLERANCE * (above - below)
+        while above - below > 0.001 * margin:
+            middle = below + 0.5 * (above - below)
+            if not below < middle < above:  # neighbours in float64
+                break
+            bits = self.bits(middle)
+            voltage = voltage_from(bits)
+            if below <= voltage <= above and self.bits(voltage) == bits:
+                return min(max(voltage, low), high)
+            if voltage > middle:
+                below = middle
+            else:
+                above = middle
+        ends = [min(max(end, low), high) for end in (below - margin, above + margin)]
+        return min(ends, key=miss_at)
