@@ -55,8 +55,8 @@ def left_out_figures(
     left, line = left_out_rmse(problem, average), line_left_out(problem, average)
     unexplained = unexplained_share(problem, average)
     if not options.force:
-        _refuse_unrelated(unexplained, logs)
         refuse_no_better(left, line, logs)
+        _refuse_unrelated(unexplained, logs)
     return {
         "method": "least-squares",
         "left_out_rmse": left,
