@@ -28,6 +28,11 @@ COMMANDS = tuple(
     "trajectory waveform".split()
 )
 """In the order of a working day; each is a function of that name in a module of that name."""
+NOT_A_NUMBER = {
+    "Input should be a valid integer": "give a whole number",
+    "Input should be a valid number": "give a number",
+}
+"""What typer's library says of an option that is no number, and what this program says."""
 HELP = ("-h, --help, --help-all", "This page; --help-all lists every option.")
 
 
@@ -210,6 +215,9 @@ def _refused(problem: Any) -> str:
         closest = _nearest(problem.option_name, problem.possibilities or [])
         return f"no such option: {problem.option_name}{closest}"
     text: str = problem.format_message().replace("Value error, ", "")
+    for words, plain in NOT_A_NUMBER.items():
+        if words in text:
+            text = f"{text.partition(words)[0]}{plain}"
     return text[:1].lower() + text[1:].rstrip(".")
 
 

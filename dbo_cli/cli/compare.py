@@ -30,9 +30,10 @@ def compare(
     Example: dbo compare recorded.csv --validate other.csv
     """
     from dbo_cli.compare import compare as compare_operators
-    from dbo_cli.files import write_text
+    from dbo_cli.files import check_outputs, write_text
     from dbo_cli.recordings import recordings_of
 
+    check_outputs(output)
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
     every, opened = recordings_of([*logs, *(validate or [])], columns, reading)
     recordings, tests = every[: len(logs)], every[len(logs) :]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from .conftest import creep_log
-from .program import dbo, done, model, process, table, write
+from .program import dbo, done, model, process, refused, table, write
 
 QUICK = "--relaxation 0 --gears 20 --points 0 --delay 0".split()
 
@@ -145,8 +145,16 @@ def test_the_help_page_names_the_exit_codes() -> None:
 
 
 def test_figures_need_no_backend_of_a_notebook() -> None:
-    environment = {**os.environ, "MPLBACKEND": "module://nowhere.backend_inline"}
+    environment = {**os.environ, "MPLBACKEND": "of another program"}
     words = ("show", model("small"), "--figures", "figures")
     ended = process(*words, env=environment)
     assert ended.returncode == 0, ended.stderr
     assert list(Path("figures").glob("*.png"))
+
+
+@pytest.mark.parametrize("line", ["--lag 1e9", "--lag soon", "--lag 0.5"])
+def test_no_words_of_a_library_reach_the_user(line: str) -> None:
+    said = refused(2, "report", "pair.csv", *line.split())
+    assert "--lag" in said and "whole number" in said and "Input" not in said
+    said = refused(2, "check", "drive.csv", "--gain", "much")
+    assert "--gain" in said and "give a number" in said and "Input" not in said
