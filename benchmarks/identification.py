@@ -10,16 +10,20 @@ their bounds), and over that of the state before; the error over the one stated 
 four times, or as one where no rival is better than a line.
 
 ``--before`` is a table saved by ``--save``, by another state of the package. ``--set
-search.PRICE=0`` switches a rule off: another value for a constant of
-``dbo_cli.identification``. ``--copies`` identifies again from each log rounded to five
-digits, with 1 % noise, and without its last 5 %, and prints how far the test error
-moves; noise counts only where the error is larger than it.
+cross_validation.PRICE=0`` switches a rule off: another value (a literal of Python) for a
+constant of ``dbo_cli.identification``, wherever it is used; an unknown name is refused.
+``--copies`` identifies again from each log rounded to five digits, with 1 % noise, and
+without its last 5 %, and prints how far the test error moves; noise counts only where the
+error is larger than it.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
 import importlib
+import importlib.abc
+import importlib.machinery
 import json
 import math
 import sys
@@ -28,6 +32,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from types import CodeType
 from typing import Any
 
 import numpy as np
@@ -366,14 +371,65 @@ def loaded(path: str) -> dict[str, Result]:
     return results
 
 
-def set_constant(text: str) -> None:
-    """Give a constant of ``dbo_cli.identification`` another value: ``module.NAME=JSON``."""
-    place, value = text.split("=", 1)
-    module, name = place.rsplit(".", 1)
-    loaded_module = importlib.import_module(f"dbo_cli.identification.{module}")
-    if not hasattr(loaded_module, name):
-        raise SystemExit(f"no constant {name} in dbo_cli.identification.{module}")
-    setattr(loaded_module, name, json.loads(value))
+class ChangedConstants(importlib.machinery.SourceFileLoader):
+    """Loads a module with other constants: defaults and names made of them follow."""
+
+    values: dict[str, Any]
+
+    def get_code(self, fullname: str) -> CodeType:
+        """Compile the source, each constant's value replaced; SystemExit where there is none."""
+        path = self.get_filename(fullname)
+        tree = ast.parse(self.get_data(path))
+        missing = dict(self.values)
+        for node in tree.body:
+            if not isinstance(node, ast.Assign) or len(node.targets) != 1:
+                continue
+            target = node.targets[0]
+            if isinstance(target, ast.Name) and target.id in missing:
+                value = ast.parse(repr(missing.pop(target.id)), mode="eval").body
+                node.value = value
+        if missing:
+            raise SystemExit(f"no constant {', '.join(missing)} in {fullname}")
+        return compile(ast.fix_missing_locations(tree), path, "exec")
+
+
+class ConstantsFinder(importlib.abc.MetaPathFinder):
+    """Finds the modules whose constants are to be changed."""
+
+    def __init__(self, changes: dict[str, dict[str, Any]]) -> None:
+        self.changes = changes
+
+    def find_spec(self, fullname: str, path: Any, target: Any = None) -> Any:
+        """Return the module's spec with a loader that changes it."""
+        if fullname not in self.changes:
+            return None
+        spec = importlib.machinery.PathFinder.find_spec(fullname, path)
+        if spec is None or spec.origin is None:
+            raise SystemExit(f"no module {fullname}")
+        loader = ChangedConstants(fullname, spec.origin)
+        loader.values = self.changes[fullname]
+        spec.loader = loader
+        return spec
+
+
+def set_constants(texts: Sequence[str]) -> None:
+    """Give constants of ``dbo_cli.identification`` other values: each text is ``module.NAME=VALUE``.
+
+    The modules' sources are changed before they are imported, so that nothing keeps the
+    value that it has.
+    """
+    changes: dict[str, dict[str, Any]] = {}
+    for text in texts:
+        place, value = text.split("=", 1)
+        module, name = place.rsplit(".", 1)
+        values = changes.setdefault(f"dbo_cli.identification.{module}", {})
+        values[name] = ast.literal_eval(value)
+    loaded = [module for module in changes if module in sys.modules]
+    if loaded:
+        raise SystemExit(f"{', '.join(loaded)}: imported already")
+    sys.meta_path.insert(0, ConstantsFinder(changes))
+    for module in changes:
+        importlib.import_module(module)
 
 
 def main() -> int:
@@ -387,9 +443,8 @@ def main() -> int:
     parser.add_argument("--copies", action="store_true")
     asked = parser.parse_intermixed_args()
     paper = asked.paper or asked.recordings.parent / "paper"
+    set_constants(asked.set)
     cases = all_cases(asked.recordings, paper, asked.cases)
-    for text in asked.set:
-        set_constant(text)
     if asked.copies:
         copies(cases)
         return 0

@@ -12,7 +12,7 @@ from typer import Argument
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import LIMITS, MOVE, OUTPUT, READING, Text, flag, option, rare
-from dbo_cli.cli.say import progress, say, say_log, say_output
+from dbo_cli.cli.say import detail, progress, say, say_log, say_output
 
 if TYPE_CHECKING:
     from dbo_cli.arrays import Floats
@@ -250,6 +250,7 @@ def compensate_one(
     say_log(log)
     say_output(written.output, drive.line())
     say(drive.expected_line())
+    detail(*drive.notes)
 
 
 def compensate_set(

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.check import limits_in, read_drive, step_of
-from dbo_cli.cli.options import Text, option
+from dbo_cli.cli.options import Text, flag, option
 from dbo_cli.cli.say import detail, say, say_output
 from dbo_cli.errors import InputError
 
@@ -25,6 +25,9 @@ def waveform(
     points: Annotated[
         int | None, option("N", "Points, over the same time.", min=0)
     ] = None,
+    loop: Annotated[
+        bool, flag("--loop", "The drive is one period: other points keep it.")
+    ] = False,
     codes: Annotated[
         Text, option("LOW:HIGH", "Range of codes; default: the format's.")
     ] = None,
@@ -50,6 +53,7 @@ def waveform(
     from dbo_cli.files import Outputs
     from dbo_cli.moves import side_by_side
     from dbo_cli.moves import waveform as make
+    from dbo_cli.units import kind_of, multiplied, ratio
 
     columns = {"time": time, "voltage": voltage}
     known: list[str] = []
@@ -64,19 +68,26 @@ def waveform(
                 channels.value_for(name, values or [], channel or None, known)
             )
         chosen = channels.columns_for(columns, channel)
-        signal, log = read_drive(drive, reading, chosen, "V")
+        signal, log = read_drive(drive, reading, chosen, None)
+        unit = log.columns["voltage"].unit
+        if kind_of(unit) not in (None, "voltage"):
+            raise InputError(
+                f"{drive}: the drive is in {unit}, not V: add `scale` voltage=FACTORV/{unit}"
+            )
+        volt = None if unit is None else "V"  # a limit's unit needs one in the file
         step = step_of(signal)
         if step is None:
             raise InputError(
                 f"{drive}: needs an even clock: add `resample` HZ, or `sample_rate` HZ if it has none"
             )
         made[channel] = make(
-            signal["voltage"],
+            multiplied(signal["voltage"], ratio(unit, "V")),
             1.0 / step,
             to,
-            limits_in("V", *ranges),
+            limits_in(volt, *ranges),
             name=f"{drive}: channel {channel}" if channel else drive,
             gain=gain,
+            loop=loop,
             points=points,
             rate=opt.quantity("rate", rate, "Hz"),
             codes=None if codes is None else opt.span("codes", codes, None),

@@ -282,7 +282,10 @@ class Driver:
             from dbo_cli.drive.learning import RepeatedMove
 
             state = self.lead.state
-            move = RepeatedMove(model, values, seconds, step, state, periodic, absolute)
+            swept = self.limits.move if self.lead.condition else None
+            move = RepeatedMove(
+                model, values, seconds, step, state, periodic, absolute, swept
+            )
             lesson = move.lesson(tracked, history, bandwidth)
             target = lesson.request
         elif bandwidth is not None:
@@ -298,7 +301,7 @@ class Driver:
         return replace(
             drive,
             # the model's own error is what was learned
-            expected_error=None,
+            expected_error=lesson.rmse,
             expected_known=None,
             history=lesson.history,
             notes=(*lesson.notes, *drive.notes),

@@ -9,6 +9,7 @@ from dbo_cli.identification.averaging import Average, average_model, candidates
 from dbo_cli.identification.clean import clean
 from dbo_cli.identification.fast import split
 from dbo_cli.identification.figures import (
+    left_out_figures,
     measured,
     refuse_other_sign,
     stated,
@@ -73,6 +74,7 @@ def _searched(logs: Sequence[Recording], options: Options, notes: list[str]) -> 
         moved = moving(problem, fits, slow, fast, options)
         problem, fits = moved.problem, moved.fits
     average = Average.of(fits)
+    figures = left_out_figures(problem, average, slow, options)
     fit = average_model(problem, average)
     others = list(zip(average.weights.tolist(), average.fits, strict=True))
     few = problem.one_amplitude or problem.different_swings < FEWEST_SWINGS
@@ -82,4 +84,4 @@ def _searched(logs: Sequence[Recording], options: Options, notes: list[str]) -> 
     if moved is not None:
         model = moved.applied(model)
     notes += average.words()
-    return stated(model, problem, average, slow, options)
+    return stated(model, problem, figures, logs)

@@ -29,6 +29,7 @@ from dbo_cli.identification.recording import (
     white_noise,
 )
 from dbo_cli.model import Candidate, Cascade, Delay, Dynamics, Scale, State, steps_of
+from dbo_cli.model.expect import expected_error
 
 STUDENT = 2.0  # standard errors of a 95 % interval
 BROKEN = 2.0
@@ -151,6 +152,19 @@ def _stated(prior: Cascade) -> float:
     return max(float(stated), EXACT * prior.output.span)
 
 
+def _stated_of_logs(prior: Cascade, predictions: Sequence[Prediction]) -> float:
+    """Return the error (RMS) that the prior states of these very logs, their past aside."""
+    squares = []
+    for each in predictions:
+        log = each.log
+        steps = None if log.time is None else steps_of(log.time)
+        stated = expected_error(
+            prior, log.voltage, steps, past_known=True, memory_known=True
+        )
+        squares.append((stated or _stated(prior)) ** 2)
+    return max(float(np.sqrt(np.mean(squares))), EXACT * prior.output.span)
+
+
 def _changes(
     prior: Cascade, predictions: Sequence[Prediction]
 ) -> tuple[Change, Change]:
@@ -235,7 +249,10 @@ def _check_shape(
 ) -> list[str]:
     """Refuse logs that the prior's shape does not follow, the sensor's noise aside; warn where forced."""
     left = _left_over(prior, change, predictions)
-    stated, unit = change.gain * _stated(prior), prior.output.suffix
+    stated, unit = (
+        change.gain * _stated_of_logs(prior, predictions),
+        prior.output.suffix,
+    )
     squares = float(np.mean(np.concatenate(left) ** 2))
     shape = float(np.sqrt(max(squares - white_noise(left), 0.0)))
     if shape <= BROKEN * stated:

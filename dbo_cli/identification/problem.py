@@ -22,6 +22,7 @@ from dbo_cli.identification.basis import (
 )
 from dbo_cli.identification.recording import Options, Recording, Swings
 from dbo_cli.identification.solve import Rows
+from dbo_cli.signals import noise
 
 SEARCH_ROWS = 900  # of all logs: means of more
 STEADY = 0.02  # of a swing's rows, over which a mean is taken at most
@@ -30,9 +31,10 @@ BLOCKS = 6  # of time, each left out in turn
 SMALL = 0.75  # of the largest swing: swings below are left out together
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 BOTH_WAYS = 2  # swings, up and down: less shows no loop
-KNOWN = (
-    0.005  # of the range: what an unknown past adds beside it lessens a row's weight
-)
+ROUNDING = 1e-9  # of the range: smaller noise of a drive is that of numbers
+ROWS_WITH_NOISE = 20  # of a swing: with fewer, the drive's motion looks like noise
+MOST_DEVIATIONS = 4.0  # of the noise that a drive's range is drawn in by
+KNOWN = 0.005  # of the range: an unknown past that adds more lessens the row's weight
 SAME_LEVEL = 0.1  # of the range: turns that are nearer are alike
 LEAST_PART, MOST_PART = 0.08, 0.9  # of the way, of small swings that are left out
 
@@ -221,8 +223,8 @@ class Problem:
 
 def prepare(recordings: Sequence[Recording], options: Options) -> Problem:
     """Return the logs in units of the fit, with the rows of the search."""
-    low = min(float(log.voltage.min()) for log in recordings)
-    high = max(float(log.voltage.max()) for log in recordings)
+    ranges = [drive_range(log.voltage) for log in recordings]
+    low, high = min(low for low, _ in ranges), max(high for _, high in ranges)
     scale, offset = output_scale(recordings)
     recordings = thinned(recordings)
     total = sum(int(log.usable.sum()) for log in recordings)
@@ -247,6 +249,27 @@ def prepare(recordings: Sequence[Recording], options: Options) -> Problem:
         taus = time_constants(logs)
     cells = Cells.of(None if options.gears == "auto" else options.gears)
     return Problem(tuple(logs), low, high, offset, scale, cells, taus, clock)
+
+
+def drive_range(voltage: Floats) -> tuple[float, float]:
+    """Return the range of a drive that was read back: its extremes less what its noise explains of them.
+
+    The greatest of n values of noise is expected at sqrt(2 ln n) standard deviations; at
+    most four are taken off. Noise below the resolution is rounding, and motion that is as
+    fast as the samples is no noise.
+    """
+    low, high = float(voltage.min()), float(voltage.max())
+    deviation = noise(voltage)
+    steps = np.diff(np.unique(voltage))
+    resolution = max(float(steps.min()), ROUNDING * (high - low))
+    if deviation <= resolution or Swings.of(voltage).usual_rows < ROWS_WITH_NOISE:
+        return low, high
+    ends = []
+    for distance in (voltage - low, high - voltage):
+        rows = int(np.count_nonzero(distance <= MOST_DEVIATIONS * deviation))
+        deviations = min(math.sqrt(2.0 * math.log(rows)), MOST_DEVIATIONS)
+        ends.append(deviations * deviation)
+    return low + ends[0], high - ends[1]
 
 
 def thinned(logs: Sequence[Recording]) -> list[Recording]:

@@ -17,7 +17,7 @@ from dbo_cli.identification.solve import Equations, Fit, solve
 RULES = ("growing", "falling")  # for the slopes
 CURVES = (np.inf, 1e1, 1e-1, 1e-4)
 SLOPE_SMOOTHNESS = (2e-1, 2e-4, 1e-8)  # the last for springs that slip at a few forces
-SMOOTHER = 10.0 ** np.arange(-2.0, 2.5, 0.5)
+SMOOTHER = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 """Of one amplitude, tried in turn: beyond, creep hides what smoothness costs."""
 ONE_AMPLITUDE_CURVE = 1e-1
 AS_GOOD = 1.2  # of the roughest one's error: so much may smoothness cost
@@ -73,8 +73,8 @@ def _for_one_amplitude(problem: Problem, choices: Choices) -> tuple[Problem, Cho
     """
     errors = {rule: _error_of(problem, rule, SMOOTHER[0]) for rule in RULES}
     rule = min(errors, key=lambda rule: errors[rule])
-    smooth = float(SMOOTHER[0])
-    for smoother in SMOOTHER.tolist():
+    smooth = SMOOTHER[0]
+    for smoother in SMOOTHER:
         if _error_of(problem, rule, smoother) <= AS_GOOD * errors[rule]:
             smooth = smoother
     fast = problem.taus[problem.taus < SLOWEST * problem.swing]

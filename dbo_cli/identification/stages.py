@@ -24,6 +24,8 @@ from dbo_cli.model import (
     Stage,
 )
 
+FLATTEST = 1e-9  # of the mean slope of the range: a gear must rise
+
 
 def stages_of(problem: Problem, fit: Fit, zero: float = 0.0) -> tuple[Stage, ...]:
     """Return the stages of a fit; ``zero`` is taken off the displacement.
@@ -71,7 +73,7 @@ def _gears_of(problem: Problem, fit: Fit, height: float, base: float) -> Gears:
     counts[-1] += 2 * cells.spare
     mean = float(fit.slopes @ cells.shares) + float(rests.sum())
     least = float(rests.sum()) + LEAST_WITH_NEGATIVE * mean * bool(rests.any())
-    slopes = np.maximum(fit.slopes + rests.sum(), least)
+    slopes = np.maximum(fit.slopes + rests.sum(), max(least, FLATTEST))
     empty = fit.offset - float(fit.slopes @ cells.widths) / 2.0
     empty -= cells.beyond * float(slopes[-1])
     gains = height * (lags - rests) / span
