@@ -4,7 +4,8 @@
 
 Models, moves, limits, clocks and options at random: starts inside and outside, ways in,
 leads, sweeps, returns, loops, states of an earlier drive. Most drives are whole arrays,
-every tenth comes in blocks; there, rows that left before a refusal count as well. What
+every tenth comes in blocks; there, rows that left before a refusal count as well. Every
+tenth is the drive of an inverse model, which `outside` has to hold or refuse. What
 is written is looked at row by row, on its own terms: nothing here knows the program's
 gate. Exit 1 where a row is beyond a limit, or anything but a refusal ends a drive.
 """
@@ -29,7 +30,8 @@ from random_actuators import (
 
 from dbo_cli.drive import Driver, Lead, Limits, plan
 from dbo_cli.drive.limits import GateError
-from dbo_cli.errors import DboError
+from dbo_cli.drive.simulate import Simulator
+from dbo_cli.errors import DboError, LimitError
 from dbo_cli.model import Cascade, State
 
 DT = 1e-3  # s
@@ -156,12 +158,36 @@ def in_blocks(
         raise
     except DboError:
         pass
-    if not sent:
+    voltage = np.concatenate([np.empty(0), *sent])
+    if not voltage.size:
         return ""
     before = options["start"]
     if isinstance(options.get("state"), State):
         before = options["state"].drive
-    return broken(np.concatenate(sent), slice(0, 0), limits, DT, before)
+    return broken(voltage, slice(0, 0), limits, DT, before)
+
+
+def by_inverse(rng: Random, model: Cascade, desired: Floats) -> str:
+    """Run the inverse model over a move; return what is wrong with its drive."""
+    outside: Any = ["hold", "error", "extend"][int(rng.integers(3))]
+    simulator = Simulator(model.inverse(), "auto", outside, "move")
+    rows, parts = int(rng.integers(1, 100)), []
+    low, high = model.input.min, model.input.max
+    slack = 1e-9 * model.input.span
+    try:
+        for k in range(0, desired.size, rows):
+            parts.append(simulator.rows(desired[k : k + rows], DT).y)
+        parts.append(simulator.finish().y)
+    except LimitError:
+        if outside != "error":
+            return f"refused with {outside}"
+    voltage = np.concatenate([np.empty(0), *parts])
+    beyond = (voltage < low - slack) | (voltage > high + slack)
+    if outside != "extend" and beyond.any():
+        return f"a row of an inverse model is outside with {outside}"
+    if outside == "extend" and beyond.any() and not simulator.outside_count:
+        return "a row of an inverse model is outside, and nothing is said"
+    return ""
 
 
 def trial(
@@ -171,6 +197,8 @@ def trial(
     limits = Limits.within(model.input, **random_limits(rng, model.input))  # type: ignore[arg-type]
     desired = random_move(rng, model, int(rng.integers(1, 300)))
     options = random_options(rng, model, last)
+    if number % 10 == 5:
+        return by_inverse(rng, model, desired), None
     if number % 10 == 0:
         return in_blocks(rng, model, desired, limits, options), None
     clock: Any = [DT, DT, 1e-2][int(rng.integers(3))]

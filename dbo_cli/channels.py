@@ -2,25 +2,38 @@
 
 ``--voltage 'V{}' --displacement 'D{}'`` takes the columns V1 and D1, V2 and D2, and so
 on. Each channel has a model of its own; a model set is one file of them. Channels are
-worked on one after the other, in memory; their results stand side by side in one
-table.
+worked on one after the other, in memory; their results stand side by side in one table,
+and what belongs to a channel (state, summary, history) in one file of all.
 """
 
 from __future__ import annotations
 
+import json
+import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import DboError, InputError, ModelError, UsageError
+from dbo_cli.errors import (
+    DboError,
+    DboWarning,
+    InputError,
+    LimitError,
+    ModelError,
+    UsageError,
+    warn,
+)
+from dbo_cli.model import State, fields
+from dbo_cli.model.file import parse_state
 from dbo_cli.model.state import START_NAMES
 from dbo_cli.units import split_header
 
 if TYPE_CHECKING:
+    from dbo_cli.drive import Drive
+    from dbo_cli.drive.ahead import Rows
     from dbo_cli.logs import Block, Reading
     from dbo_cli.model import Cascade
 
@@ -29,6 +42,9 @@ Result = tuple[str, str | None, Floats]
 Columns = Mapping[str, str | None]
 """What was typed for each role."""
 PLACE = "{}"
+MOST_TRIES = 20  # to make channels equally long; what creeps meanwhile may change a row
+BEYOND = 0.1
+"""Of a channel's range: so far beyond it a limit is only that of the channel whose name it has."""
 
 
 def is_pattern(columns: Columns) -> bool:
@@ -36,12 +52,12 @@ def is_pattern(columns: Columns) -> bool:
     return any(typed is not None and PLACE in typed for typed in columns.values())
 
 
-def filled(columns: Columns, name: str) -> dict[str, str | None]:
+def columns_for(columns: Columns, name: str) -> dict[str, str | None]:
     """Return the columns of one channel."""
-    chosen = {}
+    columns_of_channel = {}
     for role, typed in columns.items():
-        chosen[role] = None if typed is None else typed.replace(PLACE, name)
-    return chosen
+        columns_of_channel[role] = None if typed is None else typed.replace(PLACE, name)
+    return columns_of_channel
 
 
 def names(paths: Sequence[str], reading: Reading, columns: Columns) -> list[str]:
@@ -66,9 +82,9 @@ def names(paths: Sequence[str], reading: Reading, columns: Columns) -> list[str]
             continue
         matches = _matches(typed, headers)
         channels = channels or matches
-        odd = sorted(set(channels) ^ set(matches))
-        if odd or not matches:
-            lacking = f"not for channel {odd[0]}" if odd else "no column"
+        mismatched = sorted(set(channels) ^ set(matches))
+        if mismatched or not matches:
+            lacking = f"not for channel {mismatched[0]}" if mismatched else "no column"
             raise InputError(
                 f"{path}: `{role}` {typed}: {lacking}; columns: {', '.join(headers)}"
             )
@@ -77,8 +93,8 @@ def names(paths: Sequence[str], reading: Reading, columns: Columns) -> list[str]
 
 def _matches(pattern: str, headers: Sequence[str]) -> list[str]:
     """Return what stands in the place of ``{}``, for each header that fits, with or without its unit."""
-    before, _, behind = pattern.partition(PLACE)
-    fit = re.compile(re.escape(before) + "(.+)" + re.escape(behind), re.DOTALL)
+    before, _, after = pattern.partition(PLACE)
+    fit = re.compile(re.escape(before) + "(.+)" + re.escape(after), re.DOTALL)
     channels = []
     for header in headers:
         match = fit.fullmatch(split_header(header)[0]) or fit.fullmatch(header)
@@ -94,109 +110,227 @@ def models_of(path: str, channels: Iterable[str]) -> dict[str, Cascade]:
     if not is_set(path):
         model = read_model(path)
         return dict.fromkeys(channels, model)
-    models = read_models(path)
-    for name in channels:
-        if name not in models:
-            raise ModelError(
-                f"{path}: no model for channel {name}; models: {', '.join(models)}"
-            )
-    return {name: models[name] for name in channels}
+    return read_models(path, list(channels))
 
 
-def simulate(
-    model_path: str,
+# --- what is typed for a channel, or for all ---
+
+
+def value_for(
+    name: str,
+    typed: Sequence[str],
+    channel: str | None,
+    all_channels: Sequence[str] = (),
+) -> str | None:
+    """Return what was typed for a channel: ``x=120V`` for one of them, ``120V`` for all.
+
+    Parameters
+    ----------
+    name
+        Of the option.
+    typed
+        Its values.
+    channel, known
+        The channel, and all there are; None and nothing without channels.
+
+    Raises
+    ------
+    UsageError
+        A value is of no channel, or two values are of one.
+    """
+    values: dict[str | None, str] = {}
+    for text in typed:
+        name_of_channel, mark, value = text.rpartition("=")
+        owner = name_of_channel if mark else None
+        if mark and owner not in all_channels:
+            names = ", ".join(all_channels) or "this is no set of channels"
+            raise UsageError(f"`{name}` {text}: no channel {owner}: {names}")
+        if owner in values:
+            raise UsageError(f"`{name}` {text}: is given twice")
+        values[owner] = value
+    return values.get(channel, values.get(None))
+
+
+def require_own_limit(
+    name: str, typed: Sequence[str], channel: str, value: float, model: Cascade
+) -> None:
+    """Refuse a limit for all channels that is far beyond the range of one of them (UsageError)."""
+    if any(text.startswith(f"{channel}=") for text in typed):
+        return
+    drive = model.input
+    slack = BEYOND * drive.span
+    if drive.min - slack <= value <= drive.max + slack:
+        return
+    raise UsageError(
+        f"`{name}` {value:g}{drive.suffix} is beyond channel {channel}, {drive.min:.6g} to {drive.max:.6g}"
+        f"{drive.suffix}: type `{name}` {channel}=VOLT"
+    )
+
+
+# --- tables and drives of all channels ---
+
+
+def read(
     log_path: str,
-    output: str,
     reading: Reading,
     columns: Columns,
-    state: str,
-    outside: Any,
-) -> str:
-    """Run the model of each channel over its input, write all side by side; return what to say of it."""
-    from dbo_cli.drive.simulate import Simulator
+    roles: Mapping[str, Mapping[str, Any]],
+) -> dict[str, Block]:
+    """Return the log of each channel.
 
-    refuse({"state": state not in START_NAMES})
-    results: list[Result] = []
-    for name, model, table in _each(model_path, log_path, reading, columns, "input"):
-        into, out, x = model.input, model.output, table["input"]
-        with _naming(name):
-            simulator = Simulator(model, state, outside, f"channel {name}")
-            parts = simulator.rows(x, table.dt), simulator.finish()
-        y = np.concatenate([part.y for part in parts])
-        results.append((f"{into.quantity}_{name}", into.unit, x))
-        results.append((f"{out.quantity}_{name}", out.unit, y))
-    return _write(output, table.time, results)
-
-
-def compensate(
-    model_path: str,
-    log_path: str,
-    output: str,
-    reading: Reading,
-    columns: Columns,
-    limits: Mapping[str, Any],
-    on_limit: Any,
-    state: str,
-) -> str:
-    """Drive each channel along its own displacement, write all drives side by side; return what to say."""
-    from dbo_cli.drive import Limits, plan
-
-    refuse({"state": state not in START_NAMES})
-    role = "displacement"
-    results: list[Result] = []
-    for name, model, table in _each(model_path, log_path, reading, columns, role):
-        model.require("forward", f"{model_path}::{name}")
-        drive, moved = model.input, model.output
-        clock = table.dt if isinstance(table.dt, float) else table.time
-        options = {"on_limit": on_limit, "state": state, "name": f"channel {name}"}
-        with _naming(name):
-            allowed = Limits.within(drive, **limits)
-            done = plan(model, table[role], clock, allowed, **options)
-        results.append((f"desired_{name}", moved.unit, done.desired))
-        results.append((f"{drive.quantity}_{name}", drive.unit, done.voltage))
-    return _write(output, table.time, results)
-
-
-def refuse(options: Mapping[str, object]) -> None:
-    """Refuse what gives channels drives of different lengths, or is of one model."""
-    for option, value in options.items():
-        if value:
-            raise UsageError(
-                f"`{option}` needs a single channel: give SET::NAME and its columns"
-            )
-
-
-def _each(
-    model_path: str, log_path: str, reading: Reading, columns: Columns, role: str
-) -> Iterator[tuple[str, Cascade, Block]]:
-    """Yield name, model and log of each channel, the signal of a role in the unit of the model."""
+    Parameters
+    ----------
+    roles
+        By role: the quantity of each channel, in whose unit its values are wanted.
+    """
     from dbo_cli.logs import open_log
 
-    channels = names([log_path], reading, columns)
-    for name, model in models_of(model_path, channels).items():
-        unit = (model.input if role == "input" else model.output).unit
-        units = {role: unit} if unit else {}
-        with open_log(log_path, filled(columns, name), reading, units) as log:
-            yield name, model, log.read()
+    tables = {}
+    for name in next(iter(roles.values())):
+        units = {}
+        for role, quantities in roles.items():
+            if quantities[name].unit:
+                units[role] = quantities[name].unit
+        with open_log(log_path, columns_for(columns, name), reading, units) as log:
+            tables[name] = log.read()
+    return tables
+
+
+def together(
+    drive_of: Callable[[str, int, int], Drive], channels: Iterable[str]
+) -> dict[str, Drive]:
+    """Return the drives of channels, of which the shorter ones hold before and behind the move.
+
+    Parameters
+    ----------
+    drive_of
+        Makes the drive of a channel, with rows held before what stands before the move,
+        and with at least so many rows behind the move.
+    """
+    drives: dict[str, Drive] = {}
+    holds = dict.fromkeys(channels, 0)
+    after = 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DboWarning)
+        for _ in range(MOST_TRIES):
+            for name, hold in holds.items():
+                if name not in drives:
+                    with naming(name):
+                        drives[name] = drive_of(name, hold, after)
+            lead = max(drive.lead_rows for drive in drives.values())
+            after = max(drive.rows - drive.move.stop for drive in drives.values())
+            for name, drive in list(drives.items()):
+                short = lead - drive.lead_rows
+                if short or drive.rows - drive.move.stop < after:
+                    holds[name] += short
+                    del drives[name]
+            if len(drives) == len(holds):
+                break
+        else:
+            raise LimitError(
+                "the channels' ways to their moves do not become equally long: give `approach` SECONDS"
+            )
+    for drive in drives.values():
+        for text in drive.warnings:
+            warn(text)
+    return {name: drives[name] for name in holds}
 
 
 @contextmanager
-def _naming(channel: str) -> Iterator[None]:
+def naming(channel: str) -> Iterator[None]:
     """Name the channel in an error."""
-    place = f"channel {channel}: "
+    prefix = f"channel {channel}: "
     try:
         yield
     except DboError as problem:
-        raise type(problem)(place + str(problem).removeprefix(place)) from problem
+        raise type(problem)(prefix + str(problem).removeprefix(prefix)) from problem
 
 
-def _write(output: str, time: Floats | None, results: list[Result]) -> str:
-    """Write the two columns of each channel side by side, behind the time if there is one."""
-    from dbo_cli.logs import create
+# --- files of all channels ---
 
-    text = f"{len(results) // 2} channels, {len(results[0][2]):,} rows"
-    if time is not None:
-        results = [("time", "s", time), *results]
-    with create(output, [(name, unit) for name, unit, _ in results]) as table:
-        table.write(*(values for _, _, values in results))
-    return text
+
+def dumps_files(kind: str, texts: Mapping[str, str]) -> str:
+    """Return the files of channels as one: a set of states, summaries or histories (of a ``kind``)."""
+    plural = {"history": "histories", "summary": "summaries"}.get(kind, f"{kind}s")
+    members = {name: json.loads(text) for name, text in texts.items()}
+    content = {"format": f"dbo-{kind}-set", "version": fields.VERSION, plural: members}
+    return json.dumps(content, indent=2) + "\n"
+
+
+def is_file_set(path: str) -> bool:
+    """Return whether a file is one of all channels."""
+    values = fields.load(path, "summary")[1]
+    form = values.get("format") if isinstance(values, dict) else None
+    return isinstance(form, str) and form.endswith("-set")
+
+
+def paths_of(output: str, channels: Iterable[str]) -> dict[str, str]:
+    """Return one name a channel: ``drive.arb`` becomes ``drive_x.arb`` (UsageError: it is ``-``)."""
+    if output == "-":
+        raise UsageError("`output` -: this format has a file a channel: give a name")
+    stem, ending = os.path.splitext(output)
+    return {name: f"{stem}_{name}{ending}" for name in channels}
+
+
+def read_files(path: str, kind: str, channels: Iterable[str]) -> dict[str, Any]:
+    """Return the values of each channel's file, of a set of them.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    ModelError
+        It is no such set, or lacks a channel.
+    """
+    plural = {"history": "histories", "summary": "summaries"}.get(kind, f"{kind}s")
+    name, values = fields.load(path, kind)
+    try:
+        content = fields.contents(values, "", f"dbo-{kind}-set", f"a set of {plural}")
+        read = {plural: fields.notes}
+        members: dict[str, Any] = fields.build(dict, content, "", **read)[plural]
+        for channel in channels:
+            if channel not in members:
+                raise ModelError(f'{plural}: has no channel "{channel}"')
+    except ModelError as problem:
+        raise ModelError(f"{name}: {problem}") from None
+    return members
+
+
+def states_of(state: str, models: Mapping[str, Cascade]) -> dict[str, State | str]:
+    """Return what was before the first row of each channel: the name of a start, or a state of a set."""
+    if state in START_NAMES:
+        return dict.fromkeys(models, state)
+    members = read_files(state, "state", models)
+    states: dict[str, State | str] = {}
+    for name, model in models.items():
+        states[name] = parse_state(members[name], model, f"{state}: {name}")
+    return states
+
+
+def histories_of(path: str | None, channels: Sequence[str]) -> dict[str, Any]:
+    """Return the passes so far of each channel; none where there is no file yet."""
+    from dbo_cli.drive.learning import parse_history
+
+    if path is None or not os.path.exists(path):
+        return dict.fromkeys(channels, ())
+    members = read_files(path, "history", channels)
+    return {name: parse_history(members[name], f"{path}: {name}") for name in channels}
+
+
+def columns_of_run(name: str, model: Cascade, rows: Rows) -> list[Result]:
+    """Return input and output of a channel's model as columns."""
+    into, out = model.input, model.output
+    return [
+        (f"{into.quantity}_{name}", into.unit, rows.x),
+        (f"{out.quantity}_{name}", out.unit, rows.y),
+    ]
+
+
+def columns_of_drives(drives: Mapping[str, Drive], time: Floats | None) -> list[Result]:
+    """Return the table of drives: the time, then displacement and voltage of each channel."""
+    results: list[Result] = [] if time is None else [("time", "s", time)]
+    for name, drive in drives.items():
+        output, into = drive.model.output, drive.model.input
+        results.append((f"desired_{name}", output.unit, drive.desired))
+        results.append((f"{into.quantity}_{name}", into.unit, drive.voltage))
+    return results

@@ -457,7 +457,7 @@ class Model:
         extrapolate: bool = False,
         state: StateLike = "auto",
         from_: Figured | None = None,
-        lookahead: float | Literal["auto"] | None = None,
+        lookahead: Seconds = None,
     ) -> Controller:
         """Return a live controller: one sample at a time; see ``Controller``.
 
@@ -467,7 +467,7 @@ class Model:
             Samples a second (Hz).
         v_min, v_max, max_slew, extrapolate, from_, state
             As of ``compensate``.
-        lookahead : float or "auto", optional
+        lookahead : float, str or "auto", optional
             Seconds by which what is passed is wanted later.
         """
         from dbo_cli.drive.live import Controller
@@ -481,7 +481,7 @@ class Model:
             extrapolate=extrapolate,
             state=state,
             from_=from_,
-            lookahead=lookahead,
+            lookahead=_figure("lookahead", lookahead, "s"),
         )
 
     def plot(self) -> Figure:
@@ -668,7 +668,7 @@ def identify(
     sensor_delay: Figured = 0.0,
     gears: int | Literal["auto"] = "auto",
     points: int | Literal["auto"] = "auto",
-    relaxation: Sequence[float] | Literal["auto"] = "auto",
+    relaxation: Sequence[Figured] | Literal["auto"] = "auto",
     delay: Figured = "auto",
     dynamics: Literal["auto", 0, 1, 2] = "auto",
     slopes: Literal["auto", "growing", "falling", "free"] = "auto",
@@ -752,7 +752,7 @@ def identify(
         sensor_delay=_seconds_of("sensor_delay", sensor_delay),
         gears=gears,
         points=points,
-        relaxation=relaxation if isinstance(relaxation, str) else tuple(relaxation),
+        relaxation=_constants(relaxation),
         delay=_figure("delay", delay, "s"),
         dynamics=dynamics,
         slopes=slopes,
@@ -811,7 +811,7 @@ def report(
     lag: int = 0,
     remove_offset: bool = False,
     max_rmse: Figured | None = None,
-    max_nrmse_percent: float | None = None,
+    max_nrmse_percent: Figured | None = None,
 ) -> Report:
     """Report how well a measured displacement follows a desired one, or what a model predicts.
 
@@ -893,7 +893,7 @@ def report(
         max_rmse=None
         if max_rmse is None
         else parse_quantity(max_rmse, unit, "max_rmse"),
-        max_nrmse_percent=max_nrmse_percent,
+        max_nrmse_percent=_figure("max_nrmse_percent", max_nrmse_percent, "%"),
         voltage_unit=voltage_unit,
         labels=("desired" if model is None else "model", "measured"),
         model=None if model is None else model.actuator,
@@ -1072,6 +1072,13 @@ def _figure(name: str, typed: Figured | None, unit: str) -> Any:
 def _seconds_of(name: str, typed: Figured) -> float:
     """Return a typed time in s."""
     return parse_quantity(typed, "s", name)
+
+
+def _constants(typed: Any) -> Any:
+    """Return typed time constants in s, or ``auto``."""
+    if isinstance(typed, str):
+        return typed
+    return tuple(_seconds_of("relaxation", constant) for constant in typed)
 
 
 def _rate(typed: Figured | None) -> float | None:

@@ -72,6 +72,7 @@ def read_table(
     for doubt in log.doubtful:
         warn(f"{log.name}: {doubt}")
     if isinstance(source, FrameTable):
+        source.require_units(log.columns.values())
         log.columns = source.as_in_file(log.columns)
     return log, table
 
@@ -108,6 +109,8 @@ def recordings_of(
     logs: list[Log] = []
     for source in sources:
         log, table = read_table(source, columns, reading, units)
+        if logs:
+            _refuse_other_units(logs[0], log)
         units = {role: log.columns[role].unit for role in ROLES}
         quantities = {
             role: (quantity_name(role, units[role]), units[role]) for role in ROLES
@@ -123,6 +126,17 @@ def recordings_of(
         recordings.append(recording)
         logs.append(log)
     return recordings, logs
+
+
+def _refuse_other_units(first: Log, other: Log) -> None:
+    """Refuse (InputError) a log that states a unit where the first one states none."""
+    for role in ROLES:
+        unit = other.columns[role].unit
+        if unit is not None and first.columns[role].unit is None:
+            raise InputError(
+                f"{other.name}: {role} is in {unit}, {first.name} states no unit: name its "
+                f"column {role}_UNIT"
+            )
 
 
 def arrays_table(

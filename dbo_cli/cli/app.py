@@ -42,7 +42,8 @@ class Command(TyperCommand):
     def invoke(self, ctx: Any) -> Any:
         """Run the command, unless a word is empty: a script's variable that was not set."""
         for parameter in self.params:
-            if ctx.params.get(parameter.name) == "":
+            value = ctx.params.get(parameter.name)
+            if value == "" or (isinstance(value, list | tuple) and "" in value):
                 ctx.fail(
                     f"{parameter.opts[-1]} is empty: give a value, or leave it out"
                 )

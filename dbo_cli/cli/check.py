@@ -11,6 +11,7 @@ from dbo_cli.cli.say import detail
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 
 if TYPE_CHECKING:
+    from dbo_cli.drive.check import Checked
     from dbo_cli.drive.limits import Limits
     from dbo_cli.logs import Block, Log, Reading
 
@@ -20,10 +21,10 @@ def check(
     reading: opt.Reading,
     output: opt.Output = "-",
     form: opt.TextOrJson = None,
-    v_min: opt.VMin = None,
-    v_max: opt.VMax = None,
-    max_slew: opt.MaxSlew = None,
-    start: opt.From = None,
+    v_min: opt.VMins = None,
+    v_max: opt.VMaxs = None,
+    max_slew: opt.MaxSlews = None,
+    start: opt.Froms = None,
     loop: Annotated[
         bool, flag("--loop", "Also check the step from the last row to the first.")
     ] = False,
@@ -44,10 +45,8 @@ def check(
     Examples: dbo check drive.csv --v-min 0 --v-max 100 --max-slew 2000 --from 0;
     dbo check played.csv --against drive.csv
     """
-    from dbo_cli.drive.check import check_drive, check_played, tolerance_of
+    from dbo_cli import channels
     from dbo_cli.files import write_text
-    from dbo_cli.logs import Reading
-    from dbo_cli.units import parse_quantity
 
     if not math.isfinite(gain) or not gain or (gain != 1.0 and against is None):
         raise UsageError(f"`gain` {gain:g}: give a factor, together with `against`")
@@ -57,26 +56,71 @@ def check(
             "nothing to check: add `v_min`, `v_max`, `max_slew`, `loop` or `against`"
         )
     columns = {"time": time, "voltage": voltage}
+    known: list[str] = []
+    if channels.is_pattern(columns):
+        known = channels.names([drive], reading, columns)
+    typed = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew, "from": start}
+    checks = {}
+    for channel in known or [""]:
+        limits = {}
+        for name, values in typed.items():
+            limits[name] = channels.value_for(
+                name, values or [], channel or None, known
+            )
+        chosen = channels.columns_for(columns, channel)
+        column = chosen["voltage"] if channel else None
+        name = f"{drive}: channel {channel}" if channel else drive
+        checks[channel] = checked(
+            drive, name, reading, chosen, limits, loop, against, column, gain, tolerance
+        )
+    is_json = opt.form_of(form, output) == "json"
+    texts = {name: c.json() if is_json else c.text() for name, c in checks.items()}
+    text = "".join(texts.values())
+    if is_json and known:
+        text = channels.dumps_files("check", texts)
+    write_text(output, text)
+    for result in checks.values():
+        result.require_passed()
+
+
+def checked(
+    drive: str,
+    name: str,
+    reading: Reading,
+    columns: dict[str, str | None],
+    typed: dict[str, str | None],
+    loop: bool,
+    against: str | None,
+    column: str | None,
+    gain: float,
+    tolerance: str | None,
+) -> Checked:
+    """Return what is wrong with a drive, by what was typed; ``column`` is that of it in ``against``."""
+    from dbo_cli.drive.check import check_drive, check_played, tolerance_of
+    from dbo_cli.logs import Reading as Plain
+    from dbo_cli.units import parse_quantity
+
     signal, log = read_drive(drive, reading, columns, None)
-    if max_slew is not None and log.clock.assumption:
+    if typed["max_slew"] is not None and log.clock.assumption:
         warn(f"{drive}: {log.clock.assumption}")
     unit = log.columns["voltage"].unit
-    limits = limits_in(unit, v_min, v_max, max_slew)
-    position = None if start is None else parse_quantity(start, unit, "from", 0.0)
-    allowed, slack, recorded = None, 0.0, signal["voltage"] * gain
+    limits = limits_in(unit, typed["v_min"], typed["v_max"], typed["max_slew"])
+    stands = typed["from"]
+    position = None if stands is None else parse_quantity(stands, unit, "from", 0.0)
+    allowed, slack, played = None, 0.0, signal["voltage"] * gain
     if against is not None:
-        roles: dict[str, str | None] = {"time": None, "voltage": None}
-        meant, _ = read_drive(against, Reading(), roles, unit)
+        roles = {"time": None, "voltage": column}
+        meant, _ = read_drive(against, Plain(), roles, unit)
         if tolerance is not None:
             allowed = parse_quantity(tolerance, unit, "tolerance", 0.0)
             if allowed < 0.0:
                 raise UsageError(f"`tolerance` {tolerance}: give 0 or more")
-        slack = tolerance_of(meant["voltage"], recorded, allowed) / abs(gain)
-    checked = check_drive(
+        slack = tolerance_of(meant["voltage"], played, allowed) / abs(gain)
+    result = check_drive(
         signal["voltage"],
         signal.time,
         limits,
-        name=drive,
+        name=name,
         start=position,
         loop=loop,
         tolerance=slack,
@@ -84,11 +128,9 @@ def check(
     )
     if against is not None:
         steps = (step_of(meant), step_of(signal))
-        check_played(checked, meant["voltage"], recorded, steps, allowed)
-    is_json = opt.form_of(form, output) == "json"
-    write_text(output, checked.json() if is_json else checked.text())
+        check_played(result, meant["voltage"], played, steps, allowed)
     detail(*log.doubtful)
-    checked.require_passed()
+    return result
 
 
 def read_drive(

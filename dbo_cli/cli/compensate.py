@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import chain
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from typer import Argument
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import LIMITS, MOVE, OUTPUT, READING, Text, flag, option, rare
-from dbo_cli.cli.say import progress, say, say_log, say_output
+from dbo_cli.cli.say import detail, progress, say, say_log, say_output
 
 if TYPE_CHECKING:
     from dbo_cli.arrays import Floats
     from dbo_cli.drive import Drive, Driver
     from dbo_cli.files import Outputs
     from dbo_cli.logs import Log
+    from dbo_cli.model import Cascade, State
+
+Columns = dict[str, str | None]
 
 
 def compensate(
@@ -27,9 +32,9 @@ def compensate(
     reading: opt.Reading,
     output: opt.Output = "-",
     summary: opt.Summary = None,
-    v_min: opt.VMin = None,
-    v_max: opt.VMax = None,
-    max_slew: opt.MaxSlew = None,
+    v_min: opt.VMins = None,
+    v_max: opt.VMaxs = None,
+    max_slew: opt.MaxSlews = None,
     extrapolate: Annotated[
         bool,
         rare(None, "Use the range beyond the logs' range.", LIMITS, "--extrapolate"),
@@ -42,7 +47,7 @@ def compensate(
             LIMITS,
         ),
     ] = "auto",
-    start: opt.From = None,
+    start: opt.Froms = None,
     approach: Annotated[
         Text, option("SECONDS|auto", "Time of a ramp from there to row 1.", MOVE)
     ] = None,
@@ -53,7 +58,7 @@ def compensate(
         Text, rare("SECONDS|auto", "Hold row 1 before the move.", MOVE)
     ] = None,
     return_to: Annotated[
-        Text, option("VOLT", "Voltage to end at.", MOVE, "--return")
+        opt.Texts, option("VOLT", "Voltage to end at.", MOVE, "--return")
     ] = None,
     periodic: Annotated[
         bool, flag("--periodic", "The trajectory is one period of a loop.", MOVE)
@@ -90,71 +95,234 @@ def compensate(
     Example: dbo compensate model.json move.csv --max-slew 2000 -o drive.csv
     """
     from dbo_cli import channels
-    from dbo_cli.drive import Driver, Lead, Limits, voltage_in
-    from dbo_cli.drive.learning import read_history
-    from dbo_cli.files import Outputs, check_outputs
-    from dbo_cli.logs import open_log
-    from dbo_cli.model import dumps_state, read_model, state_of
-    from dbo_cli.recordings import tracked_of
+    from dbo_cli.files import check_outputs
 
     columns = {"time": time, "displacement": displacement}
-    ranges = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
-    around = {"from": start, "approach": approach, "condition": condition, "lead": lead}
     learning = {"tracked": tracked, "history": history, "absolute": absolute}
     whole = {"bandwidth": bandwidth, "periodic": periodic, "passes": passes, **learning}
-    if channels.is_pattern(columns):
-        files = {"return": return_to, "summary": summary, "save_state": save_state}
-        channels.refuse({**around, **whole, **files})
-        limits_of = {**ranges, "extrapolate": extrapolate}
-        text = channels.compensate(
-            model, trajectory, output, reading, columns, limits_of, on_limit, state
-        )
-        say_output(output, text)
-        return
     opt.require(
         "tracked", tracked, {**learning, "voltage": voltage, "measured": measured}
     )
     opt.require("periodic", periodic, {"passes": passes})
-    actuator = read_model(model)
-    actuator.require("forward", model)
-    limits = Limits.within(actuator.input, **ranges, extrapolate=extrapolate)
-    before = Lead(
-        state_of(state, actuator),
-        None if start is None else voltage_in("from", start, actuator.input),
+    check_outputs(output, summary, state=save_state, history=history)
+    ranges = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
+    around = {"from": start, "return": return_to}
+    move = Move(
+        trajectory,
+        {name: values or [] for name, values in {**ranges, **around}.items()},
+        extrapolate,
+        on_limit,
         opt.quantity("approach", approach, "s", "auto"),
         condition,
         opt.quantity("lead", lead, "s", "auto"),
+        whole if any(whole.values()) else {},
+        {"time": time, "voltage": voltage, "measured": measured},
+        reading,
     )
-    end = None if return_to is None else voltage_in("return", return_to, actuator.input)
-    in_memory: dict[str, Any] = {}
-    if any(whole.values()):
-        roles = {"time": time, "voltage": voltage, "measured": measured}
-        in_memory = {
-            "bandwidth": opt.quantity("bandwidth", bandwidth, "Hz"),
-            "periodic": periodic,
-            "passes": passes,
-            "absolute": absolute,
-            "tracked": tracked_of(tracked or [], roles, reading, actuator),
-            "history": () if history is None else read_history(history),
-        }
-    elif output == "-" and on_limit == "auto":
-        on_limit = "clip"  # rows that were sent stay sent
-    driver = Driver(actuator, limits, before, on_limit, end, trajectory)
-    check_outputs(output, summary, state=save_state, history=history)
-    units = opt.units_of(displacement=actuator.output)
-    with open_log(trajectory, columns, reading, units) as wanted, Outputs() as outputs:
-        drive = write_drive(driver, wanted, outputs, output, in_memory)
-        if summary is not None:
-            outputs.write_text(summary, summary_of(drive, wanted))
-        if save_state is not None and drive.state is not None:
-            outputs.write_text(save_state, dumps_state(drive.state, actuator), "state")
-        if history is not None:
-            from dbo_cli.drive.learning import dumps_history
+    written = Written(output, summary, save_state, history)
+    if channels.is_pattern(columns):
+        compensate_set(model, move, columns, state, written)
+    else:
+        compensate_one(model, move, columns, state, written)
 
-            outputs.write_text(history, dumps_history(drive.history), "history")
-    say_log(wanted)
-    say_output(output, drive.line())
+
+class Written(NamedTuple):
+    """Where a drive, its figures, its state and its history are written."""
+
+    output: str
+    summary: str | None
+    state: str | None
+    history: str | None
+
+
+@dataclass(frozen=True)
+class Move:
+    """What was typed of a move, for one channel or for several.
+
+    Attributes
+    ----------
+    name
+        The trajectory's file.
+    voltages
+        What was typed of `v_min`, `v_max`, `max_slew`, `from` and `return`.
+    extrapolate, on_limit, approach, condition, lead
+        As typed.
+    whole
+        Options that need the whole trajectory; empty where it may come in blocks.
+    columns, reading
+        Of the recordings that are learned from.
+    """
+
+    name: str
+    voltages: dict[str, list[str]]
+    extrapolate: bool
+    on_limit: Literal["auto", "clip", "error"]
+    approach: Any
+    condition: bool
+    lead: Any
+    whole: dict[str, Any]
+    columns: dict[str, str | None]
+    reading: opt.Reading
+
+    def driver(
+        self,
+        actuator: Cascade,
+        state: State | str,
+        channels_of_set: Sequence[str] = (),
+        channel: str | None = None,
+        hold: int = 0,
+    ) -> Driver:
+        """Return what drives one actuator."""
+        from dbo_cli import channels
+        from dbo_cli.drive import Driver, Lead, Limits, voltage_in
+
+        typed, voltages = {}, {}
+        for name, values in self.voltages.items():
+            typed[name] = channels.value_for(name, values, channel, channels_of_set)
+        for name in ("v_min", "v_max", "from", "return"):
+            text = typed[name]
+            voltages[name] = (
+                None if text is None else voltage_in(name, text, actuator.input)
+            )
+        for name in ("v_min", "v_max"):
+            bound = voltages[name]
+            if channel is not None and bound is not None:
+                values = self.voltages[name]
+                channels.require_own_limit(name, values, channel, bound, actuator)
+        ranges = typed["v_min"], typed["v_max"], typed["max_slew"]
+        limits = Limits.within(actuator.input, *ranges, self.extrapolate)
+        lead = Lead(state, voltages["from"], self.approach, self.condition, self.lead)
+        name = self.name if channel is None else f"channel {channel}"
+        on_limit, end = self.on_limit, voltages["return"]
+        return Driver(actuator, limits, lead, on_limit, end, name, hold)
+
+    def in_memory(
+        self, actuator: Cascade, history: Any, channel: str | None = None
+    ) -> dict[str, Any]:
+        """Return the options that need the whole trajectory; nothing where it may come in blocks."""
+        from dbo_cli import channels
+        from dbo_cli.recordings import tracked_of
+
+        if not self.whole:
+            return {}
+        columns, typed = self.columns, self.whole
+        if channel is not None:
+            columns = channels.columns_for(columns, channel)
+        return {
+            "bandwidth": opt.quantity("bandwidth", typed["bandwidth"], "Hz"),
+            "periodic": typed["periodic"],
+            "passes": typed["passes"],
+            "absolute": typed["absolute"],
+            "tracked": tracked_of(
+                typed["tracked"] or [], columns, self.reading, actuator
+            ),
+            "history": history,
+        }
+
+
+def compensate_one(
+    model: str, move: Move, columns: Columns, state: str, written: Written
+) -> None:
+    """Write the drive of one actuator, and say what to expect."""
+    from dbo_cli.drive.learning import dumps_history, read_history
+    from dbo_cli.files import Outputs
+    from dbo_cli.logs import open_log
+    from dbo_cli.model import dumps_state, read_model, state_of
+
+    actuator = read_model(model)
+    actuator.require("forward", model)
+    history = () if written.history is None else read_history(written.history)
+    in_memory = move.in_memory(actuator, history)
+    if written.output == "-" and move.on_limit == "auto" and not in_memory:
+        move = replace(move, on_limit="clip")  # rows that were sent stay sent
+    driver = move.driver(actuator, state_of(state, actuator))
+    units = opt.units_of(displacement=actuator.output)
+    with open_log(move.name, columns, move.reading, units) as log, Outputs() as outputs:
+        drive = write_drive(driver, log, outputs, written.output, in_memory)
+        if written.summary is not None:
+            outputs.write_text(written.summary, summary_of(drive, log))
+        if written.state is not None and drive.state is not None:
+            text = dumps_state(drive.state, actuator)
+            outputs.write_text(written.state, text, "state")
+        if written.history is not None:
+            text = dumps_history(drive.history)
+            outputs.write_text(written.history, text, "history")
+    say_log(log)
+    say_output(written.output, drive.line())
     say(drive.expected_line())
+    detail(*drive.notes)
+
+
+def compensate_set(
+    model: str, move: Move, columns: Columns, state: str, written: Written
+) -> None:
+    """Write the drives of channels side by side: equally long, the shorter ones hold."""
+    from dbo_cli import channels
+
+    known = channels.names([move.name], move.reading, columns)
+    models = channels.models_of(model, known)
+    for name, actuator in models.items():
+        actuator.require("forward", f"{model}::{name}")
+    outputs_of = {name: actuator.output for name, actuator in models.items()}
+    roles = {"displacement": outputs_of}
+    tables = channels.read(move.name, move.reading, columns, roles)
+    states = channels.states_of(state, models)
+    histories = channels.histories_of(written.history, known)
+    in_memory = {}
+    for name, actuator in models.items():
+        with channels.naming(name):
+            in_memory[name] = move.in_memory(actuator, histories[name], name)
+
+    def drive_of(name: str, hold: int, behind: int) -> Drive:
+        table = tables[name]
+        driver = move.driver(models[name], states[name], known, name, hold)
+        clock = table.dt if isinstance(table.dt, float) else table.time
+        wanted, options = table["displacement"], in_memory[name]
+        return driver.whole(wanted, clock, return_rows=behind, **options)
+
+    write_set(channels.together(drive_of, known), written)
+
+
+def write_set(drives: dict[str, Drive], written: Written) -> None:
+    """Write the drives of channels side by side, and what belongs to them; say a line for each."""
+    from dbo_cli import channels
+    from dbo_cli.drive.learning import dumps_history
+    from dbo_cli.files import Outputs
+    from dbo_cli.logs import add_table
+    from dbo_cli.model import dumps_state
+
+    time = next(iter(drives.values())).time
+    results = channels.columns_of_drives(drives, time)
+    limits = {name: drive.limits.as_dict() for name, drive in drives.items()}
+    digests = {name: drive.model.digest for name, drive in drives.items()}
+    said_of: dict[str, str | float] = {
+        "model": json.dumps(digests),
+        "limits": json.dumps(limits),
+    }
+    with Outputs() as outputs:
+        names = [(name, unit) for name, unit, _ in results]
+        add_table(outputs, written.output, names, said_of).write(
+            *(c for _, _, c in results)
+        )
+        if written.summary is not None:
+            texts = {name: json.dumps(d.summary()) for name, d in drives.items()}
+            outputs.write_text(written.summary, channels.dumps_files("summary", texts))
+        if written.state is not None:
+            texts = {
+                name: dumps_state(d.state, d.model)
+                for name, d in drives.items()
+                if d.state is not None
+            }
+            text = channels.dumps_files("state", texts)
+            outputs.write_text(written.state, text, "state")
+        if written.history is not None:
+            texts = {name: dumps_history(d.history) for name, d in drives.items()}
+            text = channels.dumps_files("history", texts)
+            outputs.write_text(written.history, text, "history")
+    say_output(written.output, f"{len(drives)} channels, {results[0][2].size:,} rows")
+    for name, drive in drives.items():
+        expected = drive.expected_line()
+        say(f"{name}: {drive.line()}{'; ' if expected else ''}{expected}")
 
 
 def write_drive(

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, flag, option
 from dbo_cli.cli.say import say, say_output
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import ModelError, UsageError
 
 
 def export(
@@ -46,15 +46,20 @@ def export(
     if output == "-":
         raise UsageError("`output` -: give the name of a folder")
     actuator = read_model(model).forward()
-    result = export_model(
-        actuator,
-        Limits.within(actuator.input, v_min, v_max, max_slew),
-        name=name,
-        arithmetic=arithmetic,
-        sample_rate=opt.quantity("sample_rate", sample_rate, "Hz"),
-        gears=gears,
-        lookup=lookup,
-    )
+    limits = Limits.within(actuator.input, v_min, v_max, max_slew)
+    rate = opt.quantity("sample_rate", sample_rate, "Hz")
+    try:
+        result = export_model(
+            actuator,
+            limits,
+            name=name,
+            arithmetic=arithmetic,
+            sample_rate=rate,
+            gears=gears,
+            lookup=lookup,
+        )
+    except ModelError as problem:
+        raise ModelError(f"{model}: {problem}") from None
     write_folder(output, result.files, result.figures)
     figures = result.figures
     line = f"{figures['gears']:,} gears in {arithmetic}"

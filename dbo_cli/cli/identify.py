@@ -78,14 +78,14 @@ def identify(
     Example: dbo identify run.csv --voltage CH1 --scale displacement=10um/V -o model.json
     """
     from dbo_cli import channels
-    from dbo_cli.files import Outputs, check_outputs, write_text
+    from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.identification import Options, describe, describe_validation, leads
-    from dbo_cli.model import dumps_model, dumps_set, read_model
+    from dbo_cli.model import dumps_model, dumps_set, is_set, read_model
     from dbo_cli.reports import ShownModel
 
     check_outputs(output, summary)
     options = Options(
-        prior=None if prior is None else read_model(prior),
+        prior=None if prior is None or is_set(prior) else read_model(prior),
         sign=sign,
         skip=opt.quantity("skip", skip, "s"),
         zero=opt.number("zero", zero, float, "none", "mean", "first"),
@@ -102,15 +102,25 @@ def identify(
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
     tests = validate or []
     if channels.is_pattern(columns):
-        channels.refuse({"summary": summary})
-        models = {}
-        for name in channels.names(logs, reading, columns):
-            selected = channels.filled(columns, name)
-            model, recordings, _ = identified(logs, tests, reading, selected, options)
+        known = channels.names(logs, reading, columns)
+        shapes = {} if prior is None else channels.models_of(prior, known)
+        models, lines = {}, []
+        for name in known:
+            chosen = channels.columns_for(columns, name)
+            own = replace(options, prior=shapes.get(name))
+            with channels.naming(name):
+                model, recordings, _ = identified(logs, tests, reading, chosen, own)
             models[name] = model
-            detail(f"{name}: {describe(model, recordings)}")
-        write_text(output, dumps_set(models))
+            lines.append(f"{name}: {describe(model, recordings)}")
+            lines += [f"{name}: {line}" for line in describe_validation(model)]
+        with Outputs() as outputs:
+            outputs.write_text(output, dumps_set(models))
+            if summary is not None:
+                texts = {name: summary_of(model) for name, model in models.items()}
+                outputs.write_text(summary, channels.dumps_files("summary", texts))
         say_output(output, f"{len(models)} models")
+        for line in lines:
+            say(line)
         return
     model, recordings, read = identified(logs, tests, reading, columns, options)
     with Outputs() as outputs:

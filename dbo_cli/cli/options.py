@@ -95,6 +95,21 @@ From = Annotated[
     Text, option("VOLT", "Voltage of the amplifier before row 1.", MOVE, "--from")
 ]
 
+# of several channels: x=120V for one of them, repeatable
+Texts = list[str] | None
+VMins = Annotated[
+    Texts, option("VOLT", "Lowest voltage of the amplifier.", LIMITS, "--v-min")
+]
+VMaxs = Annotated[
+    Texts, option("VOLT", "Highest voltage of the amplifier.", LIMITS, "--v-max")
+]
+MaxSlews = Annotated[
+    Texts, option("VOLT/S", "Largest slew rate, or 2V/ms.", LIMITS, "--max-slew")
+]
+Froms = Annotated[
+    Texts, option("VOLT", "Voltage of the amplifier before row 1.", MOVE, "--from")
+]
+
 # --- state ---
 
 State = Annotated[

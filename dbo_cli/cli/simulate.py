@@ -40,14 +40,12 @@ def simulate(
     from dbo_cli.model import State, dumps_state, read_model, state_of
 
     columns = {"time": time, "input": input}
+    check_outputs(output, state=save_state)
     if channels.is_pattern(columns):
-        channels.refuse({"save_state": save_state})
-        text = channels.simulate(model, log, output, reading, columns, state, outside)
-        say_output(output, text)
+        simulate_set(model, log, output, reading, columns, state, save_state, outside)
         return
     actuator = read_model(model)
     start = state_of(state, actuator)
-    check_outputs(output, state=save_state)
     units = opt.units_of(input=actuator.input)
     with open_log(log, columns, reading, units) as signal, Outputs() as outputs:
         blocks = progress(signal.blocks(), "simulated")
@@ -73,3 +71,49 @@ def simulate(
     say_output(
         output, f"{simulator.row_count:,} rows of {moved.quantity}{moved.suffix}"
     )
+
+
+def simulate_set(
+    model: str,
+    log: str,
+    output: str,
+    reading: opt.Reading,
+    columns: dict[str, str | None],
+    state: str,
+    save_state: str | None,
+    outside: Literal["extend", "hold", "error"],
+) -> None:
+    """Run the model of each channel over its input, and write all side by side."""
+    from dbo_cli import channels
+    from dbo_cli.drive.ahead import joined
+    from dbo_cli.drive.simulate import Simulator
+    from dbo_cli.files import Outputs
+    from dbo_cli.logs import add_table
+    from dbo_cli.model import State, dumps_state
+
+    known = channels.names([log], reading, columns)
+    models = channels.models_of(model, known)
+    inputs = {name: actuator.input for name, actuator in models.items()}
+    tables = channels.read(log, reading, columns, {"input": inputs})
+    states = channels.states_of(state, models)
+    results: list[channels.Result] = []
+    texts = {}
+    time = tables[known[0]].time
+    if time is not None:
+        results.append(("time", "s", time))
+    for name, actuator in models.items():
+        table = tables[name]
+        simulator = Simulator(actuator, states[name], outside, f"channel {name}")
+        with channels.naming(name):
+            parts = [simulator.rows(table["input"], table.dt, table.time)]
+            parts.append(simulator.finish())
+        results += channels.columns_of_run(name, actuator, joined(parts))
+        if isinstance(simulator.state, State):
+            texts[name] = dumps_state(simulator.state, actuator)
+    with Outputs() as outputs:
+        names = [(name, unit) for name, unit, _ in results]
+        add_table(outputs, output, names).write(*(c for _, _, c in results))
+        if save_state is not None:
+            text = channels.dumps_files("state", texts)
+            outputs.write_text(save_state, text, "state")
+    say_output(output, f"{len(models)} channels, {results[0][2].size:,} rows")

@@ -60,11 +60,16 @@ def trajectory(
     from dbo_cli.model import read_model
     from dbo_cli.moves import check_reach, trusted_frequency
     from dbo_cli.moves import trajectory as make
+    from dbo_cli.units import parse_unit, spell
 
     models = [read_model(path) for path in model or []]
     for path, actuator in zip(model or [], models, strict=True):
         actuator.require("forward", path)
-    range_unit = opt.unit_behind(range_.rpartition(":")[2]) or UNIT
+    range_unit = spell(opt.unit_behind(range_.rpartition(":")[2])) or UNIT
+    if parse_unit(range_unit) is None:
+        raise UsageError(
+            f"`range` {range_}: '{range_unit}' is no unit: type LOW:HIGHum"
+        )
     units = {actuator.output.unit for actuator in models} or {range_unit}
     if len(units) > 1:
         raise UsageError("`model`: the units differ; write one axis at a time")

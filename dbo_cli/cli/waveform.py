@@ -6,7 +6,7 @@ from typing import Annotated
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.check import limits_in, read_drive, step_of
-from dbo_cli.cli.options import Text, option
+from dbo_cli.cli.options import Text, flag, option
 from dbo_cli.cli.say import detail, say, say_output
 from dbo_cli.errors import InputError
 
@@ -25,6 +25,9 @@ def waveform(
     points: Annotated[
         int | None, option("N", "Points, over the same time.", min=0)
     ] = None,
+    loop: Annotated[
+        bool, flag("--loop", "The drive is one period: other points keep it.")
+    ] = False,
     codes: Annotated[
         Text, option("LOW:HIGH", "Range of codes; default: the format's.")
     ] = None,
@@ -34,9 +37,9 @@ def waveform(
     max_rounding: Annotated[
         float, option("PERCENT", "Allowed rounding, % of range; more: exit 3.")
     ] = 1.0,
-    v_min: opt.VMin = None,
-    v_max: opt.VMax = None,
-    max_slew: opt.MaxSlew = None,
+    v_min: opt.VMins = None,
+    v_max: opt.VMaxs = None,
+    max_slew: opt.MaxSlews = None,
     time: opt.Time = None,
     voltage: opt.Voltage = None,
 ) -> None:
@@ -46,31 +49,64 @@ def waveform(
 
     Example: dbo waveform drive.csv --to uint16 --gain 20 --volts 0:5 -o drive.bin
     """
+    from dbo_cli import channels
     from dbo_cli.files import Outputs
+    from dbo_cli.moves import side_by_side
     from dbo_cli.moves import waveform as make
+    from dbo_cli.units import kind_of, multiplied, ratio
 
-    signal, log = read_drive(drive, reading, {"time": time, "voltage": voltage}, "V")
-    step = step_of(signal)
-    if step is None:
-        raise InputError(
-            f"{drive}: needs an even clock: add `resample` HZ, or `sample_rate` HZ if it has none"
+    columns = {"time": time, "voltage": voltage}
+    known: list[str] = []
+    if channels.is_pattern(columns):
+        known = channels.names([drive], reading, columns)
+    typed = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
+    made = {}
+    for channel in known or [""]:
+        ranges = []
+        for name, values in typed.items():
+            ranges.append(
+                channels.value_for(name, values or [], channel or None, known)
+            )
+        chosen = channels.columns_for(columns, channel)
+        signal, log = read_drive(drive, reading, chosen, None)
+        unit = log.columns["voltage"].unit
+        if kind_of(unit) not in (None, "voltage"):
+            raise InputError(
+                f"{drive}: the drive is in {unit}, not V: add `scale` voltage=FACTORV/{unit}"
+            )
+        volt = None if unit is None else "V"  # a limit's unit needs one in the file
+        step = step_of(signal)
+        if step is None:
+            raise InputError(
+                f"{drive}: needs an even clock: add `resample` HZ, or `sample_rate` HZ if it has none"
+            )
+        made[channel] = make(
+            multiplied(signal["voltage"], ratio(unit, "V")),
+            1.0 / step,
+            to,
+            limits_in(volt, *ranges),
+            name=f"{drive}: channel {channel}" if channel else drive,
+            gain=gain,
+            loop=loop,
+            points=points,
+            rate=opt.quantity("rate", rate, "Hz"),
+            codes=None if codes is None else opt.span("codes", codes, None),
+            volts=None if volts is None else opt.span("volts", volts, "V"),
+            max_rounding=max_rounding,
+            doubts=log.doubtful,
         )
-    result = make(
-        signal["voltage"],
-        1.0 / step,
-        to,
-        limits_in("V", v_min, v_max, max_slew),
-        name=drive,
-        gain=gain,
-        points=points,
-        rate=opt.quantity("rate", rate, "Hz"),
-        codes=None if codes is None else opt.span("codes", codes, None),
-        volts=None if volts is None else opt.span("volts", volts, "V"),
-        max_rounding=max_rounding,
-        doubts=log.doubtful,
-    )
+        detail(*log.doubtful)
+    files = {output: made[""].data} if not known else {}
+    if known:
+        whole = side_by_side(list(made.values()), to)
+        if whole is None:
+            paths = channels.paths_of(output, made)
+            files = {paths[name]: one.data for name, one in made.items()}
+        else:
+            files = {output: whole}
     with Outputs() as outputs:
-        outputs.write_bytes(output, result.data)
-    detail(*log.doubtful)
-    say_output(output, result.line)
-    say(result.codes)
+        for path, data in files.items():
+            outputs.write_bytes(path, data)
+    for channel, written in made.items():
+        say_output(f"{output}: {channel}" if channel else output, written.line)
+        say(written.codes)

@@ -35,7 +35,7 @@ NO_ROWS = Rows(None, np.empty(0), np.empty(0))
 
 def joined(parts: list[Rows]) -> Rows:
     """Return rows one behind the other; parts without rows do not count."""
-    parts = [part for part in parts if part.x.size]
+    parts = [rows for rows in parts if rows.x.size]
     if len(parts) < 2:
         return parts[0] if parts else NO_ROWS
     time, x, y = (_behind_one_another(columns) for columns in zip(*parts, strict=True))
@@ -76,7 +76,7 @@ class Ahead:
         self._known = first
         yield from self._ready()
 
-    def rest(self) -> Iterator[Block]:
+    def remaining(self) -> Iterator[Block]:
         """Yield the blocks that are left: the last value goes on for ever."""
         after = np.repeat(self._known[-1:], self.count)
         self._known = np.concatenate([self._known, after])

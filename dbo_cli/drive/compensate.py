@@ -169,7 +169,7 @@ class Driver:
         """
         if self._ahead is None:
             raise InputError(f"{self.name}: has no rows")
-        parts = [self._driven(*block) for block in self._ahead.rest()]
+        parts = [self._driven(*block) for block in self._ahead.remaining()]
         self._require_longer_than_delay()
         self._require_reached()
         voltage = self.way_back()
@@ -220,7 +220,7 @@ class Driver:
             )
         model = self.model
         plan = loops.plan_loop(
-            model, self.limits, target, dt, self.lead, passes, self.name
+            model, self.limits, target, dt, self.lead, passes, self.name, self.hold
         )
         run, state = plan.settled.run, plan.settled.before
         self._clip(desired, plan.target, run, state, dt)
@@ -282,7 +282,10 @@ class Driver:
             from dbo_cli.drive.learning import RepeatedMove
 
             state = self.lead.state
-            move = RepeatedMove(model, values, seconds, step, state, periodic, absolute)
+            swept = self.limits.move if self.lead.condition else None
+            move = RepeatedMove(
+                model, values, seconds, step, state, periodic, absolute, swept
+            )
             lesson = move.lesson(tracked, history, bandwidth)
             target = lesson.request
         elif bandwidth is not None:
@@ -298,7 +301,7 @@ class Driver:
         return replace(
             drive,
             # the model's own error is what was learned
-            expected_error=None,
+            expected_error=lesson.rmse,
             expected_known=None,
             history=lesson.history,
             notes=(*lesson.notes, *drive.notes),

@@ -112,25 +112,27 @@ def excite(
         slew = max_slew / span
     rows = _rows(duration or CYCLES / frequency, frequency, sample_rate)
     legs = _legs(rows, 1.0 / sample_rate, 1.0 / frequency, slew)
-    part = swings([0.0, *(turn for turn, _ in legs)], [rows for _, rows in legs])
-    voltage = np.clip(v_min + span * part, v_min, v_max)
-    voltage[part == 1.0] = v_max
+    level_of_row = swings(
+        [0.0, *(turn for turn, _ in legs)], [rows for _, rows in legs]
+    )
+    voltage = np.clip(v_min + span * level_of_row, v_min, v_max)
+    voltage[level_of_row == 1.0] = v_max
     if sweep_to is not None:
         crest = SWEEP_AMPLITUDE * span if sweep_amplitude is None else sweep_amplitude
         _check_sweep(span, sample_rate, sweep_to, crest, max_slew)
         ramp = swing_rows(0.5 * span, 1.0 / sample_rate, SETTLE, max_slew)
-        moved = _sweep(v_min, v_min + 0.5 * span, ramp, sample_rate, sweep_to, crest)
-        voltage = np.concatenate([voltage, moved])
+        sweep = _sweep(v_min, v_min + 0.5 * span, ramp, sample_rate, sweep_to, crest)
+        voltage = np.concatenate([voltage, sweep])
     return np.arange(voltage.size) / sample_rate, voltage
 
 
 def _rows(duration: float, frequency: float, sample_rate: float) -> int:
     """Return the rows of the swings (UsageError: too few swings, or too many rows)."""
     if duration * frequency < FEWEST_CYCLES * (1.0 - 1e-9):
-        least = math.ceil(FEWEST_CYCLES / frequency)
+        shortest = math.ceil(FEWEST_CYCLES / frequency)
         raise UsageError(
             f"`duration` {duration:g}: too short for {FEWEST_CYCLES} swings over the range; give "
-            f"{least} or more"
+            f"{shortest} or more"
         )
     if duration * sample_rate > MOST_ROWS:
         raise UsageError(
@@ -151,7 +153,7 @@ def _legs(rows: int, step: float, period: float, slew: float | None) -> list[Leg
         count = swing_rows(distance, step, 0.5 * period * distance * slowness, slew)
         return max(count, ROWS_A_CYCLE // 2)
 
-    first, rest = swing(1.0), round(REST * period / step)
+    first, still = swing(1.0), round(REST * period / step)
     turns: list[Leg] = []
     level, used = 0.0, 0
     while True:
@@ -161,13 +163,13 @@ def _legs(rows: int, step: float, period: float, slew: float | None) -> list[Leg
         if chance() < HOLD_CHANCE:
             legs.append((turn, round(HOLD * period / step)))
         used += sum(count for _, count in legs)
-        if turns and used + swing(turn) > rows - 2 * first - rest:
+        if turns and used + swing(turn) > rows - 2 * first - still:
             break
         turns += legs
         level = turn
     back = swing(turns[-1][0])
-    turns = _stretched(turns, rows - 2 * first - back - rest)
-    return [(1.0, first), (0.0, first), *turns, (0.0, back), (0.0, rest)]
+    turns = _stretched(turns, rows - 2 * first - back - still)
+    return [(1.0, first), (0.0, first), *turns, (0.0, back), (0.0, still)]
 
 
 def _stretched(legs: list[Leg], rows: int) -> list[Leg]:
@@ -186,14 +188,14 @@ def _sweep(
     """Return the way to the middle, a logarithmic sweep there, and the way back; ``ramp`` rows each."""
     seconds = max(SWEEP_SECONDS, SWEEP_PERIODS / sweep_to)
     count = round(seconds * rate)
-    part = np.arange(count) / count
+    level_of_row = np.arange(count) / count
     grown = math.log(SWEEP_FROM)
-    periods = sweep_to / SWEEP_FROM * seconds / grown * np.expm1(grown * part)
-    edge = np.clip(np.minimum(part, 1.0 - part) / SWEEP_TAPER, 0.0, 1.0)
-    size = crest * SWEEP_FADED**part * (0.5 - 0.5 * np.cos(np.pi * edge))
-    rest = round(SETTLE * rate)
-    up = swings([begin, middle, middle], [ramp, rest])
-    down = swings([middle, middle, begin, begin], [rest, ramp, rest])
+    periods = sweep_to / SWEEP_FROM * seconds / grown * np.expm1(grown * level_of_row)
+    edge = np.clip(np.minimum(level_of_row, 1.0 - level_of_row) / SWEEP_TAPER, 0.0, 1.0)
+    size = crest * SWEEP_FADED**level_of_row * (0.5 - 0.5 * np.cos(np.pi * edge))
+    still = round(SETTLE * rate)
+    up = swings([begin, middle, middle], [ramp, still])
+    down = swings([middle, middle, begin, begin], [still, ramp, still])
     return np.concatenate([up[1:], middle + size * np.sin(2.0 * np.pi * periods), down])
 
 

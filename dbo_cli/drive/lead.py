@@ -126,7 +126,7 @@ def plan_lead(
     """
     last, state = standing_at(limits, lead), lead.state
     moves = lead.condition or lead.approach is not None
-    rest, chosen = _rest(model, dt, lead, moves)
+    still, untyped = _still_rows(model, dt, lead, moves)
     before = NOTHING
     if isinstance(state, State):
         state = replace(state, drive=last)
@@ -135,13 +135,13 @@ def plan_lead(
         before = np.array([last])
     if moves:
         begin, voltage = _way_in(
-            model, state, before, first, dt, limits, lead, hold, chosen
+            model, state, before, first, dt, limits, lead, hold, untyped
         )
-        return begin, voltage, rest
-    _require_short(chosen, "lead", chosen)
+        return begin, voltage, still
+    _require_short(untyped, "lead", untyped)
     if not isinstance(state, State):
-        return None, NOTHING, rest + hold
-    return _played(model, before, dt, state), NOTHING, rest + hold
+        return None, NOTHING, still + hold
+    return _state_after(model, before, dt, state), NOTHING, still + hold
 
 
 def _way_in(
@@ -153,7 +153,7 @@ def _way_in(
     limits: Limits,
     lead: Lead,
     hold: int,
-    chosen: float,
+    untyped: float,
 ) -> tuple[State, Floats]:
     """Return the state before the first row, and the voltages that lead to the move.
 
@@ -170,7 +170,7 @@ def _way_in(
     before = np.concatenate([np.repeat(stands, hold), before])
     if not isinstance(state, State):
         state = model.start(float(before[0]), state)
-    arrived = _played(model, before, dt, state)
+    arrived = _state_after(model, before, dt, state)
     seconds = lead.approach
     if lead.condition:
         seconds = "auto"
@@ -178,28 +178,30 @@ def _way_in(
             seconds = max(lead.approach - swept.size * dt, dt)
     path = way(model, arrived, first, dt, seconds, limits, lead.condition)
     voltage = np.concatenate([before, path])
-    rest = rest_rows(model, dt)
-    swing = (voltage.size - hold - rest) * dt
-    chosen += rest * dt if isinstance(lead.approach, float) else swing + rest * dt
-    _require_short(chosen, "approach", swing)
+    still = rest_rows(model, dt)
+    swing = (voltage.size - hold - still) * dt
+    untyped += still * dt if isinstance(lead.approach, float) else swing + still * dt
+    _require_short(untyped, "approach", swing)
     return state, voltage
 
 
-def _rest(model: Cascade, dt: float, lead: Lead, moves: bool) -> tuple[int, float]:
+def _still_rows(
+    model: Cascade, dt: float, lead: Lead, moves: bool
+) -> tuple[int, float]:
     """Return the rows at the first displacement, and the seconds of them that nobody typed."""
     if isinstance(lead.rest, float):
         return _checked_rows(swing_rows(0.0, dt, lead.rest)), 0.0
-    rest = model.inverter(dt).ahead if moves or lead.rest == "auto" else 0
-    return rest, rest * dt
+    still = model.inverter(dt).ahead if moves or lead.rest == "auto" else 0
+    return still, still * dt
 
 
-def _require_short(chosen: float, option: str, seconds: float) -> None:
+def _require_short(untyped: float, option: str, seconds: float) -> None:
     """Refuse to choose more than a minute before a move; name the seconds to type (LimitError)."""
-    if chosen <= LONGEST_CHOSEN:
+    if untyped <= LONGEST_CHOSEN:
         return
     more = " or more `max_slew`" if option == "approach" else ""
     raise LimitError(
-        f"{chosen:.4g} s before the move, and at most {LONGEST_CHOSEN:g} s are chosen: give `{option}` "
+        f"{untyped:.4g} s before the move, and at most {LONGEST_CHOSEN:g} s are chosen: give `{option}` "
         f"{rounded_up(seconds, 3):.9g}{more}"
     )
 
@@ -243,10 +245,10 @@ def _conditioning(
 
 def _require_slow(distance: float, dt: float, seconds: float, limits: Limits) -> None:
     """Refuse typed seconds of a whole way that are too few for the slew limit (LimitError)."""
-    least = _rows(distance, dt, dt, limits) * dt
-    if limits.slew is not None and least > seconds + dt:
+    shortest = _rows(distance, dt, dt, limits) * dt
+    if limits.slew is not None and shortest > seconds + dt:
         raise LimitError(
-            f"`approach` {seconds:g}: too fast for `max_slew`; give at least {rounded_up(least, 4):.9g} s "
+            f"`approach` {seconds:g}: too fast for `max_slew`; give at least {rounded_up(shortest, 4):.9g} s "
             "for the whole way, or auto"
         )
 
@@ -265,7 +267,7 @@ def standing_at(limits: Limits, lead: Lead) -> float | None:
     return limits.standing(lead.start, left_at)
 
 
-def _played(model: Cascade, voltage: Floats, dt: float, state: State) -> State:
+def _state_after(model: Cascade, voltage: Floats, dt: float, state: State) -> State:
     """Return the state after voltages; without a clock the model does not need one."""
     return model.run(voltage, state, dt if dt > 0.0 else None).state
 
@@ -298,13 +300,13 @@ def _swing(
     """Return the voltages after ``begin`` of a swing to ``end``, as slow as the slew limit needs."""
     if begin == end:
         return NOTHING
-    least = SHORTEST_SWING
+    shortest = SHORTEST_SWING
     if isinstance(seconds, float):
-        least = float(seconds)
+        shortest = float(seconds)
     elif limits.slew is None:
         span = limits.rating[1] - limits.rating[0]
-        least = max(SHORTEST_SWING, SWEEP_SECONDS * abs(end - begin) / span)
-    return swings([begin, end], [_rows(end - begin, dt, least, limits)])[1:]
+        shortest = max(SHORTEST_SWING, SWEEP_SECONDS * abs(end - begin) / span)
+    return swings([begin, end], [_rows(end - begin, dt, shortest, limits)])[1:]
 
 
 def swept_range(model: Cascade, limits: Limits) -> tuple[float, float]:
@@ -350,14 +352,14 @@ def way(
     """
     static = model.static
     assert state.drive is not None
-    begin, rest = state.drive, rest_rows(model, dt)
+    begin, still = state.drive, rest_rows(model, dt)
 
     def way_to(end: float) -> Floats:
         if is_last_swing:
             swing = _swing(begin, end, dt, seconds, limits)
         else:
             swing = ramp("approach", begin, end, dt, seconds, limits)
-        return np.concatenate([swing, np.full(rest, end)])
+        return np.concatenate([swing, np.full(still, end)])
 
     def goes_on(state: State) -> float:
         return float(static.drive(np.array([first]), state, dt, limits.move).y[0])

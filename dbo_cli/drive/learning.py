@@ -20,12 +20,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from dbo_cli.alignment import align_displacements, mean_step
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.lowpass import low_pass
 from dbo_cli.drive.swings import soft_rise
 from dbo_cli.errors import InputError, ModelError, warn
 from dbo_cli.model import Cascade, Resonance, State, fields
+from dbo_cli.signals import noise, turns
 
 FORMAT = "dbo-history"
 
@@ -39,6 +41,9 @@ SAME_DRIVE = 0.02
 SAME_RATE = 1e-3  # of a step
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
+# of what differs by the stamps: with less by the signals, the recorder counts from elsewhere
+CLEARLY_BETTER = 0.5
+SWEPT = 1.7  # ranges that the drive travels in a sweep there and back
 # of what was asked, in a third of an octave: a pass takes two thirds off
 TRUSTED_ERROR = 1.0 / 3.0
 # of the strongest third of an octave (amplitude): with less a band says nothing
@@ -85,6 +90,8 @@ class Lesson(NamedTuple):
     ----------
     request : array
         What to ask of the model for the next pass.
+    rmse : float
+        The error of the last pass, which the next one should stay below.
     history : tuple of PassRecord
         The passes so far, this one included.
     notes, warnings : tuple of str
@@ -92,6 +99,7 @@ class Lesson(NamedTuple):
     """
 
     request: Floats
+    rmse: float
     history: tuple[PassRecord, ...]
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -111,6 +119,8 @@ class RepeatedMove:
         In which the drives began.
     periodic, absolute
         Whether recordings are of whole periods, and whether the mean is learned.
+    swept
+        Least and greatest voltage of the sweep before the next drive; None: none.
     """
 
     model: Cascade
@@ -120,6 +130,7 @@ class RepeatedMove:
     state: str | State = "auto"
     periodic: bool = False
     absolute: bool = False
+    swept: tuple[float, float] | None = None
 
     def lesson(
         self,
@@ -152,8 +163,8 @@ class RepeatedMove:
         error = error - zero
         passed = PassRecord(_digest(voltage), rms(error))
         before = _passes_before(history, passed)
-        self._require_no_growth(name, passed, before)
         cutoff = bandwidth or self._trusted(name, believed, self.desired - error)
+        self._require_no_growth(name, passed, before, cutoff)
         change = believed - self.desired + error
         learned = low_pass(change, cutoff, self.step, self.periodic, ORDER)
         if not self.absolute:
@@ -161,13 +172,14 @@ class RepeatedMove:
         if self.model.dynamics is not None and not self.periodic:
             learned = _resting_ends(learned, cutoff * self.step)
         percent = 100.0 * passed.rmse / float(np.ptp(self.desired))
+        reached = noise(measured)
         note = (
-            f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move); "
-            f"learned below {cutoff:.4g} Hz"
+            f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move), "
+            f"{reached:.2g}{unit} of it noise; learned below {cutoff:.4g} Hz"
         )
         warnings = self._start_warnings(name, zero)
         request = self.desired + learned
-        return Lesson(request, (*before, passed), (note,), warnings)
+        return Lesson(request, passed.rmse, (*before, passed), (note,), warnings)
 
     def _mean_of(self, recordings: Sequence[Tracked]) -> tuple[Floats, Floats, Floats]:
         """Return the drive of the first recording, what the model makes of them, and the mean measured.
@@ -193,7 +205,7 @@ class RepeatedMove:
         count = self.desired.size
         begin, rows = 0, recording.voltage.size
         if recording.time is not None:
-            begin = self._first_row(recording.name, recording.time)
+            begin = self._first_row(recording)
             rows -= begin
             if not self.periodic:
                 rows = min(rows, count)  # what stands behind is a return
@@ -213,22 +225,70 @@ class RepeatedMove:
             begun = self.model.start(float(voltage[0]), self.state)
             believed = settled_run(self.model, voltage, self.step, begun)
             return voltage, believed, measured
+        self._require_same_past(recording, begin)
         state = self.state if begin == 0 else "auto"
         begun = self.model.start(float(voltage[0]), state)
         believed = self.model.run(voltage, begun, self.step).y
         rows_of_move = slice(begin, begin + count)
         return voltage[rows_of_move], believed[rows_of_move], measured[rows_of_move]
 
-    def _first_row(self, name: str, time: Floats) -> int:
-        """Return the recording's row of the trajectory's first; what stands before is its lead."""
-        steps = np.diff(time)
-        step = float(np.median(steps)) if steps.size else self.step
+    def _first_row(self, recording: Tracked) -> int:
+        """Return the recording's row of the trajectory's first; what stands before is its lead.
+
+        A recorder may count from elsewhere: then what the model makes of the recorded
+        drive is laid over the trajectory.
+        """
+        time, name = recording.time, recording.name
+        assert time is not None
+        step = mean_step(time) if time.size > 1 else self.step
         if abs(step / self.step - 1.0) > SAME_RATE:
             raise InputError(
                 f"{name}: {1.0 / max(step, 1e-300):.6g} Hz, the trajectory {1.0 / self.step:.6g} Hz: "
                 "record at its rate, or `resample` HZ"
             )
-        return int(np.searchsorted(time, self.time[0] - 0.5 * self.step))
+        by_stamps = int(np.searchsorted(time, self.time[0] - 0.5 * self.step))
+        if self.periodic:
+            return by_stamps
+        start = self.model.start(float(recording.voltage[0]), "auto")
+        believed = self.model.run(recording.voltage, start, self.step).y
+        rows = self.step * np.arange(float(believed.size))
+        found = align_displacements(
+            rows, believed, rows[: self.desired.size], self.desired
+        )
+        if found is None:
+            return by_stamps
+        by_signal = max(round(found.ahead / self.step), 0)
+        left = self._mismatch(believed, by_signal)
+        if left < CLEARLY_BETTER * self._mismatch(believed, by_stamps):
+            return by_signal
+        return by_stamps
+
+    def _require_same_past(self, recording: Tracked, begin: int) -> None:
+        """Refuse a pass with a sweep before it for a drive without, or the other way round (InputError)."""
+        if begin < 2 or isinstance(self.state, State):
+            return
+        lead = recording.voltage[:begin]
+        low, high = self.swept or (self.model.input.min, self.model.input.max)
+        extremes = lead[turns(lead, 0.1 * (high - low))]
+        travelled = float(np.abs(np.diff(extremes)).sum())
+        was_swept = travelled > SWEPT * (high - low)
+        if was_swept and self.swept is None:
+            raise InputError(
+                f"{recording.name}: recorded with a sweep before the move, which makes another past: "
+                "add `condition`"
+            )
+        if not was_swept and self.swept is not None:
+            raise InputError(
+                f"{recording.name}: recorded without the sweep of `condition`, which makes another past: "
+                "leave `condition` out, or record a pass with it"
+            )
+
+    def _mismatch(self, believed: Floats, begin: int) -> float:
+        """Return the RMS of belief less trajectory from a row on, without its mean."""
+        rows = believed[begin : begin + self.desired.size]
+        if rows.size < self.desired.size:
+            return math.inf
+        return float(np.std(rows - self.desired))
 
     def _require_same_move(self, name: str, believed: Floats) -> None:
         """Refuse a drive that asks for another shape, whatever its size, or for another mean (InputError)."""
@@ -250,7 +310,11 @@ class RepeatedMove:
             )
 
     def _require_no_growth(
-        self, name: str, passed: PassRecord, before: Sequence[PassRecord]
+        self,
+        name: str,
+        passed: PassRecord,
+        before: Sequence[PassRecord],
+        cutoff: float,
     ) -> None:
         """Refuse to go on when the error grew (InputError)."""
         errors = [record.rmse for record in before]
@@ -262,7 +326,7 @@ class RepeatedMove:
         number, unit = 1 + errors.index(best), self.model.output.suffix
         raise InputError(
             f"{name}: the error grew from {errors[-1]:.3g} to {passed.rmse:.3g}{unit} RMS: learn from "
-            f"pass {number} ({best:.3g}) with a lower `bandwidth`"
+            f"pass {number} ({best:.3g}) with `bandwidth` {0.5 * cutoff:.3g} (it was {cutoff:.3g} Hz)"
         )
 
     def _start_warnings(self, name: str, zero: float) -> tuple[str, ...]:
@@ -387,6 +451,11 @@ def read_history(path: str) -> tuple[PassRecord, ...]:
     if not os.path.exists(path):
         return ()
     name, values = fields.load(path, "history")
+    return parse_history(values, name)
+
+
+def parse_history(values: object, name: str = "the history") -> tuple[PassRecord, ...]:
+    """Return the passes that JSON values describe, the oldest first (ModelError: they do not)."""
     try:
         content = fields.contents(values, "", FORMAT, "a history")
         passes: tuple[PassRecord, ...] = fields.build(

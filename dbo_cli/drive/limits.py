@@ -71,10 +71,10 @@ class Limits:
 
     def __post_init__(self) -> None:
         """Refuse a move's range beyond the rating, and an invalid slew (UsageError)."""
-        (low, high), (least, greatest) = self.rating, self.move
-        if not low <= least < greatest <= high:
+        (low, high), (lowest, greatest) = self.rating, self.move
+        if not low <= lowest < greatest <= high:
             raise UsageError(
-                f"limits: {least:g} to {greatest:g} is no range within {low:g} to {high:g}"
+                f"limits: {lowest:g} to {greatest:g} is no range within {low:g} to {high:g}"
             )
         if self.slew is not None and not self.slew > 0.0:
             raise UsageError(f"`max_slew` {self.slew:g}: give a number above 0")
@@ -127,7 +127,7 @@ class Limits:
                 f"`v_min` {low:.6g} to `v_max` {high:.6g} leaves none of the identified range, "
                 f"{quantity.min:.6g} to {quantity.max:.6g}{quantity.suffix} (`extrapolate` goes beyond)"
             )
-        given = any(typed is not None for typed in (v_min, v_max, max_slew))
+        given = any(limit is not None for limit in (v_min, v_max, max_slew))
         return cls((low, high), move, identified, slew, quantity.unit, given=given)
 
     @property
@@ -175,7 +175,7 @@ class Limits:
         )
 
     def standing(
-        self, typed: float | None, left_at: float | None, name: str = "`from`"
+        self, start: float | None, left_at: float | None, name: str = "`from`"
     ) -> float | None:
         """Return where the amplifier stands: as typed, or as a state left it; None where neither is known.
 
@@ -186,15 +186,15 @@ class Limits:
         UsageError
             The two contradict each other.
         """
-        if typed is not None:
-            self.require_start(typed, name)
+        if start is not None:
+            self.require_start(start, name)
         if left_at is None:
-            return typed
+            return start
         self.require_start(left_at, "`state`: the voltage at which it was left,")
         span = self.rating[1] - self.rating[0]
-        if typed is not None and abs(typed - left_at) > SAME_VOLTAGE * span:
+        if start is not None and abs(start - left_at) > SAME_VOLTAGE * span:
             raise UsageError(
-                f"{name} {typed:g} contradicts `state`, which ends at {left_at:g}{self.suffix}"
+                f"{name} {start:g} contradicts `state`, which ends at {left_at:g}{self.suffix}"
             )
         return left_at
 
@@ -218,7 +218,7 @@ class Limits:
         return text
 
 
-def voltage_in(name: str, typed: float | str, quantity: Quantity) -> float:
+def voltage_in(name: str, figure: float | str, quantity: Quantity) -> float:
     """Return a typed voltage in the unit of a model's drive.
 
     Raises
@@ -228,10 +228,10 @@ def voltage_in(name: str, typed: float | str, quantity: Quantity) -> float:
         unit of the drive has a prefix.
     """
     largest = WRONG_UNIT * max(abs(quantity.min), abs(quantity.max))
-    return parse_quantity(typed, quantity.unit, name, largest)
+    return parse_quantity(figure, quantity.unit, name, largest)
 
 
-def slew_in(name: str, typed: float | str, unit: str | None) -> float:
+def slew_in(name: str, figure: float | str, unit: str | None) -> float:
     """Return a typed slew limit in the unit of a drive per second.
 
     Raises
@@ -241,9 +241,9 @@ def slew_in(name: str, typed: float | str, unit: str | None) -> float:
         drive has a prefix.
     """
     per_second = None if unit is None else f"{unit}/s"
-    value = parse_quantity(typed, per_second, name, 0.0)
+    value = parse_quantity(figure, per_second, name, 0.0)
     if not value > 0.0:
-        raise UsageError(f"`{name}` {typed}: give a number above 0")
+        raise UsageError(f"`{name}` {figure}: give a number above 0")
     return value
 
 
@@ -305,11 +305,11 @@ class Gate:
         low, high = self.limits.range_of(part)
         inside = np.isfinite(voltage) & (voltage >= low) & (voltage <= high)
         bad: Booleans = ~inside
-        most = self.limits.largest_step(dt)
-        if most is not None:
+        largest = self.limits.largest_step(dt)
+        if largest is not None:
             before = self._before(voltage)
             digits = ROUNDING * np.maximum(np.abs(voltage), np.abs(before))
-            slow = np.abs(voltage - before) <= most + digits
+            slow = np.abs(voltage - before) <= largest + digits
             if self.last is None:
                 slow[0] = True
             bad |= ~slow
@@ -360,10 +360,10 @@ class Gate:
         Nothing is known before the first row where ``last`` is None.
         """
         first = float(dt[0]) if isinstance(dt, np.ndarray) else dt
-        most = self.limits.largest_step(first)
-        if self.last is None or most is None:
+        largest = self.limits.largest_step(first)
+        if self.last is None or largest is None:
             return
-        if max(low - self.last, self.last - high) > most:
+        if max(low - self.last, self.last - high) > largest:
             unit = self.limits.suffix
             aim = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
             raise LimitError(

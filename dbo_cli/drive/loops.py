@@ -100,6 +100,7 @@ def plan_loop(
     lead: Lead,
     passes: int,
     name: str,
+    hold: int = 0,
 ) -> LoopPlan:
     """Return the settled drive of one period, and passes of run-in before it.
 
@@ -115,8 +116,8 @@ def plan_loop(
         What stands before it: a way from where the amplifier stands, or a state.
     passes
         Of the run-in.
-    name
-        Of the trajectory, in messages.
+    name, hold
+        Of the trajectory, in messages; rows for which the amplifier stands still first.
 
     Raises
     ------
@@ -137,7 +138,7 @@ def plan_loop(
         )
     require_closed(name, target)
     static_target = model.inverter(dt).loop(target)
-    return Loop(model, limits, static_target, dt, lead, passes, name).planned()
+    return Loop(model, limits, static_target, dt, lead, passes, name, hold).planned()
 
 
 @dataclass(frozen=True)
@@ -156,6 +157,8 @@ class Loop:
         What stands before it.
     name
         Of the trajectory.
+    hold
+        Rows for which the amplifier stands still before a way to the loop.
     """
 
     model: Cascade
@@ -165,6 +168,7 @@ class Loop:
     lead: Lead
     passes: int
     name: str
+    hold: int = 0
 
     # --- what stands before the period ---
 
@@ -189,12 +193,15 @@ class Loop:
             last = settled
             voltage = self._closed(last.run.y)
             stands = float(voltage[0]) if begin is None else begin
-            before, begun = self._before(voltage, stands), model.start(stands, start)
-            state = model.run(before, begun, self.dt).state
+            before, begin_state = (
+                self._before(voltage, stands),
+                model.start(stands, start),
+            )
+            state = model.run(before, begin_state, self.dt).state
             settled = settled_drive(model, self.target, self.dt, state, limits)
             if apart(settled.run.y, last.run.y) <= SAME_DRIVE * model.input.span:
                 break
-        return LoopPlan(self, begun, before, voltage, last)
+        return LoopPlan(self, begin_state, before, voltage, last)
 
     def _before(self, period: Floats, begin: float) -> Floats:
         """Return what leads to a period: a ramp, or a pass in which it grows, then whole passes of it.
@@ -205,7 +212,8 @@ class Loop:
         seconds = self.lead.approach
         if seconds is not None:
             ascent = ramp("approach", begin, float(period[0]), dt, seconds, limits)
-            return np.concatenate([[begin], ascent, np.tile(period, passes)])
+            still = np.full(1 + self.hold, begin)
+            return np.concatenate([still, ascent, np.tile(period, passes)])
         if not passes:
             return NOTHING
         rise = soft_rise(np.linspace(0.0, 1.0, period.size))
@@ -230,8 +238,10 @@ class Loop:
         its first row was held behind the last row of that pass.
         """
         closed = self._within_slew(voltage, float(voltage[-1]))
-        most = self.limits.largest_step(self.dt)
-        jumps = most is not None and apart(closed[:1], closed[-1:]) > most
+        largest_step = self.limits.largest_step(self.dt)
+        jumps = (
+            largest_step is not None and apart(closed[:1], closed[-1:]) > largest_step
+        )
         if jumps or apart(closed, voltage) > SAME_DRIVE * self.model.input.span:
             raise LimitError(
                 f"{self.name}: `max_slew` forbids the step from the last row, {voltage[-1]:.6g}, to "
@@ -241,13 +251,16 @@ class Loop:
 
     def _within_slew(self, voltage: Floats, last: float) -> Floats:
         """Return a drive whose rows follow ``last`` and one another within the slew limit."""
-        most = self.limits.largest_step(self.dt)
-        if most is None or (np.abs(np.diff(voltage, prepend=last)) <= most).all():
+        largest_step = self.limits.largest_step(self.dt)
+        if (
+            largest_step is None
+            or (np.abs(np.diff(voltage, prepend=last)) <= largest_step).all()
+        ):
             return voltage
-        most *= 1.0 - 1e-15
+        largest_step *= 1.0 - 1e-15
         values = voltage.tolist()
         for k, value in enumerate(values):
-            last = values[k] = min(max(value, last - most), last + most)
+            last = values[k] = min(max(value, last - largest_step), last + largest_step)
         return np.array(values)
 
 
@@ -278,7 +291,7 @@ class Settled(NamedTuple):
 
 
 def settled_drive(
-    model: Cascade, undone: Floats, dt: float, state: State, limits: Limits
+    model: Cascade, target: Floats, dt: float, state: State, limits: Limits
 ) -> Settled:
     """Return the drive of one period whose end is its own beginning.
 
@@ -296,35 +309,37 @@ def settled_drive(
         What the drive may do.
     """
     static, move, slew = model.static, limits.move, limits.slew
-    done = static.drive(undone, state, dt, move, slew)
+    run = static.drive(target, state, dt, move, slew)
     for _ in range(MOST_PASSES):
-        before = looped_state(model, done.y, dt, state)
-        again = static.drive(undone, before, dt, move, slew)
-        away = apart(again.y, done.y)
-        done = again
-        if away <= SETTLED * model.input.span:
-            return Settled(done, before, True)
-    return Settled(done, before, False)
+        before = looped_state(model, run.y, dt, state)
+        again = static.drive(target, before, dt, move, slew)
+        change = apart(again.y, run.y)
+        run = again
+        if change <= SETTLED * model.input.span:
+            return Settled(run, before, True)
+    return Settled(run, before, False)
 
 
-def apart(values: Floats, beside: Floats) -> float:
+def apart(values: Floats, others: Floats) -> float:
     """Return the largest difference between two signals."""
-    return float(np.abs(values - beside).max())
+    return float(np.abs(values - others).max())
 
 
 def looped_state(model: Cascade, voltage: Floats, dt: float, state: State) -> State:
     """Return gears and memory before a pass of a drive that was repeated for ever, begun in a state."""
     static = model.static
-    begun = static.run(voltage, state, dt).state
+    begin_state = static.run(voltage, state, dt).state
     relaxation = model.gears.relaxation
-    if relaxation is None or begun.memory is None:
-        return begun
-    after = static.run(voltage, begun, dt).state
+    if relaxation is None or begin_state.memory is None:
+        return begin_state
+    after = static.run(voltage, begin_state, dt).state
     assert after.memory is not None
     memory = []
-    for start, end, tau in zip(begun.memory, after.memory, relaxation.tau, strict=True):
-        left = -voltage.size * dt / tau
-        memory.append((end - math.exp(left) * start) / -math.expm1(left))
+    for start, end, tau in zip(
+        begin_state.memory, after.memory, relaxation.tau, strict=True
+    ):
+        exponent = -voltage.size * dt / tau
+        memory.append((end - math.exp(exponent) * start) / -math.expm1(exponent))
     return replace(after, memory=tuple(memory))
 
 

@@ -92,16 +92,16 @@ class Simulator:
         """Return what was held back, as if the last value went on for ever; warn of rows outside."""
         rows = NO_ROWS
         if self._ahead is not None:
-            rows = joined([self._run(*block) for block in self._ahead.rest()])
+            rows = joined([self._run(*block) for block in self._ahead.remaining()])
         if self.outside_count:
-            drive, what = self._forward.input, "leave"
+            drive, verb = self._forward.input, "leave"
             if not self.model.is_forward:
-                what = (
-                    f"of its drive {'are held in' if self.outside == 'hold' else what}"
+                verb = (
+                    f"of its drive {'are held in' if self.outside == 'hold' else verb}"
                 )
             warn(
                 f"{self.name}: {self.outside_count:,} of {self.row_count:,} rows (first: row "
-                f"{self.first_outside:,}) {what} the identified range, {drive.min:.6g} to "
+                f"{self.first_outside:,}) {verb} the identified range, {drive.min:.6g} to "
                 f"{drive.max:.6g}{drive.suffix}"
             )
         return rows
@@ -119,12 +119,12 @@ class Simulator:
             self._undoing = inverter.behind(self.state)
         return inverter.ahead
 
-    def _run(self, columns: tuple[Floats | None, ...], known: Floats) -> Rows:
+    def _run(self, columns: tuple[Floats | None, ...], ahead: Floats) -> Rows:
         """Return the output of rows that are ready; ``known`` is their input and what is read ahead."""
         x, time = columns
         if x is None or not x.size:
             return NO_ROWS
-        y = self._displacement(x) if self.model.is_forward else self._drive(known)
+        y = self._displacement(x) if self.model.is_forward else self._drive(ahead)
         self.row_count += x.size
         if time is not None:
             assert isinstance(self.state, State)
@@ -141,11 +141,11 @@ class Simulator:
         self.state = run.state
         return run.y
 
-    def _drive(self, known: Floats) -> Floats:
+    def _drive(self, ahead: Floats) -> Floats:
         """Return the drive that an inverse model makes, within its range where it is held."""
         model, is_held = self._forward, self.outside == "hold"
         window = (model.input.min, model.input.max) if is_held else None
-        target, self._undoing = model.inverter(self._dt).run(known, self._undoing)
+        target, self._undoing = model.inverter(self._dt).run(ahead, self._undoing)
         self.state = model.start_drive(float(target[0]), self.state)
         run = model.drive(target, self.state, self._dt, window)
         self.state = run.state
@@ -157,10 +157,10 @@ class Simulator:
 
     def _count_outside(self, voltage: Floats) -> None:
         """Count the rows whose voltage the model does not know; refuse those of an inverse model if asked."""
-        beyond = self._forward.outside(voltage)
-        if not beyond.any():
+        outside = self._forward.outside(voltage)
+        if not outside.any():
             return
-        first = int(np.argmax(beyond))
+        first = int(np.argmax(outside))
         if self.outside == "error":
             drive = self._forward.input
             raise LimitError(
@@ -169,4 +169,4 @@ class Simulator:
                 "(`outside` extend or hold)"
             )
         self.first_outside = self.first_outside or self.row_count + first + 1
-        self.outside_count += int(np.count_nonzero(beyond))
+        self.outside_count += int(np.count_nonzero(outside))

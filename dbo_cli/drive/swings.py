@@ -16,14 +16,14 @@ def swings(turns: Sequence[float], rows: Sequence[int]) -> Floats:
     """Return half-cosine swings through ``turns``, in order; swing i takes ``rows[i]`` steps."""
     voltage = np.empty(1 + sum(rows))
     voltage[0] = turns[0]
-    place = 1
+    row = 1
     for begin, end, count in zip(turns[:-1], turns[1:], rows, strict=True):
-        part = voltage[place : place + count]
+        swing = voltage[row : row + count]
         phase = np.pi * np.arange(1, count + 1) / count
-        part[:] = begin + (end - begin) * (0.5 - 0.5 * np.cos(phase))
-        np.clip(part, min(begin, end), max(begin, end), out=part)
-        part[-1:] = end
-        place += count
+        swing[:] = begin + (end - begin) * (0.5 - 0.5 * np.cos(phase))
+        np.clip(swing, min(begin, end), max(begin, end), out=swing)
+        swing[-1:] = end
+        row += count
     return voltage
 
 

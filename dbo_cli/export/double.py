@@ -201,12 +201,13 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
     n, empty = plan.gears.n, plan.forward.starts.empty
     if n > MOST_LOOKUP_GEARS:
         raise ModelError(
-            f"dx: {n} gears are too many for `lookup`: add `gears` {MOST_LOOKUP_GEARS}, or leave "
+            f"{plan.key}.dx: {n} gears are too many for `lookup`: add `gears` {MOST_LOOKUP_GEARS}, or leave "
             "`lookup` out"
         )
     if plan.gain.size:
         raise ModelError(
-            "relaxation: not possible with `lookup`: leave it out, or identify with `relaxation` 0"
+            f"{plan.key}.relaxation: not possible with `lookup`: leave it out, or identify with "
+            "`relaxation` 0"
         )
     _operator(plan, parts, 1)
     states = np.arange(2**n)

@@ -45,6 +45,11 @@ class Plan:
         """The gears; the operator that is exported has their axes exchanged."""
         return self.forward.gears
 
+    @property
+    def key(self) -> str:
+        """The gears' key in the model file."""
+        return f"stages[{self.forward.stages.index(self.gears)}]"
+
     @cached_property
     def to_gears(self) -> Curves:
         """The curves from the displacement to the gears."""
@@ -194,7 +199,7 @@ def plan_of(model: Cascade, sample_rate: float | None, limits: Limits) -> Plan:
     plan = Plan(replace(forward, candidates=()), dt, limits)
     if np.any(plan.decay >= 1.0):
         raise ModelError(
-            f"relaxation.tau: too slow for {sample_rate:g} Hz: lower `sample_rate`"
+            f"{plan.key}.relaxation.tau: too slow for {sample_rate:g} Hz: lower `sample_rate`"
         )
     return plan
 

@@ -96,17 +96,17 @@ def _check(plan: Plan) -> None:
         )
     if np.any(plan.gain < 0.0):
         raise ModelError(
-            "relaxation.gain: q31 has no proven bound for negative gains: use `arithmetic` double, or "
-            "identify with `relaxation` 0"
+            f"{plan.key}.relaxation.gain: q31 has no proven bound for negative gains: use `arithmetic` "
+            "double, or identify with `relaxation` 0"
         )
     if np.any(1.0 - plan.decay < SLOWEST_REST):
         raise ModelError(
-            "relaxation.tau: too slow for q31: lower `sample_rate`, or use `arithmetic` double"
+            f"{plan.key}.relaxation.tau: too slow for q31: lower `sample_rate`, or use `arithmetic` double"
         )
     if plan.gears.n > MOST_GEARS:
         raise ModelError(
-            f"dx: {plan.gears.n} gears are more than {MOST_GEARS}: lower `gears`, or use `arithmetic` "
-            "double"
+            f"{plan.key}.dx: {plan.gears.n} gears are more than {MOST_GEARS}: lower `gears`, or use "
+            "`arithmetic` double"
         )
 
 

@@ -95,7 +95,8 @@ def bounds_of(
         gain, growth = _loop(plan, steepest)
     height = _height_error(x_axis, y_axis, run)
     inner = (steepest * place + height) * growth
-    fraction = _tolerance(place + gain * inner, height, x_axis, y_axis)
+    moved = place + gain * inner
+    fraction = _tolerance(plan.key, moved, height, x_axis, y_axis)
     # one gear's width on another branch
     variation = float(np.sum(np.abs(np.diff(slopes))))
     hop = float(x_axis.exact.max()) * variation * growth
@@ -159,13 +160,15 @@ def _loop(plan: Plan, steepest: float) -> tuple[float, float]:
     return float(np.sum(c * a)), 1.0 + math.sqrt(energy / (4.0 * stiff * rho))
 
 
-def _tolerance(place: float, height: float, x_axis: Axis, y_axis: Axis) -> float:
+def _tolerance(
+    key: str, place: float, height: float, x_axis: Axis, y_axis: Axis
+) -> float:
     """Return a power of two, twice what rounding can shift a turn by, as a part of the smallest gear."""
     part = max(place / float(x_axis.exact.min()), height / float(y_axis.exact.min()))
     power = min(math.floor(-math.log2(2.0 * part)), FINEST_TOLERANCE)
     if power < COARSEST_TOLERANCE:
         raise ModelError(
-            f"dx: {x_axis.exact.size} gears are too narrow for q31: lower `gears`, or use "
+            f"{key}.dx: {x_axis.exact.size} gears are too narrow for q31: lower `gears`, or use "
             "`arithmetic` double"
         )
     return 2.0**-power

@@ -182,7 +182,7 @@ def memory_of(plan: Plan, x_axis: Axis, y_axis: Axis) -> Memory | None:
     shift = shift_for(float(carried.sum()))
     if shift < 0:
         raise ModelError(
-            "relaxation.gain: beyond the range of q31: use `arithmetic` double"
+            f"{plan.key}.relaxation.gain: beyond the range of q31: use `arithmetic` double"
         )
     terms = []
     for factor, rest in zip(carried.tolist(), (1.0 - plan.decay).tolist(), strict=True):

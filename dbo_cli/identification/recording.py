@@ -127,6 +127,9 @@ class Options:
 
     def __post_init__(self) -> None:
         """Refuse (UsageError) what makes no sense."""
+        for name in ("zero", "gears", "points", "delay", "dynamics"):
+            if isinstance(getattr(self, name), bool):
+                raise UsageError(f"`{name}` {getattr(self, name)}: give a number")
         for name in ("skip", "sensor_delay"):
             value = getattr(self, name)
             if not value >= 0.0:

@@ -316,7 +316,9 @@ def _question(
         noun = f"{role} displacement" if role in ("desired", "measured") else role
         which = f", {' or '.join(labels)}" if labels else ""
         questions.append(f"which column is the {noun}{which}?")
-    example = "NAME" if free else "FILE::COLUMN"
+    example = "FILE::COLUMN"
+    if free:
+        example = "NAME" if any(column.name for column in free) else "NUMBER"
     if len(unclear) == 1:
         against = role_of(next(iter(unclear)), None).against
         remaining = [column for column in free if not words(column.name) & against]

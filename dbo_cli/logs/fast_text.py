@@ -20,6 +20,7 @@ from dbo_cli.logs.dialect import ERROR, Layout
 from dbo_cli.logs.table import LONGEST_CELL, NOT_A_TIME, Column
 
 Arrays = list[NDArray[Any]]
+STRETCHES = 1024  # that are looked at at once
 STRETCH = 96  # bytes; where each stretch holds a line end, no line is longer than LONGEST_CELL
 
 
@@ -65,14 +66,24 @@ def read_fast(
 def has_long_cell(text: bytes, delimiter: str) -> bool:
     """Return whether a cell has more than ``LONGEST_CELL`` bytes."""
     letters = np.frombuffer(text, np.uint8)
-    is_end = letters == ord("\n")
-    length = len(text) // STRETCH * STRETCH
-    stretches = is_end[:length].view(np.uint64).reshape(-1, STRETCH // 8)
-    if length and np.bitwise_or.reduce(stretches, axis=1).all():
+    if _has_short_lines(letters):
         return False
-    is_end |= letters == ord(delimiter)
+    is_end = (letters == ord("\n")) | (letters == ord(delimiter))
     ends = np.flatnonzero(is_end)
     return bool(np.diff(ends, prepend=-1, append=len(text)).max() > LONGEST_CELL + 1)
+
+
+def _has_short_lines(letters: NDArray[np.uint8]) -> bool:
+    """Return whether every stretch holds a line end; looked at by what stays in caches."""
+    for start in range(0, len(letters), STRETCHES * STRETCH):
+        is_end = letters[start : start + STRETCHES * STRETCH] == ord("\n")
+        ends = is_end[: len(is_end) // STRETCH * STRETCH].view(np.uint64)
+        ends = ends[0::2] | ends[1::2]  # of 16 bytes
+        ends = ends[0::2] | ends[1::2]  # of 32 bytes
+        ends = ends[0::3] | ends[1::3] | ends[2::3]
+        if not ends.all():
+            return False
+    return True
 
 
 def _arrays(

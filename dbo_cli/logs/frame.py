@@ -37,6 +37,8 @@ class FrameTable(Table):
         By column, what it is called in the file that the frame was read from.
     has_found_offset
         Whether a clock offset was found in that file.
+    unstated
+        Columns whose unit is lost: ``attrs`` state those of others.
     """
 
     cure = "leave such rows out"
@@ -47,10 +49,12 @@ class FrameTable(Table):
         entries: Iterable[Entry],
         names: Mapping[str, str] | None = None,
         has_found_offset: bool = False,
+        unstated: Sequence[str] = (),
     ) -> None:
         super().__init__(name)
         self.has_found_offset = has_found_offset
         self._names = names or {}
+        self._unstated = unstated
         self._arrays: list[NDArray[Any]] = []
         for title, values, unit in entries:
             array, kind = _cells(values)
@@ -77,6 +81,15 @@ class FrameTable(Table):
                     f"{columns[0].label} {len(arrays[0]):,}"
                 )
         yield arrays
+
+    def require_units(self, columns: Iterable[Column]) -> None:
+        """Refuse (InputError) columns whose unit is lost, as that of a renamed one is."""
+        for column in columns:
+            if column.name in self._unstated:
+                raise InputError(
+                    f"{self.name}: {column.label} has no unit, others have one in `attrs`: "
+                    f"call it '{column.name} (UNIT)', or keep its name"
+                )
 
     def as_in_file(self, columns: Mapping[str, Column]) -> dict[str, Column]:
         """Return columns by role with the names that they have in their file."""
@@ -119,7 +132,11 @@ def frame_table(frame: Any, time: Any = None) -> FrameTable:
         entries.insert(0, (title, index, split_header(title)[1] or "s"))
     name = str(attrs.get("name", "the frame"))
     has_found_offset = bool(attrs.get("holds_delay"))
-    return FrameTable(name, entries, attrs.get("columns"), has_found_offset)
+    unstated = []
+    for title, _, _ in entries:
+        if units and title not in units and split_header(title)[1] is None:
+            unstated.append(title)
+    return FrameTable(name, entries, attrs.get("columns"), has_found_offset, unstated)
 
 
 def _named(columns: Iterable[Any]) -> Iterator[tuple[str, Any]]:

@@ -135,7 +135,11 @@ class TextStream:
                 return self._arrived(size)
             if isinstance(self._file, gzip.GzipFile):
                 return self._file.read(size)
-            return self._file.read(size) + self._file.readline(size)
+            begin = self._file.tell()
+            self._file.seek(begin + size)
+            size += len(self._file.readline(size))
+            self._file.seek(begin)
+            return self._file.read(size)
         except (EOFError, zlib.error, gzip.BadGzipFile):
             raise InputError(
                 f"{self.name}: the gzip data are damaged or end early"

@@ -55,16 +55,13 @@ def read_model(path: str) -> Cascade:
     """
     file, separator, channel = path.rpartition("::")
     if separator and not os.path.exists(path):
-        models = read_models(file)
-        if channel not in models:
-            raise InputError(f"{file}: no model {channel}; models: {', '.join(models)}")
-        return models[channel]
+        return read_models(file, [channel])[channel]
     name, values = fields.load(path, "model")
     return parse_model(values, name)
 
 
-def read_models(path: str) -> dict[str, Cascade]:
-    """Read a set of models: channels and their models (errors as of ``read_model``)."""
+def read_models(path: str, only: list[str] | None = None) -> dict[str, Cascade]:
+    """Read a set of models, or those of some channels: by channel (errors as of ``read_model``)."""
     name, values = fields.load(path, "model")
     models = {}
     try:
@@ -72,8 +69,11 @@ def read_models(path: str) -> dict[str, Cascade]:
         channels = build(dict, values, "", models=fields.notes)["models"]
         if not channels:
             raise ModelError("models: is empty")
-        for channel, content in channels.items():
-            models[channel] = _model(content, f'models["{channel}"]')
+        for channel in channels if only is None else only:
+            if channel not in channels:
+                known = ", ".join(channels)
+                raise InputError(f"{name}: no model {channel}; models: {known}")
+            models[channel] = _model(channels[channel], f'models["{channel}"]')
     except ModelError as problem:
         raise ModelError(f"{name}: {problem}") from None
     return models
@@ -351,6 +351,11 @@ def read_state(path: str, model: Cascade) -> State:
         It is not a state, contradicts itself, or belongs to another model.
     """
     name, values = fields.load(path, "state")
+    return parse_state(values, model, name)
+
+
+def parse_state(values: object, model: Cascade, name: str = "the state") -> State:
+    """Return the state that JSON values describe (ModelError: they do not, or it is another model's)."""
     try:
         return _state(fields.contents(values, "", STATE_FORMAT, "a state"), model)
     except ModelError as problem:

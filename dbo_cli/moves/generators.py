@@ -24,7 +24,10 @@ WHOLE_RATE = 1e-6  # of a rate: closer to a whole number, it is that
 
 
 class Signal(NamedTuple):
-    """What is written: volts or codes, points a second, and the volts of the lowest and highest code."""
+    """What is written: volts or codes, points a second, and the volts of the lowest and highest code.
+
+    Channels stand side by side: the values are of shape (points, channels).
+    """
 
     values: NDArray[np.float64 | np.int64]
     rate: float
@@ -42,11 +45,14 @@ class Format(NamedTuple):
         The lowest and the highest code; None where volts are written.
     volts_needed : bool
         Codes of a converter, whose volts nobody can guess.
+    holds_channels : bool
+        Whether one file holds several channels.
     """
 
     write: Callable[[Signal], bytes]
     codes: tuple[int, int] | None = None
     volts_needed: bool = False
+    holds_channels: bool = False
 
 
 class Coding(NamedTuple):
@@ -94,7 +100,7 @@ def _wav(signal: Signal) -> bytes:
         )
     buffer = io.BytesIO()
     with wave.open(buffer, "wb") as file:
-        file.setnchannels(1)
+        file.setnchannels(1 if signal.values.ndim == 1 else signal.values.shape[1])
         file.setsampwidth(2)
         file.setframerate(rate)
         file.writeframes(signal.values.astype("<i2").tobytes())
@@ -132,8 +138,8 @@ def _keysight(signal: Signal) -> bytes:
 
 
 FORMATS = {
-    "npy": Format(_npy),
-    "wav": Format(_wav, (-32767, 32767)),
+    "npy": Format(_npy, holds_channels=True),
+    "wav": Format(_wav, (-32767, 32767), holds_channels=True),
     "int16": Format(_int16, (-32768, 32767), True),
     "uint16": Format(_uint16, (0, 65535), True),
     "keysight-arb": Format(_keysight, (-32767, 32767)),

@@ -30,6 +30,8 @@ class Waveform(NamedTuple):
         Points a second.
     line, codes : str
         What has to be set at the generator, and what its codes mean.
+    values : array of shape (points,)
+        The volts or codes in ``data``.
     """
 
     data: bytes
@@ -37,6 +39,7 @@ class Waveform(NamedTuple):
     rate: float
     line: str
     codes: str = ""
+    values: NDArray[np.float64 | np.int64] = np.zeros(0)
 
 
 def waveform(
@@ -47,6 +50,7 @@ def waveform(
     *,
     name: str = "drive",
     gain: float = 1.0,
+    loop: bool = False,
     points: int | None = None,
     rate: float | None = None,
     codes: Span | None = None,
@@ -70,6 +74,8 @@ def waveform(
         What messages call it.
     gain : float
         Of the amplifier: the file's volts are the drive's over this.
+    loop : bool
+        The drive is one period of a loop, which other points or another rate keep.
     points, rate : int, float
         Points, or points a second, of the generator, over the same time; the drive's
         own where neither is given.
@@ -98,11 +104,12 @@ def waveform(
     _check_codes(form, to, codes, volts)
     _check_numbers(gain, points, rate, max_rounding)
     time = np.arange(voltage.size) / drive_rate
-    check_drive(voltage, time, limits, name=name, doubts=doubts).require_passed()
+    checked = check_drive(voltage, time, limits, name=name, loop=loop, doubts=doubts)
+    checked.require_passed()
     if voltage.size < 2:
         raise UsageError(f"{name}: one row is not a drive")
     most = 0.01 * max_rounding * float(np.ptp(voltage))
-    played, rate, moved = _at_points(voltage, drive_rate, points, rate)
+    played, rate, moved = _at_points(voltage, drive_rate, points, rate, loop)
     if moved > most:
         raise LimitError(
             f"{name}: {played.size:,} points change the drive by up to {moved:.3g} V, more than "
@@ -139,7 +146,16 @@ def waveform(
         )
     Gate(allowed).admit(heard, 1.0 / rate, "return")
     data = form.write(Signal(values, rate, ends))
-    return Waveform(data, heard, rate, _line(heard, rate, gain, moved), meaning)
+    line = _line(heard, rate, gain, moved)
+    return Waveform(data, heard, rate, line, meaning, values)
+
+
+def side_by_side(channels: Sequence[Waveform], to: str) -> bytes | None:
+    """Return the file of several channels; None where the format ``to`` holds one."""
+    if not FORMATS[to].holds_channels:
+        return None
+    values = np.column_stack([channel.values for channel in channels])
+    return FORMATS[to].write(Signal(values, channels[0].rate, (0.0, 0.0)))
 
 
 def _check_codes(form: Format, to: str, codes: Span | None, volts: Span | None) -> None:
@@ -181,23 +197,28 @@ def _check_numbers(
 
 
 def _at_points(
-    drive: Floats, drive_rate: float, points: int | None, rate: float | None
+    drive: Floats, drive_rate: float, points: int | None, rate: float | None, loop: bool
 ) -> tuple[Floats, float, float]:
     """Return a drive at so many points, or at another rate, over the same time; linear between rows.
 
-    Returns the points, how many a second, and by how much they move the drive.
+    A loop's time is its period: the step from its last row to its first counts, and
+    the points share it evenly. Returns the points, how many a second, and by how much
+    they move the drive.
     """
     if rate is None and points is None:
         return drive, drive_rate, 0.0
-    seconds = (drive.size - 1) / drive_rate
-    if points is not None:
-        rate = (points - 1) / seconds
-    else:
+    steps = drive.size if loop else drive.size - 1
+    more = 0 if loop else 1  # a loop's last point is one step before its first
+    seconds = steps / drive_rate
+    if points is None:
         assert rate is not None
-        points = math.ceil(seconds * rate * (1.0 - 1e-9)) + 1
+        points = math.ceil(seconds * rate * (1.0 - 1e-9)) + more
+    if loop or rate is None:
+        rate = (points - more) / seconds
     time, new = np.arange(drive.size) / drive_rate, np.arange(points) / rate
-    played = np.interp(new, time, drive)
-    back = np.interp(time, new, played)
+    period = seconds if loop else None
+    played = np.interp(new, time, drive, period=period)
+    back = np.interp(time, new, played, period=period)
     return played, rate, float(np.abs(back - drive).max())
 
 

@@ -9,17 +9,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from dbo_cli.arrays import Floats
 from dbo_cli.errors import LimitError
 from dbo_cli.reports.expected import Expected
 from dbo_cli.reports.merits import Merits, merits
 from dbo_cli.reports.pair import Pair, scored
 from dbo_cli.reports.render import FORMS, digits, short_name
+from dbo_cli.signals import between, noise
 
 if TYPE_CHECKING:
     import pandas
 
     from dbo_cli.model import Cascade
 
+HALVED = 0.5
+"""Part of the error that a cause must leave at most to be named."""
 BEYOND_EXPECTED = 2.0
 """Times the expected error, from which on a warning says so."""
 
@@ -269,6 +275,8 @@ class Report:
             return f"{line}, {times} times less than {short_name(first.name)}"
         if best.merits.nrmse_percent is not None:
             line += f" ({digits(best.merits.nrmse_percent, 2)} % of the move)"
+        if best.expected_rmse is not None:
+            line += f", {digits(best.expected_rmse, 2)} expected"
         return line
 
     def render(self, form: str) -> str:
@@ -297,30 +305,69 @@ def _evaluated(pair: Pair, lag: int, remove_offset: bool) -> LogReport:
     chosen = scored(pair, lag)
     figures = merits(chosen.desired, chosen.measured, remove_offset)
     if chosen.expected is not None:
-        warning = _beyond(chosen.expected, figures)
+        warning = _beyond(chosen.expected, chosen, figures)
         if warning:
             chosen = replace(chosen, warnings=(f"{pair.name}: {warning}",))
     return LogReport(chosen, figures, lag)
 
 
-def _beyond(expected: Expected, figures: Merits) -> str:
-    """Return a warning where the error is far above the expected one, or that is another move's."""
+def _beyond(expected: Expected, pair: Pair, figures: Merits) -> str:
+    """Return a warning where the error is far above the expected one, or that is another move's.
+
+    The sensor's noise is no error of the actuator: it is taken out first.
+    """
     low, high = figures.desired_min, figures.desired_max
     if expected.move is not None and not expected.is_of(low, high):
         return (
             f"the move is {low:.4g} to {high:.4g}, the expected error is for"
             f" {expected.move[0]:.4g} to {expected.move[1]:.4g}: use the summary of this move"
         )
-    if expected.rmse is None or figures.rmse <= BEYOND_EXPECTED * expected.rmse:
+    white = noise(pair.measured)
+    error = math.sqrt(max(figures.rmse**2 - white**2, 0.0))
+    if expected.rmse is None or error <= BEYOND_EXPECTED * expected.rmse:
         return ""
-    scatter = math.sqrt(max(figures.rmse**2 - figures.mean**2, 0.0))
-    remedy = "sweep the range before the move, or identify again"
-    if scatter <= BEYOND_EXPECTED * expected.rmse:
-        remedy = (
-            f"its mean is {figures.mean:.3g}; set the sensor's zero, or `remove_offset`"
+    return f"the error is {error / expected.rmse:.2g} times the expected one{_cause(pair, figures, white)}"
+
+
+def _cause(pair: Pair, figures: Merits, white: float) -> str:
+    """Return the largest cause of an error, what it would leave, and what to do about it."""
+    error = pair.measured - pair.desired - figures.offset
+    causes = [
+        (
+            _left(error - np.mean(error), white),
+            f"its mean is {figures.mean:.3g}",
+            "set the sensor's zero, sweep the range before the move, or `remove_offset`",
         )
-    times = figures.rmse / expected.rmse
-    return f"the error is {times:.2g} times the expected one: {remedy}"
+    ]
+    late = figures.lag
+    if late is not None and pair.step() is not None:
+        rows = np.arange(float(len(error))) - late
+        inside = (rows >= 0.0) & (rows <= len(error) - 1.0)
+        shifted = pair.measured[inside] - between(pair.desired, rows[inside])
+        milliseconds = 1e3 * late * (pair.step() or 0.0)
+        side, remedy = "late", "identify with `sensor_delay`, or `lag`"
+        if late < 0.0:
+            side, remedy = (
+                "early",
+                "match the clocks, or take the delay out of the model",
+            )
+        text = f"it is {abs(milliseconds):.3g} ms {side}"
+        causes.append((_left(shifted - figures.offset, white), text, remedy))
+    largest = np.argsort(np.abs(error))[: math.floor(0.99 * len(error))]
+    row = pair.first_row + figures.max_abs_place
+    text = f"one row in a hundred holds most of it, the largest at row {row:,}"
+    causes.append(
+        (_left(error[largest], white), text, "look there for a gap or a limit")
+    )
+    left, text, remedy = min(causes)
+    if left > HALVED * _left(error, white):
+        return ": sweep the range before the move, or identify again"
+    return f": {text}, without which {left:.2g} is left: {remedy}"
+
+
+def _left(error: Floats, white: float) -> float:
+    """Return the RMS of an error without its white noise."""
+    return math.sqrt(max(float(np.mean(np.square(error))) - white**2, 0.0))
 
 
 def _verdicts(

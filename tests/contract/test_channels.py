@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import wave
 from pathlib import Path
 
 import numpy as np
@@ -105,19 +106,207 @@ def test_an_error_of_one_channel_names_it(channels: Path) -> None:
     assert "Vb" in error and "OVLD" in error
 
 
-def test_options_for_one_channel_at_a_time_are_refused(channels: Path) -> None:
-    words = ("--displacement", "D{}_um", "-o", "drives.csv")
-    for option in ("--condition", "--summary s.json", "--bandwidth 20", "--passes 2"):
-        more = option.split()
-        error = refused(2, "compensate", "set.json", channels, *words, *more)
-        assert more[0] in error
-    refused(2, "identify", channels, *SIDES, "--summary", "s.json", "-o", "x.json")
-    words = ("--input", "V{}_V", "--save-state", "s.json", "-o", "moved.csv")
-    refused(2, "simulate", "set.json", channels, *words)
-
-
 def test_a_warning_names_the_channel(channels: Path) -> None:
     words = ("--displacement", "D{}_um", "--v-max", "7", "--on-limit", "clip")
     warned = dbo("compensate", "set.json", channels, *words, "-o", "x.csv").err
     for name in NAMES:
         assert f"warning: channel {name}: " in warned
+
+
+# --- a scanner as one thing: every option, one table, one lead ---
+
+SCANNER = ("--displacement", "D{}_um", "--on-limit", "clip")
+
+
+@pytest.fixture
+def scanner(folder: Path) -> Path:
+    """Return two axes of 0 to 10 V, one with relaxation and a delay, and write ``scanner.json``."""
+    quick, slow = values_of("small"), values_of("small")
+    slow["stages"][0]["relaxation"] = {
+        "on": "input", "reference": 0.0, "tau": [0.05], "gain": [0.02]
+    }  # fmt: skip
+    slow["stages"].append({"type": "delay", "seconds": 0.004})
+    models = {"x": quick, "y": slow}
+    held = {"format": "dbo-model-set", "version": 1, "models": models}
+    Path("scanner.json").write_text(json.dumps(held))
+    phase = 2.0 * np.pi * np.arange(600) / 600
+    axes = [5.0 - 2.0 * np.cos(phase), 5.0 + 1.5 * np.sin(phase)]
+    return write("wish.csv", "time_s,Dx_um,Dy_um", TIME, *axes)
+
+
+def drives_of(*words: object) -> dict[str, Floats]:
+    """Return the drives of both axes in one table; their lengths and clocks are one."""
+    done(
+        "compensate", "scanner.json", "wish.csv", *SCANNER, *words, "-o", "d.csv", "-q"
+    )
+    return table("d.csv")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--from 0 --approach auto",
+        "--from x=9 --from y=0.5 --approach auto --max-slew x=10 --max-slew y=200",
+        "--condition",
+        "--condition --approach 3 --from 1",
+        "--condition --v-max y=8 --return x=4 --return y=0",
+        "--lead auto",
+    ],
+)
+def test_what_stands_around_the_move_takes_equally_long(
+    scanner: Path, words: str
+) -> None:
+    written = drives_of(*words.split())
+    time = written["time_s"]
+    move = (time > -1e-9) & (time < TIME[-1] + 1e-9)
+    np.testing.assert_allclose(time[move], TIME, atol=1e-9)
+    np.testing.assert_allclose(np.diff(time), 0.002, atol=1e-9)
+    wanted = table(scanner)
+    for axis in "xy":
+        np.testing.assert_allclose(
+            written[f"desired_{axis}_um"][move], wanted[f"D{axis}_um"], atol=1e-12
+        )
+        assert np.isfinite(written[f"voltage_{axis}_V"]).all()
+    if "y=8" in words:
+        assert written["voltage_y_V"].max() <= 8.0 < written["voltage_x_V"].max()
+        assert (written["voltage_x_V"][-1], written["voltage_y_V"][-1]) == (4.0, 0.0)
+    if "x=10" in words:
+        assert np.abs(np.diff(written["voltage_x_V"])).max() <= 0.02 * (1.0 + 1e-9)
+        assert (written["voltage_x_V"][0], written["voltage_y_V"][0]) == (9.0, 0.5)
+
+
+def test_a_channel_of_a_set_is_driven_as_if_alone(scanner: Path) -> None:
+    """The axis with the longest way is the one that a single drive gives, to the bit."""
+    words = ("--from", "0", "--approach", "auto", "--condition")
+    both = drives_of(*words)
+    alone = ("--displacement", "Dy_um", *SCANNER[2:], *words, "-q", "-o", "one.csv")
+    done("compensate", "scanner.json::y", scanner, *alone)
+    one = table("one.csv")
+    count = one["voltage_V"].size
+    assert both["voltage_y_V"].size >= count
+    np.testing.assert_allclose(
+        both["voltage_y_V"][-count:], one["voltage_V"], atol=1e-9
+    )
+
+
+def test_a_line_and_an_expected_error_a_channel(scanner: Path) -> None:
+    outcome = done("compensate", "scanner.json", scanner, *SCANNER, "-o", "d.csv")
+    for axis in "xy":
+        assert any(f" {axis}: " in f" {line}" for line in outcome.said), outcome.err
+
+
+def test_states_and_summaries_of_a_set_are_sets(scanner: Path) -> None:
+    words = ("--save-state", "s.json", "--summary", "sum.json")
+    first = drives_of(*words)
+    states = json.loads(Path("s.json").read_text())
+    assert (states["format"], states["version"]) == ("dbo-state-set", 1)
+    assert list(states["states"]) == ["x", "y"]
+    summaries = json.loads(Path("sum.json").read_text())["summaries"]
+    assert summaries["y"]["rows"] == first["time_s"].size
+    again = drives_of("--state", "s.json")
+    assert again["voltage_x_V"].size == 600
+    done("simulate", "scanner.json", "d.csv", "--input", "voltage_{}", "--save-state",
+         "t.json", "-o", "m.csv", "-q")  # fmt: skip
+    done("simulate", "scanner.json", "d.csv", "--input", "voltage_{}", "--state",
+         "t.json", "-o", "m.csv", "-q")  # fmt: skip
+    del states["states"]["y"]
+    Path("s.json").write_text(json.dumps(states))
+    error = refused(1, "compensate", "scanner.json", scanner, *SCANNER, "--state",
+                    "s.json", "-o", "x.csv")  # fmt: skip
+    assert "s.json" in error and "y" in error
+
+
+def test_a_scanner_is_learned_and_looped(scanner: Path) -> None:
+    done("compensate", "scanner.json", scanner, *SCANNER, "--periodic", "--passes", 2,
+         "--from", "x=0", "--from", "y=1", "--approach", "auto", "-o", "l.csv", "-q")  # fmt: skip
+    loop = table("l.csv")
+    assert (loop["voltage_x_V"][0], loop["voltage_y_V"][0]) == (0.0, 1.0)
+    played = drives_of()
+    measured = {f"m{axis}_um": 1.01 * played[f"desired_{axis}_um"] for axis in "xy"}
+    columns = {"time_s": played["time_s"], **measured}
+    for axis in "xy":
+        columns[f"v{axis}_V"] = played[f"voltage_{axis}_V"]
+    write("track.csv", ",".join(columns), *columns.values())
+    for _ in range(2):
+        drives_of("--tracked", "track.csv", "--voltage", "v{}", "--measured", "m{}",
+                  "--history", "h.json")  # fmt: skip
+    histories = json.loads(Path("h.json").read_text())
+    assert histories["format"] == "dbo-history-set"
+    assert len(histories["histories"]["y"]["passes"]) == 1
+
+
+def test_a_limit_of_a_channel_is_typed_with_its_name(scanner: Path) -> None:
+    words = ("compensate", "scanner.json", scanner, *SCANNER, "-o", "x.csv")
+    for wrong in (
+        "--v-max z=9",
+        "--v-max x=9 --v-max x=8",
+        "--v-max 120 --extrapolate",
+    ):
+        assert "--v-max" in refused(2, *words, *wrong.split())
+    done(*words, "--v-max", "x=12", "--v-max", "y=10", "--extrapolate")
+    refused(2, "compensate", "scanner.json::x", scanner, "--displacement", "Dx_um",
+            "--v-max", "x=9", "-o", "x.csv")  # fmt: skip
+
+
+def test_check_looks_at_every_channel(scanner: Path) -> None:
+    drives_of("--v-max", "y=8", "--from", "0", "--approach", "auto")
+    words = ("check", "d.csv", "--voltage", "voltage_{}")
+    done(*words, "--v-min", 0, "--v-max", "x=10", "--v-max", "y=8", "--from", 0)
+    outcome = dbo(*words, "--v-max", "x=10", "--v-max", "y=5", "--format", "json")
+    assert outcome.code == 3 and "channel y" in outcome.lines[-1]
+    checks = outcome.json["checks"]
+    assert checks["x"]["passed"] and not checks["y"]["passed"]
+    done(*words, "--against", "d.csv")
+
+
+def test_identify_states_the_figures_of_each_channel(channels: Path) -> None:
+    words = (*SIDES, *QUICK, "-o", "models.json", "--summary", "s.json")
+    outcome = done("identify", channels, *words)
+    summaries = json.loads(Path("s.json").read_text())["summaries"]
+    assert list(summaries) == list(NAMES) and summaries["a"]["rmse"] >= 0.0
+    assert all(any(f" {n}: " in f" {line}" for line in outcome.said) for n in NAMES)
+    words = (*SIDES, "--prior", "models.json", "--force", "-o", "again.json")
+    done("identify", channels, *words)
+
+
+def test_waveforms_of_all_channels(scanner: Path) -> None:
+    drives = drives_of("--from", "0", "--approach", "auto")
+    words = ("waveform", "d.csv", "--voltage", "voltage_{}", "--to")
+    done(*words, "npy", "-o", "d.npy")
+    volts = np.load("d.npy")
+    np.testing.assert_array_equal(
+        volts, np.column_stack([drives["voltage_x_V"], drives["voltage_y_V"]])
+    )
+    done(*words, "wav", "-o", "d.wav")
+    with wave.open("d.wav") as file:
+        assert (file.getnchannels(), file.getnframes()) == (2, volts.shape[0])
+        codes = np.frombuffer(file.readframes(volts.shape[0]), "<i2").reshape(-1, 2)
+    for place in (0, 1):
+        low, high = volts[:, place].min(), volts[:, place].max()
+        heard = low + (codes[:, place] + 32767.0) / 65534.0 * (high - low)
+        np.testing.assert_allclose(heard, volts[:, place], atol=1e-3)
+    done(*words, "uint16", "--volts", "0:10", "-o", "d.bin")
+    for axis in "xy":
+        assert Path(f"d_{axis}.bin").stat().st_size == 2 * volts.shape[0]
+    refused(2, *words, "uint16", "--volts", "0:10")
+    refused(3, *words, "npy", "--v-max", "y=5", "-o", "e.npy")
+
+
+def test_report_of_every_channel(scanner: Path) -> None:
+    played = drives_of("--summary", "sum.json")
+    measured = {f"m{axis}_um": played[f"desired_{axis}_um"] + 0.01 for axis in "xy"}
+    drives = {f"v{axis}_V": played[f"voltage_{axis}_V"] for axis in "xy"}
+    columns = {"time_s": played["time_s"], **measured, **drives}
+    write("track.csv", ",".join(columns), *columns.values())
+    words = ("report", "track.csv", "--measured", "m{}", "--voltage", "v{}")
+    by_model = done(*words, "--model", "scanner.json", "--format", "json").json
+    for axis in "xy":
+        assert by_model["reports"][axis]["format"] == "dbo-report"
+    words = (*words, "--trajectory", "d.csv", "--desired", "desired_{}_um")
+    outcome = done(*words, "--expected", "sum.json", "-o", "r.txt")
+    text = Path("r.txt").read_text()
+    assert "channel x" in text and "channel y" in text and "0.01" in text
+    assert len([line for line in outcome.said if " y: " in f" {line}"]) == 1
+    done(*words, "-o", "r.html")
+    assert Path("r_x.html").exists() and Path("r_y.html").exists()
+    assert dbo(*words, "--max-rmse", "5nm", "-o", "r.txt").code == 3

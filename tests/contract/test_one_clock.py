@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from .program import Floats, dbo, done, model, rms, table, write
+from .program import Floats, dbo, done, model, refused, rms, table, write
 
 STEP = 1e-3
 TIME = STEP * np.arange(6000)
@@ -112,3 +115,106 @@ def test_what_was_played_is_late_by_rows(late: float) -> None:
     write("played.csv", "time_s,monitor_V", STEP * rows, played)
     outcome = dbo("check", "played.csv", "--against", "drive.csv", "--tolerance", 0.5)
     assert f"{late:g} rows late" in outcome.out, outcome.out
+
+
+# --- the next pass ---
+
+
+@pytest.mark.parametrize("start", [None, 0.0, 1.7e9])
+def test_a_pass_is_learned_from_wherever_its_recorder_counts_from(
+    start: float | None,
+) -> None:
+    """It was refused: "its drive belongs to another trajectory"."""
+    drive, moved = recorded(0)
+    stamps = drive["time_s"]
+    words = ("compensate", model("creep"), "traj.csv", "--condition", "--from", 0)
+    write("true.csv", "time_s,voltage_V,measured_um", stamps, drive["voltage_V"], moved)
+    known = table(done(*words, "--tracked", "true.csv"))["voltage_V"]
+    if start is not None:
+        stamps = start + STEP * np.arange(len(moved))
+    write("pass.csv", "time_s,voltage_V,measured_um", stamps, drive["voltage_V"], moved)
+    outcome = done(*words, "--tracked", "pass.csv", "--verbose")
+    np.testing.assert_allclose(table(outcome)["voltage_V"], known, atol=1e-9)
+    off = rms((moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP])
+    assert "of it noise" in outcome.err
+    said = next(line for line in outcome.lines if "expected error" in line)
+    assert float(said.split()[3]) == pytest.approx(off, rel=0.02)
+
+
+def test_a_pass_with_another_past_is_refused() -> None:
+    drive, moved = recorded(1)
+    header = "time_s,voltage_V,measured_um"
+    write("swept.csv", header, drive["time_s"], drive["voltage_V"], moved)
+    words = ("compensate", model("creep"), "traj.csv", "--from", 0)
+    told = refused(1, *words, "--approach", 1, "--tracked", "swept.csv")
+    assert "past" in told and "--condition" in told
+    done(*words, "--approach", 1, "-o", "plain.csv")
+    plain = table("plain.csv")
+    write(
+        "plain_pass.csv",
+        header,
+        *(plain[key] for key in ("time_s", "voltage_V", "desired_um")),
+    )
+    told = refused(1, *words, "--condition", "--tracked", "plain_pass.csv")
+    assert "past" in told and "--condition" in told
+
+
+# --- why an error is larger than expected ---
+
+
+def told_of(measured: Floats, desired: Floats, expected: float) -> list[str]:
+    """Return the warnings of a report of a move with an expected error (um)."""
+    write("run.csv", "time_s,desired_um,measured_um", TIME, desired, measured)
+    summary = {"format": "dbo-summary", "version": 1, "unit": "um", "model": "0" * 64}
+    figures = {"expected_rmse": expected, "move_range": [desired.min(), desired.max()]}
+    Path("s.json").write_text(json.dumps({**summary, **figures}))
+    return dbo("report", "run.csv", "--expected", "s.json").warnings
+
+
+def test_the_largest_cause_of_an_error_is_named_and_noise_is_none() -> None:
+    rng = np.random.default_rng(3)
+    desired = 3.0 + 2.0 * np.sin(2.0 * np.pi * 0.5 * TIME)
+    white = 0.02 * rng.standard_normal(len(TIME))
+    assert told_of(desired + white, desired, 0.002) == []
+    (mean,) = told_of(desired + white + 0.1, desired, 0.005)
+    assert "mean is 0.1" in mean and "identify again" not in mean
+    late = 3.0 + 2.0 * np.sin(2.0 * np.pi * 0.5 * (TIME - 8e-3))
+    (lag,) = told_of(late + white, desired, 0.005)
+    assert (
+        "8.0" in lag
+        and "ms late" in lag
+        and "sensor_delay" not in lag
+        and "--sensor-delay" in lag
+    )
+    jump = np.where((TIME > 2.0) & (TIME < 2.02), 1.0, 0.0)
+    (rows,) = told_of(desired + white + jump, desired, 0.005)
+    assert "row 2,0" in rows
+    loop = 0.05 * np.cos(2.0 * np.pi * 1.0 * TIME)
+    (again,) = told_of(desired + white + loop, desired, 0.005)
+    assert "identify again" in again
+
+
+# --- a loop at a generator ---
+
+
+def test_a_loop_keeps_its_period_at_other_points() -> None:
+    """200 rows of 1 ms are 0.2 s; 100 points were 0.20101 s, with a step over the seam."""
+    phase = 2.0 * np.pi * np.arange(200) / 200.0
+    write(
+        "loop.csv",
+        "time_s,voltage_V",
+        STEP * np.arange(200),
+        50.0 + 40.0 * np.sin(phase),
+    )
+    words = ("waveform", "loop.csv", "--to", "npy", "--points", 100, "-o", "loop.npy")
+    outcome = done(*words, "--loop")
+    assert "500 Hz, 0.2 s" in outcome.err and "offset 50 V" in outcome.err
+    points = np.load("loop.npy")
+    assert points == pytest.approx(50.0 + 40.0 * np.sin(phase[::2]), abs=1e-9)
+    done(*words[:-4], "--rate", 500, "-o", "rate.npy", "--loop")
+    assert np.array_equal(np.load("rate.npy"), points)
+    ramp = np.linspace(0.0, 100.0, 200)
+    write("open.csv", "time_s,voltage_V", STEP * np.arange(200), ramp)
+    assert "loop" in refused(
+        3, "waveform", "open.csv", "--to", "npy", "-o", "x.npy", "--loop"
+    )

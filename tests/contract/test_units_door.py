@@ -519,3 +519,69 @@ def test_a_role_is_known_to_shell_and_library() -> None:
     for role in ROLES:
         for call in (dbo.read_log, compare.compare, identify.identify):
             assert role in inspect.signature(call).parameters
+
+
+# --- other members of the kind ---
+
+
+def test_a_generator_s_limits_have_the_units_of_the_drive() -> None:
+    volts = 40.0 + 40.0 * np.sin(TIME)
+    line = ("--to", "npy", "-o", "drive.npy", "--v-max")
+    write("bare.csv", "time_s,voltage", TIME, volts)
+    assert PLAIN in refused(2, "waveform", "bare.csv", *line, "200mV")
+    assert shell("waveform", "bare.csv", *line, 120).code == 0
+    bare = Path("drive.npy").read_bytes()
+    write("mv.csv", "time_s,voltage_mV", TIME, 1e3 * volts)
+    assert shell("waveform", "mv.csv", *line, "120V").code == 0
+    np.testing.assert_allclose(np.load("drive.npy"), volts, atol=1e-9)
+    write("bar.csv", "time_s,pressure_bar", TIME, volts)
+    error = refused(1, "waveform", "bar.csv", *line, 120, "--voltage", "pressure_bar")
+    assert "bar.csv: the drive is in bar, not V: add --scale" in error
+    Path("drive.npy").write_bytes(bare)
+    np.testing.assert_array_equal(np.load("drive.npy"), volts)
+
+
+def test_a_range_has_a_unit_that_there_is() -> None:
+    line = ("trajectory", "sine", "--rate", 1000, "--frequency", 5, "--range")
+    assert "no unit" in refused(2, *line, "0:5volts_or_so")
+    assert shell(*line, "0:5µm").out.startswith("time_s,displacement_um")
+    path = without_units("creep")
+    assert PLAIN in refused(2, *line, "0:5um", "--model", path)
+
+
+def test_logs_of_one_actuator_have_units_alike(played: Any) -> None:
+    time, volts, moved = played
+    write("a.csv", "time,voltage,displacement", time, volts, moved)
+    write("b.csv", "t_s,U_V,x_nm", time, volts, 1e3 * moved)
+    error = refused(1, "identify", "a.csv", "b.csv", *TYPED, "-o", "m.json")
+    assert "b.csv: voltage is in V, a.csv states no unit" in error
+    with pytest.raises(dbo.InputError, match="states no unit"):
+        quick(["a.csv", dbo.read_log("b.csv")])
+
+
+def test_a_renamed_column_has_lost_its_unit(
+    creep: dbo.Model, nanometers: pd.DataFrame
+) -> None:
+    renamed = nanometers.rename(columns={"displacement": "position"})
+    with pytest.raises(dbo.InputError, match="'position' has no unit"):
+        creep.compensate(renamed)
+    with pytest.raises(dbo.InputError, match="in nm, the model in um"):
+        creep.compensate(renamed["position"], time=renamed["time"])
+    named = nanometers.rename(columns={"displacement": "position (nm)"})
+    np.testing.assert_array_equal(creep.compensate(named), creep.compensate(nanometers))
+
+
+def test_typed_figures_of_python(played: Any) -> None:
+    time, volts, moved = played
+    plain: dict[str, Any] = {**QUICK, "dynamics": 0, "relaxation": (0.02, 0.3)}
+    expected = dbo.identify(volts, moved, time=time, **plain, skip=0.1)
+    typed: dict[str, Any] = {**plain, "relaxation": ("20ms", 0.3), "skip": "100ms"}
+    assert dbo.identify(volts, moved, time=time, **typed) == expected
+    for word in ("zero", "gears", "points", "delay", "skip", "sensor_delay"):
+        with pytest.raises(dbo.UsageError, match=f"`{word}` True"):
+            dbo.identify(volts, moved, time=time, **{word: True})
+    within = dbo.report(moved, moved, time=time, max_nrmse_percent="1%")
+    assert within.passed
+    index = pd.Series(volts, index=pd.Index(1e3 * time, name="t (ms)"))
+    with pytest.raises(dbo.InputError, match="`time` is in ms"):
+        expected.simulate(index)

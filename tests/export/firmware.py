@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import itertools
 import os
 import shutil
 import subprocess
@@ -34,6 +35,7 @@ RATE = 1000.0
 LOW, HIGH = 0.0, 100.0
 KEPT = tempfile.TemporaryDirectory()
 COMPILED: dict[object, Path] = {}
+NUMBERS = itertools.count()
 MORE_REST = 8  # rows before a move, from which on a delay knows its past
 
 
@@ -146,7 +148,8 @@ class Firmware:
             f" s = t; return y; }}\n"
         )
         self.flags = [*FLAGS, "-O0", "-fPIC", *flags]
-        output = folder / "play.so"
+        # a name of its own: a library of a path that is loaded already is not loaded again
+        output = folder / f"play_{next(NUMBERS)}.so"
         self._compile([*self._objects("_test"), "-shared", "-o", output])
         self.library = ctypes.CDLL(str(output))
         self.library.step.argtypes = [self.kind]

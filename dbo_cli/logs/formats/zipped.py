@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
-
 import numpy as np
 
 from dbo_cli.errors import InputError
@@ -14,6 +12,8 @@ from dbo_cli.logs.table import Reading, Table
 
 def read(path: str, inner: str, reading: Reading) -> Table:
     """Read the arrays of an archive, or the sheet of a workbook (InputError)."""
+    import zipfile
+
     with fenced(path, "a zip archive"), zipfile.ZipFile(path) as archive:
         names = archive.namelist()
     if any(name.startswith("xl/") or name == "content.xml" for name in names):
