@@ -83,7 +83,7 @@ def stated(
     inside = np.clip(invented.drive, 0.0, 1.0)
     drive = problem.low + (problem.high - problem.low) * inside
     figures |= {
-        "expected_rmse": expected_error(model, drive, invented.dt),
+        "expected_rmse": expected_error(model, drive, invented.dt, memory_known=True),
         "one_amplitude": problem.one_amplitude,
         "swings": problem.swing_count,
     }

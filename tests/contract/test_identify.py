@@ -73,7 +73,8 @@ def test_the_sample_is_followed_within_a_hundredth_of_a_percent(
     fit = json.loads(sample_model.read_text())["fit"]
     assert fit["sign"] == "rising"
     assert 0.003 < fit["rmse"] < 0.012
-    assert fit["rmse"] < fit["expected_rmse"] < 0.06
+    seen = np.hypot(fit["expected_rmse"], fit["noise_rms"])  # by this sensor
+    assert fit["rmse"] < seen < 0.06
     assert fit["line_rmse"] > 0.3
 
 
