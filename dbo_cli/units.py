@@ -349,7 +349,7 @@ def split_quantity(typed: str | float, name: str = "value") -> tuple[float, str 
         value = math.nan
     if not math.isfinite(value):
         raise UsageError(
-            f"`{name}` {typed}: give a number, such as 5, or with a unit, such as 5V"
+            f"`{name}` {typed}: give a finite number, alone or with its unit"
         )
     return value, unit
 
