@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -86,3 +88,18 @@ def test_the_numbers_of_the_dbo_are_counted():
 def test_a_table_of_refusals_is_a_table():
     text = Comparison((Row("pi", "plays", refused="no"),), None, ("a",)).text()
     assert "note: pi: no" in text
+
+
+KEYS = """name words rmse expected_rmse validation_rmse parameters forward_ns inverse_ns
+refused""".split()
+
+
+def test_json_and_text(table):
+    content = json.loads(table.json())
+    assert (content["format"], content["version"]) == ("dbo-compare", 1)
+    assert (content["logs"], content["validation"]) == (["a.csv"], ["b.csv"])
+    assert content["unit"] is None  # the arrays state none
+    assert [list(row) for row in content["models"]] == [KEYS] * len(NAMES)
+    text = table.text()
+    for name in NAMES:
+        assert f"\n{name} " in text
