@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import hypot
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
@@ -237,9 +238,9 @@ class Driver:
         played = model.run(whole, plan.begin, dt)
         self._state = replace(played.state, time=float(time[-1]))
         self._figures = replace(self._figures, lead_seconds=count * dt)
-        drive = self._concluded()
         away = played.y[count:] - loops.settled_run(model, voltage, dt, state)
         away_rms = float(np.sqrt(np.mean(away**2)))
+        drive = self._concluded(away_rms)
         note = f"the first pass is {away_rms:.3g}{model.output.suffix} off the settled one (RMS)"
         return replace(
             drive,
@@ -302,6 +303,7 @@ class Driver:
             drive,
             # the model's own error is what was learned
             expected_error=lesson.rmse,
+            expected_swept=None,
             expected_known=None,
             history=lesson.history,
             notes=(*lesson.notes, *drive.notes),
@@ -507,19 +509,25 @@ class Driver:
         judged = self._clipping, self._excerpt, self.on_limit == "auto", period
         judge.require_reached(self.name, self.model, self.limits, *judged)
 
-    def _concluded(self) -> Drive:
-        """Return the figures of a drive of which all rows were seen, and warn of what is unusual."""
+    def _concluded(self, unsettled: float = 0.0) -> Drive:
+        """Return the figures of a drive of which all rows were seen, and warn of what is unusual.
+
+        ``unsettled`` is how far a loop's first pass is off the settled one (RMS).
+        """
         model, limits, clipping = self.model, self.limits, self._clipping
         figures, lost = self._figures, self._clipping.rms
         assert figures.voltage_range is not None
         beyond = judge.beyond_identified(limits, *figures.voltage_range)
-        error = known = None
+        error = swept = known = None
+        expected = None
         if not beyond:
-            played, rest = (model, self._excerpt), (figures.lead_rows, lost)
-            saved = isinstance(self.lead.state, State)
-            error = judge.expected(*played, figures.past_known, saved, *rest)
-            if error is not None and not figures.past_known:
-                known = judge.expected(*played, True, True, *rest)
+            expected = judge.expected(model, self._excerpt, figures.lead_rows)
+        if expected is not None:
+            missed, lead = hypot(lost, unsettled), self.lead
+            error = hypot(expected.rms(lead.past_known, lead.memory_known), missed)
+            if not lead.past_known:
+                swept = hypot(expected.rms(past_known=True), missed)
+                known = hypot(expected.known, missed)
         start = judge.start_warnings(
             model, limits, clipping, figures.missed, figures.off
         )
@@ -538,6 +546,7 @@ class Driver:
             lost_rms=lost,
             lost_most=clipping.largest,
             expected_error=error,
+            expected_swept=swept,
             expected_known=known,
             state=self._state,
             warnings=warnings,

@@ -48,13 +48,14 @@ class Drive:
     missed, off : float
         How far the first row starts off its displacement, because no settled actuator
         stands there; and by how much dynamics and delay are in motion there.
-    expected_error, expected_known : float, optional
-        RMS of the error to expect, what is clipped included; and the same if the past
-        were known. None where the model does not know.
+    expected_error, expected_swept, expected_known : float, optional
+        RMS of the error to expect, what is clipped included; the same behind a sweep that
+        makes the past of the gears known, and from a state that is known. None where the
+        model does not know.
     starts_at : float, optional
         The first voltage, where nobody said where the amplifier stands.
     past_known : bool
-        Whether a sweep or a state makes the past known.
+        Whether a sweep or a typed state makes the past known.
     state : State or None
         After the last row.
     history : tuple of PassRecord
@@ -84,6 +85,7 @@ class Drive:
     missed: float = 0.0
     off: float = 0.0
     expected_error: float | None = None
+    expected_swept: float | None = None
     expected_known: float | None = None
     starts_at: float | None = None
     past_known: bool = False
@@ -115,12 +117,17 @@ class Drive:
         text = f"expected error {error}{self.model.output.suffix} RMS"
         if self.past_known:
             return text
-        if self.expected_known is None:
+        if self.expected_known is None or self.expected_swept is None:
             return f"{text} (past unknown)"
-        known = f"{self.expected_known:.2g}"
+        swept, known = f"{self.expected_swept:.2g}", f"{self.expected_known:.2g}"
         if known == error:
             return f"{text}, whatever the past"
-        return f"{text} (past unknown; {known} with `condition`)"
+        hints = []
+        if swept != error:
+            hints.append(f"{swept} with `condition`")
+        if known != swept:
+            hints.append(f"{known} from a known `state`")
+        return f"{text} (past unknown; {', '.join(hints)})"
 
     def summary(self) -> dict[str, Any]:
         """Return the drive as plain values, for a summary in JSON."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.limits import Limits, rounded_up
 from dbo_cli.errors import InputError, LimitError
 from dbo_cli.model import Cascade, Run, State, Steps
+
+if TYPE_CHECKING:
+    from dbo_cli.model.expect import ExpectedError
 
 ALLOWED_PART = 0.01
 """Of the move: so much of it (RMS) may be cut off unasked; the order of a good model's error; chosen."""
@@ -241,23 +245,12 @@ def _times_slower(model: Cascade, limits: Limits, excerpt: Excerpt) -> float:
 # --- what to expect ---
 
 
-def expected(
-    model: Cascade,
-    excerpt: Excerpt,
-    past_known: bool,
-    memory_known: bool,
-    lead_rows: int,
-    lost_rms: float,
-) -> float | None:
-    """Return the error to expect of the move (RMS), with what is clipped; None where it is not known.
-
-    A sweep makes the past of the gears known, a state that of the memories, too.
-    """
+def expected(model: Cascade, excerpt: Excerpt, lead_rows: int) -> ExpectedError | None:
+    """Return the error to expect of the move (RMS); None where it is not known."""
     from dbo_cli.model.expect import expected_error
 
     voltage, dt = excerpt.played()
-    error = expected_error(model, voltage, dt, past_known, lead_rows, memory_known)
-    return None if error is None else math.hypot(error, lost_rms)
+    return expected_error(model, voltage, dt, lead_rows)
 
 
 # --- warnings, without the name of the trajectory ---
