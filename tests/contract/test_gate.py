@@ -259,9 +259,10 @@ def test_rows_before_the_move_do_not_count_in_the_expected_error() -> None:
     from dbo_cli.model.expect import expected_error
 
     cascade = behind.model
-    alone = expected_error(
-        cascade, behind.voltage[: behind.move.stop], 1e-3, True, behind.lead_rows
-    )
-    whole = expected_error(cascade, behind.voltage[: behind.move.stop], 1e-3, True, 0)
-    assert behind.expected_error == alone != whole
+    played = behind.voltage[: behind.move.stop]
+    alone = expected_error(cascade, played, 1e-3, behind.lead_rows)
+    whole = expected_error(cascade, played, 1e-3)
+    assert alone is not None and whole is not None
+    assert behind.expected_error == alone.rms(past_known=True)
+    assert alone.known != whole.known
     assert again.lead_rows == behind.lead_rows > 1000
