@@ -10,7 +10,7 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.table import Column
 from dbo_cli.units import parse_unit, ratio, spell, split_header, units_in
 
-Scale = tuple[Fraction, str | None]  # a factor, and the unit behind it
+ColumnScale = tuple[Fraction, str | None]  # a factor, and the unit behind it
 
 _FACTOR = re.compile(
     r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?:([^\s/\d.][^\s/]*)\s*/\s*([^\s/]+))?\s*",
@@ -24,7 +24,7 @@ def scales_of(
     factors: Mapping[str, str | float],
     units: Mapping[str, str],
     remarks: list[str],
-) -> dict[str, Scale]:
+) -> dict[str, ColumnScale]:
     """Return the scale of every role: what the user types, then the unit that is wanted.
 
     Raises
@@ -60,7 +60,7 @@ def scales_of(
     return scales
 
 
-def _typed_scale(name: str, role: str, column: Column, text: str) -> Scale:
+def _typed_scale(name: str, role: str, column: Column, text: str) -> ColumnScale:
     """Return the scale that the user types: ``20``, or ``10um/V``."""
     match = _FACTOR.fullmatch(text)
     if match is None or not 0.0 < abs(float(match[1])) < 1e250:

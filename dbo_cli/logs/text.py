@@ -2,7 +2,7 @@
 
 Most files have known names in the first line and numbers below: ``plain_layout`` takes
 them. How others are written is found by ``dialect.py``. polars reads a block at once
-(``fast_text.py``); a block that is not regular is read line by line, and so is a small
+(``fast_text.py``); a block that is not regular is open_text line by line, and so is a small
 file, which does without polars.
 """
 
@@ -17,28 +17,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.cells import NUMBER, Marks, split_cells, to_number
+from dbo_cli.logs.cells import NUMBER, Layout, Marks, split_cells, to_number
 from dbo_cli.logs.columns import KNOWN_NAMES, words
-from dbo_cli.logs.dialect import Layout, find_layout, is_no_row
+from dbo_cli.logs.dialect import find_layout, is_no_row
 from dbo_cli.logs.names import begins_run, describe_columns
 from dbo_cli.logs.settings import is_setting
 from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import LONGEST_CELL, Column, Reading, Table
 from dbo_cli.units import parse_unit, split_header, time_unit
 
-LONGEST_LINE = 1 << 24  # bytes; what is longer has no line ends
-SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
-TINY = 1 << 12  # bytes that are read faster in Python than by polars
+_LONGEST_LINE = 1 << 24  # bytes; what is longer has no line ends
+_SMALL = 1 << 18  # bytes that are open_text faster in Python than polars is imported
+_TINY = 1 << 12  # bytes that are open_text faster in Python than by polars
 _COMMENT = re.compile(rb"(?m)^[ \t]*[#%].*\n?")
 
 
-def read(path: str, inner: str, reading: Reading) -> Table:
+def open_text(path: str, inner: str, reading: Reading) -> Table:
     """Read a text log; see ``Table``.
 
     Raises
     ------
     InputError
-        It cannot be read, or it is not clear how it is written.
+        It cannot be open_text, or it is not clear how it is written.
     """
     if inner:
         raise UsageError(
@@ -168,7 +168,7 @@ class TextTable(Table):
                 yield data[:end] if not tail else tail + data[:end]
                 tail = b""
             tail += data[end:]
-            if len(tail) > LONGEST_LINE:
+            if len(tail) > _LONGEST_LINE:
                 raise InputError(
                     f"{self.name}: a line is longer than 16 MB: no text log?"
                 )
@@ -199,8 +199,8 @@ class TextTable(Table):
         """Read a block by polars, or line by line where it is small or not regular; count its lines."""
         self._size += len(text)
         self.torn = ()
-        is_small = self._size <= SMALL and "polars" not in sys.modules
-        if not is_small and len(text) > TINY and self._has_plain_comments(text):
+        is_small = self._size <= _SMALL and "polars" not in sys.modules
+        if not is_small and len(text) > _TINY and self._has_plain_comments(text):
             from dbo_cli.logs.fast_text import read_fast
 
             block = read_fast(text, self.layout, columns, self._marks, self.first_row)

@@ -8,7 +8,7 @@ import pytest
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs import Reading, columns_of, open_log
-from dbo_cli.logs.columns import candidates, role_of
+from dbo_cli.logs.columns import _candidates, role_of
 from dbo_cli.logs.table import Column
 from dbo_cli.units import split_header
 
@@ -24,7 +24,7 @@ def columns(*headers: str) -> list[Column]:
 
 def found(role: str, *headers: str, unit: str | None = None) -> list[int]:
     return [
-        column.number for column in candidates(columns(*headers), role_of(role, unit))
+        column.number for column in _candidates(columns(*headers), role_of(role, unit))
     ]
 
 

@@ -16,7 +16,8 @@ import pytest
 import scipy.io
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.formats import arrow, npy, reader_of, stored
+from dbo_cli.logs.formats import arrow, reader_of, stored
+from dbo_cli.logs.formats.npy import NUMPY
 from dbo_cli.logs.table import Reading, Table
 
 T = (0.0, 0.001, 0.002, 0.003)
@@ -153,7 +154,7 @@ def test_a_matrix_is_read_along_its_longer_axis(
 def test_long_tables_come_in_blocks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(arrow, "STRETCH", 100_000)
+    monkeypatch.setattr(arrow, "_STRETCH", 100_000)
     values = np.random.default_rng(0).normal(size=330_000)
     frame = pl.DataFrame({"x": values, "n": np.arange(330_000)})
     frame.write_parquet(tmp_path / "a.parquet", row_group_size=70_000)
@@ -381,13 +382,13 @@ def test_a_reader_of_another_package_joins(
 
     class Point:
         def load(self) -> Any:
-            return npy.read
+            return NUMPY.read
 
     def entry_points(group: str, name: str) -> list[Point]:
         return [Point()] if (group, name) == ("dbo_cli.readers", ".xyz") else []
 
     monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
-    assert reader_of("run.xyz", b"anything") is npy.read
+    assert reader_of("run.xyz", b"anything") is NUMPY.read
     assert reader_of("run.abc", b"anything") is None
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import DboWarning, InputError
-from dbo_cli.logs.hdf5 import read as open_hdf5
+from dbo_cli.logs.hdf5 import open_hdf5
 from dbo_cli.logs.table import Reading, Table
 from dbo_cli.logs.write import create
 

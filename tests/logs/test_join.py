@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import warnings
@@ -16,7 +17,7 @@ import dbo_cli
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.logs import clock_offset
-from dbo_cli.logs.clock_offset import Fit
+from dbo_cli.logs.clock_offset import OffsetFit
 from dbo_cli.logs.log import Log, open_log
 from dbo_cli.logs.table import Block, Reading
 
@@ -205,8 +206,8 @@ def test_where_it_cannot_tell_how_much_it_still_tells_that(tmp_path: Path) -> No
         read(seen, sent, Reading(clock_offset="auto"))
 
 
-def find(drive_time: Floats, volts: Floats, time: Floats, moved: Floats) -> Fit:
-    pair = clock_offset.Pair.of(drive_time, volts, time, moved)
+def find(drive_time: Floats, volts: Floats, time: Floats, moved: Floats) -> OffsetFit:
+    pair = clock_offset.RecordPair.of(drive_time, volts, time, moved)
     return clock_offset.find_offset(pair)
 
 
@@ -301,7 +302,8 @@ def test_a_model_of_a_found_offset_has_no_delay(tmp_path: Path) -> None:
     done = subprocess.run(
         line, capture_output=True, text=True, check=True, cwd=tmp_path
     )
-    assert f"{sent.name} moved by 0.373" in done.stderr
+    shown = re.search(rf"{sent.name} moved by (\S+) ±", done.stderr)
+    assert shown and abs(float(shown[1]) - 0.373) < 0.0004
     model = json.loads((tmp_path / "model.json").read_text())
     assert "delay" not in [stage["type"] for stage in model["stages"]]
     log = {"voltage": f"{sent}::voltage_V", "clock_offset": "auto"}

@@ -15,14 +15,14 @@ from dbo_cli.errors import DboError, InputError
 from dbo_cli.logs.settings import Statement, is_clock_setting, stated_clock
 from dbo_cli.logs.table import BLOCK_ROWS, Column, Reading, Table
 
-Reader = Callable[[str, str, Reading], Table]
+TableReader = Callable[[str, str, Reading], Table]
 """Takes a path, the part behind ``::`` and how to read."""
 Fetch = Callable[[int, int], Any]
 """Returns rows from a start to a stop, counted from 0."""
 
 
 @dataclass(frozen=True)
-class Format:
+class FileFormat:
     """A format: its name, how its files are known, and what reads them.
 
     Attributes
@@ -36,7 +36,7 @@ class Format:
     name: str
     magics: tuple[bytes, ...]
     suffixes: tuple[str, ...]
-    read: Reader
+    read: TableReader
     offsets: tuple[int, ...] = (0,)
 
     def has_magic(self, start: bytes) -> bool:
@@ -191,7 +191,7 @@ def rows_of(stored: Any) -> Fetch:
     return lambda start, stop: stored[start:stop]
 
 
-def table_of(path: str, arrays: Mapping[str, Any], hint: str = "") -> Table:
+def arrays_as_table(path: str, arrays: Mapping[str, Any], hint: str = "") -> Table:
     """Return a table of arrays by name; a single value beside longer ones is a statement.
 
     Parameters

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.logs.formats.stored import (
-    Format,
+    FileFormat,
     StoredColumn,
     StoredTable,
     fenced,
@@ -21,7 +21,7 @@ from dbo_cli.logs.formats.stored import (
 from dbo_cli.logs.settings import Statement
 from dbo_cli.logs.table import Column, Reading, Table
 
-LEAD_IN = (
+_LEAD_IN = (
     28  # bytes: mark, contents, version, bytes to the next segment, bytes to the data
 )
 
@@ -40,7 +40,7 @@ class TdmsTable(StoredTable):
             )
 
 
-def read(path: str, inner: str, reading: Reading) -> Table:
+def _read(path: str, inner: str, reading: Reading) -> Table:
     """Read a TDMS file, or one group of it (``FILE::GROUP``) (InputError)."""
     nptdms = import_extra("nptdms", "tdms", path)
     stream = open(path, "rb")
@@ -67,8 +67,8 @@ def _is_cut(path: str) -> bool:
     with open(path, "rb") as file:
         while position < size:
             file.seek(position)
-            lead_in = file.read(LEAD_IN)
-            position += LEAD_IN + int.from_bytes(lead_in[12:20], "little")
+            lead_in = file.read(_LEAD_IN)
+            position += _LEAD_IN + int.from_bytes(lead_in[12:20], "little")
     return position > size
 
 
@@ -105,4 +105,4 @@ def _statements(properties: Any) -> list[Statement]:
     return statements
 
 
-FORMAT = Format("TDMS", (b"TDSm",), (), read)
+TDMS = FileFormat("TDMS", (b"TDSm",), (), _read)
