@@ -80,8 +80,7 @@ class Driver:
         self.on_limit, self.return_to, self.hold = on_limit, return_to, hold
         self.lead = lead = Lead() if lead is None else lead
         self._gate = Gate(limits, standing_at(limits, lead))
-        asks_start = self._gate.last is None and lead.state in ("auto", "settled")
-        self._judge = Judge(model, limits, lead, on_limit, name, asks_start)
+        self._judge = Judge(model, limits, lead, on_limit, name)
         self._state: State | None = None
         self._row_count = 0
         self._step = 0.0
@@ -219,7 +218,7 @@ class Driver:
         voltage = np.concatenate([leading, period])
         played = model.run(voltage, plan.begin, dt)
         self._state = replace(played.state, time=float(time[-1]))
-        self._judge.lead_seconds = count * dt
+        self._judge.lead_seconds, self._judge.is_loop = count * dt, True
         unsettled = played.y[count:] - loops.settled_run(model, period, dt, state)
         unsettled_rms = float(np.sqrt(np.mean(unsettled**2)))
         drive = self._judge.concluded(self._state, unsettled_rms)
@@ -311,8 +310,8 @@ class Driver:
             drive,
             # the model's own error is what was learned
             expected_error=lesson.rmse,
-            expected_swept=None,
             expected_known=None,
+            expected_unrested=None,
             history=lesson.history,
             notes=(*lesson.notes, *drive.notes),
             warnings=(*lesson.warnings, *drive.warnings),

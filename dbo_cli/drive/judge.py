@@ -9,7 +9,7 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive
-from dbo_cli.drive.lead import Lead
+from dbo_cli.drive.lead import Lead, standing_at
 from dbo_cli.drive.limits import Limits, rounded_up
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Cascade, Run, State, Steps, expect
@@ -20,6 +20,7 @@ ALLOWED_PART = 0.01
 REACH_SLACK = 0.01
 FIRST_ROWS = 131_072  # of a move, that expectations and refusals look at again
 OFF_AT_FIRST = 1e-3  # of the range: so far off its first value may a drive begin unsaid
+JUMP = 0.01  # of the range: a first step that is said
 LONG_HOLD = 100.0  # times the longest time constant: what creeps has come to rest
 
 
@@ -34,8 +35,6 @@ class Judge:
         What happens where limits cut rows off.
     name : str
         Of the trajectory, in messages.
-    asks_start : bool
-        Whether nobody said where the amplifier stands.
 
     Attributes
     ----------
@@ -44,6 +43,8 @@ class Judge:
     missed, transient : float
         How far the first row starts off its displacement, because no settled actuator
         stands there; and by how much dynamics and delay are in motion there.
+    is_loop : bool
+        Whether the move is one period that is repeated.
     """
 
     def __init__(
@@ -53,11 +54,12 @@ class Judge:
         lead: Lead,
         on_limit: str,
         name: str,
-        asks_start: bool,
     ) -> None:
         self.model, self.limits, self.lead = model, limits, lead
-        self.on_limit, self.name, self.asks_start = on_limit, name, asks_start
+        self.on_limit, self.name = on_limit, name
+        self.standing = standing_at(limits, lead)
         self.lead_seconds = self.missed = self.transient = 0.0
+        self.is_loop = False
         # of all rows, and of those before the move
         self._rows = self._lead_rows = 0
         self._first = math.nan
@@ -257,23 +259,26 @@ class Judge:
         assert self._range is not None
         voltage, steps = self._played()
         beyond = self._beyond_identified(*self._range)
-        error = swept = known = expected = None
+        error = known = unrested = expected = None
         if not beyond:
             expected = expect.expected_error(
                 self.model, voltage, steps, self._lead_rows
             )
         if expected is not None:
-            missed, lead = math.hypot(self._lost_rms, unsettled), self.lead
-            error = math.hypot(expected.rms(lead.past_known, lead.memory_known), missed)
-            if not lead.past_known:
-                swept = math.hypot(expected.rms(past_known=True), missed)
+            missed = math.hypot(self._lost_rms, unsettled)
+            past_known = self.lead.past_known
+            error = math.hypot(expected.rms(past_known, past_known), missed)
+            if not past_known:
                 known = math.hypot(expected.known, missed)
-        texts = [*self._start_warnings(), *beyond]
+            if self.lead.condition:
+                unrested = math.hypot(expected.rms(past_known=True), missed)
+        texts = [*self._start_warnings(), *self._jump_warning(), *beyond]
         texts += expect.move_warnings(self.model, voltage, steps)
         texts += [*self._worse_than_a_line(error), *self._creeping_hold(state)]
         warnings = tuple(f"{self.name}: {text}" for text in texts)
         for text in warnings:
             warn(text)
+        asks_start = self.standing is None and self.lead.state in ("auto", "settled")
         return Drive(
             self.model,
             self.limits,
@@ -290,10 +295,11 @@ class Judge:
             lost_rms=self._lost_rms,
             lost_most=self._largest,
             expected_error=error,
-            expected_swept=swept,
             expected_known=known,
-            starts_at=self._first if self.asks_start else None,
+            expected_unrested=unrested,
+            starts_at=self._first if asks_start else None,
             past_known=self.lead.past_known,
+            is_loop=self.is_loop,
             state=None if state is None else replace(state, model=self.model.digest),
             warnings=warnings,
         )
@@ -319,6 +325,16 @@ class Judge:
                 "the move starts in motion and rings at first: add `lead` auto"
             )
         return texts
+
+    def _jump_warning(self) -> list[str]:
+        """Return a warning where the first row is far from where the amplifier stands."""
+        (low, high), standing = self.limits.identified, self.standing
+        if standing is None or abs(self._first - standing) <= JUMP * (high - low):
+            return []
+        return [
+            f"jumps from {standing:.4g} to {self._first:.4g}{self.limits.suffix} at row 1, and the error "
+            "there is not in the expected one: add `approach` auto"
+        ]
 
     def _beyond_identified(self, low: float, high: float) -> list[str]:
         """Return a warning where the drive, ``low`` to ``high``, leaves the identified range."""
