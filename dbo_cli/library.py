@@ -43,7 +43,7 @@ from dbo_cli.logs import (
 from dbo_cli.logs.frame import dtype_kind
 from dbo_cli.logs.table import OVERLOAD
 from dbo_cli.model import Quantity
-from dbo_cli.units import multiplied, parse_quantity, to_model_unit
+from dbo_cli.units import multiplied, parse_quantity, to_model_unit, warn_unstated
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -857,10 +857,10 @@ def report(
     else:
         drive = desired if model is not None else voltage
         if drive is not None:
-            wanted = None if model is None else model.input.unit
             own = stated_unit(drive, "voltage")
-            drive = in_unit(drive, "voltage", wanted or voltage_unit, voltage_unit)
-            voltage_unit = wanted or voltage_unit or own
+            unit_of = own if model is None else model.input.unit
+            drive = in_unit(drive, "voltage", voltage_unit or unit_of, voltage_unit)
+            voltage_unit = unit_of or voltage_unit or own
         if model is not None:
             moved = in_unit(measured, "displacement", model.output.unit, unit)
             unit = model.output.unit
@@ -981,8 +981,9 @@ def timed(
 
 def in_unit(values: Any, label: str, wanted: str | None, given: str | None) -> Floats:
     """Return numbers in the unit of a model (``to_model_unit``); InputError where they are in another."""
-    array = floats(values, label)
-    factor = to_model_unit(label, stated_unit(values, label), given, wanted)
+    array, stated = floats(values, label), stated_unit(values, label)
+    factor = to_model_unit(label, stated, given, wanted)
+    warn_unstated(label, stated, wanted)
     return cast(Floats, multiplied(array, factor))
 
 

@@ -60,14 +60,13 @@ def read_table(
     InputError
         It cannot be read, or it is not clear which column is which.
     """
-    wanted = {role: unit for role, unit in (units or {}).items() if unit}
     if is_frame(source):
         source = frame_table(source)
     elif isinstance(source, Path):
         source = str(source)
     elif not isinstance(source, (str, FrameTable)):
         raise InputError("give a file, or a frame of pandas or polars")
-    with open_log(source, columns, reading, wanted, optional) as log:
+    with open_log(source, columns, reading, units, optional) as log:
         table = log.read()
     for doubt in log.doubtful:
         warn(f"{log.name}: {doubt}")
@@ -111,9 +110,10 @@ def recordings_of(
         log, table = read_table(source, columns, reading, units)
         if logs:
             _refuse_other_units(logs[0], log)
-        units = {role: log.columns[role].unit for role in ROLES}
+        stated = {role: log.columns[role].unit for role in ROLES}
+        units = {role: unit for role, unit in stated.items() if unit}
         quantities = {
-            role: (quantity_name(role, units[role]), units[role]) for role in ROLES
+            role: (quantity_name(role, unit), unit) for role, unit in stated.items()
         }
         recording = Recording(
             short_name(log.name),

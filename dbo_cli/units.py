@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError, UsageError, warn
 
 # what instruments write, and what it measures; each with the SI prefixes
 _BASES = {
@@ -222,6 +222,14 @@ def to_model_unit(
     else:
         numbers = f'pass `unit="{stated}"`, or {numbers}'
     raise InputError(f"{label} is in {stated}, the model in {wanted}: {numbers}")
+
+
+def warn_unstated(label: str, stated: str | None, wanted: str | None) -> None:
+    """Warn of numbers that state a unit where the model states none."""
+    if stated is not None and wanted is None:
+        warn(
+            f"{label} is in {stated}, the model states no unit: its numbers are taken as they are"
+        )
 
 
 def multiplied(values: Any, factor: Fraction) -> Any:

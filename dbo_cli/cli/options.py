@@ -287,10 +287,6 @@ def form_of(form: str | None, output: str) -> str:
     return form or FORMS.get(os.path.splitext(output.lower())[1], "text")
 
 
-def units_of(**quantities: Any) -> dict[str, str]:
-    """Return the unit of each role, of those that have one."""
-    units = {}
-    for role, quantity_of in quantities.items():
-        if quantity_of.unit:
-            units[role] = quantity_of.unit
-    return units
+def units_of(**quantities: Any) -> dict[str, str | None]:
+    """Return the unit of each role; None where the model states none."""
+    return {role: quantity_of.unit for role, quantity_of in quantities.items()}

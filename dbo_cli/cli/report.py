@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 COMPARED, BOUNDS = "Comparison", "Bounds (exit 3)"
 Columns = dict[str, str | None]
-Units = dict[str, str]
 
 
 def report(
@@ -165,7 +164,7 @@ def reported(
     from dbo_cli.reports import Report, expected_in, expected_of, predict
     from dbo_cli.reports import match as matched
 
-    units: Units = {}
+    units: dict[str, str | None] = {}
     if actuator is not None:
         actuator.require("forward", model)
         units = opt.units_of(voltage=actuator.input, measured=actuator.output)
@@ -178,7 +177,7 @@ def reported(
         has_model = actuator is not None
         pair, log_units, source = pair_of(log, roles, asked.reading, units, has_model)
         detail(*source.remarks)
-        units = {**log_units, **units}
+        units = {**units, **log_units}
         if actuator is not None:
             pair = predict(pair, actuator, state, model)
         elif asked.trajectory is not None:

@@ -222,7 +222,7 @@ def choose(
     table: Table,
     selectors: Mapping[str, str | None],
     clock_columns: Sequence[Column],
-    units: Mapping[str, str],
+    units: Mapping[str, str | None],
     optional: Sequence[str],
 ) -> dict[str, Column]:
     """Give every role its column; optional roles take what the required ones leave.

@@ -315,7 +315,7 @@ def open_log(
     path: str | os.PathLike[str] | Table,
     roles: Mapping[str, str | None],
     reading: Reading | None = None,
-    units: Mapping[str, str] | None = None,
+    units: Mapping[str, str | None] | None = None,
     optional: Sequence[str] = ("time",),
 ) -> Log:
     """Open a log and give every role its column.
@@ -331,7 +331,7 @@ def open_log(
     reading
         How the file is to be read.
     units
-        By role, the unit that the values are wanted in.
+        By role, the unit that the values are wanted in; None of a model that states none.
     optional
         Roles that may be absent.
 
@@ -367,7 +367,10 @@ def open_log(
 
 
 def _open_second(
-    name: str, elsewhere: Mapping[str, str], reading: Reading, units: Mapping[str, str]
+    name: str,
+    elsewhere: Mapping[str, str],
+    reading: Reading,
+    units: Mapping[str, str | None],
 ) -> Log:
     """Open the second file that columns ``FILE::COLUMN`` stand in."""
     files = {text.rpartition("::")[0] for text in elsewhere.values()}
@@ -382,7 +385,7 @@ def _open_file(
     name: str | Table,
     roles: Mapping[str, str | None],
     reading: Reading,
-    units: Mapping[str, str],
+    units: Mapping[str, str | None],
     optional: Sequence[str],
 ) -> Log:
     """Open one file or table as a log."""
@@ -418,7 +421,7 @@ def _chosen(
     source: Table,
     roles: Mapping[str, str | None],
     reading: Reading,
-    units: Mapping[str, str],
+    units: Mapping[str, str | None],
     optional: Sequence[str],
 ) -> tuple[Clock, dict[str, Column]]:
     """Choose the clock and the columns of the roles."""
