@@ -43,9 +43,9 @@ def large(
 def test_blocks_and_ways_of_reading_give_the_same(
     block: int, small: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stream, "BLOCK", block)
-    monkeypatch.setattr(text, "SMALL", small)
-    monkeypatch.setattr(text, "TINY", min(small, 1 << 12) if small == 0 else 1 << 30)
+    monkeypatch.setattr(stream, "_BLOCK", block)
+    monkeypatch.setattr(text, "_SMALL", small)
+    monkeypatch.setattr(text, "_TINY", min(small, 1 << 12) if small == 0 else 1 << 30)
     path = tmp_path / "run.csv"
     path.write_text(large(4000))
     with open_log(str(path), BOTH) as log:
@@ -153,7 +153,7 @@ def test_rows_of_statistics_are_no_rows(rows: int, tmp_path: Path) -> None:
 def test_a_torn_line_is_refused_where_the_time_is_counted(
     block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stream, "BLOCK", block)
+    monkeypatch.setattr(stream, "_BLOCK", block)
     path = tmp_path / "run.csv"
     lines = [f"{k % 97}.5,{k % 89}.25" for k in range(8000)]
     for place in range(7000, 7040):  # so that one begins and one ends a block
