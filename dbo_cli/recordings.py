@@ -237,8 +237,8 @@ def tracked_of(
 
 def short_name(name: str) -> str:
     """Return a log's name without its folder, so that a model does not depend on where its logs were."""
-    file, mark, part = name.partition("::")
-    return os.path.basename(file) + mark + part
+    file, mark, inner = name.partition("::")
+    return os.path.basename(file) + mark + inner
 
 
 def provenance(recordings: Sequence[Recording], logs: Sequence[Log]) -> dict[str, Any]:

@@ -81,14 +81,14 @@ class RecordPair:
             raise InputError(f"{_FEWEST_ROWS} rows of each are needed")
         if np.ptp(drive) == 0.0 or np.ptp(displacement) == 0.0:
             raise InputError("one of the two stands still")
-        usual = [np.ptp(times) / (len(times) - 1) for times in (drive_time, time)]
+        steps = [np.ptp(times) / (len(times) - 1) for times in (drive_time, time)]
         fine = np.linspace(drive_time[0], drive_time[-1], _FINE)
         drive = np.interp(fine, drive_time, drive)
         group = -(-len(time) // _MOST_ROWS)
         count = len(time) // group * group
         time = time[:count].reshape(-1, group).mean(axis=1)
         displacement = displacement[:count].reshape(-1, group).mean(axis=1)
-        return cls(fine, drive, _columns(drive), time, displacement, float(max(usual)))
+        return cls(fine, drive, _columns(drive), time, displacement, float(max(steps)))
 
     def fits(self) -> list[OffsetFit]:
         """Return the fits near the places that look alike, the best first."""
@@ -110,11 +110,15 @@ class RecordPair:
     def residual(self, offset: float) -> float:
         """Return what part of the variance an offset leaves; 0 where too little is in common."""
         inside = self._inside(offset)
-        return 0.0 if inside is None else self._part(self._left(offset, inside), inside)
+        return (
+            0.0
+            if inside is None
+            else self._share(self._remainder(offset, inside), inside)
+        )
 
-    def _part(self, left: Floats, inside: NDArray[np.bool_]) -> float:
+    def _share(self, remainder: Floats, inside: NDArray[np.bool_]) -> float:
         variance = max(float(np.var(self.displacement[inside])), 1e-300)
-        return float(np.mean(left**2)) / variance
+        return float(np.mean(remainder**2)) / variance
 
     def _coarse(self) -> list[float]:
         """Return offsets (s) at which the two correlate most, whatever the sign, the best first."""
@@ -147,17 +151,17 @@ class RecordPair:
             inside = self._inside(offset)
             if inside is None:
                 return None
-            left = self._left(offset, inside)
-            later = self._left(offset + step, inside)
-            slope = (later - self._left(offset - step, inside)) / (2.0 * step)
+            remainder = self._remainder(offset, inside)
+            later = self._remainder(offset + step, inside)
+            slope = (later - self._remainder(offset - step, inside)) / (2.0 * step)
             steepness = max(float(slope @ slope), 1e-300)
-            change = -float(slope @ left) / steepness
+            change = -float(slope @ remainder) / steepness
             farthest = 2.0 * step + 0.01 * span  # that one step of the search goes
             change = min(max(change, -farthest), farthest)
             offset += change
-            deviation = _scatter(left, slope) / steepness
-            part = self._part(left + slope * change, inside)
-            fit = OffsetFit(offset, deviation, part)
+            deviation = _scatter(remainder, slope) / steepness
+            share = self._share(remainder + slope * change, inside)
+            fit = OffsetFit(offset, deviation, share)
             if abs(change) < 0.02 * deviation + 1e-9 * span:
                 break
         return fit
@@ -166,24 +170,24 @@ class RecordPair:
         """Return which rows of the sensor the drive covers, once its past no longer matters."""
         margin = 2.0 * float(self.drive_time[1] - self.drive_time[0])
         at = self.time - offset
-        known = float(self.drive_time[_known_from(self.columns[:, 0])])
-        inside = (at >= known + margin) & (at <= self.drive_time[-1] - margin)
+        begin = float(self.drive_time[_known_from(self.columns[:, 0])])
+        inside = (at >= begin + margin) & (at <= self.drive_time[-1] - margin)
         is_enough = np.count_nonzero(inside) >= max(0.1 * len(at), _FEWEST_ROWS)
         return inside if is_enough else None
 
-    def _left(self, offset: float, inside: NDArray[np.bool_]) -> Floats:
+    def _remainder(self, offset: float, inside: NDArray[np.bool_]) -> Floats:
         """Return what the columns, moved by an offset (s), cannot explain of the displacement."""
-        place = (self.time[inside] - offset - self.drive_time[0]) / (
+        position = (self.time[inside] - offset - self.drive_time[0]) / (
             self.drive_time[1] - self.drive_time[0]
         )
-        row = place.astype(np.intp)
-        part = (place - row)[:, None]
-        made = self.columns[row] * (1.0 - part) + self.columns[row + 1] * part
-        made = np.column_stack([made, np.ones(len(row)), place / _FINE])
+        row = position.astype(np.intp)
+        fraction = (position - row)[:, None]
+        terms = self.columns[row] * (1.0 - fraction) + self.columns[row + 1] * fraction
+        terms = np.column_stack([terms, np.ones(len(row)), position / _FINE])
         y = self.displacement[inside]
-        basis = np.linalg.qr(made)[0]
-        left: Floats = y - basis @ (basis.T @ y)
-        return left
+        basis = np.linalg.qr(terms)[0]
+        remainder: Floats = y - basis @ (basis.T @ y)
+        return remainder
 
 
 def find_offset(pair: RecordPair) -> OffsetFit:
@@ -250,24 +254,24 @@ def _columns(drive: Floats) -> Floats:
     return np.column_stack([u, u**2, u**3, plays])
 
 
-def _scatter(left: Floats, slope: Floats) -> float:
+def _scatter(remainder: Floats, slope: Floats) -> float:
     """Return how the pull on the offset scatters between parts of the record.
 
     What is wrong with the description of the loop scatters so, and so does a clock that
     runs faster than the other.
     """
-    parts = np.array_split(slope * left, _PARTS)
-    pulls = np.array([float(part.sum()) for part in parts])
+    parts = np.array_split(slope * remainder, _PARTS)
+    pulls = np.array([float(section.sum()) for section in parts])
     return math.sqrt(float(pulls @ pulls) * _PARTS / (_PARTS - 1))
 
 
-def _known_from(part: Floats) -> int:
+def _known_from(drive: Floats) -> int:
     """Return the first place whose past no longer matters.
 
     That is where the drive has been at both ends of its range, if more than half of the
     record follows; else where it has been at one, as if it had never gone farther.
     """
-    low = int(np.argmax(part <= 0.005))
-    high = int(np.argmax(part >= 0.995))
+    low = int(np.argmax(drive <= 0.005))
+    high = int(np.argmax(drive >= 0.995))
     both = max(low, high)
-    return both if both < 0.5 * len(part) else min(low, high)
+    return both if both < 0.5 * len(drive) else min(low, high)

@@ -203,8 +203,9 @@ class Log:
         bad = [_bad_cells(array) for array in arrays]
         good = ~np.logical_or.reduce(bad)
         at = int(np.argmin(good))
-        column = columns[[bool(marks[at]) for marks in bad].index(True)]
-        location = self._source.where(int(numbers[at]), column)
+        index = [bool(marks[at]) for marks in bad].index(True)
+        row, value = int(numbers[at]), arrays[index][at]
+        location = self._source.where(row, columns[index], value)
         count = int(np.count_nonzero(~good))
         if not self._skip_bad:
             more = f", and {count - 1:,} more such rows near it" if count > 1 else ""
@@ -219,7 +220,7 @@ class Log:
         for row in torn:
             is_first = not self._count and (not len(numbers) or row < numbers[0])
             if self._torn is None and not is_first:
-                self._torn = row, self._source.where(row, columns[-1])
+                self._torn = row, self._source.where(row, columns[-1], "")
         return numbers, [array[good] for array in arrays]
 
     def _refuse_torn(self, numbers: _Numbers) -> None:

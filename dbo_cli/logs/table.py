@@ -191,8 +191,6 @@ class Table:
         Whether a clock offset was found when it was made of two files.
     remarks
         What the user is to be told, without the file's name in front.
-    last_block, first_row
-        The arrays of the last block by the columns' numbers, and the number of its first row.
     torn
         The rows (from 1) of the last block that have another number of cells.
     """
@@ -202,7 +200,6 @@ class Table:
     cure: str = "`skip_bad` drops such rows"
     has_found_offset: bool = False
     has_paths = False
-    first_row: int = 1
     torn: Sequence[int] = ()
 
     def __init__(self, name: str, clock: StatedClock | None = None) -> None:
@@ -210,7 +207,6 @@ class Table:
         self.columns: list[Column] = []
         self.stated = clock or StatedClock()
         self.remarks: list[str] = []
-        self.last_block: dict[int, NDArray[Any]] = {}
 
     def add_column(
         self,
@@ -238,9 +234,8 @@ class Table:
         """
         raise NotImplementedError
 
-    def where(self, row: int, column: Column) -> str:
-        """Say where a row (from 1) of the last block is, and what stands in a column of it."""
-        value = self.last_block[column.number][row - self.first_row]
+    def where(self, row: int, column: Column, value: object) -> str:
+        """Say where a row (from 1) of the last block is, and which value a column has there."""
         return f"{self.name}: row {row}: {column.label} is {value}"
 
     def find(self, name: str) -> Column | None:

@@ -114,6 +114,7 @@ class TextTable(Table):
         self._reading = reading
         self._marks: dict[int, Marks] = {}
         self._size = 0  # bytes of rows
+        self._first_row = 1  # of the last block
         try:
             start = stream.head(self._has_layout)
             lines = stream.lines(start)
@@ -153,11 +154,11 @@ class TextTable(Table):
                 self._doubt_last_line(text)
             arrays, lines = self._read_block(text, columns)
             if len(arrays[0]):
-                self._refuse_doubtful(self.first_row + len(arrays[0]) - 1)
+                self._refuse_doubtful(self._first_row + len(arrays[0]) - 1)
                 yield arrays
-            self.first_row += len(arrays[0])
+            self._first_row += len(arrays[0])
             self._line += lines
-        self._refuse_doubtful(self.first_row, limit=0)
+        self._refuse_doubtful(self._first_row, limit=0)
 
     def _texts(self) -> Iterator[bytes]:
         """Return the rows in blocks of whole lines, without those of delimiters at the end of the file."""
@@ -203,7 +204,7 @@ class TextTable(Table):
         if not is_small and len(text) > _TINY and self._has_plain_comments(text):
             from dbo_cli.logs.fast_text import read_fast
 
-            block = read_fast(text, self.layout, columns, self._marks, self.first_row)
+            block = read_fast(text, self.layout, columns, self._marks, self._first_row)
             if block is not None:
                 return block
         return self._read_lines(text, columns), text.count(b"\n")
@@ -230,7 +231,7 @@ class TextTable(Table):
             if not self._is_passed(line):
                 rows.append(split_cells(line, self.layout.delimiter))
         torn = [k for k, cells in enumerate(rows) if len(cells) != width]
-        self.torn = [self.first_row + k for k in torn]
+        self.torn = [self._first_row + k for k in torn]
         for k in torn:
             rows[k] = [""] * width
         arrays: list[NDArray[Any]] = []
@@ -252,16 +253,16 @@ class TextTable(Table):
     def _watch(self, column: Column, cells: Sequence[str]) -> None:
         """Take the cells of a column into account, until its marks are clear."""
         marks = self._marks.get(column.number, Marks(is_clear=True))
-        for row, cell in enumerate(cells, start=self.first_row):
+        for row, cell in enumerate(cells, start=self._first_row):
             if marks.is_clear:
                 break
             marks.watch(row, cell)
 
-    def where(self, row: int, column: Column) -> str:
+    def where(self, row: int, column: Column, value: object) -> str:
         """Say in which line a row of the last block is, and what stands in a column of it."""
         lines = self._stream.lines(self._text)
         numbers = [k for k, line in enumerate(lines) if not self._is_passed(line)]
-        number = numbers[row - self.first_row]
+        number = numbers[row - self._first_row]
         at = f"{self.name}:{self._line + number}"
         if is_no_row(lines[number]):
             return f"{at}: a comment as above another run: cut with `rows` :{row - 1}"

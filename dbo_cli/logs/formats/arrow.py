@@ -45,9 +45,6 @@ class ArrowTable(Table):
             with fenced(self.name, _KIND):
                 frame = self._scan.select(names).slice(start, _STRETCH).collect()
                 arrays = [_array_of(frame[name]) for name in names]
-            self.first_row = start + 1
-            for column, array in zip(columns, arrays, strict=True):
-                self.last_block[column.number] = array
             yield arrays
 
 

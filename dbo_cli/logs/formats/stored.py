@@ -138,12 +138,9 @@ class StoredTable(Table):
             raise InputError(f"{self.name}: the columns are of unequal length: {text}")
         for start in range(0, lengths[0], BLOCK_ROWS):
             stop = min(lengths[0], start + BLOCK_ROWS)
-            self.first_row = start + 1
-            for column in columns:
-                self.last_block[column.number] = self._read(column, start, stop)
-            yield [self.last_block[column.number] for column in columns]
+            yield [self._rows(column, start, stop) for column in columns]
 
-    def _read(self, column: Column, start: int, stop: int) -> NDArray[Any]:
+    def _rows(self, column: Column, start: int, stop: int) -> NDArray[Any]:
         """Read rows of one column as float64, or dates as int64 nanoseconds."""
         fetch = self._stored[column.number - 1].fetch
         if fetch is None:
