@@ -106,7 +106,7 @@ class State:
     model: str = ""
 
     def behind(
-        self, bits: int, memory: tuple[float, ...] | None, drive: float
+        self, bits: int, memory: tuple[float, ...] | None, drive: float | None
     ) -> State:
         """Return the state with the gears and the voltage of a later sample."""
         return State(
