@@ -562,8 +562,9 @@ class Cascade:
         inner, inner_slew = window, slew
         if window is not None:
             inner, inner_slew = self.inner_limits(window, slew)
-        if state.drive is not None:
-            state = replace(state, drive=value_through(self.head, state.drive))
+        if self.head and state.drive is not None:
+            at_gears = value_through(self.head, state.drive)
+            state = state.behind(state.bits, state.memory, at_gears)
         done = self.gears.undo(output, state, steps, inner, inner_slew, extend)
         voltage = back_through(self.head, done.y)
         if window is not None and self.head:

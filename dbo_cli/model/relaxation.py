@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,13 +24,13 @@ becomes 0.8 V of it; round trips do not show that.
 def checked_steps(dt: float | ArrayLike) -> Floats:
     """Return time steps (s) as an array; InputError where one is negative or not a number."""
     steps = np.asarray(dt, dtype=np.float64).reshape(-1)
-    wrong = np.flatnonzero(~(steps >= 0.0))
-    if wrong.size:
-        row = int(wrong[0])
-        raise InputError(
-            f"time step {row + 1}: {float(steps[row])!r} s; time must not go backwards"
-        )
-    return steps
+    right = steps >= 0.0
+    if right.all():
+        return steps
+    row = int(np.argmin(right))
+    raise InputError(
+        f"time step {row + 1}: {float(steps[row])!r} s; time must not go backwards"
+    )
 
 
 @dataclass(frozen=True)
@@ -116,8 +117,9 @@ class Relaxation:
         InputError
             A time step is negative or not a number.
         """
-        steps = checked_steps(dt)
-        factors: Floats = np.exp(-steps[:, np.newaxis] / np.array(self.tau))
+        if isinstance(dt, float):
+            return _even_decay(self.tau, dt)
+        factors: Floats = np.exp(-checked_steps(dt)[:, np.newaxis] / np.array(self.tau))
         return factors
 
     def lags(
@@ -147,3 +149,11 @@ class Relaxation:
             self.reference, memories, drive[start:], rows[start:], decay
         )
         return rows, tuple(memories.tolist())
+
+
+@lru_cache(maxsize=32)
+def _even_decay(tau: tuple[float, ...], dt: float) -> Floats:
+    """Return a_j of one time step; every block of a stream asks for it."""
+    factors: Floats = np.exp(-checked_steps(dt)[:, np.newaxis] / np.array(tau))
+    factors.flags.writeable = False
+    return factors
