@@ -145,8 +145,8 @@ def with_known_words(function: Callable[P, R]) -> Callable[P, R]:
     def call(*values: P.args, **options: P.kwargs) -> R:
         for word in options:
             if word not in words:
-                near = get_close_matches(word, words, 2, 0.5) or words
-                listed = " or ".join(f"`{known}`" for known in near)
+                similar = get_close_matches(word, words, 2, 0.5) or words
+                listed = " or ".join(f"`{name}`" for name in similar)
                 raise UsageError(f"{function.__name__}: no `{word}`: give {listed}")
         return function(*values, **options)
 
@@ -627,8 +627,8 @@ def read_log(
         roles[role] = None if name is None else str(name)
     absent = tuple(role for role, name in roles.items() if name is None)
     with open_log(str(path), roles, reading, None, absent) as log:
-        known = [role for role in ("voltage", "displacement") if log.provided(role)]
-        if not known:
+        present = [role for role in ("voltage", "displacement") if log.provided(role)]
+        if not present:
             raise InputError(
                 f"{path}: no column is named voltage or displacement: give `voltage` NAME"
             )
@@ -637,9 +637,9 @@ def read_log(
     units: dict[str, str | None] = {}
     if table.time is not None:
         frame["time"], units["time"] = table.time, "s"
-    for role in known:
+    for role in present:
         frame[role], units[role] = table[role], log.columns[role].unit
-    names = {role: log.columns[role].name for role in known}
+    names = {role: log.columns[role].name for role in present}
     frame.attrs.update(name=str(path), units=units, columns=names)
     frame.attrs.update(notes=list(log.remarks), holds_delay=log.has_found_offset)
     return frame

@@ -253,8 +253,8 @@ def tracked_of(
 
 def short_name(name: str) -> str:
     """Return a log's name without its folder, so that a model does not depend on where its logs were."""
-    file, mark, part = name.partition("::")
-    return os.path.basename(file) + mark + part
+    file, mark, inside = name.partition("::")
+    return os.path.basename(file) + mark + inside
 
 
 def fitted(

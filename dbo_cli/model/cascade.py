@@ -369,8 +369,8 @@ class Cascade:
         state = self.start(float(signal[0]) if signal.size else 0.0, state)
         if outside == "error":
             self.require_inside(signal)
-        done = self.run(signal, state, dt, outside)
-        return done.y, done.state
+        result = self.run(signal, state, dt, outside)
+        return result.y, result.state
 
     def run(
         self, x: ArrayLike, state: State, dt: Steps = None, outside: Outside = "extend"
@@ -442,10 +442,10 @@ class Cascade:
         name
             Of the signal, for the message.
         """
-        beyond = self.outside(x)
-        if not beyond.any():
+        outside = self.outside(x)
+        if not outside.any():
             return
-        row = int(np.argmax(beyond))
+        row = int(np.argmax(outside))
         low, high = self.covered
         raise InputError(
             f"{name}{': ' if name else ''}row {before + row + 1:,}: {x[row]:.6g} is outside the "
@@ -533,21 +533,21 @@ class Cascade:
         extend = outside != "hold"
         output = back_through(self.tail, y)
         if self.amplifier is None:
-            done = self._undo_gears(output, state, steps, window, slew, extend)
+            result = self._undo_gears(output, state, steps, window, slew, extend)
         else:
             before = AmplifiedGears(self.amplifier, self.head, self.gears)
-            done = before.undo(output, state, steps, window, slew, extend)
+            result = before.undo(output, state, steps, window, slew, extend)
         after = State(
-            done.state.bits,
-            done.state.memory,
-            float(done.y[-1]),
-            amplifier=done.state.amplifier,
+            result.state.bits,
+            result.state.memory,
+            float(result.y[-1]),
+            amplifier=result.state.amplifier,
         )
         if self.dynamics is not None or self.delay is not None:
-            played = self.run(done.y, state, dt).state
-            after = replace(after, sections=played.sections, delay=played.delay)
-        first_clipped = 0 if clipped else done.first_clipped
-        return Run(done.y, after, done.clipped + clipped, first_clipped)
+            driven = self.run(result.y, state, dt).state
+            after = replace(after, sections=driven.sections, delay=driven.delay)
+        first_clipped = 0 if clipped else result.first_clipped
+        return Run(result.y, after, result.clipped + clipped, first_clipped)
 
     def _undo_gears(
         self,
@@ -565,12 +565,12 @@ class Cascade:
         if self.head and state.drive is not None:
             at_gears = value_through(self.head, state.drive)
             state = state.behind(state.bits, state.memory, at_gears)
-        done = self.gears.undo(output, state, steps, inner, inner_slew, extend)
-        voltage = back_through(self.head, done.y)
+        result = self.gears.undo(output, state, steps, inner, inner_slew, extend)
+        voltage = back_through(self.head, result.y)
         if window is not None and self.head:
             # rounding on the way back through the points
             voltage = np.clip(voltage, *window)
-        return done._replace(y=voltage)
+        return result._replace(y=voltage)
 
     def inner_limits(
         self, window: Window, slew: float | None

@@ -278,9 +278,9 @@ class Gears:
             decay = self.relaxation.decay(dt)
             return self._kernel(operator, x, state, decay, window, steps)
         # at rest at the first sample: without decay nothing of the past is left
-        rest = state.behind(state.bits, (0.0,) * self.gain.size, state.drive)
+        at_rest = state.behind(state.bits, (0.0,) * self.gain.size, state.drive)
         none = np.zeros((1, self.gain.size))
-        first = self._kernel(operator, x[:1], rest, none, window, steps[:1])
+        first = self._kernel(operator, x[:1], at_rest, none, window, steps[:1])
         if x.size == 1:
             return first
         decay = self.relaxation.decay(dt)

@@ -48,8 +48,8 @@ class Inverter:
             return desired, None
         signal, state, ahead = desired, State(undoing=undoing), self.ahead
         for stage, rows in self.stages:
-            done = stage.undo(signal, state, self.dt, ahead)
-            signal, state, ahead = done.y, done.state, ahead - rows
+            after = stage.undo(signal, state, self.dt, ahead)
+            signal, state, ahead = after.y, after.state, ahead - rows
         return signal, state.undoing
 
     def behind(self, state: State) -> Undoing | None:

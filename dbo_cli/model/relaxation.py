@@ -65,14 +65,14 @@ class Relaxation:
             raise ModelError(
                 f"gain: has {len(self.gain)} entries where tau has {len(self.tau)}"
             )
-        for place, tau in enumerate(self.tau):
+        for index, tau in enumerate(self.tau):
             if not (math.isfinite(tau) and tau > 0.0):
                 raise ModelError(
-                    f"tau[{place}]: {tau!r} is not a finite time greater than 0"
+                    f"tau[{index}]: {tau!r} is not a finite time greater than 0"
                 )
-        for place, gain in enumerate(self.gain):
+        for index, gain in enumerate(self.gain):
             if not math.isfinite(gain):
-                raise ModelError(f"gain[{place}]: {gain!r} is not a finite number")
+                raise ModelError(f"gain[{index}]: {gain!r} is not a finite number")
 
     def keys(self) -> Json:
         """Return what a model file holds of the terms."""
@@ -102,10 +102,10 @@ class Relaxation:
         if negative == 0.0:
             return
         gear = int(np.argmin(slopes))
-        left = float(slopes[gear]) + negative
-        if left < LEAST_SLOPE * mean:
+        slope = float(slopes[gear]) + negative
+        if slope < LEAST_SLOPE * mean:
             raise ModelError(
-                f"relaxation.gain: negative gains leave gear {gear} a slope of {left:.6g}, less than 3 % "
+                f"relaxation.gain: negative gains leave gear {gear} a slope of {slope:.6g}, less than 3 % "
                 f"of the mean, {LEAST_SLOPE * mean:.6g}"
             )
 

@@ -89,7 +89,7 @@ def test_gate_of_ranges() -> None:
     limits = Limits.within(RANGE, 0, 5)
     rows = [0.0, 0.236, 3.424, 3.4241, math.nan, math.inf, -math.inf]
     assert broken(rows, limits) == [True, False, False, True, True, True, True]
-    assert broken(rows, limits, part="lead") == [
+    assert broken(rows, limits, phase="lead") == [
         False,
         False,
         False,
@@ -98,7 +98,7 @@ def test_gate_of_ranges() -> None:
         True,
         True,
     ]
-    assert broken([5.0, 5.0001, -1e-9], limits, part="return") == [False, True, True]
+    assert broken([5.0, 5.0001, -1e-9], limits, phase="return") == [False, True, True]
 
 
 def test_gate_of_slew_counts_every_step() -> None:
