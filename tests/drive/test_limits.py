@@ -80,9 +80,9 @@ def test_start_inside_the_rating_and_outside_the_move() -> None:
 
 
 def broken(
-    voltage: list[float], limits: Limits, last: float | None = None, part: str = "move"
+    voltage: list[float], limits: Limits, last: float | None = None, phase: str = "move"
 ) -> list[bool]:
-    return Gate(limits, last).broken(np.array(voltage), 0.1, part).tolist()
+    return Gate(limits, last).broken(np.array(voltage), 0.1, phase).tolist()
 
 
 def test_gate_of_ranges() -> None:
