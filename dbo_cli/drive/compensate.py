@@ -237,7 +237,7 @@ class Driver:
         whole = np.concatenate([lead, voltage])
         played = model.run(whole, plan.begin, dt)
         self._state = replace(played.state, time=float(time[-1]))
-        self._figures = replace(self._figures, lead_seconds=count * dt)
+        self._figures = replace(self._figures, lead_seconds=count * dt, is_loop=True)
         away = played.y[count:] - loops.settled_run(model, voltage, dt, state)
         away_rms = float(np.sqrt(np.mean(away**2)))
         drive = self._concluded(away_rms)
@@ -303,8 +303,8 @@ class Driver:
             drive,
             # the model's own error is what was learned
             expected_error=lesson.rmse,
-            expected_swept=None,
             expected_known=None,
+            expected_unrested=None,
             history=lesson.history,
             notes=(*lesson.notes, *drive.notes),
             warnings=(*lesson.warnings, *drive.warnings),
@@ -518,20 +518,23 @@ class Driver:
         figures, lost = self._figures, self._clipping.rms
         assert figures.voltage_range is not None
         beyond = judge.beyond_identified(limits, *figures.voltage_range)
-        error = swept = known = None
+        error = known = unrested = None
         expected = None
         if not beyond:
             expected = judge.expected(model, self._excerpt, figures.lead_rows)
         if expected is not None:
-            missed, lead = hypot(lost, unsettled), self.lead
-            error = hypot(expected.rms(lead.past_known, lead.memory_known), missed)
-            if not lead.past_known:
-                swept = hypot(expected.rms(past_known=True), missed)
+            missed, past_known = hypot(lost, unsettled), figures.past_known
+            error = hypot(expected.rms(past_known, past_known), missed)
+            if not past_known:
                 known = hypot(expected.known, missed)
+            if self.lead.condition:
+                unrested = hypot(expected.rms(past_known=True), missed)
         start = judge.start_warnings(
             model, limits, clipping, figures.missed, figures.off
         )
-        texts = [*start, *beyond]
+        first = float(self._excerpt.voltage[0][0])
+        jump = judge.jump_warning(limits, standing_at(limits, self.lead), first)
+        texts = [*start, *jump, *beyond]
         texts += judge.move_warnings(model, self._excerpt, error, lost)
         texts += judge.creeping_hold(model, limits, self._state)
         warnings = tuple(f"{self.name}: {text}" for text in texts)
@@ -546,8 +549,8 @@ class Driver:
             lost_rms=lost,
             lost_most=clipping.largest,
             expected_error=error,
-            expected_swept=swept,
             expected_known=known,
+            expected_unrested=unrested,
             state=self._state,
             warnings=warnings,
         )

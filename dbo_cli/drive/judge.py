@@ -23,6 +23,7 @@ ALLOWED_PART = 0.01
 REACH_SLACK = 0.01
 FIRST_ROWS = 131_072  # of a move, that expectations and refusals look at again
 OFF_AT_FIRST = 1e-3  # of the range: so far off its first value may a drive begin unsaid
+JUMP = 0.01  # of the range: a first step that is said
 LONG_HOLD = 100.0  # times the longest time constant: what creeps has come to rest
 
 
@@ -254,6 +255,18 @@ def expected(model: Cascade, excerpt: Excerpt, lead_rows: int) -> ExpectedError 
 
 
 # --- warnings, without the name of the trajectory ---
+
+
+def jump_warning(limits: Limits, standing: float | None, first: float) -> list[str]:
+    """Return a warning where the first row is far from where the amplifier stands."""
+    low, high = limits.identified
+    if standing is None or abs(first - standing) <= JUMP * (high - low):
+        return []
+    unit = limits.suffix
+    return [
+        f"jumps from {standing:.4g} to {first:.4g}{unit} at row 1, and the error there is not in the "
+        "expected one: add `approach` auto"
+    ]
 
 
 def start_warnings(

@@ -78,13 +78,8 @@ class Lead:
 
     @property
     def past_known(self) -> bool:
-        """Whether a sweep or a typed state makes the past of the gears known."""
-        return self.condition or self.memory_known
-
-    @property
-    def memory_known(self) -> bool:
-        """Whether a typed state says that all memories have come to rest, or what they hold."""
-        return isinstance(self.state, State) or self.state != "auto"
+        """Whether a sweep from rest or a typed state makes the past known."""
+        return self.condition or isinstance(self.state, State) or self.state != "auto"
 
 
 def _seconds(name: str, value: Any) -> Seconds:
