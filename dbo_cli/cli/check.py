@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.options import Text, column, flag, option, rare
+from dbo_cli.cli.options import Text, Texts, column, flag, option, rare
 from dbo_cli.cli.say import detail
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 
@@ -17,26 +17,22 @@ if TYPE_CHECKING:
 
 
 def check(
-    drive: opt.DriveFile,
     reading: opt.Reading,
-    output: opt.Output = "-",
-    form: opt.TextOrJson = None,
-    v_min: opt.VMins = None,
-    v_max: opt.VMaxs = None,
-    max_slew: opt.MaxSlews = None,
-    start: opt.Froms = None,
-    loop: Annotated[
-        bool, flag("--loop", "Also check the step from the last row to the first.")
-    ] = False,
-    against: Annotated[
-        Text, option("FILE", "DRIVE is a recording; was this file played?")
-    ] = None,
-    gain: Annotated[float, rare("FACTOR", "With --against: amplifier gain.")] = 1.0,
-    tolerance: Annotated[
-        Text, option("VOLT", "With --against: largest difference; 0.1 % of the range.")
-    ] = None,
-    time: opt.Time = None,
-    voltage: Annotated[Text, column("The drive voltage: name or number.")] = None,
+    drive: str = opt.DRIVE,
+    output: str = opt.OUTPUT_FILE,
+    form: opt.TextOrJson = opt.FORMAT,
+    v_min: Texts = opt.V_MIN,
+    v_max: Texts = opt.V_MAX,
+    max_slew: Texts = opt.MAX_SLEW,
+    start: Texts = opt.FROM,
+    loop: bool = flag("--loop", "Also check the step from the last row to the first."),
+    against: Text = option("FILE", "DRIVE is a recording; was this file played?"),
+    gain: float = rare("FACTOR", "With --against: amplifier gain.", default=1.0),
+    tolerance: Text = option(
+        "VOLT", "With --against: largest difference; 0.1 % of the range."
+    ),
+    time: Text = opt.TIME,
+    voltage: Text = column("The drive voltage: name or number."),
 ) -> None:
     """Check a drive against the limits of an amplifier.
 

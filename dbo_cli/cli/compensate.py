@@ -6,12 +6,22 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from typer import Argument
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.options import LIMITS, MOVE, OUTPUT, READING, Text, flag, option, rare
+from dbo_cli.cli.options import (
+    LIMITS,
+    MOVE,
+    OUTPUT,
+    Text,
+    Texts,
+    column,
+    flag,
+    option,
+    rare,
+)
 from dbo_cli.cli.say import detail, progress, say, say_log, say_output
 
 if TYPE_CHECKING:
@@ -25,70 +35,56 @@ Columns = dict[str, str | None]
 
 
 def compensate(
-    model: opt.ModelFile,
-    trajectory: Annotated[
-        str, Argument(metavar="TRAJECTORY", help="Desired displacement; - is stdin.")
-    ],
     reading: opt.Reading,
-    output: opt.Output = "-",
-    summary: opt.Summary = None,
-    v_min: opt.VMins = None,
-    v_max: opt.VMaxs = None,
-    max_slew: opt.MaxSlews = None,
-    extrapolate: Annotated[
-        bool,
-        rare(None, "Use the range beyond the logs' range.", LIMITS, "--extrapolate"),
-    ] = False,
-    on_limit: Annotated[
-        Literal["auto", "clip", "error"],
-        option(
-            None,
-            "auto: clip if the tracking error stays under 1 % of the move, otherwise exit 3.",
-            LIMITS,
-        ),
-    ] = "auto",
-    start: opt.Froms = None,
-    approach: Annotated[
-        Text, option("SECONDS|auto", "Time of a ramp from there to row 1.", MOVE)
-    ] = None,
-    condition: Annotated[
-        bool, flag("--condition", "Sweep the range first: makes the past known.", MOVE)
-    ] = False,
-    lead: Annotated[
-        Text, rare("SECONDS|auto", "Hold row 1 before the move.", MOVE)
-    ] = None,
-    return_to: Annotated[
-        opt.Texts, option("VOLT", "Voltage to end at.", MOVE, "--return")
-    ] = None,
-    periodic: Annotated[
-        bool, flag("--periodic", "The trajectory is one period of a loop.", MOVE)
-    ] = False,
-    passes: Annotated[
-        int, rare("N", "With --periodic: passes before it.", MOVE, min=0)
-    ] = 0,
-    tracked: Annotated[
-        list[str] | None, option("LOG", "Learn from recordings of the last pass.", MOVE)
-    ] = None,
-    history: Annotated[
-        Text, rare("FILE", "With --tracked: errors of all passes.", OUTPUT)
-    ] = None,
-    absolute: Annotated[
-        bool,
-        rare(None, "With --tracked: learn the mean error, too.", MOVE, "--absolute"),
-    ] = False,
-    bandwidth: Annotated[
-        Text, rare("HZ", "Zero-phase low-pass of the trajectory.", MOVE)
-    ] = None,
-    state: opt.State = "auto",
-    save_state: opt.SaveState = None,
-    time: opt.Time = None,
-    displacement: opt.Displacement = None,
-    voltage: Annotated[
-        Text, rare("COLUMN", "Drive of a --tracked log.", READING)
-    ] = None,
-    measured: Annotated[
-        Text, rare("COLUMN", "Displacement of a --tracked log.", READING)
-    ] = None,
+    model: str = opt.MODEL,
+    trajectory: str = Argument(
+        ..., metavar="TRAJECTORY", help="Desired displacement; - is stdin."
+    ),
+    output: str = opt.OUTPUT_FILE,
+    summary: Text = opt.SUMMARY,
+    v_min: Texts = opt.V_MIN,
+    v_max: Texts = opt.V_MAX,
+    max_slew: Texts = opt.MAX_SLEW,
+    extrapolate: bool = rare(
+        None,
+        "Use the range beyond the logs' range.",
+        LIMITS,
+        "--extrapolate",
+        default=False,
+    ),
+    on_limit: Literal["auto", "clip", "error"] = option(
+        None,
+        "auto: clip if the tracking error stays under 1 % of the move, otherwise exit 3.",
+        LIMITS,
+        default="auto",
+    ),
+    start: Texts = opt.FROM,
+    approach: Text = option(
+        "SECONDS|auto", "Time of a ramp from there to row 1.", MOVE
+    ),
+    condition: bool = flag(
+        "--condition", "Sweep the range first: makes the past known.", MOVE
+    ),
+    lead: Text = rare("SECONDS|auto", "Hold row 1 before the move.", MOVE),
+    return_to: Texts = option("VOLT", "Voltage to end at.", MOVE, "--return"),
+    periodic: bool = flag(
+        "--periodic", "The trajectory is one period of a loop.", MOVE
+    ),
+    passes: int = rare(
+        "N", "With --periodic: passes before it.", MOVE, default=0, min=0
+    ),
+    tracked: Texts = option("LOG", "Learn from recordings of the last pass.", MOVE),
+    history: Text = rare("FILE", "With --tracked: errors of all passes.", OUTPUT),
+    absolute: bool = flag(
+        "--absolute", "With --tracked: learn the mean error, too.", MOVE, hidden=True
+    ),
+    bandwidth: Text = rare("HZ", "Zero-phase low-pass of the trajectory.", MOVE),
+    state: str = opt.STATE,
+    save_state: Text = opt.SAVE_STATE,
+    time: Text = opt.TIME,
+    displacement: Text = opt.DISPLACEMENT,
+    voltage: Text = column("Drive of a --tracked log.", hidden=True),
+    measured: Text = column("Displacement of a --tracked log.", hidden=True),
 ) -> None:
     """Write the drive that makes an actuator follow a displacement.
 

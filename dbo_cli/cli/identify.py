@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.options import READING, Text, flag, option, rare
+from dbo_cli.cli.options import READING, Text, Texts, flag, option, rare
 from dbo_cli.cli.say import detail, say, say_logs, say_output, working
 from dbo_cli.errors import UsageError
 
@@ -20,55 +20,51 @@ STRUCTURE = "Structure of the model"
 
 
 def identify(
-    logs: opt.LogFiles,
     reading: opt.Reading,
-    output: opt.Output = "-",
-    summary: opt.Summary = None,
-    time: opt.Time = None,
-    voltage: opt.Voltage = None,
-    displacement: opt.Displacement = None,
-    validate: Annotated[
-        list[str] | None, option("LOG", "Log to test the model on; repeatable.")
-    ] = None,
-    prior: Annotated[
-        Text, option("MODEL", "Keep its shape; identify gain, offset, delay.")
-    ] = None,
-    sign: Annotated[
-        Literal["rising", "falling"] | None,
-        option(None, "Expected direction; exit 3 if the log differs."),
-    ] = None,
-    skip: opt.Skip = "0",
-    zero: Annotated[
-        str, rare("none|mean|first|VALUE", "Displacement to call 0.")
-    ] = "none",
-    sensor_delay: Annotated[
-        str, rare("SECONDS", "Delay of the sensor, taken off.", READING)
-    ] = "0",
-    gears: Annotated[str, rare("N|auto", "Number of gears.", STRUCTURE)] = "auto",
-    points: Annotated[
-        str, rare("M|auto", "Segments of the asymmetry; 0 for none.", STRUCTURE)
-    ] = "auto",
-    relaxation: Annotated[
-        str,
-        rare("auto|0|T1,T2,...", "Creep's time constants in s; 0: none.", STRUCTURE),
-    ] = "auto",
-    delay: Annotated[
-        str, rare("SECONDS|auto", "Delay behind the drive.", STRUCTURE)
-    ] = "auto",
-    dynamics: Annotated[
-        str, rare("auto|0|1|2", "Resonances; needs a sweep in the log.", STRUCTURE)
-    ] = "auto",
-    slopes: Annotated[
-        Literal["auto", "growing", "falling", "free"],
-        rare(None, "Slopes of the gears.", STRUCTURE),
-    ] = "auto",
-    method: Annotated[
-        Literal["least-squares", "paper"],
-        rare(None, "paper: the procedure of the 2018 paper.", STRUCTURE),
-    ] = "least-squares",
-    force: Annotated[
-        bool, flag("--force", "Keep a model no better than a straight line.")
-    ] = False,
+    logs: list[str] = opt.LOGS,
+    output: str = opt.OUTPUT_FILE,
+    summary: Text = opt.SUMMARY,
+    time: Text = opt.TIME,
+    voltage: Text = opt.VOLTAGE,
+    displacement: Text = opt.DISPLACEMENT,
+    validate: Texts = option("LOG", "Log to test the model on; repeatable."),
+    prior: Text = option("MODEL", "Keep its shape; identify gain, offset, delay."),
+    sign: Literal["rising", "falling"] | None = option(
+        None, "Expected direction; exit 3 if the log differs."
+    ),
+    skip: str = opt.SKIP,
+    zero: str = rare(
+        "none|mean|first|VALUE", "Displacement to call 0.", default="none"
+    ),
+    sensor_delay: str = rare(
+        "SECONDS", "Delay of the sensor, taken off.", READING, default="0"
+    ),
+    gears: str = rare("N|auto", "Number of gears.", STRUCTURE, default="auto"),
+    points: str = rare(
+        "M|auto", "Segments of the asymmetry; 0 for none.", STRUCTURE, default="auto"
+    ),
+    relaxation: str = rare(
+        "auto|0|T1,T2,...",
+        "Creep's time constants in s; 0: none.",
+        STRUCTURE,
+        default="auto",
+    ),
+    delay: str = rare(
+        "SECONDS|auto", "Delay behind the drive.", STRUCTURE, default="auto"
+    ),
+    dynamics: str = rare(
+        "auto|0|1|2", "Resonances; needs a sweep in the log.", STRUCTURE, default="auto"
+    ),
+    slopes: Literal["auto", "growing", "falling", "free"] = rare(
+        None, "Slopes of the gears.", STRUCTURE, default="auto"
+    ),
+    method: Literal["least-squares", "paper"] = rare(
+        None,
+        "paper: the procedure of the 2018 paper.",
+        STRUCTURE,
+        default="least-squares",
+    ),
+    force: bool = flag("--force", "Keep a model no better than a straight line."),
 ) -> None:
     """Identify a model from logs of drive voltage and displacement.
 

@@ -6,7 +6,7 @@ import dataclasses
 import os
 import shlex
 import sys
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import OUTPUT, Text, column, flag, option, rare
@@ -24,46 +24,39 @@ Units = dict[str, str]
 
 
 def report(
-    logs: opt.LogFiles,
     reading: opt.Reading,
-    output: opt.Output = "-",
-    form: Annotated[
-        Literal["text", "json", "csv", "html"] | None,
-        option(None, "Default: by the name of the output.", OUTPUT, "--format"),
-    ] = None,
-    figures: opt.Figures = None,
-    desired: Annotated[Text, column("Desired displacement.")] = None,
-    measured: Annotated[Text, column("Measured displacement.")] = None,
-    voltage: Annotated[Text, column("The drive, for --model and the figures.")] = None,
-    time: opt.Time = None,
-    trajectory: Annotated[
-        Text, option("FILE", "The desired displacement, if in a file.", COMPARED)
-    ] = None,
-    match: Annotated[
-        Literal["auto", "time", "rows"],
-        rare(None, "How rows of log and --trajectory match.", COMPARED),
-    ] = "auto",
-    model: Annotated[
-        Text, option("MODEL", "Compare with the prediction of a model.", COMPARED)
-    ] = None,
-    state: Annotated[
-        str, option("NAME|FILE", "With --model: auto, empty, full, settled.", COMPARED)
-    ] = "auto",
-    expected: Annotated[
-        Text, option("SUMMARY", "Expected error: a --summary, or a model.", COMPARED)
-    ] = None,
-    lag: Annotated[
-        int, rare("N", "Rows by which measured is taken later.", COMPARED)
-    ] = 0,
-    remove_offset: Annotated[
-        bool, flag("--remove-offset", "Subtract the mean error.", COMPARED)
-    ] = False,
-    max_rmse: Annotated[
-        Text, option("VALUE", "Largest RMS error, such as 10nm.", BOUNDS)
-    ] = None,
-    max_nrmse_percent: Annotated[
-        Text, option("PERCENT", "Largest RMS error, in % of the move.", BOUNDS)
-    ] = None,
+    logs: list[str] = opt.LOGS,
+    output: str = opt.OUTPUT_FILE,
+    form: Literal["text", "json", "csv", "html"] | None = option(
+        None, "Default: by the name of the output.", OUTPUT, "--format"
+    ),
+    figures: Text = opt.FIGURES,
+    desired: Text = column("Desired displacement."),
+    measured: Text = column("Measured displacement."),
+    voltage: Text = column("The drive, for --model and the figures."),
+    time: Text = opt.TIME,
+    trajectory: Text = option(
+        "FILE", "The desired displacement, if in a file.", COMPARED
+    ),
+    match: Literal["auto", "time", "rows"] = rare(
+        None, "How rows of log and --trajectory match.", COMPARED, default="auto"
+    ),
+    model: Text = option("MODEL", "Compare with the prediction of a model.", COMPARED),
+    state: str = option(
+        "NAME|FILE",
+        "With --model: auto, empty, full, settled.",
+        COMPARED,
+        default="auto",
+    ),
+    expected: Text = option(
+        "SUMMARY", "Expected error: a --summary, or a model.", COMPARED
+    ),
+    lag: int = rare("N", "Rows by which measured is taken later.", COMPARED, default=0),
+    remove_offset: bool = flag("--remove-offset", "Subtract the mean error.", COMPARED),
+    max_rmse: Text = option("VALUE", "Largest RMS error, such as 10nm.", BOUNDS),
+    max_nrmse_percent: Text = option(
+        "PERCENT", "Largest RMS error, in % of the move.", BOUNDS
+    ),
 ) -> None:
     """Report how well a displacement follows the desired one.
 

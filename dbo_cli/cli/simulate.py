@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import chain
-from typing import Annotated, Literal
+from typing import Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, column, option
@@ -12,18 +12,17 @@ from dbo_cli.errors import ModelError
 
 
 def simulate(
-    model: opt.ModelFile,
-    log: opt.LogFile,
     reading: opt.Reading,
-    output: opt.Output = "-",
-    time: opt.Time = None,
-    input: Annotated[Text, column("Input of the model.")] = None,
-    state: opt.State = "auto",
-    save_state: opt.SaveState = None,
-    outside: Annotated[
-        Literal["extend", "hold", "error"],
-        option(None, "Beyond the identified range; default extend."),
-    ] = "extend",
+    model: str = opt.MODEL,
+    log: str = opt.LOG,
+    output: str = opt.OUTPUT_FILE,
+    time: Text = opt.TIME,
+    input: Text = column("Input of the model."),
+    state: str = opt.STATE,
+    save_state: Text = opt.SAVE_STATE,
+    outside: Literal["extend", "hold", "error"] = option(
+        None, "Beyond the identified range; default extend.", default="extend"
+    ),
 ) -> None:
     """Run a model over its input and write its output.
 

@@ -2,46 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.check import limits_in, read_drive, step_of
-from dbo_cli.cli.options import Text, flag, option
+from dbo_cli.cli.options import Text, Texts, flag, option
 from dbo_cli.cli.say import detail, say, say_output
 from dbo_cli.errors import InputError
 
 
 def waveform(
-    drive: opt.DriveFile,
     reading: opt.Reading,
-    to: Annotated[
-        str, option("FORMAT", "npy, wav, int16, uint16, keysight-arb or pi-gcs.")
-    ],
-    output: opt.Output = "-",
-    gain: Annotated[float, option("FACTOR", "Amplifier gain, divided out.")] = 1.0,
-    rate: Annotated[
-        Text, option("HZ", "Points per second; default: the drive's.")
-    ] = None,
-    points: Annotated[
-        int | None, option("N", "Points, over the same time.", min=0)
-    ] = None,
-    loop: Annotated[
-        bool, flag("--loop", "The drive is one period: other points keep it.")
-    ] = False,
-    codes: Annotated[
-        Text, option("LOW:HIGH", "Range of codes; default: the format's.")
-    ] = None,
-    volts: Annotated[
-        Text, option("LOW:HIGH", "Output voltage of the codes; default: the drive's.")
-    ] = None,
-    max_rounding: Annotated[
-        float, option("PERCENT", "Allowed rounding, % of range; more: exit 3.")
-    ] = 1.0,
-    v_min: opt.VMins = None,
-    v_max: opt.VMaxs = None,
-    max_slew: opt.MaxSlews = None,
-    time: opt.Time = None,
-    voltage: opt.Voltage = None,
+    drive: str = opt.DRIVE,
+    to: str = option(
+        "FORMAT", "npy, wav, int16, uint16, keysight-arb or pi-gcs.", default=...
+    ),
+    output: str = opt.OUTPUT_FILE,
+    gain: float = option("FACTOR", "Amplifier gain, divided out.", default=1.0),
+    rate: Text = option("HZ", "Points per second; default: the drive's."),
+    points: int | None = option("N", "Points, over the same time.", min=0),
+    loop: bool = flag("--loop", "The drive is one period: other points keep it."),
+    codes: Text = option("LOW:HIGH", "Range of codes; default: the format's."),
+    volts: Text = option(
+        "LOW:HIGH", "Output voltage of the codes; default: the drive's."
+    ),
+    max_rounding: float = option(
+        "PERCENT", "Allowed rounding, % of range; more: exit 3.", default=1.0
+    ),
+    v_min: Texts = opt.V_MIN,
+    v_max: Texts = opt.V_MAX,
+    max_slew: Texts = opt.MAX_SLEW,
+    time: Text = opt.TIME,
+    voltage: Text = opt.VOLTAGE,
 ) -> None:
     """Write a drive in the format of a generator or converter.
 
