@@ -45,9 +45,6 @@ class Drive:
         Rows of the move that a limit cut off, and the first of them from 1 (0: none).
     lost_rms, lost_most : float
         What the move misses by that, in the displacement's unit.
-    missed, off : float
-        How far the first row starts off its displacement, because no settled actuator
-        stands there; and by how much dynamics and delay are in motion there.
     expected_error, expected_known, expected_unrested : float, optional
         RMS of the error to expect, what is clipped included; the same if the past were
         known; and, behind a sweep, if the actuator was not at rest before it. None where
@@ -84,8 +81,6 @@ class Drive:
     first_clipped: int = 0
     lost_rms: float = 0.0
     lost_most: float = 0.0
-    missed: float = 0.0
-    off: float = 0.0
     expected_error: float | None = None
     expected_known: float | None = None
     expected_unrested: float | None = None
