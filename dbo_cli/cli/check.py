@@ -52,29 +52,23 @@ def check(
             "nothing to check: add `v_min`, `v_max`, `max_slew`, `loop` or `against`"
         )
     columns = {"time": time, "voltage": voltage}
-    known: list[str] = []
-    if channels.is_pattern(columns):
-        known = channels.names([drive], reading, columns)
+    names = channels.names([drive], reading, columns)
     typed = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew, "from": start}
     checks = {}
-    for channel in known or [""]:
-        limits = {}
-        for name, values in typed.items():
-            limits[name] = channels.value_for(
-                name, values or [], channel or None, known
-            )
-        chosen = channels.columns_for(columns, channel)
-        column = chosen["voltage"] if channel else None
+    for channel in names:
+        limits = channels.values_for(typed, channel, names)
+        roles = channels.columns_for(columns, channel)
+        column = roles["voltage"] if channel else None
         name = f"{drive}: channel {channel}" if channel else drive
         checks[channel] = checked(
-            drive, name, reading, chosen, limits, loop, against, column, gain, tolerance
+            drive, name, reading, roles, limits, loop, against, column, gain, tolerance
         )
     is_json = opt.form_of(form, output) == "json"
     texts = {name: c.json() if is_json else c.text() for name, c in checks.items()}
-    text = "".join(texts.values())
-    if is_json and known:
-        text = channels.dumps_files("check", texts)
-    write_text(output, text)
+    if is_json:
+        write_text(output, channels.dumps_files("check", texts))
+    else:
+        write_text(output, "".join(texts.values()))
     for result in checks.values():
         result.require_passed()
 
@@ -96,7 +90,7 @@ def checked(
     from dbo_cli.logs import Reading as Plain
     from dbo_cli.units import parse_quantity
 
-    signal, log = read_drive(drive, reading, columns, None)
+    signal, log = read_drive(drive, reading, columns)
     if typed["max_slew"] is not None and log.clock.assumption:
         warn(f"{drive}: {log.clock.assumption}")
     unit = log.columns["voltage"].unit
@@ -130,7 +124,10 @@ def checked(
 
 
 def read_drive(
-    path: str, reading: Reading, columns: dict[str, str | None], unit: str | None
+    path: str,
+    reading: Reading,
+    columns: dict[str, str | None],
+    unit: str | None = None,
 ) -> tuple[Block, Log]:
     """Read a drive whole, as strictly as it was written.
 

@@ -76,12 +76,11 @@ def identify(
     from dbo_cli import channels
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.identification import Options, describe, describe_validation, leads
-    from dbo_cli.model import dumps_model, dumps_set, is_set, read_model
+    from dbo_cli.model import dumps_model, dumps_set
     from dbo_cli.reports import ShownModel
 
     check_outputs(output, summary)
     options = Options(
-        prior=None if prior is None or is_set(prior) else read_model(prior),
         sign=sign,
         skip=opt.quantity("skip", skip, "s"),
         zero=opt.number("zero", zero, float, "none", "mean", "first"),
@@ -96,39 +95,35 @@ def identify(
         force=force,
     )
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
-    tests = validate or []
-    if channels.is_pattern(columns):
-        known = channels.names(logs, reading, columns)
-        shapes = {} if prior is None else channels.models_of(prior, known)
-        models, lines = {}, []
-        for name in known:
-            chosen = channels.columns_for(columns, name)
-            own = replace(options, prior=shapes.get(name))
-            with channels.naming(name):
-                model, recordings, _ = identified(logs, tests, reading, chosen, own)
-            models[name] = model
-            lines.append(f"{name}: {describe(model, recordings)}")
-            lines += [f"{name}: {line}" for line in describe_validation(model)]
-        with Outputs() as outputs:
-            outputs.write_text(output, dumps_set(models))
-            if summary is not None:
-                texts = {name: summary_of(model) for name, model in models.items()}
-                outputs.write_text(summary, channels.dumps_files("summary", texts))
-        say_output(output, f"{len(models)} models")
-        for line in lines:
-            say(line)
-        return
-    model, recordings, read = identified(logs, tests, reading, columns, options)
+    names = channels.names(logs, reading, columns)
+    priors = {} if prior is None else channels.models_of(prior, names)
+    models, lines = {}, []
+    for name in names:
+        roles = channels.columns_for(columns, name)
+        own = replace(options, prior=priors.get(name))
+        with channels.naming(name):
+            fitted = identified(logs, validate or [], reading, roles, own)
+        models[name], recordings, read = fitted
+        texts = [describe(models[name], recordings), *describe_validation(models[name])]
+        lines += [f"{name}: {text}" if name else text for text in texts]
+    is_set = tuple(names) != channels.ALONE
     with Outputs() as outputs:
-        outputs.write_text(output, dumps_model(model))
+        outputs.write_text(
+            output, dumps_set(models) if is_set else dumps_model(models[""])
+        )
         if summary is not None:
-            outputs.write_text(summary, summary_of(model))
-    rows = sum(log["rows"] for log in model.provenance["logs"])
-    sense = f"{model.sign}, leads the drive" if leads(recordings) else model.sign
-    say_logs(read, rows, f" ({sense})")
-    detail(*ShownModel(model).text().splitlines()[1:])
-    say_output(output, describe(model, recordings))
-    for line in describe_validation(model):
+            figures = {name: summary_of(model) for name, model in models.items()}
+            outputs.write_text(summary, channels.dumps_files("summary", figures))
+    if is_set:
+        say_output(output, f"{len(models)} models")
+    else:
+        model = models[""]
+        rows = sum(log["rows"] for log in model.provenance["logs"])
+        sense = f"{model.sign}, leads the drive" if leads(recordings) else model.sign
+        say_logs(read, rows, f" ({sense})")
+        detail(*ShownModel(model).text().splitlines()[1:])
+        say_output(output, lines.pop(0))
+    for line in lines:
         say(line)
 
 

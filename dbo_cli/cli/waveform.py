@@ -46,19 +46,13 @@ def waveform(
     from dbo_cli.units import kind_of, multiplied, ratio
 
     columns = {"time": time, "voltage": voltage}
-    known: list[str] = []
-    if channels.is_pattern(columns):
-        known = channels.names([drive], reading, columns)
+    names = channels.names([drive], reading, columns)
     typed = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
     made = {}
-    for channel in known or [""]:
-        ranges = []
-        for name, values in typed.items():
-            ranges.append(
-                channels.value_for(name, values or [], channel or None, known)
-            )
-        chosen = channels.columns_for(columns, channel)
-        signal, log = read_drive(drive, reading, chosen, None)
+    for channel in names:
+        roles = channels.columns_for(columns, channel)
+        ranges = channels.values_for(typed, channel, names)
+        signal, log = read_drive(drive, reading, roles)
         unit = log.columns["voltage"].unit
         if kind_of(unit) not in (None, "voltage"):
             raise InputError(
@@ -74,7 +68,7 @@ def waveform(
             multiplied(signal["voltage"], ratio(unit, "V")),
             1.0 / step,
             to,
-            limits_in(volt, *ranges),
+            limits_in(volt, **ranges),
             name=f"{drive}: channel {channel}" if channel else drive,
             gain=gain,
             loop=loop,
@@ -86,14 +80,14 @@ def waveform(
             doubts=log.doubtful,
         )
         detail(*log.doubtful)
-    files = {output: made[""].data} if not known else {}
-    if known:
-        whole = side_by_side(list(made.values()), to)
-        if whole is None:
-            paths = channels.paths_of(output, made)
-            files = {paths[name]: one.data for name, one in made.items()}
-        else:
-            files = {output: whole}
+    joined = None
+    if tuple(names) != channels.ALONE:
+        joined = side_by_side(list(made.values()), to)
+    if joined is not None:
+        files = {output: joined}
+    else:
+        paths = channels.paths_of(output, names)
+        files = {paths[name]: written.data for name, written in made.items()}
     with Outputs() as outputs:
         for path, data in files.items():
             outputs.write_bytes(path, data)
