@@ -201,10 +201,10 @@ def present(*values: Any) -> list[Any]:
     return [value for value in values if value is not None]
 
 
-def require(partner: str, typed: object, options: dict[str, Any]) -> None:
+def require(partner: str, partner_value: object, options: dict[str, Any]) -> None:
     """Refuse options that say nothing without another one."""
     for name, value in options.items():
-        if value and not typed:
+        if value and not partner_value:
             raise UsageError(f"`{name}` needs `{partner}`")
 
 
