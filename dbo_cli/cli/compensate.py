@@ -264,7 +264,7 @@ def compensate_one(
     if written.output == "-" and move.on_limit == "auto" and not in_memory:
         move = replace(move, on_limit="clip")  # rows that were sent stay sent
     driver = move.driver(actuator, start)
-    units = opt.units_of(displacement=actuator.output)
+    units = {"displacement": actuator.output.unit}
     with open_log(move.name, columns, move.reading, units) as log, Outputs() as outputs:
         drive = write_drive(driver, log, outputs, written.output, in_memory)
         written.files(outputs, {"": drive}, {"": summary_of(drive, log)})

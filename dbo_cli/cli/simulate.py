@@ -44,7 +44,7 @@ def simulate(
         return
     actuator = read_model(model)
     start = state_of(state, actuator)
-    units = opt.units_of(input=actuator.input)
+    units = {"input": actuator.input.unit}
     with open_log(log, columns, reading, units) as signal, Outputs() as outputs:
         blocks = progress(signal.blocks(), "simulated")
         first = next(blocks)
