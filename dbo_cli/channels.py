@@ -203,10 +203,7 @@ def read(
 
     tables = {}
     for name in next(iter(roles.values())):
-        units = {}
-        for role, quantities in roles.items():
-            if quantities[name].unit:
-                units[role] = quantities[name].unit
+        units = {role: quantities[name].unit for role, quantities in roles.items()}
         with open_log(log_path, columns_for(columns, name), reading, units) as log:
             tables[name] = log.read()
     return tables

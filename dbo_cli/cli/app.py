@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import os
 import signal
@@ -28,11 +27,6 @@ COMMANDS = tuple(
     "trajectory waveform".split()
 )
 """In the order of a working day; each is a function of that name in a module of that name."""
-NOT_A_NUMBER = {
-    "Input should be a valid integer": "give a whole number",
-    "Input should be a valid number": "give a number",
-}
-"""What typer's library says of an option that is no number, and what this program says."""
 HELP = ("-h, --help, --help-all", "This page; --help-all lists every option.")
 
 
@@ -89,11 +83,10 @@ class Commands(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that the first word names."""
-        if args[0] not in COMMANDS:
+        if args[0] not in COMMANDS and not args[0].startswith("-"):
             names = self.list_commands(ctx)
-            if args[0] not in names and not args[0].startswith("-"):
-                hint = _nearest(args[0], names) or f"; try {', '.join(names)}"
-                ctx.fail(f"no such command: {args[0]}{hint}")
+            if args[0] not in names:
+                ctx.fail(f"no such command: {args[0]}: type one of {', '.join(names)}")
         return super().resolve_command(ctx, args)
 
 
@@ -199,7 +192,8 @@ def _explained(problem: BaseException, words: Sequence[str]) -> tuple[int, str]:
         command = (
             f"{words[0]} --help-all" if words and words[0] in COMMANDS else "--help"
         )
-        return WRONG_COMMAND_LINE, f"{_refused(problem)} (dbo {command})"
+        text = problem.format_message().replace("Value error, ", "").rstrip(".")
+        return WRONG_COMMAND_LINE, f"{text[:1].lower()}{text[1:]} (dbo {command})"
     if isinstance(problem, OSError):
         filename = f"{problem.filename}: " if problem.filename else ""
         return 1, f"{filename}{problem.strerror or problem}"
@@ -207,24 +201,6 @@ def _explained(problem: BaseException, words: Sequence[str]) -> tuple[int, str]:
         return 1, "out of memory: take a part of the log with `rows` A:B"
     kind = type(problem).__name__
     return 1, f"internal error: {kind}: {problem} (please report it with `debug`)"
-
-
-def _refused(problem: Any) -> str:
-    """Return why typer refused the command line, with the option that is most like an unknown one."""
-    if hasattr(problem, "possibilities"):
-        closest = _nearest(problem.option_name, problem.possibilities or [])
-        return f"no such option: {problem.option_name}{closest}"
-    text: str = problem.format_message().replace("Value error, ", "")
-    for words, plain in NOT_A_NUMBER.items():
-        if words in text:
-            text = f"{text.partition(words)[0]}{plain}"
-    return text[:1].lower() + text[1:].rstrip(".")
-
-
-def _nearest(word: str, names: Sequence[str]) -> str:
-    """Return a question for the name that is most like a word; empty where none is."""
-    closest = difflib.get_close_matches(word, names, 1, 0.7)
-    return f"; did you mean {closest[0]}?" if closest else ""
 
 
 # --- what belongs to the process ---

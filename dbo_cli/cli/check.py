@@ -53,10 +53,10 @@ def check(
         )
     columns = {"time": time, "voltage": voltage}
     names = channels.names([drive], reading, columns)
-    typed = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew, "from": start}
+    ranges = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew, "from": start}
     checks = {}
     for channel in names:
-        limits = channels.values_for(typed, channel, names)
+        limits = channels.values_for(ranges, channel, names)
         roles = channels.columns_for(columns, channel)
         column = roles["voltage"] if channel else None
         name = f"{drive}: channel {channel}" if channel else drive
@@ -78,7 +78,7 @@ def checked(
     name: str,
     reading: Reading,
     columns: dict[str, str | None],
-    typed: dict[str, str | None],
+    texts: dict[str, str | None],
     loop: bool,
     against: str | None,
     column: str | None,
@@ -91,13 +91,13 @@ def checked(
     from dbo_cli.units import parse_quantity
 
     signal, log = read_drive(drive, reading, columns)
-    if typed["max_slew"] is not None and log.clock.assumption:
+    if texts["max_slew"] is not None and log.clock.assumption:
         warn(f"{drive}: {log.clock.assumption}")
     unit = log.columns["voltage"].unit
-    limits = limits_in(unit, typed["v_min"], typed["v_max"], typed["max_slew"])
-    stands = typed["from"]
+    limits = limits_in(unit, texts["v_min"], texts["v_max"], texts["max_slew"])
+    stands = texts["from"]
     position = None if stands is None else parse_quantity(stands, unit, "from", 0.0)
-    allowed, slack, played = None, 0.0, signal["voltage"] * gain
+    allowed, slack, recorded = None, 0.0, signal["voltage"] * gain
     if against is not None:
         roles = {"time": None, "voltage": column}
         meant, _ = read_drive(against, Plain(), roles, unit)
@@ -105,7 +105,7 @@ def checked(
             allowed = parse_quantity(tolerance, unit, "tolerance", 0.0)
             if allowed < 0.0:
                 raise UsageError(f"`tolerance` {tolerance}: give 0 or more")
-        slack = tolerance_of(meant["voltage"], played, allowed) / abs(gain)
+        slack = tolerance_of(meant["voltage"], recorded, allowed) / abs(gain)
     result = check_drive(
         signal["voltage"],
         signal.time,
@@ -118,7 +118,7 @@ def checked(
     )
     if against is not None:
         steps = (step_of(meant), step_of(signal))
-        check_played(result, meant["voltage"], played, steps, allowed)
+        check_played(result, meant["voltage"], recorded, steps, allowed)
     detail(*log.doubtful)
     return result
 

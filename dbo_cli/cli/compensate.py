@@ -127,14 +127,14 @@ def compensate(
     written = Written(output, summary, save_state, history)
     starts = channels.states_of(state, models)
     histories = channels.histories_of(history, names)
-    whole = {}
+    in_memory = {}
     for name, actuator in models.items():
         with channels.naming(name):
-            whole[name] = move.in_memory(actuator, histories[name], name)
+            in_memory[name] = move.in_memory(actuator, histories[name], name)
     if tuple(names) == channels.ALONE:
-        compensate_one(move, models[""], starts[""], columns, whole[""], written)
+        compensate_one(move, models[""], starts[""], columns, in_memory[""], written)
     else:
-        compensate_set(move, models, starts, columns, whole, written)
+        compensate_set(move, models, starts, columns, in_memory, written)
 
 
 class Written(NamedTuple):
@@ -181,7 +181,7 @@ class Move:
         What was typed of `v_min`, `v_max`, `max_slew`, `from` and `return`.
     extrapolate, on_limit, approach, condition, lead
         As typed.
-    whole
+    loop_options
         Options that need the whole trajectory; empty where it may come in blocks.
     columns, reading
         Of the recordings that are learned from.
@@ -195,7 +195,7 @@ class Move:
     approach: Any
     condition: bool
     lead: Any
-    whole: dict[str, Any]
+    loop_options: dict[str, Any]
     columns: dict[str, str | None]
     reading: opt.Reading
 
@@ -206,10 +206,10 @@ class Move:
         from dbo_cli import channels
         from dbo_cli.drive import Driver, Lead, Limits, voltage_in
 
-        typed = channels.values_for(self.voltages, channel, self.channels)
+        texts = channels.values_for(self.voltages, channel, self.channels)
         volts: dict[str, float | None] = {}
         for name in ("v_min", "v_max", "from", "return"):
-            text = typed[name]
+            text = texts[name]
             volts[name] = (
                 None if text is None else voltage_in(name, text, actuator.input)
             )
@@ -217,7 +217,7 @@ class Move:
             channels.require_own_limit(
                 name, self.voltages[name], channel, volts[name], actuator
             )
-        ranges = typed["v_min"], typed["v_max"], typed["max_slew"]
+        ranges = texts["v_min"], texts["v_max"], texts["max_slew"]
         limits = Limits.within(actuator.input, *ranges, self.extrapolate)
         lead = Lead(start, volts["from"], self.approach, self.condition, self.lead)
         name = f"channel {channel}" if channel else self.name
@@ -231,16 +231,19 @@ class Move:
         from dbo_cli import channels
         from dbo_cli.recordings import tracked_of
 
-        if not self.whole:
+        if not self.loop_options:
             return {}
-        columns, typed = channels.columns_for(self.columns, channel), self.whole
+        columns, options = (
+            channels.columns_for(self.columns, channel),
+            self.loop_options,
+        )
         return {
-            "bandwidth": opt.quantity("bandwidth", typed["bandwidth"], "Hz"),
-            "periodic": typed["periodic"],
-            "passes": typed["passes"],
-            "absolute": typed["absolute"],
+            "bandwidth": opt.quantity("bandwidth", options["bandwidth"], "Hz"),
+            "periodic": options["periodic"],
+            "passes": options["passes"],
+            "absolute": options["absolute"],
             "tracked": tracked_of(
-                typed["tracked"] or [], columns, self.reading, actuator
+                options["tracked"] or [], columns, self.reading, actuator
             ),
             "history": history,
         }
@@ -261,7 +264,7 @@ def compensate_one(
     if written.output == "-" and move.on_limit == "auto" and not in_memory:
         move = replace(move, on_limit="clip")  # rows that were sent stay sent
     driver = move.driver(actuator, start)
-    units = opt.units_of(displacement=actuator.output)
+    units = {"displacement": actuator.output.unit}
     with open_log(move.name, columns, move.reading, units) as log, Outputs() as outputs:
         drive = write_drive(driver, log, outputs, written.output, in_memory)
         written.files(outputs, {"": drive}, {"": summary_of(drive, log)})
@@ -285,12 +288,12 @@ def compensate_set(
     roles = {"displacement": {name: model.output for name, model in models.items()}}
     tables = channels.read(move.name, move.reading, columns, roles)
 
-    def drive_of(name: str, hold: int, behind: int) -> Drive:
+    def drive_of(name: str, hold: int, rows_after: int) -> Drive:
         table = tables[name]
         driver = move.driver(models[name], starts[name], name, hold)
         clock = table.dt if isinstance(table.dt, float) else table.time
         desired, options = table["displacement"], in_memory[name]
-        return driver.whole(desired, clock, return_rows=behind, **options)
+        return driver.whole(desired, clock, return_rows=rows_after, **options)
 
     write_set(channels.together(drive_of, models), written)
 

@@ -100,9 +100,9 @@ def identify(
     models, lines = {}, []
     for name in names:
         roles = channels.columns_for(columns, name)
-        own = replace(options, prior=priors.get(name))
+        channel_options = replace(options, prior=priors.get(name))
         with channels.naming(name):
-            fitted = identified(logs, validate or [], reading, roles, own)
+            fitted = identified(logs, validate or [], reading, roles, channel_options)
         models[name], recordings, read = fitted
         texts = [describe(models[name], recordings), *describe_validation(models[name])]
         lines += [f"{name}: {text}" if name else text for text in texts]

@@ -201,10 +201,10 @@ def present(*values: Any) -> list[Any]:
     return [value for value in values if value is not None]
 
 
-def require(partner: str, typed: object, options: dict[str, Any]) -> None:
+def require(partner: str, partner_value: object, options: dict[str, Any]) -> None:
     """Refuse options that say nothing without another one."""
     for name, value in options.items():
-        if value and not typed:
+        if value and not partner_value:
             raise UsageError(f"`{name}` needs `{partner}`")
 
 
@@ -251,12 +251,3 @@ def unit_behind(text: str) -> str:
 def form_of(form: str | None, output: str) -> str:
     """Return the form of a result: by ``--format``, else by the name of the output."""
     return form or FORMS.get(os.path.splitext(output.lower())[1], "text")
-
-
-def units_of(**quantities: Any) -> dict[str, str]:
-    """Return the unit of each role, of those that have one."""
-    units = {}
-    for role, quantity_of in quantities.items():
-        if quantity_of.unit:
-            units[role] = quantity_of.unit
-    return units

@@ -6,12 +6,12 @@ import dataclasses
 import os
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import OUTPUT, Text, column, flag, option, rare
-from dbo_cli.cli.say import detail, say, say_doubts
+from dbo_cli.cli.say import detail, say
 from dbo_cli.errors import UsageError, warn
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 COMPARED, BOUNDS = "Comparison", "Bounds (exit 3)"
 Columns = dict[str, str | None]
-Units = dict[str, str]
+Units = Mapping[str, str | None]
 
 
 def report(
@@ -138,17 +138,18 @@ def read_pairs(
     logs: Sequence[str],
     reading: Reading,
     roles: Columns,
-    units: Units,
+    wanted: Units,
     needs_drive: bool,
 ) -> tuple[list[Pair], Units]:
-    """Return what was measured in each log, all in the units of the first, and these units."""
+    """Return what was measured in each log, in the units wanted or else of the first, and the units."""
     from dbo_cli.recordings import pair_of
 
-    pairs = []
+    pairs, units = [], dict(wanted)
     for path in logs:
-        pair, units_of_log, log = pair_of(path, roles, reading, units, needs_drive)
+        pair, stated, log = pair_of(path, roles, reading, units, needs_drive)
         detail(*log.remarks)
-        units = {**units_of_log, **units}
+        for role, unit in stated.items():
+            units[role] = units.get(role) or unit
         pairs.append(pair)
     return pairs, units
 
@@ -165,8 +166,8 @@ def predicted(
     from dbo_cli.reports import predict
 
     model.require("forward", name)
-    units = opt.units_of(voltage=model.input, measured=model.output)
-    pairs, units = read_pairs(logs, reading, roles, units, True)
+    wanted = {"voltage": model.input.unit, "measured": model.output.unit}
+    pairs, units = read_pairs(logs, reading, roles, wanted, True)
     return [predict(pair, model, state, name) for pair in pairs], units
 
 
@@ -179,17 +180,16 @@ def matched(
     by: str,
 ) -> tuple[list[Pair], Units]:
     """Return what a trajectory of a file of its own desires beside what was measured, and the units."""
-    from dbo_cli.logs import open_log
+    from dbo_cli.logs import Reading
+    from dbo_cli.recordings import read_table
     from dbo_cli.reports import match
 
     columns = {"time": None, "trajectory": column, "voltage": None}
-    with open_log(trajectory, columns, optional=("time", "voltage")) as log:
-        table = log.read()
-    say_doubts(log)
-    unit, drive = log.columns["trajectory"].unit, table.values.get("voltage")
-    units = {} if unit is None else {"measured": unit}
-    pairs, units = read_pairs(logs, reading, roles, units, False)
-    desired, clock = table["trajectory"], table.time
+    optional = ("time", "voltage")
+    log, table = read_table(trajectory, columns, Reading(), optional=optional)
+    wanted = {"measured": log.columns["trajectory"].unit}
+    pairs, units = read_pairs(logs, reading, roles, wanted, False)
+    desired, clock, drive = table["trajectory"], table.time, table.values.get("voltage")
     return [match(p, desired, clock, by, trajectory, drive) for p in pairs], units
 
 

@@ -60,13 +60,8 @@ def say_logs(logs: Sequence[Any], rows: int, suffix: str = "") -> None:
 
 
 def say_log(log: Any) -> None:
-    """Print what was read, and warn of what is doubtful."""
-    say_doubts(log)
+    """Print what was read, and warn of rows that were left out, cut or guessed."""
     say_logs([log], 0)
-
-
-def say_doubts(log: Any) -> None:
-    """Warn of rows that were left out, cut or guessed."""
     for doubt in log.doubtful:
         warn(f"{log.name}: {doubt}")
 

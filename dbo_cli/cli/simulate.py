@@ -44,7 +44,7 @@ def simulate(
         return
     actuator = read_model(model)
     start = state_of(state, actuator)
-    units = opt.units_of(input=actuator.input)
+    units = {"input": actuator.input.unit}
     with open_log(log, columns, reading, units) as signal, Outputs() as outputs:
         blocks = progress(signal.blocks(), "simulated")
         first = next(blocks)
@@ -65,10 +65,10 @@ def simulate(
         if save_state is not None and isinstance(simulator.state, State):
             text = dumps_state(simulator.state, actuator)
             outputs.write_text(save_state, text, "state")
-    moved = actuator.output
+    quantity = actuator.output
     say_log(signal)
     say_output(
-        output, f"{simulator.row_count:,} rows of {moved.quantity}{moved.suffix}"
+        output, f"{simulator.row_count:,} rows of {quantity.quantity}{quantity.suffix}"
     )
 
 
@@ -89,14 +89,14 @@ def simulate_set(
     from dbo_cli.logs import add_table
     from dbo_cli.model import State, dumps_state
 
-    known = channels.names([log], reading, columns)
-    models = channels.models_of(model, known)
+    names = channels.names([log], reading, columns)
+    models = channels.models_of(model, names)
     inputs = {name: actuator.input for name, actuator in models.items()}
     tables = channels.read(log, reading, columns, {"input": inputs})
     states = channels.states_of(state, models)
     results: list[channels.Result] = []
     texts = {}
-    time = tables[known[0]].time
+    time = tables[names[0]].time
     if time is not None:
         results.append(("time", "s", time))
     for name, actuator in models.items():
@@ -109,8 +109,8 @@ def simulate_set(
         if isinstance(simulator.state, State):
             texts[name] = dumps_state(simulator.state, actuator)
     with Outputs() as outputs:
-        names = [(name, unit) for name, unit, _ in results]
-        add_table(outputs, output, names).write(*(c for _, _, c in results))
+        headings = [(name, unit) for name, unit, _ in results]
+        add_table(outputs, output, headings).write(*(c for _, _, c in results))
         if save_state is not None:
             text = channels.dumps_files("state", texts)
             outputs.write_text(save_state, text, "state")

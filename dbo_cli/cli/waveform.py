@@ -47,11 +47,11 @@ def waveform(
 
     columns = {"time": time, "voltage": voltage}
     names = channels.names([drive], reading, columns)
-    typed = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
-    made = {}
+    ranges = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
+    waveforms = {}
     for channel in names:
         roles = channels.columns_for(columns, channel)
-        ranges = channels.values_for(typed, channel, names)
+        bounds = channels.values_for(ranges, channel, names)
         signal, log = read_drive(drive, reading, roles)
         unit = log.columns["voltage"].unit
         if kind_of(unit) not in (None, "voltage"):
@@ -64,11 +64,11 @@ def waveform(
             raise InputError(
                 f"{drive}: needs an even clock: add `resample` HZ, or `sample_rate` HZ if it has none"
             )
-        made[channel] = make(
+        waveforms[channel] = make(
             multiplied(signal["voltage"], ratio(unit, "V")),
             1.0 / step,
             to,
-            limits_in(volt, **ranges),
+            limits_in(volt, **bounds),
             name=f"{drive}: channel {channel}" if channel else drive,
             gain=gain,
             loop=loop,
@@ -82,15 +82,15 @@ def waveform(
         detail(*log.doubtful)
     joined = None
     if tuple(names) != channels.ALONE:
-        joined = side_by_side(list(made.values()), to)
+        joined = side_by_side(list(waveforms.values()), to)
     if joined is not None:
         files = {output: joined}
     else:
         paths = channels.paths_of(output, names)
-        files = {paths[name]: written.data for name, written in made.items()}
+        files = {paths[name]: written.data for name, written in waveforms.items()}
     with Outputs() as outputs:
         for path, data in files.items():
             outputs.write_bytes(path, data)
-    for channel, written in made.items():
+    for channel, written in waveforms.items():
         say_output(f"{output}: {channel}" if channel else output, written.line)
         say(written.codes)

@@ -303,7 +303,7 @@ def open_log(
     path: str | os.PathLike[str] | Table,
     roles: Mapping[str, str | None],
     reading: Reading | None = None,
-    units: Mapping[str, str] | None = None,
+    units: Mapping[str, str | None] | None = None,
     optional: Sequence[str] = ("time",),
 ) -> Log:
     """Open a log and give every role its column.
@@ -331,7 +331,7 @@ def open_log(
         The options contradict each other or are malformed.
     """
     reading = reading or Reading()
-    units = units or {}
+    stated = {role: unit for role, unit in (units or {}).items() if unit}
     elsewhere = {role: text for role, text in roles.items() if text and "::" in text}
     if "time" in elsewhere:
         raise UsageError(
@@ -342,9 +342,9 @@ def open_log(
             raise UsageError(f"`scale` {role}=...: give one of {', '.join(roles)}")
     roles = {role: text for role, text in roles.items() if role not in elsewhere}
     opened = path if isinstance(path, Table) else os.fspath(path)
-    log = _open_file(opened, roles, reading, units, optional)
+    log = _open_file(opened, roles, reading, stated, optional)
     if elsewhere:
-        log = _with_columns_of(log, elsewhere, reading, units)
+        log = _with_columns_of(log, elsewhere, reading, stated)
     if reading.resample is not None:
         from dbo_cli.logs.resample import resampled
 

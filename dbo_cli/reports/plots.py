@@ -127,8 +127,8 @@ def figure_of(plot: Plot) -> Figure:
     plot.paint(axes)
     handles, labels = axes.get_legend_handles_labels()
     if handles:
-        place = {"loc": "outside upper left", "columnspacing": 1.6}
-        figure.legend(handles, labels, ncols=_legend_columns(labels), **place)
+        legend = {"loc": "outside upper left", "columnspacing": 1.6}
+        figure.legend(handles, labels, ncols=_legend_columns(labels), **legend)
     return figure
 
 

@@ -130,14 +130,14 @@ def to_html(report: Comparison) -> str:
         verdicts.append(replace(verdict, unit=verdict.unit.replace(" um", " µm")))
     report = replace(report, unit=unit or None, verdicts=tuple(verdicts))
     titles, rows = table_of(report)
-    head = []
+    headings = []
     for title in titles:
         length = unit and title in LENGTHS
-        head.append(f"{title} ({unit})" if length else title)
+        headings.append(f"{title} ({unit})" if length else title)
     parts = [_verdict(report), f'<p class="headline">{escape(report.line())}</p>']
     for warning in report.warnings:
         parts.append(f'<p class="warning">Warning: {escape(warning)}</p>')
-    parts.append(html_table(head, rows, chief=2))
+    parts.append(html_table(headings, rows, chief=2))
     parts.append(f'<p class="muted">{escape(settings_line(report))}</p>')
     parts += [f'<p class="muted">{escape(note)}</p>' for note in report.notes]
     for title, plots in sections_of_report(report):
@@ -171,13 +171,15 @@ def footer_lines(report: Comparison) -> list[str]:
     return lines
 
 
-def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int) -> str:
+def html_table(
+    headings: Sequence[str], rows: Sequence[Sequence[str]], chief: int
+) -> str:
     """Return a table whose cells know their heading: a narrow screen shows a row as a card."""
-    cells = "".join(f'<th scope="col">{escape(title)}</th>' for title in head)
+    cells = "".join(f'<th scope="col">{escape(title)}</th>' for title in headings)
     lines = []
     for row in rows:
         line = ""
-        for number, (title, cell) in enumerate(zip(head, row, strict=True)):
+        for number, (title, cell) in enumerate(zip(headings, row, strict=True)):
             mark = ' class="chief"' if number == chief else ""
             line += f'<td{mark} data-label="{escape(title)}">{escape(cell)}</td>'
         lines.append(f"<tr>{line}</tr>")

@@ -91,8 +91,8 @@ class ShownModel:
             rows.append(("made by", str(values["provenance"]["program"])))
         rows += [("warning", text) for text in values["warnings"]]
         rows += [("note", text) for text in values["notes"]]
-        head = f"{self.name}: {values['direction']} model, {values['digest'][:12]}\n"
-        return head + _aligned(rows)
+        title = f"{self.name}: {values['direction']} model, {values['digest'][:12]}\n"
+        return title + _aligned(rows)
 
     def figures(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Draw the model's figures into a folder, PNG and SVG; return the files."""
