@@ -37,16 +37,15 @@ if TYPE_CHECKING:
     from dbo_cli.drive.simulate import Rows
     from dbo_cli.logs import Block, Reading
     from dbo_cli.model import Cascade
+    from dbo_cli.recordings import Columns
 
 Result = tuple[str, str | None, Floats]
 """A column of the result: its name, unit and values."""
-Columns = Mapping[str, str | None]
-"""What was typed for each role."""
 PLACE = "{}"
 ALONE = ("",)
 """The channels of a log whose columns are no patterns."""
 MOST_TRIES = 20  # to make channels equally long; what creeps meanwhile may change a row
-BEYOND = 0.1
+LIMIT_SLACK = 0.1
 """Of a channel's range: so far beyond it a limit is only that of the channel whose name it has."""
 
 
@@ -174,7 +173,7 @@ def require_own_limit(
     if value is None or not channel or is_own:
         return
     drive = model.input
-    slack = BEYOND * drive.span
+    slack = LIMIT_SLACK * drive.span
     if drive.min - slack <= value <= drive.max + slack:
         return
     raise UsageError(
@@ -186,7 +185,7 @@ def require_own_limit(
 # --- tables and drives of all channels ---
 
 
-def read(
+def read_channels(
     log_path: str,
     reading: Reading,
     columns: Columns,

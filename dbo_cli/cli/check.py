@@ -20,7 +20,7 @@ def check(
     reading: opt.Reading,
     drive: str = opt.DRIVE,
     output: str = opt.OUTPUT_FILE,
-    form: opt.TextOrJson = opt.FORMAT,
+    form: opt.TextOrJson = opt.FORM,
     v_min: Texts = opt.V_MIN,
     v_max: Texts = opt.V_MAX,
     max_slew: Texts = opt.MAX_SLEW,

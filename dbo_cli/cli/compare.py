@@ -11,7 +11,7 @@ def compare(
     reading: opt.Reading,
     logs: list[str] = opt.LOGS,
     output: str = opt.OUTPUT_FILE,
-    form: opt.TextOrJson = opt.FORMAT,
+    form: opt.TextOrJson = opt.FORM,
     time: Text = opt.TIME,
     voltage: Text = opt.VOLTAGE,
     displacement: Text = opt.DISPLACEMENT,

@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from dbo_cli.files import Outputs
     from dbo_cli.logs import Log
     from dbo_cli.model import Cascade, State
-
-Columns = dict[str, str | None]
+    from dbo_cli.recordings import Columns
 
 
 def compensate(
@@ -40,7 +39,7 @@ def compensate(
         ..., metavar="TRAJECTORY", help="Desired displacement; - is stdin."
     ),
     output: str = opt.OUTPUT_FILE,
-    summary: Text = opt.SUMMARY,
+    summary: Text = opt.SUMMARY_FILE,
     v_min: Texts = opt.V_MIN,
     v_max: Texts = opt.V_MAX,
     max_slew: Texts = opt.MAX_SLEW,
@@ -105,7 +104,7 @@ def compensate(
     models = channels.models_of(model, names)
     for name, actuator in models.items():
         actuator.require("forward", f"{model}::{name}" if name else model)
-    move = Move(
+    move = MoveOptions(
         trajectory,
         names,
         {
@@ -168,7 +167,7 @@ class Written(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Move:
+class MoveOptions:
     """What was typed of a move, for one channel or for several.
 
     Attributes
@@ -250,7 +249,7 @@ class Move:
 
 
 def compensate_one(
-    move: Move,
+    move: MoveOptions,
     actuator: Cascade,
     start: State | str,
     columns: Columns,
@@ -267,7 +266,7 @@ def compensate_one(
     units = {"displacement": actuator.output.unit}
     with open_log(move.name, columns, move.reading, units) as log, Outputs() as outputs:
         drive = write_drive(driver, log, outputs, written.output, in_memory)
-        written.files(outputs, {"": drive}, {"": summary_of(drive, log)})
+        written.files(outputs, {"": drive}, {"": drive_summary(drive, log)})
     say_log(log)
     say_output(written.output, drive.line())
     say(drive.expected_line())
@@ -275,7 +274,7 @@ def compensate_one(
 
 
 def compensate_set(
-    move: Move,
+    move: MoveOptions,
     models: dict[str, Cascade],
     starts: dict[str, State | str],
     columns: Columns,
@@ -286,7 +285,7 @@ def compensate_set(
     from dbo_cli import channels
 
     roles = {"displacement": {name: model.output for name, model in models.items()}}
-    tables = channels.read(move.name, move.reading, columns, roles)
+    tables = channels.read_channels(move.name, move.reading, columns, roles)
 
     def drive_of(name: str, hold: int, rows_after: int) -> Drive:
         table = tables[name]
@@ -338,12 +337,12 @@ def write_drive(
     if in_memory:
         read = log.read()
         drive = driver.whole(read["displacement"], read.dt, read.time, **in_memory)
-        table = add_table(outputs, output, *table_of(driver, read.time))
+        table = add_table(outputs, output, *headings_of(driver, read.time))
         Rows(drive.time, drive.desired, drive.voltage).send(table.write)
         return drive
     blocks = progress(log.blocks(), "driven")
     first = next(blocks)
-    table = add_table(outputs, output, *table_of(driver, first.time))
+    table = add_table(outputs, output, *headings_of(driver, first.time))
     for block in chain([first], blocks):
         rows = driver.rows(block.values["displacement"], block.dt, block.time)
         rows.send(table.write)
@@ -352,7 +351,7 @@ def write_drive(
     return drive
 
 
-def table_of(driver: Driver, time: Floats | None) -> tuple[Any, Any]:
+def headings_of(driver: Driver, time: Floats | None) -> tuple[Any, Any]:
     """Return names and units of the columns of a drive, and what an HDF5 file says of it."""
     columns: list[tuple[str, str | None]] = [] if time is None else [("time", "s")]
     model, limits = driver.model, json.dumps(driver.limits.as_dict())
@@ -361,7 +360,7 @@ def table_of(driver: Driver, time: Floats | None) -> tuple[Any, Any]:
     return columns, {"model": model.digest, "limits": limits}
 
 
-def summary_of(drive: Drive, log: Log) -> str:
+def drive_summary(drive: Drive, log: Log) -> str:
     """Return the figures of a drive and its trajectory as JSON."""
     figures = {**drive.summary(), "trajectory": log.name}
     if log.provided("time"):

@@ -23,7 +23,7 @@ def identify(
     reading: opt.Reading,
     logs: list[str] = opt.LOGS,
     output: str = opt.OUTPUT_FILE,
-    summary: Text = opt.SUMMARY,
+    summary: Text = opt.SUMMARY_FILE,
     time: Text = opt.TIME,
     voltage: Text = opt.VOLTAGE,
     displacement: Text = opt.DISPLACEMENT,
@@ -83,13 +83,13 @@ def identify(
     options = Options(
         sign=sign,
         skip=opt.quantity("skip", skip, "s"),
-        zero=opt.number("zero", zero, float, "none", "mean", "first"),
+        zero=opt.number_of("zero", zero, float, "none", "mean", "first"),
         sensor_delay=opt.quantity("sensor_delay", sensor_delay, "s"),
-        gears=opt.number("gears", gears, int, "auto"),
-        points=opt.number("points", points, int, "auto"),
+        gears=opt.number_of("gears", gears, int, "auto"),
+        points=opt.number_of("points", points, int, "auto"),
         relaxation=relaxation_of(relaxation),
         delay=opt.quantity("delay", delay, "s", "auto"),
-        dynamics=opt.number("dynamics", dynamics, int, "auto"),
+        dynamics=opt.number_of("dynamics", dynamics, int, "auto"),
         slopes=slopes,
         method=method,
         force=force,
@@ -112,7 +112,7 @@ def identify(
             output, dumps_set(models) if is_set else dumps_model(models[""])
         )
         if summary is not None:
-            figures = {name: summary_of(model) for name, model in models.items()}
+            figures = {name: fit_summary(model) for name, model in models.items()}
             outputs.write_text(summary, channels.dumps_files("summary", figures))
     if is_set:
         say_output(output, f"{len(models)} models")
@@ -152,7 +152,7 @@ def identified(
     return replace(model, provenance=source), recordings[:count], logs[:count]
 
 
-def summary_of(model: Cascade) -> str:
+def fit_summary(model: Cascade) -> str:
     """Return the figures of the fit as JSON."""
     values = {
         "format": "dbo-summary",

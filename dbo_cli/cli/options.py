@@ -28,7 +28,7 @@ Text = str | None
 Texts = list[str] | None
 TextOrJson = Literal["text", "json"] | None
 LIMITS, MOVE, READING, OUTPUT = "Limits", "Move", "Log", "Output"
-FORMS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
+FORM_OF_ENDING = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
 
 
 def option(
@@ -78,9 +78,9 @@ OUTPUT_FILE = option(
     "--output",
     default="-",
 )
-SUMMARY = option("FILE", "Write the figures as JSON, too.", OUTPUT)
-FIGURES = option("DIR", "Write PNG and SVG figures there.", OUTPUT)
-FORMAT = option(None, "Default: by the name of the output.", OUTPUT, "--format")
+SUMMARY_FILE = option("FILE", "Write the figures as JSON, too.", OUTPUT)
+FIGURES_DIR = option("DIR", "Write PNG and SVG figures there.", OUTPUT)
+FORM = option(None, "Default: by the name of the output.", OUTPUT, "--format")
 
 # --- columns ---
 
@@ -208,7 +208,7 @@ def require(partner: str, partner_value: object, options: dict[str, Any]) -> Non
             raise UsageError(f"`{name}` needs `{partner}`")
 
 
-def number(name: str, text: str | None, kind: type, *words: str) -> Any:
+def number_of(name: str, text: str | None, kind: type, *words: str) -> Any:
     """Return the number (int or float) of an option, or one of its words; UsageError otherwise."""
     if text is None or text in words:
         return text
@@ -250,4 +250,4 @@ def unit_behind(text: str) -> str:
 
 def form_of(form: str | None, output: str) -> str:
     """Return the form of a result: by ``--format``, else by the name of the output."""
-    return form or FORMS.get(os.path.splitext(output.lower())[1], "text")
+    return form or FORM_OF_ENDING.get(os.path.splitext(output.lower())[1], "text")

@@ -6,7 +6,7 @@ import dataclasses
 import os
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 from dbo_cli.cli import options as opt
@@ -17,11 +17,10 @@ from dbo_cli.errors import UsageError, warn
 if TYPE_CHECKING:
     from dbo_cli.logs import Reading
     from dbo_cli.model import Cascade, State
+    from dbo_cli.recordings import Columns, Units
     from dbo_cli.reports import Pair, Report
 
 COMPARED, BOUNDS = "Comparison", "Bounds (exit 3)"
-Columns = dict[str, str | None]
-Units = Mapping[str, str | None]
 
 
 def report(
@@ -31,7 +30,7 @@ def report(
     form: Literal["text", "json", "csv", "html"] | None = option(
         None, "Default: by the name of the output.", OUTPUT, "--format"
     ),
-    figures: Text = opt.FIGURES,
+    figures: Text = opt.FIGURES_DIR,
     desired: Text = column("Desired displacement."),
     measured: Text = column("Measured displacement."),
     voltage: Text = column("The drive, for --model and the figures."),
@@ -74,12 +73,12 @@ def report(
         raise UsageError("give either `model` or `trajectory`")
     opt.require("model", model, {"state": state != "auto"})
     opt.require("trajectory", trajectory, {"match": match != "auto"})
-    percent_bound = opt.number("max_nrmse_percent", max_nrmse_percent, float)
+    percent_bound = opt.number_of("max_nrmse_percent", max_nrmse_percent, float)
     require_bounds(max_rmse, percent_bound)
     # a lag, a model and a match by rows need the rows around those that count
     rows = None if reading.rows is None else parse_rows(reading.rows)
     reading = dataclasses.replace(reading, rows=None)
-    columns: Columns = {"time": time, "measured": measured, "voltage": voltage}
+    columns = {"time": time, "measured": measured, "voltage": voltage}
     if model is None and trajectory is None:
         columns["desired"] = desired
     names = channels.names([logs[0]], reading, columns)
@@ -97,7 +96,7 @@ def report(
             elif actuator is not None:
                 name = f"{model}::{channel}" if channel else model or ""
                 start = starts[channel]
-                pairs, units = predicted(logs, reading, roles, actuator, name, start)
+                pairs, units = predictions(logs, reading, roles, actuator, name, start)
             else:
                 pairs, units = read_pairs(logs, reading, roles, {}, False)
             unit, summary = units.get("measured"), summaries[channel]
@@ -154,7 +153,7 @@ def read_pairs(
     return pairs, units
 
 
-def predicted(
+def predictions(
     logs: Sequence[str],
     reading: Reading,
     roles: Columns,

@@ -10,8 +10,8 @@ from dbo_cli.cli.say import detail
 def show(
     model: str = opt.MODEL,
     output: str = opt.OUTPUT_FILE,
-    form: opt.TextOrJson = opt.FORMAT,
-    figures: Text = opt.FIGURES,
+    form: opt.TextOrJson = opt.FORM,
+    figures: Text = opt.FIGURES_DIR,
 ) -> None:
     """Show what is in a model, and how good it is.
 

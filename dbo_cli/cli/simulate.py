@@ -92,7 +92,7 @@ def simulate_set(
     names = channels.names([log], reading, columns)
     models = channels.models_of(model, names)
     inputs = {name: actuator.input for name, actuator in models.items()}
-    tables = channels.read(log, reading, columns, {"input": inputs})
+    tables = channels.read_channels(log, reading, columns, {"input": inputs})
     states = channels.states_of(state, models)
     results: list[channels.Result] = []
     texts = {}

@@ -14,7 +14,7 @@ from dbo_cli.errors import LimitError
 from dbo_cli.reports.expected import Expected
 from dbo_cli.reports.merits import Merits, merits
 from dbo_cli.reports.pair import Pair, scored
-from dbo_cli.reports.words import digits, short_name
+from dbo_cli.reports.words import digits, shortened
 from dbo_cli.signals import between, noise
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ class Verdict:
 
     def words(self) -> str:
         """Return the verdict as a sentence."""
-        name = short_name(self.name)
+        name = shortened(self.name)
         if self.value is None:
             return f"{name}: the move has no range: no percentage for the limit of {self.limit:g} %"
         relation = "is within" if self.passed else "exceeds"
@@ -265,10 +265,10 @@ class Comparison:
         first = self.logs[0]
         best = min(self.logs, key=lambda log: log.merits.rmse)
         error = f"error {digits(best.merits.rmse, 3)} {self.unit or ''}".rstrip()
-        line = f"{short_name(best.name)}: {error} RMS"
+        line = f"{shortened(best.name)}: {error} RMS"
         if best is not first and best.merits.rmse > 0.0:
             times = digits(first.merits.rmse / best.merits.rmse, 2)
-            return f"{line}, {times} times less than {short_name(first.name)}"
+            return f"{line}, {times} times less than {shortened(first.name)}"
         if best.merits.nrmse_percent is not None:
             line += f" ({digits(best.merits.nrmse_percent, 2)} % of the move)"
         if best.expected_rmse is not None:

@@ -28,7 +28,7 @@ def shown_unit(unit: str | None) -> str:
     return {"um": "µm", "us": "µs"}.get(unit or "", unit or "")
 
 
-def short_name(name: str) -> str:
+def shortened(name: str) -> str:
     """Return a long name without its folders, and cut in its middle where it is still too long."""
     if len(name) > LONGEST_NAME:
         name = name.rsplit("/", 1)[-1] or name
