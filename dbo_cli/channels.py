@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from dbo_cli.drive.simulate import Rows
     from dbo_cli.logs import Block, Reading
     from dbo_cli.model import Cascade
-    from dbo_cli.recordings import Columns
 
 Result = tuple[str, str | None, Floats]
 """A column of the result: its name, unit and values."""
@@ -49,12 +48,12 @@ LIMIT_SLACK = 0.1
 """Of a channel's range: so far beyond it a limit is only that of the channel whose name it has."""
 
 
-def is_pattern(columns: Columns) -> bool:
+def is_pattern(columns: Mapping[str, str | None]) -> bool:
     """Return whether the name of a column stands for many."""
     return any(typed is not None and PLACE in typed for typed in columns.values())
 
 
-def columns_for(columns: Columns, name: str) -> dict[str, str | None]:
+def columns_for(columns: Mapping[str, str | None], name: str) -> dict[str, str | None]:
     """Return the columns of one channel."""
     columns_of_channel = {}
     for role, typed in columns.items():
@@ -62,7 +61,9 @@ def columns_for(columns: Columns, name: str) -> dict[str, str | None]:
     return columns_of_channel
 
 
-def names(paths: Sequence[str], reading: Reading, columns: Columns) -> list[str]:
+def names(
+    paths: Sequence[str], reading: Reading, columns: Mapping[str, str | None]
+) -> list[str]:
     """Return the channels that patterns find in a log, in the order of its columns; else ``ALONE``.
 
     Raises
@@ -188,7 +189,7 @@ def require_own_limit(
 def read_channels(
     log_path: str,
     reading: Reading,
-    columns: Columns,
+    columns: Mapping[str, str | None],
     roles: Mapping[str, Mapping[str, Any]],
 ) -> dict[str, Block]:
     """Return the log of each channel.
