@@ -709,8 +709,7 @@ def identify(
         No trustworthy model can be identified.
     """
     from dbo_cli.identification import Options
-    from dbo_cli.identification import identify as fit
-    from dbo_cli.recordings import COLUMNS, provenance, recordings_of
+    from dbo_cli.recordings import COLUMNS, identified, recordings_of
 
     if isinstance(prior, (str, Path)):
         prior = read_model(prior)
@@ -734,8 +733,6 @@ def identify(
         if time is not None:
             sources = [frame_table(source, _seconds(time)) for source in sources]
     recordings, logs = recordings_of(sources, columns, reading, units)
-    if delay == "auto" and any(log.has_found_offset for log in logs):
-        delay = 0.0  # the offset between the clocks holds it
     options = Options(
         prior=shape,
         sign=sign,
@@ -753,8 +750,7 @@ def identify(
     )
     units = {"voltage": recordings[0].input[1], "displacement": recordings[0].output[1]}
     left_out, _ = recordings_of(_listed(validate), COLUMNS, Reading(), units)
-    model = fit(recordings, options, left_out)
-    return Model(dataclasses.replace(model, provenance=provenance(recordings, logs)))
+    return Model(identified(recordings, logs, options, left_out))
 
 
 def _listed(data: Logs | None) -> list[Any]:

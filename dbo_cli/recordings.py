@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,7 @@ from dbo_cli.version import __version__
 
 if TYPE_CHECKING:
     from dbo_cli.drive.learning import Tracked
-    from dbo_cli.identification import Recording
+    from dbo_cli.identification import Options, Recording
     from dbo_cli.logs import Block, Log
     from dbo_cli.model import Cascade
     from dbo_cli.reports import Pair
@@ -241,8 +242,23 @@ def short_name(name: str) -> str:
     return os.path.basename(file) + mark + part
 
 
-def provenance(recordings: Sequence[Recording], logs: Sequence[Log]) -> dict[str, Any]:
-    """Return where a model comes from: the program and its logs, and no time of day."""
+def identified(
+    recordings: Sequence[Recording],
+    logs: Sequence[Log],
+    options: Options,
+    tests: Sequence[Recording],
+) -> Cascade:
+    """Return the model of recordings and their logs, which says where it comes from."""
+    from dbo_cli.identification import identify
+
+    if options.delay == "auto" and any(log.has_found_offset for log in logs):
+        options = replace(options, delay=0.0)  # the offset between the clocks holds it
+    model = identify(recordings, options, tests)
+    return replace(model, provenance=_provenance(recordings, logs))
+
+
+def _provenance(recordings: Sequence[Recording], logs: Sequence[Log]) -> dict[str, Any]:
+    """Return the program and its logs, and no time of day."""
     sources = []
     for recording, log in zip(recordings, logs, strict=True):
         source: dict[str, Any] = {

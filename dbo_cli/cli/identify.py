@@ -102,7 +102,7 @@ def identify(
         roles = channels.columns_for(columns, name)
         channel_options = replace(options, prior=priors.get(name))
         with channels.naming(name):
-            fitted = identified(logs, validate or [], reading, roles, channel_options)
+            fitted = read_and_fit(logs, validate or [], reading, roles, channel_options)
         models[name], recordings, read = fitted
         texts = [describe(models[name], recordings), *describe_validation(models[name])]
         lines += [f"{name}: {text}" if name else text for text in texts]
@@ -127,7 +127,7 @@ def identify(
         say(line)
 
 
-def identified(
+def read_and_fit(
     paths: list[str],
     validate: list[str],
     reading: opt.Reading,
@@ -135,21 +135,20 @@ def identified(
     options: Options,
 ) -> tuple[Cascade, list[Recording], list[Log]]:
     """Return the model of one actuator, and the recordings and logs that it was identified from."""
-    from dbo_cli.identification import identify as fit
-    from dbo_cli.recordings import provenance, recordings_of
+    from dbo_cli.recordings import identified, recordings_of
 
     units = {}
     if options.prior is not None:
         into, out = options.prior.input, options.prior.output
         units = {"voltage": into.unit, "displacement": out.unit}
-    recordings, logs = recordings_of([*paths, *validate], columns, reading, units)
-    count = len(paths)
-    if options.delay == "auto" and any(log.has_found_offset for log in logs):
-        options = replace(options, delay=0.0)  # the offset between the clocks holds it
+    every, logs = recordings_of([*paths, *validate], columns, reading, units)
+    recordings, tests, logs = (
+        every[: len(paths)],
+        every[len(paths) :],
+        logs[: len(paths)],
+    )
     working("identifying")
-    model = fit(recordings[:count], options, recordings[count:])
-    source = provenance(recordings[:count], logs[:count])
-    return replace(model, provenance=source), recordings[:count], logs[:count]
+    return identified(recordings, logs, options, tests), recordings, logs
 
 
 def fit_summary(model: Cascade) -> str:
