@@ -36,19 +36,15 @@ def compensate(
     reading: opt.Reading,
     model: str = opt.MODEL,
     trajectory: str = Argument(
-        ..., metavar="TRAJECTORY", help="Desired displacement; - is stdin."
+        ..., metavar="TRAJECTORY", help="What is desired; - is stdin."
     ),
     output: str = opt.OUTPUT_FILE,
     summary: Text = opt.SUMMARY_FILE,
     v_min: Texts = opt.V_MIN,
     v_max: Texts = opt.V_MAX,
     max_slew: Texts = opt.MAX_SLEW,
-    extrapolate: bool = rare(
-        None,
-        "Use the range beyond the logs' range.",
-        LIMITS,
-        "--extrapolate",
-        default=False,
+    extrapolate: bool = flag(
+        "--extrapolate", "Use the range beyond the logs' range.", LIMITS, hidden=True
     ),
     on_limit: Literal["auto", "clip", "error"] = option(
         None,
@@ -57,20 +53,12 @@ def compensate(
         default="auto",
     ),
     start: Texts = opt.FROM,
-    approach: Text = option(
-        "SECONDS|auto", "Time of a ramp from there to row 1.", MOVE
-    ),
-    condition: bool = flag(
-        "--condition", "Sweep the range first: makes the past known.", MOVE
-    ),
+    approach: Text = option("SECONDS|auto", "Time of a ramp to row 1.", MOVE),
+    condition: bool = flag("--condition", "Sweep first: the past is known.", MOVE),
     lead: Text = rare("SECONDS|auto", "Hold row 1 before the move.", MOVE),
     return_to: Texts = option("VOLT", "Voltage to end at.", MOVE, "--return"),
-    periodic: bool = flag(
-        "--periodic", "The trajectory is one period of a loop.", MOVE
-    ),
-    passes: int = rare(
-        "N", "With --periodic: passes before it.", MOVE, default=0, min=0
-    ),
+    periodic: bool = flag("--periodic", "The trajectory is one period.", MOVE),
+    passes: int = rare("N", "Passes before a --periodic one.", MOVE, default=0, min=0),
     tracked: Texts = option("LOG", "Learn from recordings of the last pass.", MOVE),
     history: Text = rare("FILE", "With --tracked: errors of all passes.", OUTPUT),
     absolute: bool = flag(

@@ -21,11 +21,9 @@ def waveform(
     points: int | None = option("N", "Points, over the same time.", min=0),
     loop: bool = flag("--loop", "The drive is one period: other points keep it."),
     codes: Text = option("LOW:HIGH", "Range of codes; default: the format's."),
-    volts: Text = option(
-        "LOW:HIGH", "Output voltage of the codes; default: the drive's."
-    ),
+    volts: Text = option("LOW:HIGH", "Voltage of the codes; default: the drive's."),
     max_rounding: float = option(
-        "PERCENT", "Allowed rounding, % of range; more: exit 3.", default=1.0
+        "PERCENT", "Allowed rounding, % of range.", default=1.0
     ),
     v_min: Texts = opt.V_MIN,
     v_max: Texts = opt.V_MAX,
