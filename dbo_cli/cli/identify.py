@@ -135,20 +135,17 @@ def read_and_fit(
     options: Options,
 ) -> tuple[Cascade, list[Recording], list[Log]]:
     """Return the model of one actuator, and the recordings and logs that it was identified from."""
-    from dbo_cli.recordings import identified, recordings_of
+    from dbo_cli.recordings import fitted, recordings_of
 
     units = {}
     if options.prior is not None:
         into, out = options.prior.input, options.prior.output
         units = {"voltage": into.unit, "displacement": out.unit}
-    every, logs = recordings_of([*paths, *validate], columns, reading, units)
-    recordings, tests, logs = (
-        every[: len(paths)],
-        every[len(paths) :],
-        logs[: len(paths)],
-    )
+    recordings, logs = recordings_of([*paths, *validate], columns, reading, units)
+    count = len(paths)
     working("identifying")
-    return identified(recordings, logs, options, tests), recordings, logs
+    model = fitted(recordings[:count], logs[:count], options, recordings[count:])
+    return model, recordings[:count], logs[:count]
 
 
 def fit_summary(model: Cascade) -> str:
