@@ -225,10 +225,10 @@ def to_model_unit(
 
 
 def warn_unstated(label: str, unit: str | None, model_unit: str | None) -> None:
-    """Warn of numbers that state a unit where the model states none."""
+    """Warn of numbers that state a unit where the model, or what they are compared with, states none."""
     if unit is not None and model_unit is None:
         warn(
-            f"{label} is in {unit}, the model states no unit: its numbers are taken as they are"
+            f"{label} is in {unit}, model or trajectory states no unit: its numbers are taken as they are"
         )
 
 

@@ -310,3 +310,10 @@ def test_report_of_every_channel(scanner: Path) -> None:
     done(*words, "-o", "r.html")
     assert Path("r_x.html").exists() and Path("r_y.html").exists()
     assert dbo(*words, "--max-rmse", "5nm", "-o", "r.txt").code == 3
+
+
+def test_a_set_is_no_prior_of_one_log(channels: Path) -> None:
+    """It was passed over in silence."""
+    alone = ("--voltage", "Vc_V", "--displacement", "Dc_um")
+    line = refused(1, "identify", channels, *alone, "--prior", "set.json")
+    assert "set.json" in line and "set.json::" in line
