@@ -80,14 +80,6 @@ def test_the_unit_is_given(tmp_path: Path) -> None:
         read(path, time_unit="furlongs")
 
 
-@pytest.mark.parametrize("times", [["1.7e12", "1.7000000001e12"], ["0", "3600"]])
-def test_figures_without_a_unit_that_can_hardly_be_seconds(
-    times: list[str], tmp_path: Path
-) -> None:
-    with pytest.raises(InputError, match="`time_unit`"):
-        read(write(tmp_path, times, "time"))
-
-
 def test_time_s_that_may_count_milliseconds_is_asked_about(tmp_path: Path) -> None:
     with pytest.warns(DboWarning, match="`time_unit` s"):
         read(write(tmp_path, [str(n) for n in range(7200)]))

@@ -87,25 +87,6 @@ def test_one_column_for_two_roles_is_refused(tmp_path: Path) -> None:
         open_log(path, {"voltage": "a", "displacement": "a"})
 
 
-def test_units_are_converted_and_kinds_refused(tmp_path: Path) -> None:
-    path = write(tmp_path, "time_s,voltage_kV,displacement_nm,z")
-    units = {"voltage": "V", "displacement": "um"}
-    with open_log(path, BOTH, units=units) as log:
-        table = log.read()
-        assert [column.unit for column in log.columns.values()] == ["V", "um"]
-    assert table["voltage"].tolist() == pytest.approx(
-        [1000.0, 1001.0, 1002.0], rel=1e-15
-    )
-    assert table["displacement"].tolist() == pytest.approx(
-        [0.002, 0.002001, 0.002002], rel=1e-15
-    )
-    with pytest.raises(InputError, match="`scale` voltage=FACTORbar/kV"):
-        open_log(path, {"voltage": "2"}, units={"voltage": "bar"})
-    with open_log(path, {"displacement": "z"}, units={"displacement": "um"}) as log:
-        log.read()
-        assert any("has no unit: um assumed" in remark for remark in log.remarks)
-
-
 def test_scales(tmp_path: Path) -> None:
     path = write(tmp_path, "time_s,voltage_V,sensor_V")
     reading = Reading(scale={"voltage": "20", "displacement": "10um/V"})

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -116,13 +114,6 @@ def test_an_irregular_row_of_a_large_file_is_named(
     assert len(log.doubtful) == 1 and "1 row left out" in log.doubtful[0]
 
 
-def test_points_under_a_decimal_comma_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    path.write_text(large(delimiter=";", decimal=",").replace("20000,25", "20000.25"))
-    with pytest.raises(InputError, match=r"run.csv:20002: .*'20000.25'"):
-        read(path)
-
-
 def test_points_are_refused_beside_stamps_as_well(tmp_path: Path) -> None:
     lines = ["Zeitstempel;Spannung [V];Weg [nm]"]
     for k in range(9000):
@@ -157,41 +148,6 @@ def test_short_and_long_rows_do_not_make_up_for_each_other(tmp_path: Path) -> No
     )
     with pytest.raises(InputError, match=r"cells where"):
         read(path)
-
-
-def test_decimal_commas_that_come_late_are_asked_about(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    rows = ["1;2"] * 30_000 + ["1,5;2,25"] * 30_000
-    path.write_text("\n".join(["voltage_V;displacement_um", *rows]) + "\n")
-    with pytest.raises(InputError, match=r"run.csv:30002: .*`decimal` comma"):
-        read(path)
-    assert read(path, decimal="comma")[0]["voltage"].sum() == 75_000.0
-
-
-# --- pipes and files ---
-
-SUM = """
-import sys
-from dbo_cli.logs import open_log
-with open_log("-", {"voltage": None}) as log:
-    for block in log.blocks():
-        print(len(block), block.values["voltage"].sum(), flush=True)
-"""
-
-
-def test_a_pipe_gives_each_row_as_it_comes() -> None:
-    with subprocess.Popen(
-        [sys.executable, "-c", SUM], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as process:
-        assert process.stdin is not None and process.stdout is not None
-        process.stdin.write(b"time_s,voltage_V\n")
-        process.stdin.flush()
-        for number in range(3):
-            process.stdin.write(f"{number / 1000},{number}\n".encode())
-            process.stdin.flush()
-            assert process.stdout.readline() == f"1 {number}.0\n".encode()
-        process.stdin.close()
-        assert process.wait() == 0
 
 
 # --- the end of a record ---

@@ -1,6 +1,6 @@
 """Random tables, written in many ways and damaged: read right or refused, never wrong in silence.
 
-``python -m tests.logs.test_text_fuzz SEED COUNT`` runs more of them by hand.
+``benchmarks/attack_files.py`` runs more of them.
 """
 
 from __future__ import annotations

@@ -101,9 +101,15 @@ class StoredTable(Table):
         What it states beside them of the sample rate and the first row's time.
     close
         Called at the end.
+
+    Attributes
+    ----------
+    doubt
+        What is remarked behind the last row.
     """
 
     has_paths = True
+    doubt = ""
 
     def __init__(
         self,
@@ -139,6 +145,8 @@ class StoredTable(Table):
         for start in range(0, lengths[0], BLOCK_ROWS):
             stop = min(lengths[0], start + BLOCK_ROWS)
             yield [self._rows(column, start, stop) for column in columns]
+        if self.doubt:
+            self.remarks.append(self.doubt)
 
     def _rows(self, column: Column, start: int, stop: int) -> NDArray[Any]:
         """Read rows of one column as float64, or dates as int64 nanoseconds."""
