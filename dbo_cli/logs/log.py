@@ -7,7 +7,6 @@ roles are chosen; blocks come as arrays by role, in seconds and in the units ask
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -24,12 +23,13 @@ from dbo_cli.logs.join import SENSORS, ClockOffset, joined, resampled
 from dbo_cli.logs.scale import ColumnScale, scales_of
 from dbo_cli.logs.table import (
     BLOCK_ROWS,
-    NOT_A_TIME,
-    OVERLOAD,
     Block,
     Column,
     Reading,
     Table,
+    bad_cells,
+    is_good,
+    parse_rows,
 )
 from dbo_cli.logs.text import open_text
 from dbo_cli.units import multiplied
@@ -198,9 +198,9 @@ class Log:
         InputError
             A row does not, and such rows are not to be left out.
         """
-        if all(map(_is_good, arrays)):
+        if all(map(is_good, arrays)):
             return numbers, arrays
-        bad = [_bad_cells(array) for array in arrays]
+        bad = [bad_cells(array) for array in arrays]
         good = ~np.logical_or.reduce(bad)
         at = int(np.argmin(good))
         index = [bool(marks[at]) for marks in bad].index(True)
@@ -273,40 +273,6 @@ class Log:
     def __exit__(self, *_: object) -> None:
         """Close the file."""
         self.close()
-
-
-def _is_good(array: NDArray[Any]) -> bool:
-    """Return whether all cells are numbers or stamps."""
-    if not len(array):
-        return True
-    if array.dtype.kind == "i":
-        return bool(array.min() != NOT_A_TIME)
-    return bool(-OVERLOAD < array.min() and array.max() < OVERLOAD)  # no NaN is
-
-
-def _bad_cells(array: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return which cells are no numbers and no stamps."""
-    if array.dtype.kind == "i":
-        return np.asarray(array == NOT_A_TIME)
-    return np.asarray(~(np.abs(array) < OVERLOAD))
-
-
-def parse_rows(rows: str | None) -> tuple[int, int | None]:
-    """Read ``rows``: the first and the last data row, counted from 1; either may be left out.
-
-    Raises
-    ------
-    UsageError
-        It is no range.
-    """
-    match = re.fullmatch(r"\s*(\d{0,15})\s*:\s*(\d{0,15})\s*", rows or ":", re.ASCII)
-    first = int(match[1] or 1) if match else 0
-    last = int(match[2]) if match and match[2] else None
-    if first < 1 or (last is not None and last < first):
-        raise UsageError(
-            f"`rows` {rows}: give A:B, data rows counted from 1, both ends included"
-        )
-    return first, last
 
 
 # --- opening ---

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
+from dbo_cli.errors import UsageError
 from dbo_cli.units import spell, split_header
 
 BLOCK_ROWS = 65536
@@ -86,6 +88,24 @@ class Reading:
     clock_offset: float | str | None = None
 
 
+def parse_rows(rows: str | None) -> tuple[int, int | None]:
+    """Read ``rows``: the first and the last data row, counted from 1; either may be left out.
+
+    Raises
+    ------
+    UsageError
+        It is no range.
+    """
+    match = re.fullmatch(r"\s*(\d{0,15})\s*:\s*(\d{0,15})\s*", rows or ":", re.ASCII)
+    first = int(match[1] or 1) if match else 0
+    last = int(match[2]) if match and match[2] else None
+    if first < 1 or (last is not None and last < first):
+        raise UsageError(
+            f"`rows` {rows}: give A:B, data rows counted from 1, both ends included"
+        )
+    return first, last
+
+
 @dataclass
 class Block:
     """Rows that travel together; a whole log in memory is one block, ``block["voltage"]``.
@@ -143,6 +163,22 @@ class Block:
             pairs = zip(steps, map(len, blocks), strict=True)
             dt = np.concatenate([np.broadcast_to(step, rows) for step, rows in pairs])
         return cls(np.concatenate(times) if times else None, values, dt=dt)
+
+
+def is_good(array: NDArray[Any]) -> bool:
+    """Return whether all cells are numbers or stamps."""
+    if not len(array):
+        return True
+    if array.dtype.kind == "i":
+        return bool(array.min() != NOT_A_TIME)
+    return bool(-OVERLOAD < array.min() and array.max() < OVERLOAD)  # no NaN is
+
+
+def bad_cells(array: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which cells are no numbers and no stamps."""
+    if array.dtype.kind == "i":
+        return np.asarray(array == NOT_A_TIME)
+    return np.asarray(~(np.abs(array) < OVERLOAD))
 
 
 @dataclass
