@@ -104,9 +104,9 @@ def compensate(
         },
         extrapolate,
         on_limit,
-        opt.quantity("approach", approach, "s", "auto"),
+        approach,
         condition,
-        opt.quantity("lead", lead, "s", "auto"),
+        lead,
         in_memory if any(in_memory.values()) else {},
         {"time": time, "voltage": voltage, "measured": measured},
         reading,
@@ -179,9 +179,9 @@ class MoveOptions:
     voltages: dict[str, list[str] | None]
     extrapolate: bool
     on_limit: Literal["auto", "clip", "error"]
-    approach: Any
+    approach: Text
     condition: bool
-    lead: Any
+    lead: Text
     loop_options: dict[str, Any]
     columns: dict[str, str | None]
     reading: opt.Reading
@@ -194,22 +194,18 @@ class MoveOptions:
         from dbo_cli.drive import Driver, Lead, Limits, voltage_in
 
         texts = channels.values_for(self.voltages, channel, self.channels)
-        volts: dict[str, float | None] = {}
-        for name in ("v_min", "v_max", "from", "return"):
-            text = texts[name]
-            volts[name] = (
-                None if text is None else voltage_in(name, text, actuator.input)
-            )
+        drive = actuator.input
         for name in ("v_min", "v_max"):
-            channels.require_own_limit(
-                name, self.voltages[name], channel, volts[name], actuator
-            )
+            bound = voltage_in(name, texts[name], drive)
+            typed = self.voltages[name]
+            channels.require_own_limit(name, typed, channel, bound, actuator)
         ranges = texts["v_min"], texts["v_max"], texts["max_slew"]
-        limits = Limits.within(actuator.input, *ranges, self.extrapolate)
-        lead = Lead(start, volts["from"], self.approach, self.condition, self.lead)
+        limits = Limits.within(drive, *ranges, self.extrapolate)
+        begin = voltage_in("from", texts["from"], drive)
+        end = voltage_in("return", texts["return"], drive)
+        lead = Lead(start, begin, self.approach, self.condition, self.lead)
         name = f"channel {channel}" if channel else self.name
-        on_limit, end = self.on_limit, volts["return"]
-        return Driver(actuator, limits, lead, on_limit, end, name, hold)
+        return Driver(actuator, limits, lead, self.on_limit, end, name, hold)
 
     def in_memory(
         self, actuator: Cascade, history: Any, channel: str
@@ -278,9 +274,10 @@ def compensate_set(
     def drive_of(name: str, hold: int, rows_after: int) -> Drive:
         table = tables[name]
         driver = move.driver(models[name], starts[name], name, hold)
-        clock = table.dt if isinstance(table.dt, float) else table.time
         desired, options = table["displacement"], in_memory[name]
-        return driver.whole(desired, clock, return_rows=rows_after, **options)
+        return driver.whole(
+            desired, table.dt, table.time, return_rows=rows_after, **options
+        )
 
     write_set(channels.together(drive_of, models), written)
 
