@@ -35,12 +35,12 @@ FEWEST_CYCLES = 6
 """Two swings over the range, the return and the rest leave four for the turns."""
 ROWS_A_CYCLE = 20
 """With fewer, interpolation between rows no longer shows where a swing turns."""
-MOST_ROWS = 100_000_000
+MOST_EXCITED_ROWS = 100_000_000
 FASTEST, SLOWEST = -0.9, 0.6
 """log10 of a swing's time in that of a swing over the range."""
 AT_AN_END = 0.12  # chance that a turn lies at an end of the range
 HOLD_CHANCE, HOLD = 0.15, 0.4  # chance that a turn is held, and for how many periods
-REST = 0.5  # periods at rest at the end
+REST_PERIODS = 0.5  # periods at rest at the end
 SEED = 1
 SWEEP_FASTER = 10.0  # a sweep's highest frequency over that of the swings, at least
 SWEEP_SECONDS, SWEEP_PERIODS = 2.0, 120.0  # a sweep lasts the longer of both
@@ -134,9 +134,9 @@ def _rows(duration: float, frequency: float, sample_rate: float) -> int:
             f"`duration` {duration:g}: too short for {FEWEST_CYCLES} swings over the range; give "
             f"{shortest} or more"
         )
-    if duration * sample_rate > MOST_ROWS:
+    if duration * sample_rate > MOST_EXCITED_ROWS:
         raise UsageError(
-            f"`duration` {duration:g} at `sample_rate` {sample_rate:g}: more than {MOST_ROWS:,} rows"
+            f"`duration` {duration:g} at `sample_rate` {sample_rate:g}: more than {MOST_EXCITED_ROWS:,} rows"
         )
     return round(duration * sample_rate) - 1
 
@@ -153,7 +153,7 @@ def _legs(rows: int, step: float, period: float, slew: float | None) -> list[Leg
         count = swing_rows(distance, step, 0.5 * period * distance * slowness, slew)
         return max(count, ROWS_A_CYCLE // 2)
 
-    first, still = swing(1.0), round(REST * period / step)
+    first, still = swing(1.0), round(REST_PERIODS * period / step)
     turns: list[Leg] = []
     level, used = 0.0, 0
     while True:

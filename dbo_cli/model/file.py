@@ -31,7 +31,7 @@ from dbo_cli.model.state import START_NAMES, Held, Quantity, State
 MODEL_FORMAT = "dbo-model"
 SET_FORMAT = "dbo-model-set"
 STATE_FORMAT = "dbo-state"
-TYPES = ("amplifier", "backlash", "point", "scale", "dynamics", "delay")
+STAGE_TYPES = ("amplifier", "backlash", "point", "scale", "dynamics", "delay")
 # equal widths in a row are written once from this many on: two are shorter as they are
 SHORTEST_RUN = 3
 
@@ -164,7 +164,7 @@ def _stages(
 def _stage(values: Any, path: str, direction: Direction) -> Any:
     """Return the stage that an object describes; in an inverse model it describes what undoes the stage."""
     content = dict(fields.notes(values, path))
-    kind = fields.choice(content.pop("type", None), f"{path}.type", TYPES)
+    kind = fields.choice(content.pop("type", None), f"{path}.type", STAGE_TYPES)
     is_inverse = direction == "inverse"
     if kind == "scale":
         scale = build(Scale, content, path, gain=number, offset=number)
