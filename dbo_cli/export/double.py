@@ -20,7 +20,6 @@ from dbo_cli.model.widths import kernel_table
 
 MOST_LOOKUP_GEARS = 12
 """2^12 states are 70 kB of table; one gear more doubles it."""
-SPACING = 64  # turns that share a checkpoint, as in dbo_kernel.h
 IGNORED_BEYOND = 1e6
 """Ranges: an input so far away counts as no number; what it leads to is not finite."""
 
@@ -92,14 +91,16 @@ def _ignored_beyond(quantity: Quantity) -> float:
     return float(2.0 ** math.ceil(math.log2(IGNORED_BEYOND * largest)))
 
 
-def _run(plan: Plan, reset: float | None, seed: int) -> c.Run:
+def _run(plan: Plan, reset: float | None, seed: int) -> c.SelfTestRun:
     """Return a run of the self-test, as the library computes it."""
     moves = trial_moves(plan.forward.output.min, plan.forward.output.max, seed)
     state, start = plan.empty, None
     if reset is not None:
         state, start = plan.settled(reset), c.real(reset)
     outputs = plan.played(moves, state)
-    return c.Run(start, [c.real(x) for x in moves], [c.real(y) for y in outputs])
+    return c.SelfTestRun(
+        start, [c.real(x) for x in moves], [c.real(y) for y in outputs]
+    )
 
 
 # ---- the gears
@@ -161,9 +162,9 @@ def _gears(plan: Plan, parts: _Parts) -> None:
         words = "spare"
         parts.tables.append(c.array("uint64_t", "spare", spare))
     checkpoints, memory = "0", "0"
-    if n > SPACING:
+    if plan.checkpoints:
         checkpoints = "state->checkpoints"
-        parts.members.append(f"dbo_checkpoint checkpoints[{(n - 1) // SPACING}];")
+        parts.members.append(f"dbo_checkpoint checkpoints[{plan.checkpoints}];")
     parts.members += ["dbo_backlash_state gears;", f"dbo_place turns[{n}];"]
     step = "x = dbo_backlash_step_fixed(&op, &fixed, &state->gears, x, &limits, 0);"
     if terms:
@@ -265,8 +266,9 @@ def _limit_amplifier(plan: Plan, parts: _Parts) -> None:
     parts.init += ["state->amplifier = 0.0;", "state->begun = 0;"]
     low, high = plan.limits.move
     slew = ""
-    if plan.drive_step is not None:
-        step = c.real(plan.drive_step)
+    largest = plan.limits.largest_step(plan.dt)
+    if largest is not None:
+        step = c.real(float(largest))
         slew = c.fill("amplifier_slew.c", {"STEP": step}).rstrip("\n")
     values = {
         "LEAST": c.real(low),

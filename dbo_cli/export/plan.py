@@ -18,6 +18,7 @@ from dbo_cli.model.gears import Window, largest_step
 from dbo_cli.model.points import Curves, through
 from dbo_cli.model.undoing import SectionInverse, section_inverse
 
+SPACING = 64  # turns that share a checkpoint
 TRIALS = 20  # test moves over which the loss of fewer gears is taken: 5,000 samples
 MORE_REST = 5  # samples before a move, from which on a delay knows its past
 
@@ -73,10 +74,9 @@ class Plan:
         return None if step is None else float(step)
 
     @property
-    def drive_step(self) -> float | None:
-        """The largest change of the drive in a step."""
-        step = largest_step(self.limits.slew, self.dt)
-        return None if step is None else float(step)
+    def checkpoints(self) -> int:
+        """How many checkpoints a state keeps of its turns, as dbo_kernel.h and dbo_q31.h have it."""
+        return (self.gears.n - 1) // SPACING
 
     @property
     def gain(self) -> Floats:

@@ -23,7 +23,7 @@ _LINE = 108  # characters of a line of numbers
 
 
 @dataclass(frozen=True)
-class Run:
+class SelfTestRun:
     """One run of the self-test as C constants: the drive given to reset (None: init), inputs, outputs."""
 
     reset: str | None
@@ -43,14 +43,14 @@ class Sources:
         Members of the state.
     kernel : list of str
         The kernel's files that are used.
-    runs : list of Run
+    runs : list of SelfTestRun
         The self-test.
     """
 
     values: dict[str, str]
     members: list[str]
     kernel: list[str]
-    runs: list[Run]
+    runs: list[SelfTestRun]
 
 
 def kernel_file(name: str) -> str:
