@@ -110,7 +110,7 @@ def _operator(plan: Plan, parts: _Parts, run: int) -> None:
     """Add the table of the gears, the operator, and the limits."""
     gears, terms = plan.gears, plan.gain.size
     table, _ = kernel_table(gears.exchanged, run)
-    parts.tables.append(c.array("dbo_gear", "gears", c.real_structs(table)))
+    parts.tables.append(c.array("dbo_gear", "gears", c.structs(table, c.real)))
     gain = "0"
     if terms:
         gain = "gain"
@@ -139,7 +139,9 @@ def _fixed_step(plan: Plan, parts: _Parts, run: int) -> None:
     steps = np.column_stack(
         [wide * rows[:, 3], rows[:, 1] / wide, rows[:, 1] * rows[:, 3], begins]
     )
-    parts.tables.append(c.array("dbo_fixed_gear", "fixed_gears", c.real_structs(steps)))
+    parts.tables.append(
+        c.array("dbo_fixed_gear", "fixed_gears", c.structs(steps, c.real))
+    )
     decay = complement = "0"
     if plan.gain.size:
         decay, complement = "decay", "rest"
@@ -222,7 +224,7 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
     lowest = [str(n)]
     for state in range(1, 2**n):
         lowest.append(str((state & -state).bit_length() - 1))
-    parts.tables.append(c.array("dbo_corner", "corners", c.real_structs(corners)))
+    parts.tables.append(c.array("dbo_corner", "corners", c.structs(corners, c.real)))
     parts.tables.append(c.array("uint8_t", "lowest", lowest))
     parts.tables.append("static const dbo_lookup lookup = {&op, corners, lowest};\n")
     parts.kernel += ["dbo_lookup.h", "dbo_lookup.c"]
@@ -249,7 +251,7 @@ def _curves(curves: Curves, label: str, parts: _Parts) -> list[str]:
             continue
         assert isinstance(stage, Points)
         name = f"{label}_{number}"
-        rows = c.real_structs(stage.segments)
+        rows = c.structs(stage.segments, c.real)
         parts.tables.append(c.array("dbo_segment", name, rows))
         parts.members.append(f"size_t {name}_segment;")
         parts.init.append(f"state->{name}_segment = 0;")

@@ -93,7 +93,7 @@ def export_model(
         "ahead": plan.ahead,
     }
     if loss is not None:
-        figures["loss"] = {"max": loss.largest, "rms": loss.rms}
+        figures["loss"] = loss
     if arithmetic == "double":
         sources = double_sources(plan, lookup)
     else:
@@ -181,9 +181,9 @@ def _duties(
     if loss is not None:
         span, suffix = plan.forward.output.span, c.plain(plan.forward.output.suffix)
         lost = (
-            f"{plan.gears.n} gears instead of the model's: {loss.largest:.3g}{suffix}"
-            f" ({100.0 * loss.largest / span:.2g} % of the range) at most, {loss.rms:.3g}{suffix} RMS on test"
-            " moves."
+            f"{plan.gears.n} gears instead of the model's: {loss['max']:.3g}{suffix}"
+            f" ({100.0 * loss['max'] / span:.2g} % of the range) at most, {loss['rms']:.3g}{suffix} RMS on"
+            " test moves."
         )
     return {
         "CONSTANTS": constants,

@@ -64,13 +64,11 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
     tables = _gear_tables(plan, x_axis, y_axis, memory, bounds)
     values = _values(plan, y_axis, limits)
     for name, segments in functions.items():
-        rows = c.whole_structs(segments.rows)
+        rows = c.structs(segments.rows, c.whole)
         tables += c.array("dboq_segment", f"{name.lower()}_segments", rows)
         values[f"{name}_ROWS"] = str(len(segments.rows))
         values[f"{name}_SHIFT"] = str(segments.shift)
-    tables += (
-        f"static const dboq_limits limits = {c.whole_structs([limits.positions])[0]};\n"
-    )
+    tables += f"static const dboq_limits limits = {c.structs([limits.positions], c.whole)[0]};\n"
     spare = c.words_of(plan.forward.starts.empty, gears.n, 32)
     if spare:
         tables += c.array("uint32_t", "spare", spare)
@@ -194,15 +192,15 @@ def _gear_tables(
     ends = np.cumsum(rows[:, :2] * counts[:, None], axis=0)
     begins = np.vstack([[0, 0], ends])
     part_shift, guide = _guide(begins[:, 0])
-    text = c.array("dboq_gear", "gears", c.whole_structs(rows.tolist()))
-    text += c.array("dboq_begin", "begins", c.whole_structs(begins.tolist()))
+    text = c.array("dboq_gear", "gears", c.structs(rows.tolist(), c.whole))
+    text += c.array("dboq_begin", "begins", c.structs(begins.tolist(), c.whole))
     text += c.array("dboq_place", "guide", [str(row) for row in guide])
     terms, memory_numbers = "0, 0", "0, 0, 0"
     if memory is not None:
         terms = f"terms, {len(memory.terms)}"
         offset = c.whole(round(memory.offset / memory.unit))
         memory_numbers = f"{memory.carried_shift}, {offset}, {memory.shift}"
-        text += c.array("dboq_term", "terms", c.whole_structs(memory.terms))
+        text += c.array("dboq_term", "terms", c.structs(memory.terms, c.whole))
     # i * factor >> shift is i // run for all i <= n, in 32 bits
     shift = 0 if run == 1 else (n * run - 1).bit_length()
     factor = (2**shift + run - 1) // run

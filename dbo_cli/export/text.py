@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from string import Template
+from typing import Any
 
 from dbo_cli.errors import UsageError
 
@@ -123,19 +124,11 @@ def reals(name: str, values: Iterable[float]) -> str:
     return array("double", name, [real(value) for value in values])
 
 
-def structs(rows: Iterable[Iterable[str]]) -> list[str]:
-    """Return initialisers of structures."""
-    return ["{" + ", ".join(row) + "}" for row in rows]
-
-
-def real_structs(rows: Iterable[Iterable[float]]) -> list[str]:
-    """Return initialisers of structures of float64."""
-    return structs([real(value) for value in row] for row in rows)
-
-
-def whole_structs(rows: Iterable[Iterable[int]]) -> list[str]:
-    """Return initialisers of structures of whole numbers."""
-    return structs([whole(value) for value in row] for row in rows)
+def structs(
+    rows: Iterable[Iterable[Any]], constant: Callable[[Any], str] = str
+) -> list[str]:
+    """Return initialisers of structures, each value written as a ``constant``."""
+    return ["{" + ", ".join(map(constant, row)) + "}" for row in rows]
 
 
 def words_of(bits: int, gears: int, width: int) -> list[str]:
