@@ -20,7 +20,6 @@ from dbo_cli.model.widths import kernel_table
 
 MOST_LOOKUP_GEARS = 12
 """2^12 states are 70 kB of table; one gear more doubles it."""
-SPACING = 64  # turns that share a checkpoint, as in dbo_kernel.h
 IGNORED_BEYOND = 1e6
 """Ranges: an input so far away counts as no number; what it leads to is not finite."""
 
@@ -92,14 +91,16 @@ def _ignored_beyond(quantity: Quantity) -> float:
     return float(2.0 ** math.ceil(math.log2(IGNORED_BEYOND * largest)))
 
 
-def _run(plan: Plan, reset: float | None, seed: int) -> c.Run:
+def _run(plan: Plan, reset: float | None, seed: int) -> c.SelfTestRun:
     """Return a run of the self-test, as the library computes it."""
     moves = trial_moves(plan.forward.output.min, plan.forward.output.max, seed)
     state, start = plan.empty, None
     if reset is not None:
         state, start = plan.settled(reset), c.real(reset)
     outputs = plan.played(moves, state)
-    return c.Run(start, [c.real(x) for x in moves], [c.real(y) for y in outputs])
+    return c.SelfTestRun(
+        start, [c.real(x) for x in moves], [c.real(y) for y in outputs]
+    )
 
 
 # ---- the gears
@@ -109,7 +110,7 @@ def _operator(plan: Plan, parts: _Parts, run: int) -> None:
     """Add the table of the gears, the operator, and the limits."""
     gears, terms = plan.gears, plan.gain.size
     table, _ = kernel_table(gears.exchanged, run)
-    parts.tables.append(c.array("dbo_gear", "gears", c.real_structs(table)))
+    parts.tables.append(c.array("dbo_gear", "gears", c.structs(table, c.real)))
     gain = "0"
     if terms:
         gain = "gain"
@@ -138,7 +139,9 @@ def _fixed_step(plan: Plan, parts: _Parts, run: int) -> None:
     steps = np.column_stack(
         [wide * rows[:, 3], rows[:, 1] / wide, rows[:, 1] * rows[:, 3], begins]
     )
-    parts.tables.append(c.array("dbo_fixed_gear", "fixed_gears", c.real_structs(steps)))
+    parts.tables.append(
+        c.array("dbo_fixed_gear", "fixed_gears", c.structs(steps, c.real))
+    )
     decay = complement = "0"
     if plan.gain.size:
         decay, complement = "decay", "rest"
@@ -161,9 +164,9 @@ def _gears(plan: Plan, parts: _Parts) -> None:
         words = "spare"
         parts.tables.append(c.array("uint64_t", "spare", spare))
     checkpoints, memory = "0", "0"
-    if n > SPACING:
+    if plan.checkpoints:
         checkpoints = "state->checkpoints"
-        parts.members.append(f"dbo_checkpoint checkpoints[{(n - 1) // SPACING}];")
+        parts.members.append(f"dbo_checkpoint checkpoints[{plan.checkpoints}];")
     parts.members += ["dbo_backlash_state gears;", f"dbo_place turns[{n}];"]
     step = "x = dbo_backlash_step_fixed(&op, &fixed, &state->gears, x, &limits, 0);"
     if terms:
@@ -221,7 +224,7 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
     lowest = [str(n)]
     for state in range(1, 2**n):
         lowest.append(str((state & -state).bit_length() - 1))
-    parts.tables.append(c.array("dbo_corner", "corners", c.real_structs(corners)))
+    parts.tables.append(c.array("dbo_corner", "corners", c.structs(corners, c.real)))
     parts.tables.append(c.array("uint8_t", "lowest", lowest))
     parts.tables.append("static const dbo_lookup lookup = {&op, corners, lowest};\n")
     parts.kernel += ["dbo_lookup.h", "dbo_lookup.c"]
@@ -248,7 +251,7 @@ def _curves(curves: Curves, label: str, parts: _Parts) -> list[str]:
             continue
         assert isinstance(stage, Points)
         name = f"{label}_{number}"
-        rows = c.real_structs(stage.segments)
+        rows = c.structs(stage.segments, c.real)
         parts.tables.append(c.array("dbo_segment", name, rows))
         parts.members.append(f"size_t {name}_segment;")
         parts.init.append(f"state->{name}_segment = 0;")
@@ -265,8 +268,9 @@ def _limit_amplifier(plan: Plan, parts: _Parts) -> None:
     parts.init += ["state->amplifier = 0.0;", "state->begun = 0;"]
     low, high = plan.limits.move
     slew = ""
-    if plan.drive_step is not None:
-        step = c.real(plan.drive_step)
+    largest = plan.limits.largest_step(plan.dt)
+    if largest is not None:
+        step = c.real(float(largest))
         slew = c.fill("amplifier_slew.c", {"STEP": step}).rstrip("\n")
     values = {
         "LEAST": c.real(low),

@@ -36,7 +36,9 @@ SHAPES = tuple(NEEDS)
 
 START = 2.0 / math.pi
 """Of a turn's rows: a start of so many reaches as far outside a line as a turn does, more gently than it."""
-FEWEST_ROWS = 4  # of a line or cycle: a triangle of fewer has no rows between its turns
+FEWEST_CYCLE_ROWS = (
+    4  # of a line or cycle: a triangle of fewer has no rows between its turns
+)
 
 
 class Trajectory(NamedTuple):
@@ -134,10 +136,10 @@ def trajectory(
             "`bandwidth`"
         )
     period = round(rate / frequency)
-    if period < FEWEST_ROWS:
+    if period < FEWEST_CYCLE_ROWS:
         raise UsageError(
             f"`frequency` {frequency:g}: {period} rows each at `rate` {rate:g}; give at most "
-            f"{rate / FEWEST_ROWS:g}"
+            f"{rate / FEWEST_CYCLE_ROWS:g}"
         )
     plan = _Plan(range, period, turn, count, loop, rate)
     axes, note = _MAKERS[shape](plan)
