@@ -7,7 +7,6 @@ so that an output belongs to the input of so many samples ago.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,18 +23,6 @@ IGNORED_BEYOND = 1e6
 """Ranges: an input so far away counts as no number; what it leads to is not finite."""
 
 
-@dataclass
-class _Parts:
-    """Tables, members of the state and statements, as the stages of a plan add them."""
-
-    kernel: list[str] = field(default_factory=lambda: ["dbo_kernel.h", "dbo_kernel.c"])
-    members: list[str] = field(default_factory=list)
-    tables: list[str] = field(default_factory=list)
-    init: list[str] = field(default_factory=list)
-    reset: list[str] = field(default_factory=list)
-    step: list[str] = field(default_factory=list)
-
-
 def double_sources(plan: Plan, lookup: bool) -> c.Sources:
     """Return the model as C in float64; with ``lookup`` the gears are a table of all their states.
 
@@ -44,7 +31,7 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
     ModelError
         There are too many gears for such a table, or a memory beside them.
     """
-    parts = _Parts()
+    parts = c.Sources(["dbo_kernel.h", "dbo_kernel.c"])
     low, high = plan.limits.move
     _undo_delay(plan, parts)
     _undo_dynamics(plan, parts)
@@ -65,7 +52,7 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
         parts.step.append(
             f"x = x < {lowest} ? {lowest} : x > {highest} ? {highest} : x;"
         )
-    values = {
+    parts.values = {
         "TABLES": "".join(parts.tables),
         "INIT": _statements(parts.init),
         "RESET": _statements(parts.reset),
@@ -76,8 +63,8 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
         "REACH": repr(_ignored_beyond(plan.forward.output)),
         "DRIVE_REACH": repr(_ignored_beyond(plan.forward.input)),
     }
-    runs = [_run(plan, None, 1), _run(plan, plan.trimmed, 2)]
-    return c.Sources(values, parts.members, parts.kernel, runs)
+    parts.runs = [_run(plan, None, 1), _run(plan, plan.trimmed, 2)]
+    return parts
 
 
 def _statements(lines: list[str]) -> str:
@@ -106,7 +93,7 @@ def _run(plan: Plan, reset: float | None, seed: int) -> c.SelfTestRun:
 # ---- the gears
 
 
-def _operator(plan: Plan, parts: _Parts, run: int) -> None:
+def _operator(plan: Plan, parts: c.Sources, run: int) -> None:
     """Add the table of the gears, the operator, and the limits."""
     gears, terms = plan.gears, plan.gain.size
     table, _ = kernel_table(gears.exchanged, run)
@@ -131,7 +118,7 @@ def _operator(plan: Plan, parts: _Parts, run: int) -> None:
         )
 
 
-def _fixed_step(plan: Plan, parts: _Parts, run: int) -> None:
+def _fixed_step(plan: Plan, parts: c.Sources, run: int) -> None:
     """Add what the time step makes constant, as dbo_prepare_fixed_step computes it."""
     rows = kernel_table(plan.gears.exchanged, run)[0][:-1]
     wide = rows[:, 0] + plan.kappa * rows[:, 1]
@@ -153,7 +140,7 @@ def _fixed_step(plan: Plan, parts: _Parts, run: int) -> None:
     )
 
 
-def _gears(plan: Plan, parts: _Parts) -> None:
+def _gears(plan: Plan, parts: c.Sources) -> None:
     """Add the gears, run by the package's kernel."""
     n, run, terms = plan.gears.n, plan.gears.equal_run, plan.gain.size
     _operator(plan, parts, run)
@@ -197,7 +184,7 @@ def _gears(plan: Plan, parts: _Parts) -> None:
     parts.step += [*pointers, step]
 
 
-def _lookup_gears(plan: Plan, parts: _Parts) -> None:
+def _lookup_gears(plan: Plan, parts: c.Sources) -> None:
     """Add the gears as a table of all their states.
 
     Raises
@@ -242,7 +229,7 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
 # ---- the stages around them
 
 
-def _curves(curves: Curves, label: str, parts: _Parts) -> list[str]:
+def _curves(curves: Curves, label: str, parts: c.Sources) -> list[str]:
     """Add the tables of points; return the statements of points and scales on ``x``."""
     steps = []
     for number, stage in enumerate(curves):
@@ -260,7 +247,7 @@ def _curves(curves: Curves, label: str, parts: _Parts) -> list[str]:
     return steps
 
 
-def _limit_amplifier(plan: Plan, parts: _Parts) -> None:
+def _limit_amplifier(plan: Plan, parts: c.Sources) -> None:
     """Add the window that the limits of the drive leave of the voltage at the gears."""
     amplifier = plan.forward.amplifier
     assert amplifier is not None and plan.dt is not None
@@ -283,7 +270,7 @@ def _limit_amplifier(plan: Plan, parts: _Parts) -> None:
     parts.step.append(c.fill("amplifier_limits.c", values).rstrip("\n"))
 
 
-def _undo_delay(plan: Plan, parts: _Parts) -> None:
+def _undo_delay(plan: Plan, parts: c.Sources) -> None:
     """Read ahead by the part of a sample that a delay has beyond whole ones."""
     fraction = plan.delay_samples[1]
     if not fraction:
@@ -294,7 +281,7 @@ def _undo_delay(plan: Plan, parts: _Parts) -> None:
     parts.step.append(c.fill("delay.c", {"PART": c.real(fraction)}).rstrip("\n"))
 
 
-def _undo_dynamics(plan: Plan, parts: _Parts) -> None:
+def _undo_dynamics(plan: Plan, parts: c.Sources) -> None:
     """Undo the dynamics, the last section first, each with its window ahead."""
     if not plan.undone:
         return

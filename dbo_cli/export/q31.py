@@ -78,7 +78,7 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
     kernel = ["dbo_q31.h", "dbo_q31.c"]
     if plan.delay_samples[1]:
         kernel.append("dbo_q31_interpolation.h")
-    return c.Sources(values, _members(plan), kernel, runs), bounds
+    return c.Sources(kernel, _members(plan), values=values, runs=runs), bounds
 
 
 def _check(plan: Plan) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from string import Template
 from typing import Any
@@ -32,26 +32,30 @@ class SelfTestRun:
     outputs: Sequence[str]
 
 
-@dataclass(frozen=True)
+@dataclass
 class Sources:
     """What a model puts into its sources, in one arithmetic.
 
     Attributes
     ----------
-    values : dict
-        What the templates are filled with.
-    members : list of str
-        Members of the state.
     kernel : list of str
         The kernel's files that are used.
+    members, tables, init, reset, step : list of str
+        Members of the state, tables, and the statements of three functions.
+    values : dict
+        What the templates are filled with.
     runs : list of SelfTestRun
         The self-test.
     """
 
-    values: dict[str, str]
-    members: list[str]
     kernel: list[str]
-    runs: list[SelfTestRun]
+    members: list[str] = field(default_factory=list)
+    tables: list[str] = field(default_factory=list)
+    init: list[str] = field(default_factory=list)
+    reset: list[str] = field(default_factory=list)
+    step: list[str] = field(default_factory=list)
+    values: dict[str, str] = field(default_factory=dict)
+    runs: list[SelfTestRun] = field(default_factory=list)
 
 
 def kernel_file(name: str) -> str:

@@ -126,8 +126,8 @@ def trajectory(
     if shape == "staircase":
         assert steps is not None
         assert dwell is not None
-        axes, note = _staircase(range, steps, round(dwell * rate), max(turn, 1), rate)
-        return _clocked(axes, rate, note)
+        rows = round(dwell * rate)
+        return _clocked(rate, *_staircase(range, steps, rows, max(turn, 1), rate))
     assert frequency is not None
     count = lines or max(round((duration or 0.0) * frequency), 1)
     if bandwidth is not None and frequency >= bandwidth:
@@ -142,11 +142,10 @@ def trajectory(
             f"{rate / FEWEST_CYCLE_ROWS:g}"
         )
     plan = _Plan(range, period, turn, count, loop, rate)
-    axes, note = _MAKERS[shape](plan)
-    return _clocked(axes, rate, note)
+    return _clocked(rate, *_MAKERS[shape](plan))
 
 
-def _clocked(axes: tuple[Floats, ...], rate: float, note: str) -> Trajectory:
+def _clocked(rate: float, axes: tuple[Floats, ...], note: str) -> Trajectory:
     return Trajectory(np.arange(axes[0].size) / rate, axes, note)
 
 
