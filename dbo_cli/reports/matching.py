@@ -6,24 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from dbo_cli.alignment import Alignment, align_displacements, align_drives
+from dbo_cli.alignment import (
+    ACTUATOR_LAG,
+    Alignment,
+    align_displacements,
+    align_drives,
+    on_whole_rows,
+)
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.reports.pair import Pair, mean_step, rows_text, stretch
-from dbo_cli.signals import play
 
 SAME_RATE = 1e-3
 """Part by which two rates may differ: clocks of two recorders do, by some 1e-4."""
-ACTUATOR_LAG = 0.05
-"""Seconds that an actuator, its amplifier and its sensor may be late; more is a recorder's start."""
 CLEARLY_BETTER = 0.5
 """Part of the error that must be left at most for another start of the clock to be believed."""
-PLAYS = (0.02, 0.05, 0.1, 0.2, 0.4)
-"""Half widths, in parts of the range, of the plays that explain a loop beside a lag."""
-SMALL_LOOP = 1e-3
-"""Part of the measured variance below which no loop is looked for: 3 % of the move."""
-LOOP_SHOWS = 0.25
-"""Part of the unexplained variance that plays must leave at most for a loop to be there."""
+WHOLE_BY_DISPLACEMENT = 0.5
+"""Rows: a displacement does not tell parts of one, since what is left of creep is a phase, too."""
 
 
 def match(
@@ -168,7 +167,7 @@ def _scatter(pair: Pair) -> float:
 def _by_displacement(
     recording: Pair, desired: Floats, clock: Floats
 ) -> Alignment | None:
-    """Return how the measured displacement lies over the move, with plays where a loop is in it.
+    """Return how the measured displacement lies over the move, on whole rows where clocks have one step.
 
     What stands before the move is left out: there the displacement is less well known.
     """
@@ -179,13 +178,6 @@ def _by_displacement(
     found = align_displacements(
         recording.time, recording.measured, clock[move], desired[move]
     )
-    if found is None or found.lag.residual < SMALL_LOOP:
-        return found
-    span = float(np.ptp(desired))
-    columns = [desired, *(play(desired, 0.5 * part * span) for part in PLAYS)]
-    loop = align_displacements(
-        recording.time, recording.measured, clock, np.column_stack(columns)
-    )
-    if loop is None or loop.lag.residual > LOOP_SHOWS * found.lag.residual:
-        return found
-    return loop
+    if found is None:
+        return None
+    return on_whole_rows(found, recording.time, clock, WHOLE_BY_DISPLACEMENT)

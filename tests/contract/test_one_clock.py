@@ -159,6 +159,42 @@ def test_a_pass_with_another_past_is_refused() -> None:
     assert "past" in told and "--condition" in told
 
 
+# --- two recorders, one log ---
+
+
+def two_recorders(delay: float, both: bool) -> None:
+    """Record a drive of 5 kHz by a sensor of 1 kHz whose clock is 1.3 s behind and 50 ppm fast."""
+    done("excite", "--v-max", 100, "--sample-rate", 5000, "-o", "drive.csv")
+    played = table("drive.csv")
+    time = played["time_s"]
+    rows = np.arange(0.3, time[-1], STEP)
+    moved = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
+    columns = {
+        "displacement_um": np.interp(rows - delay, time, moved),
+        "voltage_V": np.interp(rows, time, played["voltage_V"]),
+    }
+    rng = np.random.default_rng(0)
+    for values in columns.values():
+        values += 5e-4 * np.ptp(values) * rng.standard_normal(len(rows))
+    if not both:
+        columns.pop("voltage_V")
+    stamps = 1.00005 * rows - 1.3
+    write("sensor.csv", ",".join(["time_s", *columns]), stamps, *columns.values())
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_clocks_of_two_recorders_are_found(both: bool) -> None:
+    """The actuator's own delay stays in the model where both hold the drive, else it is said."""
+    two_recorders(4e-3, both)
+    words = ("--voltage", "drive.csv::voltage_V", "--clock-offset", "auto")
+    outcome = done("identify", "sensor.csv", *words, "-o", "m.json", "--verbose")
+    assert f"moved by -1.{'3' if both else '29'}" in outcome.err
+    assert ("by the drive" if both else "delay included") in outcome.err
+    assert not both or "50 ppm fast" in outcome.err
+    stages = json.loads(Path("m.json").read_text())["stages"]
+    assert any(stage["type"] == "delay" for stage in stages) == both
+
+
 # --- why an error is larger than expected ---
 
 
