@@ -236,7 +236,9 @@ class Driver:
         whole = np.concatenate([lead, voltage])
         played = model.run(whole, plan.begin, dt)
         self._state = replace(played.state, time=float(time[-1]))
-        self._figures = replace(self._figures, lead_seconds=count * dt)
+        self._figures = replace(
+            self._figures, lead_seconds=count * dt, known_by="state"
+        )
         drive = self._concluded()
         away = played.y[count:] - loops.settled_run(model, voltage, dt, state)
         away_rms = float(np.sqrt(np.mean(away**2)))

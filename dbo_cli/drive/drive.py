@@ -55,6 +55,8 @@ class Drive:
         The first voltage, where nobody said where the amplifier stands.
     past_known : bool
         Whether a sweep or a state makes the past known.
+    known_by : str
+        The parameter that would make it known.
     state : State or None
         After the last row.
     history : tuple of PassRecord
@@ -87,6 +89,7 @@ class Drive:
     expected_known: float | None = None
     starts_at: float | None = None
     past_known: bool = False
+    known_by: str = "condition"
     state: State | None = field(default=None, repr=False)
     history: tuple[PassRecord, ...] = ()
     notes: tuple[str, ...] = ()
@@ -120,7 +123,7 @@ class Drive:
         known = f"{self.expected_known:.2g}"
         if known == error:
             return f"{text}, whatever the past"
-        return f"{text} (past unknown; {known} with `condition`)"
+        return f"{text} (past unknown; {known} with `{self.known_by}`)"
 
     def summary(self) -> dict[str, Any]:
         """Return the drive as plain values, for a summary in JSON."""
@@ -141,6 +144,7 @@ class Drive:
             "clipped": self.clipped,
             "lost_rms": self.lost_rms,
             "lost_most": self.lost_most,
+            "sensor_delay": self.model.sensor_delay or None,
             "expected_rmse": self.expected_error,
             "expected_rmse_past_known": self.expected_known,
             "past_known": self.past_known,

@@ -27,7 +27,7 @@ from dbo_cli.drive.lowpass import low_pass
 from dbo_cli.drive.swings import soft_rise
 from dbo_cli.errors import InputError, ModelError, warn
 from dbo_cli.model import Cascade, Resonance, State, fields
-from dbo_cli.signals import noise, turns
+from dbo_cli.signals import between, noise, turns
 
 FORMAT = "dbo-history"
 
@@ -164,7 +164,7 @@ class RepeatedMove:
         passed = PassRecord(_digest(voltage), rms(error))
         before = _passes_before(history, passed)
         cutoff = bandwidth or self._trusted(name, believed, self.desired - error)
-        self._require_no_growth(name, passed, before, cutoff)
+        self._require_no_growth(name, passed, before, cutoff, measured)
         change = believed - self.desired + error
         learned = low_pass(change, cutoff, self.step, self.periodic, ORDER)
         if not self.absolute:
@@ -216,7 +216,7 @@ class RepeatedMove:
                 f"{recording.name}: {rows:,} rows from the start of the move, the trajectory has "
                 f"{count:,}{whole}: record each row of it"
             )
-        voltage, measured = recording.voltage, recording.measured
+        voltage, measured = recording.voltage, self._without_delay(recording.measured)
         if self.periodic:
             if rows > count:
                 begin += count  # not settled yet
@@ -231,6 +231,13 @@ class RepeatedMove:
         believed = self.model.run(voltage, begun, self.step).y
         rows_of_move = slice(begin, begin + count)
         return voltage[rows_of_move], believed[rows_of_move], measured[rows_of_move]
+
+    def _without_delay(self, measured: Floats) -> Floats:
+        """Return what a sensor without delay would have measured; the last value holds behind it."""
+        delay = self.model.sensor_delay / self.step
+        if not delay:
+            return measured
+        return between(measured, np.arange(float(measured.size)) + delay)
 
     def _first_row(self, recording: Tracked) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead.
@@ -315,18 +322,37 @@ class RepeatedMove:
         passed: PassRecord,
         before: Sequence[PassRecord],
         cutoff: float,
+        measured: Floats,
     ) -> None:
         """Refuse to go on when the error grew (InputError)."""
         errors = [record.rmse for record in before]
         if not errors:
             return
         best = min(errors)
-        if passed.rmse <= min(GROWTH * errors[-1], FROM_BEST * best):
+        allowed = min(GROWTH * errors[-1], FROM_BEST * best)
+        if passed.rmse <= allowed:
             return
+        self._require_same_sensor(name, measured, allowed)
         number, unit = 1 + errors.index(best), self.model.output.suffix
         raise InputError(
             f"{name}: the error grew from {errors[-1]:.3g} to {passed.rmse:.3g}{unit} RMS: learn from "
             f"pass {number} ({best:.3g}) with `bandwidth` {0.5 * cutoff:.3g} (it was {cutoff:.3g} Hz)"
+        )
+
+    def _require_same_sensor(
+        self, name: str, measured: Floats, explained: float
+    ) -> None:
+        """Refuse a sensor of another scale or zero, without which the error did not grow (InputError)."""
+        move = self.desired - self.desired.mean()
+        mean = float(measured.mean())
+        scale = float(move @ measured) / max(float(move @ move), 1e-300)
+        if rms(measured - mean - scale * move) > explained:
+            return
+        off = mean - float(self.desired.mean()) if self.absolute else 0.0
+        zero = f" and {off:.3g}{self.model.output.suffix} off" if off else ""
+        raise InputError(
+            f"{name}: the error grew because the sensor shows {scale:.4g} times the move{zero}: restore the "
+            "sensor, or learn anew with another `history`"
         )
 
     def _start_warnings(self, name: str, zero: float) -> tuple[str, ...]:
@@ -335,9 +361,10 @@ class RepeatedMove:
         if not isinstance(expected, float) or abs(zero) <= START_PROBLEM * expected:
             return ()
         unit = self.model.output.suffix
+        known_by = "state" if self.periodic else "condition"
         text = (
             f"{name}: the mean error, {zero:.3g}{unit}, is {abs(zero) / expected:.2g} times "
-            "the expected error: the drive assumes another start (`condition`, or `absolute` learns it)"
+            f"the expected error: the drive assumes another start (`{known_by}`, or `absolute` learns it)"
         )
         warn(text)
         return (text,)

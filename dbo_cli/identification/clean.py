@@ -35,7 +35,7 @@ def clean(
     notes: list[str] = []
     logs = []
     for log in recordings:
-        log = without_sensor_delay(log, options.sensor_delay)
+        log = without_sensor_delay(log, options.known_sensor_delay)
         good = log.usable & not_skipped(log, options.skip)
         good &= ~faulty_rows(log, notes)
         if int(good.sum()) < FEWEST_ROWS:

@@ -149,6 +149,13 @@ class Options:
             raise UsageError("`relaxation`: give time constants in seconds, 0 or auto")
 
     @property
+    def known_sensor_delay(self) -> float:
+        """Seconds by which the sensor is late: as given, else as the prior has it."""
+        if self.sensor_delay or self.prior is None:
+            return self.sensor_delay
+        return self.prior.sensor_delay
+
+    @property
     def taus(self) -> tuple[float, ...] | None:
         """The time constants that the user gave, () for none, None where they are looked for."""
         if self.relaxation == "auto":

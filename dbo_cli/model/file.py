@@ -35,7 +35,9 @@ TYPES = ("amplifier", "backlash", "point", "scale", "dynamics", "delay")
 # equal widths in a row are written once from this many on: two are shorter as they are
 SHORTEST_RUN = 3
 
-FIGURES = "rmse expected_rmse line_rmse left_out_rmse fastest longest_rest".split()
+FIGURES = (
+    "rmse expected_rmse line_rmse left_out_rmse fastest longest_rest sensor_delay"
+).split()
 """Keys of ``fit`` that commands compute with: null or numbers of at least 0."""
 
 

@@ -135,7 +135,7 @@ def _on_one_clock(
     before = _scatter(_by_time(recording, desired, clock))
     after = _scatter(_by_time(shifted, desired, clock))
     if found.lag.rival is None and after <= CLEARLY_BETTER * before:
-        return shifted
+        return replace(shifted, delay_removed=True)
     if after >= before:
         return recording
     return recording.noted(

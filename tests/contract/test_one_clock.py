@@ -195,6 +195,42 @@ def test_clocks_of_two_recorders_are_found(both: bool) -> None:
     assert any(stage["type"] == "delay" for stage in stages) == both
 
 
+def test_a_late_sensor_is_no_error() -> None:
+    """It stands in the model and in a summary; reports and learning take it off."""
+    late = 8e-3
+    done("excite", "--v-max", 100, "-o", "drive.csv")
+    time, volts = (table("drive.csv")[key] for key in ("time_s", "voltage_V"))
+    moved = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
+    write("log.csv", "time_s,voltage_V,displacement_um", time, volts,
+          np.interp(time - late, time, moved))  # fmt: skip
+    # fmt: off
+    done("identify", "log.csv", "--sensor-delay", "8ms", "-o", "m.json")
+    write("move.csv", "time_s,displacement_um", TIME, 3.0 - 2.0 * np.cos(np.pi * TIME))
+    done("compensate", "m.json", "move.csv", "--condition", "--from", 0, "-o", "d.csv",
+         "--summary", "s.json")
+    # fmt: on
+    for file, key in (("m.json", "fit"), ("s.json", None)):
+        values = json.loads(Path(file).read_text())
+        assert (values[key] if key else values)["sensor_delay"] == late
+    drive = table("d.csv")
+    stamps = drive["time_s"]
+    truth = table(done("simulate", model("creep"), "d.csv"))["displacement_um"]
+    seen = np.interp(stamps - late, stamps, truth)
+    header = "time_s,voltage_V,measured_um"
+    write("pass.csv", header, stamps, drive["voltage_V"], seen)
+    off = rms((truth - drive["desired_um"])[stamps > -0.5 * STEP])
+    report = ("report", "pass.csv", "--trajectory", "d.csv", "--format", "json")
+    plain = done(*report).json["logs"][0]["rmse"]
+    known = done(*report, "--expected", "s.json").json["logs"][0]
+    assert plain > 1.3 * off
+    assert known["rmse"] == pytest.approx(off, rel=0.05)
+    words = ("--condition", "--from", 0, "--tracked", "pass.csv", "-o", "next.csv")
+    done("compensate", "m.json", "move.csv", *words)
+    again = table("next.csv")
+    truth = table(done("simulate", model("creep"), "next.csv"))["displacement_um"]
+    assert rms((truth - again["desired_um"])[again["time_s"] > -0.5 * STEP]) < off
+
+
 # --- why an error is larger than expected ---
 
 
