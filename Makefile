@@ -57,7 +57,7 @@ demo/model.json: $(LOG) | $(VENV)/installed
 	$(DBO) identify $(LOG) -o $@
 
 demo/drive.csv: demo/model.json $(TRAJECTORY)
-	$(DBO) compensate demo/model.json $(TRAJECTORY) --v-min 0 --v-max 100 --max-slew 2000 --from 0 \
+	$(DBO) compensate demo/model.json $(TRAJECTORY) --v-min 0 --v-max 100 --max-slew 2000 --from 0 --state empty \
 	  --summary demo/summary.json -o $@
 
 demo/straight_line_drive.csv: $(LOG) $(TRAJECTORY) sample_data/straight_line.py | $(VENV)/installed

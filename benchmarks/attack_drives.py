@@ -28,11 +28,12 @@ from random_actuators import (
     random_move,
 )
 
-from dbo_cli.drive import Driver, Lead, Limits, plan
+from dbo_cli.drive import Driver, Lead, Limits
 from dbo_cli.drive.limits import GateError
 from dbo_cli.drive.simulate import Simulator
 from dbo_cli.errors import DboError, LimitError
 from dbo_cli.model import Cascade, State
+from dbo_cli.model import steps_of as clock_steps
 
 DT = 1e-3  # s
 A_MODEL = 20  # drives
@@ -40,7 +41,7 @@ ROUNDING = 1e-12  # of the largest voltage: what a step may exceed its limit by
 
 
 def random_options(rng: Random, model: Cascade, last: State | None) -> dict[str, Any]:
-    """Return options of ``plan``, of which some exclude each other."""
+    """Return options of a drive, of which some exclude each other."""
     voltage = model.input
     reach = 0.6 if rng.random() < 0.2 else 0.02  # beyond the identified range
     stands = voltage.min + float(rng.uniform(-reach, 1.0 + reach)) * voltage.span
@@ -101,7 +102,14 @@ def whole(
     model: Cascade, desired: Floats, clock: Any, limits: Limits, options: dict[str, Any]
 ) -> tuple[str, State | None]:
     """Plan one drive from arrays; return what is wrong with it, and the state after it."""
-    drive = plan(model, desired, clock, limits, **options)
+    names = ("bandwidth", "periodic", "passes")
+    in_memory = {name: options[name] for name in names if name in options}
+    is_even = not isinstance(clock, np.ndarray)
+    driver = driver_of(model, limits, options)
+    if is_even:
+        drive = driver.whole(desired, clock, **in_memory)
+    else:
+        drive = driver.whole(desired, clock_steps(clock), clock, **in_memory)
     before = options["start"]
     if isinstance(options.get("state"), State):
         before = options["state"].drive
@@ -120,7 +128,7 @@ def whole(
 
 
 def driver_of(model: Cascade, limits: Limits, options: dict[str, Any]) -> Driver:
-    """Return a driver by the options of ``plan``."""
+    """Return a driver by its options."""
     lead = Lead(
         options.get("state", "auto"),
         options.get("start"),

@@ -25,7 +25,7 @@ import numpy as np
 import plants
 from numpy.typing import NDArray
 
-from dbo_cli.drive.lowpass import low_pass
+from dbo_cli.drive.smooth import low_pass
 from dbo_cli.identification import Options, Recording, identify
 from dbo_cli.model import Cascade
 

@@ -206,7 +206,8 @@ def predicted(case: Case) -> Predicted:
         moved, _ = model.simulate(test.log.voltage, time=clock, state=case.state)
         predictions.append(moved)
         steps = np.diff(clock, prepend=clock[0] - (clock[1] - clock[0]))
-        stated.append(expected_error(model, test.log.voltage, steps))
+        error = expected_error(model, test.log.voltage, steps)
+        stated.append(None if error is None else error.rms())
     return predictions, dict(model.fit), seconds, stated
 
 

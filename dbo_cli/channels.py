@@ -33,7 +33,7 @@ from dbo_cli.units import split_header
 
 if TYPE_CHECKING:
     from dbo_cli.drive import Drive
-    from dbo_cli.drive.ahead import Rows
+    from dbo_cli.drive.simulate import Rows
     from dbo_cli.logs import Block, Reading
     from dbo_cli.model import Cascade
 

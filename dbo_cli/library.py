@@ -76,6 +76,7 @@ class Fit(TypedDict, total=False):
 
     ``rmse`` on the logs, ``left_out_rmse`` on parts left out, ``expected_rmse`` on a new
     move with an unknown past, ``noise_rms`` of the sensor, which is in none of these two;
+    ``unknown_past_rmse`` as left out, with the rows that other pasts would change;
     ``line_rmse`` of a straight line on the logs, ``left_out_line_rmse`` on parts left
     out; ``unexplained`` share of the displacement within swings. ``fastest`` drive per s,
     ``longest_rest`` and ``longest_swing`` (s) of the logs.
@@ -86,6 +87,7 @@ class Fit(TypedDict, total=False):
     rmse: float
     line_rmse: float
     left_out_rmse: float
+    unknown_past_rmse: float
     left_out_line_rmse: float
     unexplained: float
     noise_rms: float
@@ -395,40 +397,30 @@ class Model:
         LimitError
             A start outside the limits, or a move that they do not allow.
         """
-        from dbo_cli.drive import Limits, plan, voltage_in
+        from dbo_cli.drive import Driver, Lead, Limits, voltage_in
 
-        self.actuator.require("forward")
-        role = "displacement"
-        signal = timed(wanted, (role, role), self.output, time, sample_rate, unit)
-        limits = Limits.within(self.input, v_min, v_max, max_slew, extrapolate)
-        file = history if isinstance(history, (str, Path)) else None
+        model, role = self.actuator, "displacement"
+        model.require("forward")
         for word, value in (("history", history), ("absolute", absolute)):
             if value and tracked is None:
                 raise UsageError(f"`{word}` needs `tracked` LOG")
-        drive: Drive = plan(
-            self.actuator,
+        signal = timed(wanted, (role, role), self.output, time, sample_rate, unit)
+        limits = Limits.within(self.input, v_min, v_max, max_slew, extrapolate)
+        start = voltage_in("from", from_, self.input)
+        before = Lead(room.state_of(state, model), start, approach, condition, lead)
+        end = voltage_in("return", return_, self.input)
+        drive: Drive = Driver(model, limits, before, on_limit, end).whole(
             signal.values,
-            signal.dt if signal.time is None else signal.time,
-            limits,
-            start=None if from_ is None else voltage_in("from", from_, self.input),
-            return_to=None
-            if return_ is None
-            else voltage_in("return", return_, self.input),
-            state=room.state_of(state, self.actuator),
-            approach=_figure("approach", approach, "s"),
-            condition=condition,
-            lead=_figure("lead", lead, "s"),
+            signal.dt,
+            signal.time,
             bandwidth=_figure("bandwidth", bandwidth, "Hz"),
             periodic=periodic,
             passes=passes,
-            on_limit=on_limit,
             tracked=self._tracked(tracked),
             history=_passes(history),
             absolute=absolute,
         )
-        if drive.state is not None:
-            state = dataclasses.replace(drive.state, model=self.digest)
-            drive = dataclasses.replace(drive, state=state)
+        file = history if isinstance(history, (str, Path)) else None
         if file is not None:
             from dbo_cli.drive.learning import dumps_history
             from dbo_cli.files import write_text

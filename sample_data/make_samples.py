@@ -1,8 +1,7 @@
 #!/usr/bin/env python3
 """Make the sample logs beside this file, with the virtual actuator as the bench; the same bytes every time.
 
-``identification.csv/.h5``  swings of many sizes and three speeds over 0…100 V, with rests, as a lab records
-                            them; it covers the speeds and the holds of the trajectory.
+``identification.csv/.h5``  the drive of ``dbo excite`` over 0…100 V, and what the actuator makes of it.
 ``trajectory.csv/.h5``      a displacement to follow: slow scan, soft steps, a mixed-frequency part.
 
     python make_samples.py [FOLDER]
@@ -20,32 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 from virtual_actuator import PRESETS, VirtualActuator, write_table
 
+from dbo_cli.drive.excite import excite
+
 RATE = 500.0  # Hz: recorded faster and decimated, as most loggers do
 SEED = 20180701
 
 
-# One line a swing: where it goes (V), how fast on average (V/s), how long it rests there (s).
-SWINGS = [
-    *[(100.0, 130.0, 0.0), (0.0, 130.0, 0.0), (100.0, 60.0, 1.2), (0.0, 130.0, 0.0)],
-    *[(88.0, 400.0, 0.0), (12.0, 400.0, 0.0), (70.0, 130.0, 1.2), (0.0, 400.0, 0.0)],
-    *[(100.0, 130.0, 0.0), (30.0, 130.0, 1.2), (60.0, 130.0, 0.0), (20.0, 400.0, 0.0)],
-    *[(80.0, 400.0, 0.0), (45.0, 400.0, 0.0), (65.0, 130.0, 0.0), (50.0, 60.0, 1.2)],
-    *[(75.0, 400.0, 0.0), (5.0, 130.0, 0.0), (50.0, 400.0, 0.0), (0.0, 130.0, 0.0)],
-    *[(100.0, 400.0, 0.0), (0.0, 130.0, 0.0)],
-]
-
-
 def identification_drive() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return time in s and drive in V: full cycles, then smaller ones; 0 V at both ends."""
-    pieces = [np.zeros(int(0.4 * RATE))]
-    start = 0.0
-    for end, speed, rest in SWINGS:
-        steps = round(abs(end - start) / speed * RATE)
-        phase = (1.0 - np.cos(np.pi * np.arange(1, steps + 1) / steps)) / 2.0
-        pieces += [start + (end - start) * phase, np.full(round(rest * RATE), end)]
-        start = end
-    voltage = np.asarray(np.round(np.concatenate(pieces), 4), dtype=np.float64)
-    return np.arange(len(voltage)) / RATE, voltage
+    """Return time in s and drive in V of ``dbo excite --v-max 100 --max-slew 2000 --sample-rate 500``."""
+    time, voltage = excite(0.0, 100.0, sample_rate=RATE, max_slew=2000.0)
+    return time, np.round(voltage, 4)
 
 
 def trajectory() -> tuple[NDArray[np.float64], NDArray[np.float64]]:

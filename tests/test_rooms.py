@@ -57,6 +57,30 @@ def test_imports_point_downwards() -> None:
         assert room not in ARRAYS_ONLY or "logs" not in rooms, path
 
 
+ENDING = {"dbo_cli.logs.dialect dbo_cli.logs.names", "dbo_cli.logs.join dbo_cli.logs.log",
+          "dbo_cli.logs.log dbo_cli.logs.resample"}  # fmt: skip
+
+
+def test_no_two_files_import_each_other() -> None:
+    """Types that are imported for a checker alone count, too."""
+    root, modules = PACKAGE.parent, {}
+    for path in PACKAGE.rglob("*.py"):
+        parts = path.relative_to(root).with_suffix("").parts
+        modules[".".join(parts).removesuffix(".__init__")] = path
+    imported: dict[str, set[str]] = {}
+    for name, path in modules.items():
+        found = set()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                names = [f"{node.module}.{alias.name}" for alias in node.names]
+                found |= {file if file in modules else node.module for file in names}
+        imported[name] = found & set(modules) - {name}
+    pairs = set()
+    for name, others in imported.items():
+        pairs |= {f"{name} {other}" for other in others if name in imported[other]}
+    assert {pair for pair in pairs if pair == " ".join(sorted(pair.split()))} <= ENDING
+
+
 def loaded_by(code: str) -> set[str]:
     """Return the heavy libraries that are loaded after some lines of Python."""
     line = [sys.executable, "-c", f"import sys; {code}; print(*sys.modules)"]

@@ -112,9 +112,9 @@ def compensate(
         {name: values or [] for name, values in {**ranges, **around}.items()},
         extrapolate,
         on_limit,
-        opt.quantity("approach", approach, "s", "auto"),
+        approach,
         condition,
-        opt.quantity("lead", lead, "s", "auto"),
+        lead,
         whole if any(whole.values()) else {},
         {"time": time, "voltage": voltage, "measured": measured},
         reading,
@@ -157,9 +157,9 @@ class Move:
     voltages: dict[str, list[str]]
     extrapolate: bool
     on_limit: Literal["auto", "clip", "error"]
-    approach: Any
+    approach: Text
     condition: bool
-    lead: Any
+    lead: Text
     whole: dict[str, Any]
     columns: dict[str, str | None]
     reading: opt.Reading
@@ -180,10 +180,7 @@ class Move:
         for name, values in self.voltages.items():
             typed[name] = channels.value_for(name, values, channel, channels_of_set)
         for name in ("v_min", "v_max", "from", "return"):
-            text = typed[name]
-            voltages[name] = (
-                None if text is None else voltage_in(name, text, actuator.input)
-            )
+            voltages[name] = voltage_in(name, typed[name], actuator.input)
         for name in ("v_min", "v_max"):
             bound = voltages[name]
             if channel is not None and bound is not None:
@@ -276,9 +273,10 @@ def compensate_set(
     def drive_of(name: str, hold: int, behind: int) -> Drive:
         table = tables[name]
         driver = move.driver(models[name], states[name], known, name, hold)
-        clock = table.dt if isinstance(table.dt, float) else table.time
-        wanted, options = table["displacement"], in_memory[name]
-        return driver.whole(wanted, clock, return_rows=behind, **options)
+        desired, options = table["displacement"], in_memory[name]
+        return driver.whole(
+            desired, table.dt, table.time, return_rows=behind, **options
+        )
 
     write_set(channels.together(drive_of, known), written)
 
@@ -333,23 +331,23 @@ def write_drive(
     in_memory: dict[str, Any],
 ) -> Drive:
     """Drive a trajectory and write it: as a whole where loops or learning need that, else by blocks."""
-    from dbo_cli.drive.ahead import Rows, write
+    from dbo_cli.drive.simulate import Rows
     from dbo_cli.logs import add_table
 
     if in_memory:
         read = wanted.read()
-        clock = read.dt if isinstance(read.dt, float) else read.time
-        drive = driver.whole(read["displacement"], clock, **in_memory)
+        drive = driver.whole(read["displacement"], read.dt, read.time, **in_memory)
         table = add_table(outputs, output, *table_of(driver, read.time))
-        write(table, Rows(drive.time, drive.desired, drive.voltage))
+        Rows(drive.time, drive.desired, drive.voltage).send(table.write)
         return drive
     blocks = progress(wanted.blocks(), "driven")
     first = next(blocks)
     table = add_table(outputs, output, *table_of(driver, first.time))
     for block in chain([first], blocks):
-        write(table, driver.rows(block.values["displacement"], block.dt, block.time))
-    rest, drive = driver.finish()
-    write(table, rest)
+        rows = driver.rows(block.values["displacement"], block.dt, block.time)
+        rows.send(table.write)
+    rows, drive = driver.finish()
+    rows.send(table.write)
     return drive
 
 

@@ -33,7 +33,6 @@ def simulate(
     Example: dbo simulate model.json drive.csv -o predicted.csv
     """
     from dbo_cli import channels
-    from dbo_cli.drive.ahead import write
     from dbo_cli.drive.simulate import Simulator
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.logs import add_table, open_log
@@ -61,8 +60,9 @@ def simulate(
         table = add_table(outputs, output, names)
         simulator = Simulator(actuator, start, outside, signal.name)
         for block in chain([first], blocks):
-            write(table, simulator.rows(block.values["input"], block.dt, block.time))
-        write(table, simulator.finish())
+            rows = simulator.rows(block.values["input"], block.dt, block.time)
+            rows.send(table.write)
+        simulator.finish().send(table.write)
         if save_state is not None and isinstance(simulator.state, State):
             text = dumps_state(simulator.state, actuator)
             outputs.write_text(save_state, text, "state")
@@ -85,8 +85,7 @@ def simulate_set(
 ) -> None:
     """Run the model of each channel over its input, and write all side by side."""
     from dbo_cli import channels
-    from dbo_cli.drive.ahead import joined
-    from dbo_cli.drive.simulate import Simulator
+    from dbo_cli.drive.simulate import Simulator, joined
     from dbo_cli.files import Outputs
     from dbo_cli.logs import add_table
     from dbo_cli.model import State, dumps_state

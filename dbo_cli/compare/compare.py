@@ -21,7 +21,7 @@ from dbo_cli.compare.fitting import (
 from dbo_cli.errors import DboError
 from dbo_cli.identification import Options, Recording, identify
 from dbo_cli.model import Cascade, Points
-from dbo_cli.reports.render import digits, json_text, text_table
+from dbo_cli.reports.words import digits, json_text, text_table
 
 JSON_VERSION = 1  # of the form dbo-compare
 HEAD = "operator,fit,expected,validated,numbers,ns forward,ns inverse".split(",")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dbo_cli.drive.compensate import Driver, plan
+from dbo_cli.drive.compensate import Driver
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.limits import Limits, voltage_in
 
-__all__ = ["Drive", "Driver", "Lead", "Limits", "plan", "voltage_in"]
+__all__ = ["Drive", "Driver", "Lead", "Limits", "voltage_in"]

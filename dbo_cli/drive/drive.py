@@ -45,18 +45,16 @@ class Drive:
         Rows of the move that a limit cut off, and the first of them from 1 (0: none).
     lost_rms, lost_most : float
         What the move misses by that, in the displacement's unit.
-    missed, off : float
-        How far the first row starts off its displacement, because no settled actuator
-        stands there; and by how much dynamics and delay are in motion there.
-    expected_error, expected_known : float, optional
-        RMS of the error to expect, what is clipped included; and the same if the past
-        were known. None where the model does not know.
+    expected_error, expected_known, expected_unrested : float, optional
+        RMS of the error to expect, what is clipped included; the same if the past were
+        known; and, behind a sweep, if the actuator was not at rest before it. None where
+        the model does not know.
     starts_at : float, optional
         The first voltage, where nobody said where the amplifier stands.
     past_known : bool
-        Whether a sweep or a state makes the past known.
-    known_by : str
-        The parameter that would make it known.
+        Whether a sweep or a typed state makes the past known.
+    is_loop : bool
+        Whether the move is one period that is repeated.
     state : State or None
         After the last row.
     history : tuple of PassRecord
@@ -83,13 +81,12 @@ class Drive:
     first_clipped: int = 0
     lost_rms: float = 0.0
     lost_most: float = 0.0
-    missed: float = 0.0
-    off: float = 0.0
     expected_error: float | None = None
     expected_known: float | None = None
+    expected_unrested: float | None = None
     starts_at: float | None = None
     past_known: bool = False
-    known_by: str = "condition"
+    is_loop: bool = False
     state: State | None = field(default=None, repr=False)
     history: tuple[PassRecord, ...] = ()
     notes: tuple[str, ...] = ()
@@ -117,13 +114,17 @@ class Drive:
         error = f"{self.expected_error:.2g}"
         text = f"expected error {error}{self.model.output.suffix} RMS"
         if self.past_known:
-            return text
+            unrested = f"{self.expected_unrested or self.expected_error:.2g}"
+            if unrested == error:
+                return text
+            return f"{text} from rest; {unrested} if the actuator moved just before"
         if self.expected_known is None:
             return f"{text} (past unknown)"
         known = f"{self.expected_known:.2g}"
         if known == error:
             return f"{text}, whatever the past"
-        return f"{text} (past unknown; {known} with `{self.known_by}`)"
+        way = "from a known `state`" if self.is_loop else "from rest with `condition`"
+        return f"{text} (past unknown; {known} {way})"
 
     def summary(self) -> dict[str, Any]:
         """Return the drive as plain values, for a summary in JSON."""

@@ -21,7 +21,7 @@ import random
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.swings import swing_rows, swings
+from dbo_cli.drive.smooth import swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
 
 # a turning point as a part of the range, and the rows on the way there

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
+from dbo_cli.drive.drive import Drive
+from dbo_cli.drive.lead import Lead, standing_at
 from dbo_cli.drive.limits import Limits, rounded_up
-from dbo_cli.errors import InputError, LimitError
-from dbo_cli.model import Cascade, Run, State, Steps
+from dbo_cli.errors import InputError, LimitError, warn
+from dbo_cli.model import Cascade, Run, State, Steps, expect
 
 ALLOWED_PART = 0.01
 """Of the move: so much of it (RMS) may be cut off unasked; the order of a good model's error; chosen."""
@@ -19,328 +20,366 @@ ALLOWED_PART = 0.01
 REACH_SLACK = 0.01
 FIRST_ROWS = 131_072  # of a move, that expectations and refusals look at again
 OFF_AT_FIRST = 1e-3  # of the range: so far off its first value may a drive begin unsaid
+JUMP = 0.01  # of the range: a first step that is said
 LONG_HOLD = 100.0  # times the longest time constant: what creeps has come to rest
 
 
-@dataclass(frozen=True)
-class Clipping:
-    """What limits cut off the rows of a move so far.
-
-    Attributes
-    ----------
-    rows : int
-        Of the move.
-    clipped, first : int
-        Rows that a limit cut off, and the first of them from 1 (0: none).
-    squares, largest : float
-        Sum of the squares of what the move misses by that, and the largest of it.
-    unreachable : int
-        Rows that are beyond the model's reach.
-    low, high : float
-        Least and greatest displacement of the move.
-    """
-
-    rows: int = 0
-    clipped: int = 0
-    first: int = 0
-    squares: float = 0.0
-    largest: float = 0.0
-    unreachable: int = 0
-    low: float = math.inf
-    high: float = -math.inf
-
-    @property
-    def rms(self) -> float:
-        """What the move misses (RMS)."""
-        return math.sqrt(self.squares / self.rows) if self.clipped else 0.0
-
-    def said(self, limits: Limits) -> str:
-        """Return how much of the move the limits forbid, in words."""
-        return (
-            f"{self.clipped:,} of {self.rows:,} rows (first: row {self.first:,}) exceed "
-            f"{limits.describe()}"
-        )
-
-
-def clip(
-    so_far: Clipping,
-    model: Cascade,
-    desired: Floats,
-    target: Floats,
-    run: Run,
-    state: State,
-    dt: Steps,
-) -> Clipping:
-    """Return what limits cut off a move with the next rows of it.
+class Judge:
+    """Counts the rows of a drive as they come, refuses what limits cost, and concludes.
 
     Parameters
     ----------
-    desired, target
-        The rows, and what the static part was to reach for them.
-    run, state
-        The drive of them, and the state before it.
-    """
-    first = so_far.first
-    if run.clipped and not so_far.clipped:
-        first = so_far.rows + run.first_clipped + 1
-    slack = REACH_SLACK * model.output.span
-    low, high = model.output.min - slack, model.output.max + slack
-    result = replace(
-        so_far,
-        rows=so_far.rows + desired.size,
-        clipped=so_far.clipped + run.clipped,
-        first=first,
-        unreachable=so_far.unreachable
-        + int(np.count_nonzero((desired < low) | (desired > high))),
-        low=min(so_far.low, float(desired.min())),
-        high=max(so_far.high, float(desired.max())),
-    )
-    if not result.clipped:
-        return result
-    lost = target - model.static.run(run.y, state, dt).y
-    # a settled start may step over the first value: no limit does that
-    lost[: max(first - 1 - so_far.rows, 0)] = 0.0
-    return replace(
-        result,
-        squares=so_far.squares + float(np.square(lost).sum()),
-        largest=max(so_far.largest, float(np.abs(lost).max())),
-    )
-
-
-@dataclass
-class Excerpt:
-    """The first rows of a drive, at most ``FIRST_ROWS`` of the move, which judgements play again.
+    model, limits, lead
+        A forward model, what its drive may do, and what stands before the move.
+    on_limit : str
+        What happens where limits cut rows off.
+    name : str
+        Of the trajectory, in messages.
 
     Attributes
     ----------
-    voltage, steps
-        Rows before the move and of it, part by part, and their time steps.
-    target
-        What the static part was to reach for the move, with the time steps; nothing where
-        the move is longer, or no slew is limited.
-    state
-        Before the move.
+    lead_seconds : float
+        How long the rows before the move take.
+    missed, transient : float
+        How far the first row starts off its displacement, because no settled actuator
+        stands there; and by how much dynamics and delay are in motion there.
+    is_loop : bool
+        Whether the move is one period that is repeated.
     """
 
-    voltage: list[Floats] = field(default_factory=list)
-    steps: list[Steps] = field(default_factory=list)
-    target: list[tuple[Floats, Steps]] = field(default_factory=list)
-    state: State | None = None
+    def __init__(
+        self,
+        model: Cascade,
+        limits: Limits,
+        lead: Lead,
+        on_limit: str,
+        name: str,
+    ) -> None:
+        self.model, self.limits, self.lead = model, limits, lead
+        self.on_limit, self.name = on_limit, name
+        self.standing = standing_at(limits, lead)
+        self.lead_seconds = self.missed = self.transient = 0.0
+        self.is_loop = False
+        # of all rows, and of those before the move
+        self._rows = self._lead_rows = 0
+        self._first = math.nan
+        self._range: list[float] | None = None
+        self._lead_range: list[float] | None = None
+        # of the move: what limits cut off, and what no voltage reaches
+        self._move_rows = self._clipped = self._first_clipped = self._unreachable = 0
+        self._squares = self._largest = 0.0
+        self._low, self._high = math.inf, -math.inf
+        # the first rows, which judgements play again: voltages and steps, part by part
+        self._voltages: list[Floats] = []
+        self._steps: list[Steps] = []
+        # what the static part was to reach for the move, with the steps, and the state before
+        self._targets: list[tuple[Floats, Steps]] = []
+        self._before: State | None = None
 
-    def played(self) -> tuple[Floats, Steps]:
-        """Return the voltages in one array, and their time steps; one number where all are alike."""
-        voltage = np.concatenate(self.voltage)
+    # --- rows ---
+
+    def clip(
+        self, desired: Floats, target: Floats, run: Run, state: State, dt: Steps
+    ) -> None:
+        """Count rows of the move and what the limits cut off them.
+
+        Parameters
+        ----------
+        desired, target
+            The rows, and what the static part was to reach for them.
+        run, state
+            The drive of them, and the state before it.
+
+        Raises
+        ------
+        LimitError
+            Something was cut off, and ``on_limit`` is error.
+        """
+        model, before = self.model, self._move_rows
+        if run.clipped and not self._clipped:
+            self._first_clipped = before + run.first_clipped + 1
+        self._move_rows += desired.size
+        self._clipped += run.clipped
+        slack = REACH_SLACK * model.output.span
+        low, high = model.output.min - slack, model.output.max + slack
+        self._unreachable += int(np.count_nonzero((desired < low) | (desired > high)))
+        self._low = min(self._low, float(desired.min()))
+        self._high = max(self._high, float(desired.max()))
+        if self._clipped:
+            lost = target - model.static.run(run.y, state, dt).y
+            # a settled start may step over the first value: no limit does that
+            lost[: max(self._first_clipped - 1 - before, 0)] = 0.0
+            self._squares += float(np.square(lost).sum())
+            self._largest = max(self._largest, float(np.abs(lost).max()))
+        if self._before is None:
+            self._before = state
+        self._targets.append((target, dt))
+        if self.limits.slew is None or self._move_rows > FIRST_ROWS:
+            self._targets.clear()
+        if self._clipped and self.on_limit == "error":
+            raise LimitError(
+                f"{self.name}: {self._exceeding()}{self._would_fit()} (or `on_limit` clip)"
+            )
+
+    def count(self, voltage: Floats, dt: Steps, part: str) -> None:
+        """Count rows of a part: ``lead``, ``move``, of which ``clip`` knows already, or ``return``."""
+        if not voltage.size:
+            return
+        if not self._rows:
+            self._first = float(voltage[0])
+        self._rows += voltage.size
+        self._range = widened(self._range, voltage)
+        if part == "return":
+            return
+        if part == "lead":
+            self._lead_rows += voltage.size
+            self._lead_range = widened(self._lead_range, voltage)
+        else:
+            before = self._move_rows - voltage.size
+            voltage = voltage[: max(FIRST_ROWS - before, 0)]
+        if voltage.size:
+            self._voltages.append(voltage)
+            self._steps.append(dt[: voltage.size] if isinstance(dt, np.ndarray) else dt)
+
+    def _played(self) -> tuple[Floats, Steps]:
+        """Return the first voltages in one array, and their time steps; one number where all are alike."""
+        voltage = np.concatenate(self._voltages)
         steps = []
-        for rows, dt in zip(self.voltage, self.steps, strict=True):
+        for rows, dt in zip(self._voltages, self._steps, strict=True):
             if dt is None:
                 return voltage, None
             steps.append(np.broadcast_to(dt, rows.shape))
         dt = np.concatenate(steps)
         return voltage, float(dt[0]) if (dt == dt[0]).all() else dt
 
+    # --- refusals ---
 
-# --- refusals ---
+    @property
+    def _lost_rms(self) -> float:
+        """What the move misses."""
+        return math.sqrt(self._squares / self._move_rows) if self._clipped else 0.0
 
-
-def require_reached(
-    name: str,
-    model: Cascade,
-    limits: Limits,
-    clipping: Clipping,
-    excerpt: Excerpt,
-    is_auto: bool,
-    period: float | None = None,
-) -> None:
-    """Refuse a move of which nothing can be reached, or of which the limits cut off too much.
-
-    Parameters
-    ----------
-    name
-        Of the trajectory.
-    is_auto
-        Whether what costs too much is refused.
-    period
-        Seconds, where the move is one period of a loop.
-
-    Raises
-    ------
-    InputError
-        No row of the trajectory is within what the model reaches.
-    LimitError
-        More than a hundredth of the move would be missed.
-    """
-    reach, unit = model.output, model.output.suffix
-    if clipping.unreachable == clipping.rows:
-        raise InputError(
-            f"{name}: every row is outside the model's reach, {reach.min:.6g} to {reach.max:.6g}"
-            f"{unit}: check unit, column and zero of the trajectory"
+    def _exceeding(self) -> str:
+        """Return how much of the move the limits forbid, in words."""
+        return (
+            f"{self._clipped:,} of {self._move_rows:,} rows (first: row {self._first_clipped:,}) exceed "
+            f"{self.limits.describe()}"
         )
-    size, what = clipping.high - clipping.low, "the move"
-    if not size > 0.0:
-        size, what = reach.span, "the model's range"
-    if not is_auto or clipping.rms <= ALLOWED_PART * size:
-        return
-    fits = would_fit(model, limits, clipping, excerpt, period)
-    raise LimitError(
-        f"{name}: {clipping.said(limits)}, by {clipping.rms:.3g}{unit} RMS "
-        f"({100.0 * clipping.rms / size:.2g} % of {what}){fits} (or `on_limit` clip)"
-    )
 
-
-def would_fit(
-    model: Cascade,
-    limits: Limits,
-    clipping: Clipping,
-    excerpt: Excerpt,
-    period: float | None = None,
-) -> str:
-    """Return what would fit, where that is one number; else an empty text."""
-    texts = _reach_texts(model, limits, clipping)
-    slower = _times_slower(model, limits, excerpt)
-    if not texts and slower > 1.0:
-        what = f"it {rounded_up(slower):g} times slower"
-        if period is not None:
-            what = f"{1.0 / (slower * period):.2g} Hz"
-        texts.append(f"{limits.slew:g}{limits.suffix}/s allows {what}")
-    return f"; {', '.join(texts)}" if texts else ""
-
-
-def _reach_texts(model: Cascade, limits: Limits, clipping: Clipping) -> list[str]:
-    """Return what the ends of the range reach, where the move goes beyond that."""
-    static, ends = model.static, []
-    for voltage, start in zip(limits.move, ("full", "empty"), strict=True):
-        state = static.start(voltage, start)
-        ends.append(float(static.run(np.array([voltage]), state, 1.0).y[0]))
-    texts = []
-    for voltage, end in zip(limits.move, ends, strict=True):
-        above = end == max(ends) and clipping.high > end
-        below = end == min(ends) and clipping.low < end
-        if above or below:
-            texts.append(
-                f"{voltage:.6g}{limits.suffix} reaches {end:.4g}{model.output.suffix}"
+    def require_longer_than_delay(self, step: float) -> None:
+        """Refuse a move that is over before the model answers (LimitError)."""
+        delay, seconds = self.model.delay_seconds, self._move_rows * step
+        if self.on_limit == "auto" and delay > seconds:
+            raise LimitError(
+                f"{self.name}: the move, {seconds:.4g} s, is shorter than the model's delay, {delay:.4g} "
+                "s (`on_limit` clip writes it)"
             )
-    return texts
 
+    def require_reached(self, period: float | None = None) -> None:
+        """Refuse a move of which nothing can be reached, or of which the limits cut off too much.
 
-def _times_slower(model: Cascade, limits: Limits, excerpt: Excerpt) -> float:
-    """Return how many times the slew limit the move needs; 0 where that is not known."""
-    if limits.slew is None or not excerpt.target:
-        return 0.0
-    fastest, state = 0.0, excerpt.state
-    assert state is not None
-    for target, dt in excerpt.target:
-        run = model.drive(target, state, dt, limits.move)
-        state = run.state
-        seconds = np.broadcast_to(np.asarray(dt), target.shape)[1:]
-        steps = np.abs(np.diff(run.y))[seconds > 0.0]
-        rates = steps / seconds[seconds > 0.0]
-        fastest = max(fastest, float(rates.max(initial=0.0)))
-    return fastest / limits.slew
+        Parameters
+        ----------
+        period
+            Seconds, where the move is one period of a loop.
 
-
-# --- what to expect ---
-
-
-def expected(
-    model: Cascade,
-    excerpt: Excerpt,
-    past_known: bool,
-    memory_known: bool,
-    lead_rows: int,
-    lost_rms: float,
-) -> float | None:
-    """Return the error to expect of the move (RMS), with what is clipped; None where it is not known.
-
-    A sweep makes the past of the gears known, a state that of the memories, too.
-    """
-    from dbo_cli.model.expect import expected_error
-
-    voltage, dt = excerpt.played()
-    error = expected_error(model, voltage, dt, past_known, lead_rows, memory_known)
-    return None if error is None else math.hypot(error, lost_rms)
-
-
-# --- warnings, without the name of the trajectory ---
-
-
-def start_warnings(
-    model: Cascade, limits: Limits, clipping: Clipping, missed: float, off: float
-) -> list[str]:
-    """Return what was clipped, and how the drive begins.
-
-    ``missed`` and ``off`` are how far the first row starts off its displacement, and by
-    how much dynamics and delay are in motion there.
-    """
-    unit, span = model.output.suffix, model.output.span
-    texts = []
-    if clipping.clipped:
-        texts.append(
-            f"{clipping.said(limits)}: clipped; the move misses {clipping.rms:.3g}{unit} RMS, at most "
-            f"{clipping.largest:.3g}{unit}"
+        Raises
+        ------
+        InputError
+            No row of the trajectory is within what the model reaches.
+        LimitError
+            More than a hundredth of the move would be missed.
+        """
+        reach, unit = self.model.output, self.model.output.suffix
+        if self._unreachable == self._move_rows:
+            raise InputError(
+                f"{self.name}: every row is outside the model's reach, {reach.min:.6g} to {reach.max:.6g}"
+                f"{unit}: check unit, column and zero of the trajectory"
+            )
+        size, noun = self._high - self._low, "the move"
+        if not size > 0.0:
+            size, noun = reach.span, "the model's range"
+        lost = self._lost_rms
+        if self.on_limit != "auto" or lost <= ALLOWED_PART * size:
+            return
+        raise LimitError(
+            f"{self.name}: {self._exceeding()}, by {lost:.3g}{unit} RMS ({100.0 * lost / size:.2g} % of "
+            f"{noun}){self._would_fit(period)} (or `on_limit` clip)"
         )
-    if abs(missed) > OFF_AT_FIRST * span:
-        texts.append(
-            f"row 1 starts {abs(missed):.3g}{unit} off, where no settled actuator is: try "
-            "`condition` or `state` empty"
-        )
-    if abs(off) > OFF_AT_FIRST * span:
-        texts.append("the move starts in motion and rings at first: add `lead` auto")
-    return texts
 
+    def _would_fit(self, period: float | None = None) -> str:
+        """Return what would fit, where that is one number; else an empty text."""
+        texts, limits = self._reach_texts(), self.limits
+        slower = self._times_slower()
+        if not texts and slower > 1.0:
+            fits = f"it {rounded_up(slower):g} times slower"
+            if period is not None:
+                fits = f"{1.0 / (slower * period):.2g} Hz"
+            texts.append(f"{limits.slew:g}{limits.suffix}/s allows {fits}")
+        return f"; {', '.join(texts)}" if texts else ""
 
-def beyond_identified(limits: Limits, low: float, high: float) -> list[str]:
-    """Return a warning where the drive, ``low`` to ``high``, leaves the identified range."""
-    least, greatest = limits.identified
-    if not limits.extrapolate or least <= low <= high <= greatest:
-        return []
-    unit = limits.suffix
-    return [
-        f"the drive goes from {low:.6g} to {high:.6g}{unit}, beyond the identified range, "
-        f"{least:.6g} to {greatest:.6g}{unit}"
-    ]
-
-
-def move_warnings(
-    model: Cascade, excerpt: Excerpt, error: float | None, lost_rms: float
-) -> list[str]:
-    """Return what of the move the logs do not show; ``error`` is the one to expect."""
-    from dbo_cli.model import expect
-
-    texts = expect.move_warnings(model, *excerpt.played())
-    line = model.fit.get("line_rmse")
-    if error is None or not isinstance(line, float):
+    def _reach_texts(self) -> list[str]:
+        """Return what the ends of the range reach, where the move goes beyond that."""
+        static, ends = self.model.static, []
+        for voltage, start in zip(self.limits.move, ("full", "empty"), strict=True):
+            state = static.start(voltage, start)
+            ends.append(float(static.run(np.array([voltage]), state, 1.0).y[0]))
+        texts = []
+        for voltage, end in zip(self.limits.move, ends, strict=True):
+            above = end == max(ends) and self._high > end
+            below = end == min(ends) and self._low < end
+            if above or below:
+                texts.append(
+                    f"{voltage:.6g}{self.limits.suffix} reaches {end:.4g}{self.model.output.suffix}"
+                )
         return texts
-    if error >= max(line, lost_rms):
-        unit = model.output.suffix
-        texts.append(
+
+    def _times_slower(self) -> float:
+        """Return how many times the slew limit the move needs; 0 where that is not known."""
+        if self.limits.slew is None or not self._targets:
+            return 0.0
+        fastest, state = 0.0, self._before
+        assert state is not None
+        for target, dt in self._targets:
+            run = self.model.drive(target, state, dt, self.limits.move)
+            state = run.state
+            seconds = np.broadcast_to(np.asarray(dt), target.shape)[1:]
+            steps = np.abs(np.diff(run.y))[seconds > 0.0]
+            rates = steps / seconds[seconds > 0.0]
+            fastest = max(fastest, float(rates.max(initial=0.0)))
+        return fastest / self.limits.slew
+
+    # --- the end ---
+
+    def concluded(self, state: State | None, unsettled: float = 0.0) -> Drive:
+        """Return the figures of a drive of which all rows were seen, and warn of what is unusual.
+
+        ``unsettled`` is how far a loop's first pass is off the settled one (RMS).
+        """
+        assert self._range is not None
+        voltage, steps = self._played()
+        beyond = self._beyond_identified(*self._range)
+        error = known = unrested = expected = None
+        if not beyond:
+            expected = expect.expected_error(
+                self.model, voltage, steps, self._lead_rows
+            )
+        if expected is not None:
+            missed = math.hypot(self._lost_rms, unsettled)
+            past_known = self.lead.past_known
+            error = math.hypot(expected.rms(past_known, past_known), missed)
+            if not past_known:
+                known = math.hypot(expected.known, missed)
+            if self.lead.condition:
+                unrested = math.hypot(expected.rms(past_known=True), missed)
+        texts = [*self._start_warnings(), *self._jump_warning(), *beyond]
+        texts += expect.move_warnings(self.model, voltage, steps)
+        texts += [*self._worse_than_a_line(error), *self._creeping_hold(state)]
+        warnings = tuple(f"{self.name}: {text}" for text in texts)
+        for text in warnings:
+            warn(text)
+        asks_start = self.standing is None and self.lead.state in ("auto", "settled")
+        return Drive(
+            self.model,
+            self.limits,
+            self.name,
+            rows=self._rows,
+            lead_rows=self._lead_rows,
+            move_rows=self._move_rows,
+            voltage_range=self._range,
+            lead_range=self._lead_range,
+            move_range=[self._low, self._high],
+            lead_seconds=self.lead_seconds,
+            clipped=self._clipped,
+            first_clipped=self._first_clipped,
+            lost_rms=self._lost_rms,
+            lost_most=self._largest,
+            expected_error=error,
+            expected_known=known,
+            expected_unrested=unrested,
+            starts_at=self._first if asks_start else None,
+            past_known=self.lead.past_known,
+            is_loop=self.is_loop,
+            state=None if state is None else replace(state, model=self.model.digest),
+            warnings=warnings,
+        )
+
+    # --- warnings, without the name of the trajectory ---
+
+    def _start_warnings(self) -> list[str]:
+        """Return what was clipped, and how the drive begins."""
+        unit, span = self.model.output.suffix, self.model.output.span
+        texts = []
+        if self._clipped:
+            texts.append(
+                f"{self._exceeding()}: clipped; the move misses {self._lost_rms:.3g}{unit} RMS, at most "
+                f"{self._largest:.3g}{unit}"
+            )
+        if abs(self.missed) > OFF_AT_FIRST * span:
+            texts.append(
+                f"row 1 starts {abs(self.missed):.3g}{unit} off, where no settled actuator is: try "
+                "`condition` or `state` empty"
+            )
+        if abs(self.transient) > OFF_AT_FIRST * span:
+            texts.append(
+                "the move starts in motion and rings at first: add `lead` auto"
+            )
+        return texts
+
+    def _jump_warning(self) -> list[str]:
+        """Return a warning where the first row is far from where the amplifier stands."""
+        (low, high), standing = self.limits.identified, self.standing
+        if standing is None or abs(self._first - standing) <= JUMP * (high - low):
+            return []
+        return [
+            f"jumps from {standing:.4g} to {self._first:.4g}{self.limits.suffix} at row 1, and the error "
+            "there is not in the expected one: add `approach` auto"
+        ]
+
+    def _beyond_identified(self, low: float, high: float) -> list[str]:
+        """Return a warning where the drive, ``low`` to ``high``, leaves the identified range."""
+        limits, unit = self.limits, self.limits.suffix
+        lowest, highest = limits.identified
+        if not limits.extrapolate or lowest <= low <= high <= highest:
+            return []
+        return [
+            f"the drive goes from {low:.6g} to {high:.6g}{unit}, beyond the identified range, "
+            f"{lowest:.6g} to {highest:.6g}{unit}"
+        ]
+
+    def _worse_than_a_line(self, error: float | None) -> list[str]:
+        """Return a warning where the error to expect is that of a straight line."""
+        line, unit = self.model.fit.get("line_rmse"), self.model.output.suffix
+        if error is None or not isinstance(line, float):
+            return []
+        if error < max(line, self._lost_rms):
+            return []
+        return [
             f"expected error {error:.3g}{unit}, a straight line's is {line:.3g}: identify with a log "
             "of such moves"
-        )
-    return texts
+        ]
+
+    def _creeping_hold(self, state: State | None) -> list[str]:
+        """Return a warning where holding the last position drives the voltage out of the limits."""
+        relaxation, static = self.model.gears.relaxation, self.model.static
+        if relaxation is None or state is None or state.drive is None:
+            return []
+        if min(relaxation.gain) >= 0.0:
+            return []
+        still = replace(state, sections=None, delay=None, undoing=None)
+        position = static.run(np.array([state.drive]), still, 0.0).y
+        seconds = LONG_HOLD * max(relaxation.tau)
+        voltage = float(static.drive(position, still, seconds).y[0])
+        (low, high), unit = self.limits.move, self.limits.suffix
+        if low <= voltage <= high:
+            return []
+        return [
+            f"holding the last position takes the drive to {voltage:.6g}{unit} in the long run, outside "
+            f"{low:.6g} to {high:.6g}{unit}"
+        ]
 
 
-def creeping_hold(model: Cascade, limits: Limits, state: State | None) -> list[str]:
-    """Return a warning where holding the last position drives the voltage out of the limits."""
-    relaxation = model.gears.relaxation
-    if relaxation is None or state is None or state.drive is None:
-        return []
-    if min(relaxation.gain) >= 0.0:
-        return []
-    still = replace(state, sections=None, delay=None, undoing=None)
-    position = model.static.run(np.array([state.drive]), still, 0.0).y
-    seconds = LONG_HOLD * max(relaxation.tau)
-    voltage = float(model.static.drive(position, still, seconds).y[0])
-    low, high = limits.move
-    if low <= voltage <= high:
-        return []
-    unit = limits.suffix
-    return [
-        f"holding the last position takes the drive to {voltage:.6g}{unit} in the long run, outside "
-        f"{low:.6g} to {high:.6g}{unit}"
-    ]
-
-
-def widened(span: Sequence[float] | None, values: Floats) -> list[float]:
+def widened(span: list[float] | None, values: Floats) -> list[float]:
     """Return the least and the greatest of a span and of values."""
     low, high = float(values.min()), float(values.max())
     if span is None:

@@ -10,17 +10,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Literal
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.limits import Limits, rounded_up
-from dbo_cli.drive.swings import swing_rows, swings
+from dbo_cli.drive.smooth import swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.model import Cascade, Lag, State
+from dbo_cli.units import parse_quantity
 
-Seconds = float | Literal["auto"] | None
+Seconds = float | str | None
+"""A number of s, ``auto``, or None; of ``Lead`` a text with a unit, too."""
 
 SWEEP_SECONDS = 1.0
 """s over the whole range, where no slew limit asks for more; as ``excite`` by default."""
@@ -47,12 +48,12 @@ class Lead:
         ``auto``, ``empty``, ``full``, ``settled``, or the state to go on from.
     start : float, optional
         Voltage at which the amplifier stands.
-    approach : float or "auto", optional
-        Seconds of the way from there to the first value; with ``condition`` of the
+    approach : float, str or "auto", optional
+        Seconds (a text has a unit) of the way from there to the first value; with ``condition`` of the
         sweep, too.
     condition : bool
         Sweep the move's range first.
-    rest : float or "auto", optional
+    rest : float, str or "auto", optional
         Seconds at the first value; auto: as many as dynamics and delay need.
 
     Raises
@@ -78,17 +79,18 @@ class Lead:
 
     @property
     def past_known(self) -> bool:
-        """Whether a sweep or a state makes the past known."""
-        return self.condition or isinstance(self.state, State)
+        """Whether a sweep from rest or a typed state makes the past known."""
+        return self.condition or isinstance(self.state, State) or self.state != "auto"
 
 
-def _seconds(name: str, value: Any) -> Seconds:
+def _seconds(name: str, typed: Seconds) -> Seconds:
     """Return typed seconds as a number; UsageError where they are not above 0, None or auto."""
-    if value is None or value == "auto":
-        return value  # type: ignore[no-any-return]
-    if isinstance(value, int | float | np.number) and 0.0 < value < math.inf:
-        return float(value)
-    raise UsageError(f"`{name}` {value}: give seconds above 0, or auto")
+    if typed is None or typed == "auto":
+        return typed
+    seconds = parse_quantity(typed, "s", name)
+    if 0.0 < seconds < math.inf:
+        return seconds
+    raise UsageError(f"`{name}` {typed}: give seconds above 0, or auto")
 
 
 def plan_lead(

@@ -23,8 +23,7 @@ import numpy as np
 from dbo_cli.alignment import align_displacements, mean_step
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.loops import settled_run
-from dbo_cli.drive.lowpass import low_pass
-from dbo_cli.drive.swings import soft_rise
+from dbo_cli.drive.smooth import low_pass, soft_rise
 from dbo_cli.errors import InputError, ModelError, warn
 from dbo_cli.model import Cascade, Resonance, State, fields
 from dbo_cli.signals import between, noise, turns

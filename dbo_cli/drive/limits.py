@@ -106,10 +106,10 @@ class Limits:
             the range.
         """
         identified = low, high = quantity.min, quantity.max
-        if v_min is not None:
-            low = voltage_in("v_min", v_min, quantity)
-        if v_max is not None:
-            high = voltage_in("v_max", v_max, quantity)
+        lowest = voltage_in("v_min", v_min, quantity)
+        highest = voltage_in("v_max", v_max, quantity)
+        low = low if lowest is None else lowest
+        high = high if highest is None else highest
         slew = None
         if max_slew is not None:
             slew = slew_in("max_slew", max_slew, quantity.unit)
@@ -218,8 +218,8 @@ class Limits:
         return text
 
 
-def voltage_in(name: str, figure: float | str, quantity: Quantity) -> float:
-    """Return a typed voltage in the unit of a model's drive.
+def voltage_in(name: str, figure: Figure, quantity: Quantity) -> float | None:
+    """Return a typed voltage in the unit of a model's drive; None where nothing was typed.
 
     Raises
     ------
@@ -227,6 +227,8 @@ def voltage_in(name: str, figure: float | str, quantity: Quantity) -> float:
         It cannot be read; or it is a plain number far beyond the model's range, and the
         unit of the drive has a prefix.
     """
+    if figure is None:
+        return None
     largest = WRONG_UNIT * max(abs(quantity.min), abs(quantity.max))
     return parse_quantity(figure, quantity.unit, name, largest)
 

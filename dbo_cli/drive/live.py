@@ -20,6 +20,7 @@ from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.model import Cascade, State, Undoing, state_of
 from dbo_cli.model.amplifier import AmplifiedGears
 from dbo_cli.model.points import value_through
+from dbo_cli.units import parse_quantity
 
 WANTED_SPANS = 1e12
 """A wanted value so many ranges away is no displacement but a fault of the loop."""
@@ -34,8 +35,8 @@ class Controller:
     ----------
     model : Model
         A forward model.
-    sample_rate : float
-        Samples a second (Hz).
+    sample_rate : float or str
+        Samples a second (Hz), or a text with a unit.
     v_min, v_max, max_slew, extrapolate
         Limits, as of ``compensate``.
     state : State, name of a start, or file
@@ -72,7 +73,7 @@ class Controller:
     def __init__(
         self,
         model: Cascade,
-        sample_rate: float,
+        sample_rate: float | str,
         *,
         v_min: Figure = None,
         v_max: Figure = None,
@@ -83,18 +84,17 @@ class Controller:
         lookahead: float | Literal["auto"] | None = None,
     ) -> None:
         model.require("forward")
-        if not (isinstance(sample_rate, (int, float)) and 0.0 < sample_rate < math.inf):
-            raise UsageError(
-                f"`sample_rate` {sample_rate!r}: give a number of Hz above 0"
-            )
+        rate = parse_quantity(sample_rate, "Hz", "sample_rate")
+        if not rate > 0.0:
+            raise UsageError(f"`sample_rate` {sample_rate}: give Hz above 0")
         self.limits = Limits.within(model.input, v_min, v_max, max_slew, extrapolate)
         self.clipped = 0
         self._model = model
         self._begin = state_of(state, model)
-        self._dt = 1.0 / sample_rate
+        self._dt = 1.0 / rate
         step = self.limits.largest_step(self._dt)
         self._step = math.inf if step is None else float(step)
-        typed = None if from_ is None else voltage_in("from_", from_, model.input)
+        typed = voltage_in("from_", from_, model.input)
         left_at = self._begin.drive if isinstance(self._begin, State) else None
         self.last = self.limits.standing(typed, left_at, "`from_`")
         if self.last is not None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.judge import ALLOWED_PART
 from dbo_cli.drive.lead import MOST_ROWS, Lead, ramp, standing_at
 from dbo_cli.drive.limits import Limits
-from dbo_cli.drive.swings import soft_rise
+from dbo_cli.drive.smooth import soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 from dbo_cli.model import Cascade, Run, State
 
@@ -47,8 +48,6 @@ class LoopPlan(NamedTuple):
 
     Attributes
     ----------
-    loop : Loop
-        What was asked for.
     begin : State
         Before the first row.
     lead_voltage, voltage : array
@@ -57,88 +56,10 @@ class LoopPlan(NamedTuple):
         The settled drive and the state before it.
     """
 
-    loop: Loop
     begin: State
     lead_voltage: Floats
     voltage: Floats
     settled: Settled
-
-    @property
-    def target(self) -> Floats:
-        """One period of what the static part is to follow."""
-        return self.loop.target
-
-    def require_settled(self, on_limit: str) -> tuple[str, ...]:
-        """Warn of a loop that the model does not repeat; refuse it where it costs too much (LimitError)."""
-        loop, model, dt = self.loop, self.loop.model, self.loop.dt
-        static, period = model.static, self.settled.run.y
-        size = max(float(np.ptp(loop.target)), LOOP_ERROR * model.output.span)
-        state = static.run(self.lead_voltage, self.begin, dt).state
-        looped = looped_state(model, period, dt, state)
-        aim = static.run(period, self.settled.before, dt).y
-        residual = apart(static.run(period, looped, dt).y, aim)
-        if self.settled.converged and residual <= LOOP_ERROR * size:
-            return ()
-        text = (
-            f"{loop.name}: the loop does not settle: however often it is repeated, it ends {residual:.3g}"
-            f"{model.output.suffix} off (`passes` 1 or `state` empty fixes the start)"
-        )
-        if residual <= LOOP_ERROR * size:
-            text = f"{loop.name}: the drive still changes from pass to pass within its limits"
-        costs = on_limit == "auto" and residual > ALLOWED_PART * size
-        if costs or on_limit == "error":
-            raise LimitError(f"{text}; `on_limit` clip writes it anyway")
-        warn(text)
-        return (text,)
-
-
-def plan_loop(
-    model: Cascade,
-    limits: Limits,
-    target: Floats,
-    dt: float,
-    lead: Lead,
-    passes: int,
-    name: str,
-    hold: int = 0,
-) -> LoopPlan:
-    """Return the settled drive of one period, and passes of run-in before it.
-
-    Parameters
-    ----------
-    model, limits
-        A forward model, and what its drive may do.
-    target
-        One period of what is asked of the model.
-    dt
-        Seconds a row.
-    lead
-        What stands before it: a way from where the amplifier stands, or a state.
-    passes
-        Of the run-in.
-    name, hold
-        Of the trajectory, in messages; rows for which the amplifier stands still first.
-
-    Raises
-    ------
-    InputError
-        The period is too short, or does not close.
-    LimitError
-        The loop does not close within the limits.
-    UsageError
-        Options exclude each other.
-    """
-    if not isinstance(passes, int | np.integer) or passes < 0:
-        raise UsageError(f"`passes` {passes}: give a whole number of passes")
-    if passes * target.size > MOST_ROWS:
-        raise UsageError(f"`passes` {passes}: at most {MOST_ROWS:,} rows in all")
-    if lead.condition or lead.rest:
-        raise UsageError(
-            "`periodic` excludes `condition`, `lead` and `return`: use `passes` N"
-        )
-    require_closed(name, target)
-    static_target = model.inverter(dt).loop(target)
-    return Loop(model, limits, static_target, dt, lead, passes, name, hold).planned()
 
 
 @dataclass(frozen=True)
@@ -150,15 +71,23 @@ class Loop:
     model, limits
         A forward model, and what its drive may do.
     target
-        One period of what the static part is to follow, with dynamics and delay undone.
+        One period of what is asked of the model.
     dt
         Seconds a row.
     lead, passes
-        What stands before it.
+        What stands before it: a way from where the amplifier stands, or a state; and
+        passes of run-in.
     name
         Of the trajectory.
     hold
         Rows for which the amplifier stands still before a way to the loop.
+
+    Raises
+    ------
+    InputError
+        The period is too short, or does not close.
+    UsageError
+        ``passes`` is no number of passes, or too many.
     """
 
     model: Cascade
@@ -170,6 +99,43 @@ class Loop:
     name: str
     hold: int = 0
 
+    def __post_init__(self) -> None:
+        """Refuse what is no loop."""
+        passes = self.passes
+        if not isinstance(passes, int | np.integer) or passes < 0:
+            raise UsageError(f"`passes` {passes}: give a whole number of passes")
+        if passes * self.target.size > MOST_ROWS:
+            raise UsageError(f"`passes` {passes}: at most {MOST_ROWS:,} rows in all")
+        require_closed(self.name, self.target)
+
+    @cached_property
+    def static_target(self) -> Floats:
+        """One period of what the static part is to follow, with dynamics and delay undone."""
+        return self.model.inverter(self.dt).loop(self.target)
+
+    def require_settled(self, plan: LoopPlan, on_limit: str) -> tuple[str, ...]:
+        """Warn of a loop that the model does not repeat; refuse it where it costs too much (LimitError)."""
+        model, dt, target = self.model, self.dt, self.static_target
+        static, period = model.static, plan.settled.run.y
+        size = max(float(np.ptp(target)), LOOP_ERROR * model.output.span)
+        state = static.run(plan.lead_voltage, plan.begin, dt).state
+        looped = looped_state(model, period, dt, state)
+        aim = static.run(period, plan.settled.before, dt).y
+        residual = apart(static.run(period, looped, dt).y, aim)
+        if plan.settled.converged and residual <= LOOP_ERROR * size:
+            return ()
+        text = (
+            f"{self.name}: the loop does not settle: however often it is repeated, it ends {residual:.3g}"
+            f"{model.output.suffix} off (`passes` 1 or `state` empty fixes the start)"
+        )
+        if residual <= LOOP_ERROR * size:
+            text = f"{self.name}: the drive still changes from pass to pass within its limits"
+        costs = on_limit == "auto" and residual > ALLOWED_PART * size
+        if costs or on_limit == "error":
+            raise LimitError(f"{text}; `on_limit` clip writes it anyway")
+        warn(text)
+        return (text,)
+
     # --- what stands before the period ---
 
     def planned(self) -> LoopPlan:
@@ -177,18 +143,26 @@ class Loop:
 
         The loop depends on the state in which it begins, and what stands before it on
         the loop: both are found by turns.
+
+        Raises
+        ------
+        LimitError
+            The loop does not close within the limits.
+        UsageError
+            Nothing says where an ``approach`` begins.
         """
         model, limits, start = self.model, self.limits, self.lead.state
+        target = self.static_target
         begin = standing_at(limits, self.lead)
         if begin is not None:
             state = model.start(begin, start)
         elif self.lead.approach is not None:
             raise UsageError("`approach` needs `from` VOLT or a `state` file")
         else:
-            state = model.start_drive(float(self.target[0]), start, *limits.move)
+            state = model.start_drive(float(target[0]), start, *limits.move)
             if self.passes:
                 begin = state.drive if state.first is None else state.first
-        settled = settled_drive(model, self.target, self.dt, state, limits)
+        settled = settled_drive(model, target, self.dt, state, limits)
         for _ in range(MOST_STARTS):
             last = settled
             voltage = self._closed(last.run.y)
@@ -198,10 +172,10 @@ class Loop:
                 model.start(stands, start),
             )
             state = model.run(before, begin_state, self.dt).state
-            settled = settled_drive(model, self.target, self.dt, state, limits)
+            settled = settled_drive(model, target, self.dt, state, limits)
             if apart(settled.run.y, last.run.y) <= SAME_DRIVE * model.input.span:
                 break
-        return LoopPlan(self, begin_state, before, voltage, last)
+        return LoopPlan(begin_state, before, voltage, last)
 
     def _before(self, period: Floats, begin: float) -> Floats:
         """Return what leads to a period: a ramp, or a pass in which it grows, then whole passes of it.

@@ -1,19 +1,109 @@
 """A model run over its input, block by block, in constant memory.
 
 A forward model turns a drive into the displacement. An inverse one turns a displacement
-into a drive, which is judged against the voltages that the model was identified on.
+into a drive, which is judged against the voltages that the model was identified on. To
+undo dynamics and delay, rows wait until those after them are known.
 """
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.ahead import NO_ROWS, Ahead, Rows, joined
 from dbo_cli.errors import LimitError, warn
-from dbo_cli.model import Cascade, Outside, State, Steps, Undoing, steps_behind
+from dbo_cli.model import Cascade, Outside, State, Steps, steps_behind
+
+Column = Floats | None
+
+
+class Rows(NamedTuple):
+    """Rows that are ready: seconds (None without a clock), what was asked for, and what came of it."""
+
+    time: Column
+    x: Floats
+    y: Floats
+
+    def send(self, write: Callable[..., None]) -> None:
+        """Hand the columns to what writes a table, if there are any rows."""
+        if self.x.size:
+            write(*(column for column in self if column is not None))
+
+
+NO_ROWS = Rows(None, np.empty(0), np.empty(0))
+
+
+def joined(blocks: list[Rows]) -> Rows:
+    """Return rows one behind the other; blocks without rows do not count."""
+    blocks = [rows for rows in blocks if rows.x.size]
+    if len(blocks) < 2:
+        return blocks[0] if blocks else NO_ROWS
+    times = [rows.time for rows in blocks if rows.time is not None]
+    time = np.concatenate(times) if len(times) == len(blocks) else None
+    x = np.concatenate([rows.x for rows in blocks])
+    return Rows(time, x, np.concatenate([rows.y for rows in blocks]))
+
+
+class Ahead:
+    """Undoes dynamics and delay of rows in blocks, which wait until the rows after them are known.
+
+    A block is some columns of equal length; the first one is what is asked for.
+
+    Attributes
+    ----------
+    dt : float, array or None
+        Seconds since the row before, of the last block.
+    """
+
+    def __init__(self, model: Cascade, dt: Steps, state: State | str | None) -> None:
+        self.dt = dt
+        self._model = model
+        inverter = model.inverter(dt)
+        self._count = inverter.ahead
+        self._undoing = inverter.behind(state) if isinstance(state, State) else None
+        self._waiting: deque[tuple[Column, ...]] = deque()
+        self._desired = np.empty(0)  # of the blocks that wait, and of those after
+
+    def take(
+        self, dt: Steps, desired: Floats, *columns: Column
+    ) -> Iterator[tuple[tuple[Column, ...], Floats, Floats]]:
+        """Take a block; yield those that are ready.
+
+        Yields
+        ------
+        columns, target, ahead
+            The block, what of it the static part is to reach, and what is asked for in
+            the block and behind it.
+        """
+        self.dt = dt
+        self._waiting.append((desired, *columns))
+        if self._desired.size:
+            desired = np.concatenate([self._desired, desired])
+        self._desired = desired
+        yield from self._ready()
+
+    def remaining(self) -> Iterator[tuple[tuple[Column, ...], Floats, Floats]]:
+        """Yield the blocks that are left: the last value goes on for ever."""
+        after = np.repeat(self._desired[-1:], self._count)
+        self._desired = np.concatenate([self._desired, after])
+        yield from self._ready()
+
+    def _ready(self) -> Iterator[tuple[tuple[Column, ...], Floats, Floats]]:
+        """Yield each block of which enough is known behind it."""
+        while self._waiting:
+            first = self._waiting[0][0]
+            assert first is not None
+            if self._desired.size < first.size + self._count:
+                return
+            ahead = self._desired[: first.size + self._count]
+            self._desired = self._desired[first.size :]
+            inverter = self._model.inverter(self.dt)
+            target, self._undoing = inverter.run(ahead, self._undoing)
+            yield self._waiting.popleft(), target, ahead
 
 
 class Simulator:
@@ -49,16 +139,12 @@ class Simulator:
         outside: Outside = "extend",
         name: str = "input",
     ) -> None:
-        self.model = model
-        self.state = state
-        self.outside = outside
-        self.name = name
-        self.row_count = 0
-        self.outside_count = 0
-        self.first_outside = 0
-        self._ahead: Ahead | None = None
-        self._dt: Steps = None
-        self._undoing: Undoing | None = None
+        self.model, self.state = model, state
+        self.outside, self.name = outside, name
+        self.row_count = self.outside_count = self.first_outside = 0
+        self._forward = model.forward()
+        self._is_begun = False
+        self._ahead: Ahead | None = None  # of an inverse model
 
     def rows(self, x: Floats, dt: Steps = None, time: Floats | None = None) -> Rows:
         """Return input and output of the rows that are ready: reading ahead holds some back.
@@ -79,26 +165,32 @@ class Simulator:
         InputError
             A row of a drive is outside, and ``outside`` is ``error``.
         LimitError
-            Likewise, of a drive that an inverse model makes.
+            Likewise, of a displacement that an inverse model is to reach, or its drive.
         """
-        if self._ahead is None:
+        if not self._is_begun:
+            self._is_begun = True
             if isinstance(self.state, State):
                 dt = steps_behind(self.state.time, time, dt)
-            self._ahead = Ahead(self._rows_ahead(dt))
-        self._dt = dt
-        return joined([self._run(*block) for block in self._ahead.take(x, time)])
+            if not self.model.is_forward:
+                self._ahead = Ahead(self._forward, dt, self.state)
+        if not x.size:
+            return NO_ROWS
+        if self._ahead is None:
+            return self._counted(x, self._displacement(x, dt), time)
+        blocks = self._ahead.take(dt, x, time)
+        return joined([self._driven(*block) for block in blocks])
 
     def finish(self) -> Rows:
         """Return what was held back, as if the last value went on for ever; warn of rows outside."""
         rows = NO_ROWS
         if self._ahead is not None:
-            rows = joined([self._run(*block) for block in self._ahead.remaining()])
+            blocks = self._ahead.remaining()
+            rows = joined([self._driven(*block) for block in blocks])
         if self.outside_count:
             drive, verb = self._forward.input, "leave"
             if not self.model.is_forward:
-                verb = (
-                    f"of its drive {'are held in' if self.outside == 'hold' else verb}"
-                )
+                is_held = self.outside == "hold"
+                verb = f"of its drive {'are held in' if is_held else verb}"
             warn(
                 f"{self.name}: {self.outside_count:,} of {self.row_count:,} rows (first: row "
                 f"{self.first_outside:,}) {verb} the identified range, {drive.min:.6g} to "
@@ -106,54 +198,52 @@ class Simulator:
             )
         return rows
 
-    @property
-    def _forward(self) -> Cascade:
-        return self.model.forward()
-
-    def _rows_ahead(self, dt: Steps) -> int:
-        """Return how many rows an inverse model reads ahead; begin there."""
-        if self.model.is_forward:
-            return 0
-        inverter = self._forward.inverter(dt)
-        if isinstance(self.state, State):
-            self._undoing = inverter.behind(self.state)
-        return inverter.ahead
-
-    def _run(self, columns: tuple[Floats | None, ...], ahead: Floats) -> Rows:
-        """Return the output of rows that are ready; ``known`` is their input and what is read ahead."""
-        x, time = columns
-        if x is None or not x.size:
-            return NO_ROWS
-        y = self._displacement(x) if self.model.is_forward else self._drive(ahead)
+    def _counted(self, x: Floats, y: Floats, time: Column) -> Rows:
+        """Count rows that are ready, and return them."""
         self.row_count += x.size
         if time is not None:
             assert isinstance(self.state, State)
             self.state = replace(self.state, time=float(time[-1]))
         return Rows(time, x, y)
 
-    def _displacement(self, voltage: Floats) -> Floats:
+    def _displacement(self, voltage: Floats, dt: Steps) -> Floats:
         """Return what a forward model makes of a drive."""
         self.state = self.model.start(float(voltage[0]), self.state)
         if self.outside == "error":
             self.model.require_inside(voltage, self.row_count, self.name)
         self._count_outside(voltage)
-        run = self.model.run(voltage, self.state, self._dt, self.outside)
+        run = self.model.run(voltage, self.state, dt, self.outside)
         self.state = run.state
         return run.y
 
-    def _drive(self, ahead: Floats) -> Floats:
-        """Return the drive that an inverse model makes, within its range where it is held."""
+    def _driven(
+        self, columns: tuple[Column, ...], target: Floats, ahead: Floats
+    ) -> Rows:
+        """Return rows with the drive that an inverse model makes, within its range where it is held."""
+        desired, time = columns
+        assert desired is not None and self._ahead is not None
         model, is_held = self._forward, self.outside == "hold"
         window = (model.input.min, model.input.max) if is_held else None
-        target, self._undoing = model.inverter(self._dt).run(ahead, self._undoing)
         self.state = model.start_drive(float(target[0]), self.state)
-        run = model.drive(target, self.state, self._dt, window)
+        run = model.drive(target, self.state, self._ahead.dt, window)
         self.state = run.state
         if run.clipped and not self.outside_count:
             self.first_outside = self.row_count + run.first_clipped + 1
         self.outside_count += run.clipped
         self._count_outside(run.y)
-        return run.y
+        self._require_reachable(desired)
+        return self._counted(desired, run.y, time)
+
+    def _require_reachable(self, desired: Floats) -> None:
+        """Refuse a displacement beyond what the model reaches, where that is asked for (LimitError)."""
+        outside = self.model.outside(desired)
+        if self.outside != "error" or not outside.any():
+            return
+        first, reach = int(np.argmax(outside)), self._forward.output
+        raise LimitError(
+            f"{self.name}: row {self.row_count + first + 1:,}: {desired[first]:.6g}{reach.suffix} is "
+            f"outside the model's reach, {reach.min:.6g} to {reach.max:.6g} (`outside` extend or hold)"
+        )
 
     def _count_outside(self, voltage: Floats) -> None:
         """Count the rows whose voltage the model does not know; refuse those of an inverse model if asked."""

@@ -15,7 +15,7 @@ from dbo_cli.errors import FitError, LimitError
 from dbo_cli.identification.averaging import Average, invented_log
 from dbo_cli.identification.basis import means
 from dbo_cli.identification.cross_validation import error_left_out, without_lost_offsets
-from dbo_cli.identification.problem import Problem, falling
+from dbo_cli.identification.problem import Problem, falling, known_weights
 from dbo_cli.identification.recording import Options, Recording, Swings
 from dbo_cli.model import Cascade
 from dbo_cli.model.expect import expected_error, fastest_drive, longest_rest
@@ -71,19 +71,23 @@ def stated(
     """Return the model with the error to expect on an invented move.
 
     No part that was left out is predicted better than the logs are followed, row by row,
-    but for the sensor's noise. ``figures`` are those of the parts left out.
+    but for the sensor's noise: where their past no longer shows, and for an unknown past
+    from the first row on. ``figures`` are those of the parts left out.
     """
-    followed = pooled([residual_of(model, log) for log in logs])
     sensor = noise_rms(model, logs)
-    actuator = math.sqrt(max(followed**2 - sensor**2, 0.0))
-    left = max(float(figures["left_out_rmse"]), actuator)
-    figures = {**figures, **model.fit, "left_out_rmse": left, "noise_rms": sensor}
-    model = replace(model, fit=figures)
+    left = float(figures["left_out_rmse"])
+    for key, is_known in (("left_out_rmse", True), ("unknown_past_rmse", False)):
+        residuals = [residual_of(model, log, is_known) for log in logs]
+        actuator = math.sqrt(max(pooled(residuals) ** 2 - sensor**2, 0.0))
+        figures = {**figures, key: max(left, actuator)}
+    model = replace(model, fit={**figures, **model.fit, "noise_rms": sensor})
     invented = invented_log(problem)
     inside = np.clip(invented.drive, 0.0, 1.0)
     drive = problem.low + (problem.high - problem.low) * inside
-    figures |= {
-        "expected_rmse": expected_error(model, drive, invented.dt, memory_known=True),
+    error = expected_error(model, drive, invented.dt)
+    figures = {
+        **model.fit,
+        "expected_rmse": None if error is None else error.rms(memory_known=True),
         "one_amplitude": problem.one_amplitude,
         "swings": problem.swing_count,
     }
@@ -283,22 +287,31 @@ def predicted(model: Cascade, log: Recording) -> Floats:
     return played
 
 
-def residual_of(model: Cascade, log: Recording) -> dict[str, Any]:
+def residual_of(
+    model: Cascade, log: Recording, past_known: bool = False
+) -> dict[str, Any]:
     """Return what a model leaves of a log beside an offset, and a straight drift where swings can tell it.
 
     Name, rows that count, RMS error, and how far the drift goes along the log, in the
-    displacement's unit.
+    displacement's unit. With ``past_known`` rows weigh the less, the more of the range is
+    not swept yet: gears that wide still hold what was before the log.
     """
     rows = log.usable
     left = (log.displacement - predicted(model, log))[rows]
-    left = left - left.mean()
+    weights = np.ones(len(left))
+    if past_known:
+        voltage = log.voltage[rows]
+        swept = np.maximum.accumulate(voltage) - np.minimum.accumulate(voltage)
+        weights = known_weights(0.5 * np.maximum(1.0 - swept / model.input.span, 0.0))
+    left = left - np.average(left, weights=weights)
     drift = 0.0
     if log.time is not None and len(Swings.of(log.voltage[rows]).sizes) >= FEW_SWINGS:
-        place = log.time[rows] - float(log.time[rows].mean())
-        rate = float(np.sum(place * left)) / max(float(np.sum(place**2)), 1e-300)
+        place = log.time[rows] - float(np.average(log.time[rows], weights=weights))
+        squares = float(np.sum(weights * place**2))
+        rate = float(np.sum(weights * place * left)) / max(squares, 1e-300)
         left = left - rate * place
         drift = rate * float(np.ptp(place))
-    rmse = math.sqrt(float(np.mean(left**2)))
+    rmse = math.sqrt(float(np.average(left**2, weights=weights)))
     name = os.path.basename(log.name)
     return {"name": name, "rows": len(left), "rmse": rmse, "drift": drift}
 

@@ -158,10 +158,8 @@ def _stated_of_logs(prior: Cascade, predictions: Sequence[Prediction]) -> float:
     for each in predictions:
         log = each.log
         steps = None if log.time is None else steps_of(log.time)
-        stated = expected_error(
-            prior, log.voltage, steps, past_known=True, memory_known=True
-        )
-        squares.append((stated or _stated(prior)) ** 2)
+        stated = expected_error(prior, log.voltage, steps)
+        squares.append((_stated(prior) if stated is None else stated.known) ** 2)
     return max(float(np.sqrt(np.mean(squares))), EXACT * prior.output.span)
 
 
@@ -277,7 +275,7 @@ def _refreshed(
     gain = change.gain
     rmse = float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
     fit: dict[str, Any] = dict(prior.fit)
-    for key in ("expected_rmse", "left_out_rmse"):
+    for key in ("expected_rmse", "left_out_rmse", "unknown_past_rmse"):
         if isinstance(fit.get(key), float):
             fit[key] = max(gain * fit[key], rmse)
     fit |= {

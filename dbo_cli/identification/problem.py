@@ -141,9 +141,7 @@ class Problem:
     @cached_property
     def known(self) -> Floats:
         """The weight of each row among those left out: the less, the more of an unknown past may show."""
-        variance = np.sum(self.past**2, axis=1)
-        weight: Floats = KNOWN**2 / (KNOWN**2 + variance)
-        return weight
+        return known_weights(np.sqrt(np.sum(self.past**2, axis=1)))
 
     @cached_property
     def parts(self) -> list[Booleans]:
@@ -219,6 +217,12 @@ class Problem:
             len(self.taus),
             past.shape[1],
         )
+
+
+def known_weights(past: Floats) -> Floats:
+    """Return the weight of rows to which an unknown past may add so much, in parts of the range."""
+    weights: Floats = KNOWN**2 / (KNOWN**2 + past**2)
+    return weights
 
 
 def prepare(recordings: Sequence[Recording], options: Options) -> Problem:

@@ -1,16 +1,17 @@
 """What error to expect of a very move: what was left out, and how far candidates go apart on it.
 
-    expected = sqrt(left_out^2 + sum_k w_k mean (y_k - y)^2)
+    known^2 = left_out^2 + sum_k w_k mean (y_k - y)^2
 
-over the model's candidates, played on this move. For an unknown past the spread over
-starts is part of it, the mean of (y_s - y)^2 over empty, full and settled; and what
-memories may hold that came to rest at any voltage of the range, equally likely.
+over the model's candidates, played on this move. An unknown past adds the spread over
+starts, the mean of (y_s - y)^2 over empty, full and settled, and what the model leaves of
+its logs' first rows; and what memories may hold that came to rest at any voltage of the
+range, equally likely.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,24 +27,39 @@ STILL = 1e-3  # of the range, within which a drive rests
 FAST_WAY = 0.05  # of the way: it is gone at the fastest rate, or faster
 
 
+@dataclass(frozen=True)
+class ExpectedError:
+    """The error to expect on a move (RMS), in the displacement's unit, by what is not known before it.
+
+    Attributes
+    ----------
+    known : where nothing before the move is unknown
+    past : what an unknown past of the gears adds
+    memory : what memories add that have not come to rest
+    """
+
+    known: float
+    past: float
+    memory: float
+
+    def rms(self, past_known: bool = False, memory_known: bool = False) -> float:
+        """Return the whole error, whether the past of the gears and that of memories are known or not."""
+        past = 0.0 if past_known else self.past
+        memory = 0.0 if memory_known else self.memory
+        return math.hypot(self.known, past, memory)
+
+
 def expected_error(
-    model: Cascade,
-    voltage: Floats,
-    dt: float | Floats | None,
-    past_known: bool = False,
-    begin: int = 0,
-    memory_known: bool = False,
-) -> float | None:
-    """Return the RMS error to expect on a move, in the displacement's unit; None without candidates.
+    model: Cascade, voltage: Floats, dt: float | Floats | None, begin: int = 0
+) -> ExpectedError | None:
+    """Return the error to expect on a move; None without candidates.
 
     Parameters
     ----------
     model : a forward model
     voltage : shape (n,), the drive in its unit
     dt : seconds since the sample before, one number or one each
-    past_known : whether the state before the first row is known
     begin : rows before the move, played but not counted; 131,072 rows from there on are
-    memory_known : whether the memories before the first row are, or have come to rest
     """
     left = model.fit.get("left_out_rmse")
     if left is None or not model.candidates:
@@ -61,13 +77,14 @@ def expected_error(
     squares = float(left) ** 2
     for weight, candidate in model.candidate_models():
         squares += weight * _mean_square(played(candidate) - expected)
-    inside = model.input.min < float(drive[0]) < model.input.max
-    if inside and not past_known:
+    past = max(float(model.fit.get("unknown_past_rmse", 0.0)) ** 2 - left**2, 0.0)
+    if model.input.min < float(drive[0]) < model.input.max:
         for start in STARTS:
-            squares += _mean_square(played(model, start) - expected) / len(STARTS)
-    if not memory_known and model.gears.relaxation is not None:
-        squares += _spread_of_memory(model, drive, steps, begin)
-    return math.sqrt(squares)
+            past += _mean_square(played(model, start) - expected) / len(STARTS)
+    memory = 0.0
+    if model.gears.relaxation is not None:
+        memory = _spread_of_memory(model, drive, steps, begin)
+    return ExpectedError(math.sqrt(squares), math.sqrt(past), math.sqrt(memory))
 
 
 def _spread_of_memory(

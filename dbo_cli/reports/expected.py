@@ -56,7 +56,7 @@ class Expected:
 
 
 def expected_of_drive(
-    model: Cascade, voltage: Floats, dt: Floats | None, name: str
+    model: Cascade, voltage: Floats, dt: Floats | None, name: str, known: bool
 ) -> Expected:
     """Return what a model states for this very drive; unknown where the drive leaves its range.
 
@@ -70,6 +70,8 @@ def expected_of_drive(
         Seconds since the row before.
     name
         How the report calls the model.
+    known
+        Whether the state before the drive is.
     """
     from dbo_cli.model.expect import expected_error
 
@@ -77,7 +79,8 @@ def expected_of_drive(
     low, high = float(voltage.min()), float(voltage.max())
     rmse = None
     if model.input.min - slack <= low and high <= model.input.max + slack:
-        rmse = expected_error(model, voltage, dt)
+        error = expected_error(model, voltage, dt)
+        rmse = None if error is None else error.rms(known, known)
     footer = f"Model {name} ({model.digest[:12]})"
     return Expected(rmse, footer=footer, sensor_delay=model.sensor_delay)
 

@@ -207,5 +207,7 @@ def predict(
     steps = None
     if time is not None and len(time) > 1:
         steps = np.diff(time, prepend=2.0 * time[0] - time[1])
-    expected = expected_of_drive(model, voltage, steps, model_name)
+    expected = expected_of_drive(
+        model, voltage, steps, model_name, known=state != "auto"
+    )
     return replace(recording, desired=predicted, expected=expected)

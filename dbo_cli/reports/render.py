@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import csv
 import io
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from html import escape
 from importlib import resources
 from string import Template
-from typing import TYPE_CHECKING, Any
 
+from dbo_cli.reports.comparison import Comparison
+from dbo_cli.reports.plots import Plot, draw, sections_of_report
+from dbo_cli.reports.words import (
+    digits,
+    json_text,
+    short_name,
+    shown_unit,
+    text_table,
+)
 from dbo_cli.version import __version__
 
-if TYPE_CHECKING:
-    from dbo_cli.reports.plots import Plot
-    from dbo_cli.reports.report import Report
-
 JSON_VERSION = 1  # of the form dbo-report
-LONGEST_NAME = 40  # letters of a log's name in a table
 LENGTHS = ("RMSE", "expected", "largest", "mean", "offset", "loop")
 
 
-def to_json(report: Report) -> str:
+def to_json(report: Comparison) -> str:
     """Return the report as JSON text, ``dbo-report`` version 1; numbers read back exactly.
 
     The keys are always all there, in this order: ``format``, ``version``, ``unit``,
@@ -47,12 +49,7 @@ def to_json(report: Report) -> str:
     return json_text(content)
 
 
-def json_text(content: Mapping[str, Any]) -> str:
-    """Return plain values as JSON text."""
-    return json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def to_csv(report: Report) -> str:
+def to_csv(report: Comparison) -> str:
     """Return a line a log: the keys of the JSON form and the unit; what is undefined is empty."""
     rows = [{**log.record(), "unit": report.unit} for log in report.logs]
     out = io.StringIO()
@@ -62,35 +59,7 @@ def to_csv(report: Report) -> str:
     return out.getvalue()
 
 
-def digits(value: float | None, places: int = 4) -> str:
-    """Return a number to some significant digits, plain from 1e-3 to 1e6; None is ``-``."""
-    if value is None:
-        return "-"
-    if value == 0.0:
-        return "0"
-    if not 1e-3 <= abs(value) < 1e6:
-        return f"{value:.{places - 1}e}"
-    text = f"{value:#.{places}g}"
-    if "e" in text:
-        return f"{value:.0f}"
-    return text.rstrip(".")
-
-
-def shown_unit(unit: str | None) -> str:
-    """Return a unit as people write it; nothing where it is not known."""
-    return {"um": "µm", "us": "µs"}.get(unit or "", unit or "")
-
-
-def short_name(name: str) -> str:
-    """Return a long name without its folders, and cut in its middle where it is still too long."""
-    if len(name) > LONGEST_NAME:
-        name = name.rsplit("/", 1)[-1] or name
-    if len(name) <= LONGEST_NAME:
-        return name
-    return f"{name[:12]}…{name[-(LONGEST_NAME - 13) :]}"
-
-
-def table_of(report: Report) -> tuple[list[str], list[list[str]]]:
+def table_of(report: Comparison) -> tuple[list[str], list[list[str]]]:
     """Return the headings of the table and a row a log; what is not known of any is left out."""
     clocked = any(log.pair.step() for log in report.logs)
     expected = any(log.expected_rmse for log in report.logs)
@@ -122,7 +91,7 @@ def table_of(report: Report) -> tuple[list[str], list[list[str]]]:
     return list(rows[0]), [list(cells.values()) for cells in rows]
 
 
-def to_text(report: Report) -> str:
+def to_text(report: Comparison) -> str:
     """Return the verdict, an aligned table and at most a few lines."""
     lines = [verdict.words() for verdict in report.verdicts]
     if lines:
@@ -135,22 +104,7 @@ def to_text(report: Report) -> str:
     return "\n".join(lines) + "\n"
 
 
-def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return columns two blanks apart, the first to the left, the others to the right."""
-    table = [list(head), *[list(row) for row in rows]]
-    widths = []
-    for number in range(len(head)):
-        widths.append(max(len(row[number]) for row in table))
-    lines = []
-    for row in table:
-        cells = [row[0].ljust(widths[0])]
-        for cell, width in zip(row[1:], widths[1:], strict=True):
-            cells.append(cell.rjust(width))
-        lines.append("  ".join(cells).rstrip())
-    return "\n".join(lines)
-
-
-def settings_line(report: Report) -> str:
+def settings_line(report: Comparison) -> str:
     """Return what was compared, and what the figures mean."""
     first, second = report.labels
     line = f"error = {second} - {first}"
@@ -168,10 +122,8 @@ def settings_line(report: Report) -> str:
 # --- the page: no script, no network, the figures inside it ---
 
 
-def to_html(report: Report) -> str:
+def to_html(report: Comparison) -> str:
     """Return a page that needs no other file: verdict, table, figures, footer."""
-    from dbo_cli.reports.plots import sections_of_report
-
     unit = shown_unit(report.unit)
     verdicts = []
     for verdict in report.verdicts:
@@ -197,7 +149,7 @@ def to_html(report: Report) -> str:
     return frame.substitute(style=style, body="\n".join(filter(None, parts)))
 
 
-def _verdict(report: Report) -> str:
+def _verdict(report: Comparison) -> str:
     """Return whether the limits are kept; nothing where none was set."""
     if report.passed is None:
         return ""
@@ -207,7 +159,7 @@ def _verdict(report: Report) -> str:
     return f'<p class="verdict {word}">{"<br>".join(lines)}</p>'
 
 
-def footer_lines(report: Report) -> list[str]:
+def footer_lines(report: Comparison) -> list[str]:
     """Return who made the page, from what: version, command, model, limits; no time of day."""
     lines = [f"dbo {__version__}"]
     if report.command:
@@ -235,8 +187,6 @@ def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int) -
 
 def html_figures(plots: Sequence[Plot]) -> str:
     """Return figures as part of a page."""
-    from dbo_cli.reports.plots import draw
-
     drawn = []
     for plot in plots:
         image = draw(plot, "inline").decode()
@@ -245,7 +195,7 @@ def html_figures(plots: Sequence[Plot]) -> str:
     return '<div class="figures">' + "\n".join(drawn) + "</div>"
 
 
-FORMS: dict[str, Callable[[Report], str]] = {
+FORMS: dict[str, Callable[[Comparison], str]] = {
     "text": to_text,
     "json": to_json,
     "csv": to_csv,

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dbo_cli.reports.render import digits, json_text
+from dbo_cli.reports.words import digits, json_text
 
 if TYPE_CHECKING:
     from dbo_cli.model import Cascade, Quantity

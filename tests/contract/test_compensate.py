@@ -183,6 +183,13 @@ def test_condition_makes_the_past_known() -> None:
     np.testing.assert_allclose(came[2], came[0], atol=1e-9)
 
 
+def test_a_first_row_far_from_where_the_amplifier_stands_is_said() -> None:
+    move("wish.csv", sine(7.0, 4.0))
+    words = ("compensate", model("small"), "wish.csv", "--from", 0, "-o", "drive.csv")
+    assert "add --approach auto" in done(*words).err
+    assert "warning" not in done(*words, "--approach", "auto").err
+
+
 def test_return_ends_at_a_voltage() -> None:
     move("wish.csv", sine(8.0, 3.0))
     written = drive_of("--return", 1.5, "--max-slew", 400, "--on-limit", "clip")

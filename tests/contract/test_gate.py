@@ -195,6 +195,31 @@ def test_an_inverse_model_refuses_a_drive_outside_the_range(creeping: Path) -> N
     done("simulate", creeping, step(9.0), "--outside", "error")
 
 
+def test_a_displacement_that_the_model_does_not_reach_is_refused() -> None:
+    """What creeps back is reached for a moment only, by a voltage inside the range."""
+    terms = {"on": "input", "reference": 0.0, "tau": [1.0], "gain": [-0.03]}
+    widths = {"dx": [25.0] * 4, "dy": [2.5] * 4}
+    gears = {"type": "backlash", "x0": 0.0, "y0": 0.0, **widths, "relaxation": terms}
+    content: dict[str, Any] = {"format": "dbo-model", "version": 1}
+    content |= {
+        "direction": "forward",
+        "input": {"quantity": "voltage", "unit": "V", "min": 0.0, "max": 100.0},
+        "output": {"quantity": "displacement", "unit": "um", "min": 0.0, "max": 7.0},
+        "stages": [gears],
+    }
+    Path("soft.json").write_text(dbo_cli_json(content))
+    done("invert", "soft.json", "-o", "inverse.json")
+    words = ("simulate", "inverse.json", step(8.0), "--outside", "error")
+    error = refused(3, *words, "-o", "out.csv")
+    assert "row 51" in error and "8 um" in error and "7" in error
+    done("simulate", "inverse.json", step(6.9), "--outside", "error")
+    actuator = dbo_cli.read_model("inverse.json")
+    wanted = np.where(TIME < 0.05, 1.0, 8.0)
+    with pytest.raises(dbo_cli.LimitError, match="row 51"):
+        actuator.simulate(wanted, time=TIME, outside="error")
+    assert actuator.simulate(wanted, time=TIME).max() < 100.0
+
+
 def test_rows_that_an_inverse_model_sent_stay_sent(creeping: Path) -> None:
     rows = 400_000
     wanted = np.full(rows, 5.0)
@@ -259,9 +284,11 @@ def test_rows_before_the_move_do_not_count_in_the_expected_error() -> None:
     from dbo_cli.model.expect import expected_error
 
     cascade = behind.model
-    alone = expected_error(
-        cascade, behind.voltage[: behind.move.stop], 1e-3, True, behind.lead_rows
-    )
-    whole = expected_error(cascade, behind.voltage[: behind.move.stop], 1e-3, True, 0)
-    assert behind.expected_error == alone != whole
+    played = behind.voltage[: behind.move.stop]
+    alone = expected_error(cascade, played, 1e-3, behind.lead_rows)
+    whole = expected_error(cascade, played, 1e-3)
+    assert alone is not None and whole is not None
+    assert behind.expected_error == alone.known
+    assert behind.expected_unrested == alone.rms(past_known=True)
+    assert alone.known != whole.known
     assert again.lead_rows == behind.lead_rows > 1000

@@ -107,6 +107,18 @@ def test_what_is_no_number_is_refused_and_changes_nothing() -> None:
         assert live.plan(1.2) == expected
 
 
+@pytest.mark.parametrize("rate", [True, np.True_, 0.0, -5.0, math.nan, "5um"])
+def test_what_is_no_rate_is_refused(rate: Any) -> None:
+    """Of ``controller``, and of the class that its page names."""
+    from dbo_cli.drive.live import Controller
+
+    forward = actuator("small")
+    with pytest.raises(dbo.UsageError, match="sample_rate"):
+        forward.controller(rate)
+    with pytest.raises(dbo.UsageError, match="sample_rate"):
+        Controller(forward.actuator, rate)
+
+
 def test_commit_needs_a_plan() -> None:
     live = actuator("small").controller(sample_rate=RATE)
     with pytest.raises(dbo.DboError):

@@ -107,10 +107,11 @@ def test_memories_that_may_have_rested_elsewhere_are_in_the_stated_error() -> No
     model = Cascade("forward", volts, microns, (gears,), fit={"left_out_rmse": 0.01},
                     candidates=(Candidate(1.0, (gears,)),))  # fmt: skip
     drive = 50.0 + 10.0 * np.sin(TIME)
-    known = expected_error(model, drive, 0.01, past_known=True, memory_known=True)
-    unknown = expected_error(model, drive, 0.01, past_known=True)
-    assert known == pytest.approx(0.01)
+    error = expected_error(model, drive, 0.01)
+    assert error is not None
+    assert error.known == pytest.approx(0.01)
     # 100 V times 0.02 um/V, equally likely anywhere: a twelfth of the square
+    unknown = error.rms(past_known=True)
     assert unknown == pytest.approx(2.0 / np.sqrt(12.0), rel=0.01)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from dbo_cli.drive import Drive, Driver, Lead, Limits
-from dbo_cli.drive.ahead import Rows, joined
+from dbo_cli.drive.simulate import Rows, joined
 from dbo_cli.model import (
     Cascade,
     Delay,
@@ -23,6 +23,7 @@ from dbo_cli.model import (
     Relaxation,
     Resonance,
     Scale,
+    steps_of,
 )
 
 
@@ -157,6 +158,24 @@ def driver_of(model: Cascade, limits: Limits, options: dict[str, Any]) -> Driver
     )
     on_limit, end = options.get("on_limit", "auto"), options.get("return_to")
     return Driver(model, limits, lead, on_limit, end)
+
+
+def plan(
+    model: Cascade, desired: Any, clock: Any, limits: Limits, **options: Any
+) -> Drive:
+    """Return the drive of a whole trajectory; ``clock`` is a step, the time of each row, or None."""
+    driver = driver_of(model, limits, options)
+    around = ("state", "start", "approach", "condition", "lead", "on_limit")
+    options = {
+        name: value
+        for name, value in options.items()
+        if name not in (*around, "return_to")
+    }
+    dt, time = clock, None
+    if np.ndim(clock):
+        time = np.asarray(clock, dtype=np.float64)
+        dt = steps_of(time)
+    return driver.whole(np.asarray(desired, dtype=np.float64), dt, time, **options)
 
 
 def in_blocks(driver: Driver, blocks: Iterable[Any]) -> Iterator[Rows]:

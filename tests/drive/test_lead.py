@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbo_cli.drive import Limits, plan
+from dbo_cli.drive import Limits
 from dbo_cli.drive.lead import Lead
-from dbo_cli.drive.swings import swings
+from dbo_cli.drive.smooth import swings
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.model import Cascade, Lag, Resonance
 
-from .actuators import actuator, actuators, ripple
+from .actuators import actuator, actuators, plan, ripple
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 DT = 2e-4

@@ -6,18 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dbo_cli.drive import Limits, plan
+from dbo_cli.drive import Limits
 from dbo_cli.drive.learning import (
     PassRecord,
     Tracked,
     dumps_history,
     read_history,
 )
-from dbo_cli.drive.lowpass import low_pass
+from dbo_cli.drive.smooth import low_pass
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.model import Cascade, Resonance
 
-from .actuators import actuator
+from .actuators import actuator, plan
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 RATE = 20000.0

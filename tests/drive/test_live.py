@@ -8,12 +8,12 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from dbo_cli.drive import Limits, plan
+from dbo_cli.drive import Limits
 from dbo_cli.drive.live import Controller
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.model import Lag, Resonance
 
-from .actuators import actuator, ripple
+from .actuators import actuator, plan, ripple
 
 RATE = 1000.0
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbo_cli.drive import Limits, plan
+from dbo_cli.drive import Limits
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.model import Cascade, Resonance
 
-from .actuators import actuator, actuators, ripple
+from .actuators import actuator, actuators, plan, ripple
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 DT = 1e-3

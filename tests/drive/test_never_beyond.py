@@ -10,12 +10,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from dbo_cli.drive import Limits, plan
+from dbo_cli.drive import Limits
 from dbo_cli.drive.limits import GateError
 from dbo_cli.errors import DboError, InputError, LimitError, ModelError, UsageError
 from dbo_cli.model import Cascade
 
-from .actuators import actuators, blocks_of, driver_of, in_blocks
+from .actuators import actuators, blocks_of, driver_of, in_blocks, plan
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 MANY = int(os.environ.get("DBO_DRIVES", "400"))  # by hand: DBO_DRIVES=100000

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dbo_cli.drive import Limits, plan
+from dbo_cli.drive import Driver, Lead, Limits
 from dbo_cli.model import (
     Cascade,
     Delay,
@@ -122,8 +122,8 @@ def driven(model, wanted, limits, state="empty"):
     """Return the drive of the library."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        made = plan(model, wanted, 1.0 / RATE, limits, state=state, on_limit="clip")
-    return made.voltage
+        driver = Driver(model, limits, Lead(state), "clip")
+        return driver.whole(np.asarray(wanted), 1.0 / RATE).voltage
 
 
 class Firmware:

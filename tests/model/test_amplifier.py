@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbo_cli.drive import Limits, plan
+from dbo_cli.drive import Driver, Limits
 from dbo_cli.drive.live import Controller
 from dbo_cli.errors import DboWarning, InputError, ModelError
 from dbo_cli.export import export_model
@@ -159,7 +159,7 @@ def test_a_compensated_move_is_reached() -> None:
         time, 1.0
     )
     with pytest.warns(DboWarning, match="row 1 starts"):
-        drive = plan(model, desired, DT, Limits.within(model.input))
+        drive = Driver(model, Limits.within(model.input)).whole(desired, DT)
     reached, _ = model.simulate(drive.voltage, dt=DT, state="auto")
     np.testing.assert_allclose(reached[1:], desired[1:], rtol=0, atol=0.31)
     np.testing.assert_allclose(reached[50:], desired[50:], rtol=0, atol=1e-9)

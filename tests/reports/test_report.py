@@ -10,7 +10,7 @@ import pytest
 from dbo_cli.errors import InputError
 from dbo_cli.reports import Expected, Pair, Report, expected_in
 from dbo_cli.reports.plots import SCHEME, draw, envelope, file_stems, plots_of_report
-from dbo_cli.reports.render import digits, short_name
+from dbo_cli.reports.words import digits, short_name
 
 
 def signals(rows=2000):
