@@ -3,7 +3,8 @@
 # make package   a wheel and an archive in dist/, installed where nothing else is, and tried there
 # make site      the pages of docs/ as a site, with the reference of the library, in site/
 # make paper DATA=FOLDER      Section V of the publication from the authors' recordings, into paper/
-# make evidence DATA=FOLDER   the error on recordings of others, case by case: the table of docs/evidence.md
+# make evidence DATA=FOLDER   the error on recordings of others: the tables of docs/evidence.md, then benchmarks/rules.md
+#                             (half an hour; RULES=none leaves the rules as they are, RULES=PRICE does one of them)
 # make labs      the adapters in examples/ inside the programs of laboratories; downloads them
 # make bench     the figures of speed, memory and exactness;  make attack  random drives and files
 # make clean
@@ -22,7 +23,7 @@ KERNEL := $(wildcard dbo_cli/model/*.c dbo_cli/model/*.h)
 .DELETE_ON_ERROR:
 
 help:
-	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,9p'
+	@sed -n 's/^# \{0,1\}//p' Makefile | sed -n '1,10p'
 
 # --- the environment ---
 
@@ -57,7 +58,7 @@ demo/model.json: $(LOG) | $(VENV)/installed
 	$(DBO) identify $(LOG) -o $@
 
 demo/drive.csv: demo/model.json $(TRAJECTORY)
-	$(DBO) compensate demo/model.json $(TRAJECTORY) --v-min 0 --v-max 100 --max-slew 2000 --from 0 --state empty \
+	$(DBO) compensate demo/model.json $(TRAJECTORY) --v-min 0 --v-max 100 --max-slew 2000 --from 0 --state empty --approach auto \
 	  --summary demo/summary.json -o $@
 
 demo/straight_line_drive.csv: $(LOG) $(TRAJECTORY) sample_data/straight_line.py | $(VENV)/installed
@@ -118,8 +119,11 @@ paper: $(VENV)/installed
 
 evidence: $(VENV)/installed
 	@test -n "$(DATA)" || { echo "make evidence DATA=FOLDER: a folder of recordings (docs/evidence.md)"; exit 2; }
-	$(BIN)/python benchmarks/identification.py "$(DATA)" --save table.json
-	$(BIN)/python docs/fill_evidence.py table.json && rm table.json
+	@mkdir -p evidence
+	$(BIN)/python benchmarks/identification.py "$(DATA)" --save evidence/table.json
+	$(BIN)/python benchmarks/linear_output_error.py "$(DATA)" evidence/linear.json
+	$(BIN)/python docs/fill_evidence.py "$(DATA)" evidence/table.json evidence/linear.json
+	$(BIN)/python benchmarks/rules.py "$(DATA)" evidence/table.json $(RULES)
 
 labs: $(VENV)/installed-test
 	examples/try_in_labs $(PYTHON)
@@ -131,4 +135,4 @@ attack: $(VENV)/installed-test
 	for name in attack_drives attack_live attack_files; do $(BIN)/python benchmarks/$$name.py || exit 1; done
 
 clean:
-	rm -rf demo paper site dist build .labs *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf demo paper evidence site dist build .labs *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

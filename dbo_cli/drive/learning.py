@@ -14,13 +14,13 @@ import json
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.alignment import align_displacements, mean_step
+from dbo_cli.alignment import ACTUATOR_LAG, align_displacements, align_drives, mean_step
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.smooth import low_pass, soft_rise
@@ -118,8 +118,8 @@ class RepeatedMove:
         In which the drives began.
     periodic, absolute
         Whether recordings are of whole periods, and whether the mean is learned.
-    swept
-        Least and greatest voltage of the sweep before the next drive; None: none.
+    sweep
+        Voltages of the sweep before the next drive; empty: none.
     """
 
     model: Cascade
@@ -129,7 +129,7 @@ class RepeatedMove:
     state: str | State = "auto"
     periodic: bool = False
     absolute: bool = False
-    swept: tuple[float, float] | None = None
+    sweep: Floats = field(default_factory=lambda: np.empty(0))
 
     def lesson(
         self,
@@ -162,7 +162,7 @@ class RepeatedMove:
         error = error - zero
         passed = PassRecord(_digest(voltage), rms(error))
         before = _passes_before(history, passed)
-        cutoff = bandwidth or self._trusted(name, believed, self.desired - error)
+        cutoff = bandwidth or self._trusted(name, measured - believed)
         self._require_no_growth(name, passed, before, cutoff, measured)
         change = believed - self.desired + error
         learned = low_pass(change, cutoff, self.step, self.periodic, ORDER)
@@ -255,15 +255,28 @@ class RepeatedMove:
         by_stamps = int(np.searchsorted(time, self.time[0] - 0.5 * self.step))
         if self.periodic:
             return by_stamps
+        rows = self.step * np.arange(float(recording.voltage.size))
+        count = self.sweep.size
+        if count:
+            found = align_drives(rows, recording.voltage, rows[:count], self.sweep)
+            begin = 0 if found is None else max(round(found.ahead / self.step), 0)
+            recorded = recording.voltage[begin : begin + count]
+            span = float(np.ptp(self.sweep))
+            if (
+                recorded.size == count
+                and rms(recorded - self.sweep) < SAME_DRIVE * span
+            ):
+                return begin + count
         start = self.model.start(float(recording.voltage[0]), "auto")
         believed = self.model.run(recording.voltage, start, self.step).y
-        rows = self.step * np.arange(float(believed.size))
-        found = align_displacements(
-            rows, believed, rows[: self.desired.size], self.desired
-        )
+        count = self.desired.size
+        found = align_displacements(rows, believed, rows[:count], self.desired)
         if found is None:
             return by_stamps
-        by_signal = max(round(found.ahead / self.step), 0)
+        last = max(believed.size - count, 0)
+        by_signal = min(max(round(found.ahead / self.step), 0), last)
+        if abs(by_signal - by_stamps) * self.step <= ACTUATOR_LAG:
+            return by_stamps  # what was learned may be as early
         left = self._mismatch(believed, by_signal)
         if left < CLEARLY_BETTER * self._mismatch(believed, by_stamps):
             return by_signal
@@ -274,16 +287,15 @@ class RepeatedMove:
         if begin < 2 or isinstance(self.state, State):
             return
         lead = recording.voltage[:begin]
-        low, high = self.swept or (self.model.input.min, self.model.input.max)
-        extremes = lead[turns(lead, 0.1 * (high - low))]
-        travelled = float(np.abs(np.diff(extremes)).sum())
-        was_swept = travelled > SWEPT * (high - low)
-        if was_swept and self.swept is None:
+        span = float(np.ptp(self.sweep)) if self.sweep.size else self.model.input.span
+        extremes = lead[turns(lead, 0.1 * span)]
+        was_swept = float(np.abs(np.diff(extremes)).sum()) > SWEPT * span
+        if was_swept and not self.sweep.size:
             raise InputError(
                 f"{recording.name}: recorded with a sweep before the move, which makes another past: "
                 "add `condition`"
             )
-        if not was_swept and self.swept is not None:
+        if not was_swept and self.sweep.size:
             raise InputError(
                 f"{recording.name}: recorded without the sweep of `condition`, which makes another past: "
                 "leave `condition` out, or record a pass with it"
@@ -368,14 +380,17 @@ class RepeatedMove:
         warn(text)
         return (text,)
 
-    def _trusted(self, name: str, believed: Floats, measured: Floats) -> float:
-        """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows."""
+    def _trusted(self, name: str, residual: Floats) -> float:
+        """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows.
+
+        ``residual``: measured less what the model makes of the drive.
+        """
         dynamics = self.model.dynamics
         resonances = () if dynamics is None else dynamics.resonances
         if resonances:
             frequency = resonances[0].frequency / RESONANCE_PART
         else:
-            frequency = _trusted_by_bands(name, believed, measured, self.step)
+            frequency = _trusted_by_bands(name, self.desired, residual, self.step)
         return min(frequency, 0.45 / self.step, _safe(resonances))
 
 
@@ -431,20 +446,21 @@ def _safe(resonances: Sequence[Resonance]) -> float:
 
 
 def _trusted_by_bands(
-    name: str, believed: Floats, measured: Floats, step: float
+    name: str, desired: Floats, residual: Floats, step: float
 ) -> float:
-    """Return the upper end (Hz) of the last third of an octave in which the measured follows the believed.
+    """Return the upper end (Hz) of the last third of an octave in which the residual is small.
 
     From the strongest one on: in those below, what a wrong loop makes of it exceeds the
-    little that was asked there.
+    little that was asked there. Between harmonics, where the trajectory asks for nothing,
+    there is only what was learned against such a loop.
     """
-    window = np.hanning(believed.size)
-    asked = np.fft.rfft((believed - believed.mean()) * window)[1:]
-    came = np.fft.rfft((measured - measured.mean()) * window)[1:]
-    frequency = np.fft.rfftfreq(believed.size, step)[1:]
+    window = np.hanning(desired.size)
+    asked = np.fft.rfft((desired - desired.mean()) * window)[1:]
+    left = np.fft.rfft((residual - residual.mean()) * window)[1:]
+    frequency = np.fft.rfftfreq(desired.size, step)[1:]
     band = np.floor(3.0 * np.log2(frequency / frequency[0])).astype(int)
     energy = np.sqrt(np.bincount(band, np.abs(asked) ** 2))
-    off = np.sqrt(np.bincount(band, np.abs(came - asked) ** 2))
+    off = np.sqrt(np.bincount(band, np.abs(left) ** 2))
     strongest = int(np.argmax(energy))
     good = -1
     for k in range(strongest, energy.size):

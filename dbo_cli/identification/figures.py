@@ -249,7 +249,7 @@ def _warnings(model: Cascade, figures: dict[str, Any]) -> list[str]:
     """Return what to be careful about."""
     found = []
     expected = figures.get("expected_rmse")
-    line = figures.get("left_out_line_rmse", figures["line_rmse"])
+    line = figures.get("left_out_line_rmse") or figures["line_rmse"]
     if figures.get("dynamics"):
         found += figures["dynamics"].get("warnings", [])
     if figures.get("one_amplitude"):
@@ -257,7 +257,7 @@ def _warnings(model: Cascade, figures: dict[str, Any]) -> list[str]:
             "the logs hold one amplitude, so smaller loops are a guess: record several amplitudes "
             "(dbo excite)"
         )
-    elif figures.get("swings", FEW_SWINGS) < FEW_SWINGS:
+    elif (figures.get("swings") or FEW_SWINGS) < FEW_SWINGS:
         found.append(
             "the logs go up and down less than twice: the error may be larger than stated; record "
             "more cycles"

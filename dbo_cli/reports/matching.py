@@ -134,14 +134,26 @@ def _on_one_clock(
     shifted = _shifted(recording, found, f"that of {name}")
     before = _scatter(_by_time(recording, desired, clock))
     after = _scatter(_by_time(shifted, desired, clock))
-    if found.lag.rival is None and after <= CLEARLY_BETTER * before:
+    is_sure = not _rival_holds(found, recording, clock)
+    if is_sure and after <= CLEARLY_BETTER * before:
         return replace(shifted, delay_removed=True)
     if after >= before:
         return recording
-    return recording.noted(
-        f"its clock may be {found.ahead:.4g} s ahead of that of {name}, which is not sure:"
+    doubt = (
+        f"{recording.name}: its clock may be {found.ahead:.4g} s ahead of that of {name}, which is not sure:"
         " its stamps are taken; record the drive, too, or try `match` rows"
     )
+    return replace(recording, warnings=(*recording.warnings, doubt))
+
+
+def _rival_holds(found: Alignment, recording: Pair, clock: Floats) -> bool:
+    """Return whether another lag explains the move, and the recording would hold all of it there, too."""
+    if found.lag.rival is None or recording.time is None:
+        return False
+    later = found.lag.rival - found.lag.seconds
+    first, last = found.late_time(clock[[0, -1]]) + later
+    slack = ACTUATOR_LAG
+    return bool(first > recording.time[0] - slack and last < recording.time[-1] + slack)
 
 
 def _shifted(recording: Pair, found: Alignment, other: str) -> Pair:
@@ -169,7 +181,8 @@ def _by_displacement(
 ) -> Alignment | None:
     """Return how the measured displacement lies over the move, on whole rows where clocks have one step.
 
-    What stands before the move is left out: there the displacement is less well known.
+    What stands before the move is left out, where it is not needed: there the displacement
+    is less well known. A ramp that is late looks like one that is lower.
     """
     assert recording.time is not None
     move = clock >= 0.0
@@ -178,6 +191,8 @@ def _by_displacement(
     found = align_displacements(
         recording.time, recording.measured, clock[move], desired[move]
     )
+    if found is None or found.lag.rival is not None:
+        found = align_displacements(recording.time, recording.measured, clock, desired)
     if found is None:
         return None
     return on_whole_rows(found, recording.time, clock, WHOLE_BY_DISPLACEMENT)

@@ -110,6 +110,11 @@ BROKEN: dict[str, tuple[Any, str]] = {
         ),
         "candidates[0].weight",
     ),
+    "a figure that is a text": (
+        put("fit", {"unknown_past_rmse": "much"}),
+        "fit.unknown_past_rmse",
+    ),
+    "a negative figure": (put("fit", {"swings": -1}), "fit.swings"),
     "six candidates": (
         lambda values: values.update(
             candidates=[{"weight": 0.1, "stages": values["stages"]}] * 6
