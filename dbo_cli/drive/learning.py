@@ -255,21 +255,13 @@ class RepeatedMove:
         by_stamps = int(np.searchsorted(time, self.time[0] - 0.5 * self.step))
         if self.periodic:
             return by_stamps
-        rows = self.step * np.arange(float(recording.voltage.size))
-        count = self.sweep.size
-        if count:
-            found = align_drives(rows, recording.voltage, rows[:count], self.sweep)
-            begin = 0 if found is None else max(round(found.ahead / self.step), 0)
-            recorded = recording.voltage[begin : begin + count]
-            span = float(np.ptp(self.sweep))
-            if (
-                recorded.size == count
-                and rms(recorded - self.sweep) < SAME_DRIVE * span
-            ):
-                return begin + count
+        begin = self._behind_sweep(recording.voltage)
+        if begin is not None:
+            return begin
         start = self.model.start(float(recording.voltage[0]), "auto")
         believed = self.model.run(recording.voltage, start, self.step).y
         count = self.desired.size
+        rows = self.step * np.arange(float(believed.size))
         found = align_displacements(rows, believed, rows[:count], self.desired)
         if found is None:
             return by_stamps
@@ -281,6 +273,25 @@ class RepeatedMove:
         if left < CLEARLY_BETTER * self._mismatch(believed, by_stamps):
             return by_signal
         return by_stamps
+
+    def _behind_sweep(self, voltage: Floats) -> int | None:
+        """Return the first row behind the next drive's sweep in a recorded one; None: it is not there."""
+        count = self.sweep.size
+        if not count:
+            return None
+        rows = self.step * np.arange(float(max(voltage.size, count)))
+        found = align_drives(rows[: voltage.size], voltage, rows[:count], self.sweep)
+        if found is None:
+            return None
+        shift = round(found.ahead / self.step)
+        recorded = voltage[max(shift, 0) : shift + count]
+        sweep = self.sweep[
+            max(-shift, 0) :
+        ]  # with as many rows at rest as another axis needs
+        span = float(np.ptp(self.sweep))
+        if recorded.size != sweep.size or rms(recorded - sweep) > SAME_DRIVE * span:
+            return None
+        return shift + count
 
     def _require_same_past(self, recording: Tracked, begin: int) -> None:
         """Refuse a pass with a sweep before it for a drive without, or the other way round (InputError)."""

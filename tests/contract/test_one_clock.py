@@ -141,6 +141,39 @@ def test_a_pass_is_learned_from_wherever_its_recorder_counts_from(
     assert float(said.split()[3]) == pytest.approx(off, rel=0.02)
 
 
+def test_both_axes_of_a_raster_are_laid_over_by_their_drives() -> None:
+    """A slow axis is a ramp, and a ramp that is late looks like one that is lower: 65 % off."""
+    one = json.loads(Path(model("creep")).read_text())
+    held = {"format": "dbo-model-set", "version": 1, "models": {"x": one, "y": one}}
+    Path("xy.json").write_text(json.dumps(held))
+    words = ("--rate", 1000, "--range", "1:5", "--lines", 16, "--frequency", 5)
+    done("trajectory", "raster", *words, "--bandwidth", 50, "-o", "raster.csv")
+    words = ("xy.json", "raster.csv", "--displacement", "{}_um", "--condition")
+    done("compensate", *words, "--from", 0, "-o", "scan.csv")
+    scan = table("scan.csv")
+    columns, truth = {}, {}
+    rng = np.random.default_rng(1)
+    for axis in "xy":
+        column = f"voltage_{axis}"
+        played = done("simulate", model("creep"), "scan.csv", "--input", column)
+        moved = 1.004 * table(played)["displacement_um"]
+        moved += 0.003 * rng.standard_normal(len(moved))
+        columns[f"V{axis}_V"] = scan[f"{column}_V"]
+        columns[f"D{axis}_um"] = moved
+        error = (moved - scan[f"desired_{axis}_um"])[scan["time_s"] > -0.5 * STEP]
+        truth[axis] = rms(error)
+    stamps = STEP * np.arange(len(scan["time_s"]))
+    write("pass.csv", ",".join(["time_s", *columns]), stamps, *columns.values())
+    recorded_as = ("--voltage", "V{}", "--measured", "D{}")
+    for file, desired in (("scan.csv", "desired_{}"), ("raster.csv", "{}_um")):
+        asked = ("--trajectory", file, "--desired", desired, "--format", "json")
+        found = done("report", "pass.csv", *recorded_as, *asked).json["reports"]
+        for axis, off in truth.items():
+            rmse = found[axis]["logs"][0]["rmse"]
+            assert rmse == pytest.approx(off, rel=0.01), (file, axis)
+    done("compensate", *words, "--from", 0, "--tracked", "pass.csv", *recorded_as)
+
+
 def test_a_pass_with_another_past_is_refused() -> None:
     drive, moved = recorded(1)
     header = "time_s,voltage_V,measured_um"
