@@ -288,7 +288,7 @@ def test_a_model_of_a_found_offset_has_no_delay(tmp_path: Path) -> None:
     done = subprocess.run(
         line, capture_output=True, text=True, check=True, cwd=tmp_path
     )
-    assert "moved by 0.373" in done.stderr
+    assert "moved by 0.37" in done.stderr
     model = json.loads((tmp_path / "model.json").read_text())
     assert "delay" not in [stage["type"] for stage in model["stages"]]
     log = {"voltage": f"{sent}::voltage_V", "clock_offset": "auto"}
