@@ -258,9 +258,16 @@ def publish(result: Report, output: str, form: str, figures: str | None) -> None
 
 def read_trajectory(path: str, column: str | None) -> tuple[Block, str | None]:
     """Read the desired displacement of a file of its own, with its drive if it has one; and its unit."""
-    from dbo_cli.logs import open_log
+    from dbo_cli.logs import columns_of, open_log
 
-    roles: Columns = {"time": None, "trajectory": column, "voltage": None}
+    drive = None
+    if (
+        column is not None and "desired" in column
+    ):  # of a channel, as compensate names it
+        typed = column.replace("desired", "voltage", 1)
+        names = [each.quantity for each in columns_of(path)]
+        drive = next((name for name in names if typed.startswith(name)), None)
+    roles: Columns = {"time": None, "trajectory": column, "voltage": drive}
     with open_log(path, roles, optional=("time", "voltage")) as log:
         table = log.read()
     say_doubts(log)

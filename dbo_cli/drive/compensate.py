@@ -289,10 +289,9 @@ class Driver:
         if tracked:
             from dbo_cli.drive.learning import RepeatedMove
 
-            state = self.lead.state
-            swept = self.limits.move if self.lead.condition else None
+            sweep, state = self._sweep(float(desired[0]), dt), self.lead.state
             move = RepeatedMove(
-                self.model, desired, time, dt, state, periodic, absolute, swept
+                self.model, desired, time, dt, state, periodic, absolute, sweep
             )
             lesson = move.lesson(tracked, history, bandwidth)
             target = lesson.request
@@ -374,6 +373,12 @@ class Driver:
             for block in self._ahead.take(step, still, still, at_rest):
                 blocks.append(self._driven(step, *block))
         return dt, stacked(blocks)
+
+    def _sweep(self, first: float, dt: float) -> Floats:
+        """Return the voltages before a move that begins with a sweep; none where it does not."""
+        if not self.lead.condition:
+            return np.empty(0)
+        return plan_lead(self.model, first, dt, self.limits, self.lead, self.hold)[1]
 
     def _usual_step(self, dt: Steps) -> float:
         """Return the seconds a row at the beginning; 0 without a clock.

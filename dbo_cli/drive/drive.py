@@ -143,6 +143,7 @@ class Drive:
             "clipped": self.clipped,
             "lost_rms": self.lost_rms,
             "lost_most": self.lost_most,
+            "sensor_delay": self.model.sensor_delay or None,
             "expected_rmse": self.expected_error,
             "expected_rmse_past_known": self.expected_known,
             "past_known": self.past_known,

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.identification.recording import Recording, turning_points
+from dbo_cli.identification.recording import Recording
+from dbo_cli.signals import turns
 
 FEWEST_ROWS = 40  # of a slow part
 NOTICEABLE = 3e-4  # of the range: a smaller reversal of the drive is no turn
@@ -87,7 +88,7 @@ def even_step(log: Recording) -> float | None:
 
 def _median_half_period(log: Recording, span: float, fast_rows: slice) -> float | None:
     """Return the median time between turns outside fast rows (s), None where there are too few."""
-    rows = turning_points(log.voltage, NOTICEABLE * span)
+    rows = turns(log.voltage, NOTICEABLE * span)
     slow = (rows < fast_rows.start) | (rows >= fast_rows.stop)
     if log.time is None or np.count_nonzero(slow) < FEWEST_TURNS:
         return None
@@ -96,7 +97,7 @@ def _median_half_period(log: Recording, span: float, fast_rows: slice) -> float 
 
 def _band(log: Recording, span: float, step: float) -> tuple[float, float]:
     """Return the lowest and highest frequency of a fast log's drive (Hz), by its turns."""
-    halves = step * np.diff(turning_points(log.voltage, NOTICEABLE * span))[1:-1]
+    halves = step * np.diff(turns(log.voltage, NOTICEABLE * span))[1:-1]
     shortest, longest = np.quantile(halves[halves > 0.0], (0.02, 0.98))
     return 0.5 / float(longest), 0.5 / max(float(shortest), step)
 
@@ -106,7 +107,7 @@ def _sweep(log: Recording, span: float) -> FastPart | None:
     step = even_step(log)
     if step is None:
         return None
-    rows = turning_points(log.voltage, NOTICEABLE * span)
+    rows = turns(log.voltage, NOTICEABLE * span)
     halves = np.diff(rows).astype(np.float64)
     small = np.abs(np.diff(log.voltage[rows])) <= SMALL_SWING * span
     gradual = np.abs(np.diff(np.log(np.maximum(halves, 1.0)))) <= SMOOTH

@@ -203,6 +203,8 @@ def measured(
         "logs": residuals,
         "notes": list(notes),
     }
+    if options.known_sensor_delay:
+        figures["sensor_delay"] = options.known_sensor_delay
     found = [*figures.get("warnings", []), *_warnings(model, figures)]
     return replace(model, fit={**figures, "warnings": found})
 

@@ -209,6 +209,11 @@ class Cascade:
         return 0.0 if self.delay is None else self.delay.seconds
 
     @property
+    def sensor_delay(self) -> float:
+        """Seconds by which the logs' sensor is late; no stage has them."""
+        return float(self.fit.get("sensor_delay") or 0.0)
+
+    @property
     def needs_time(self) -> bool:
         """Whether the time between samples matters."""
         return any(stage.needs_time for stage in self.stages)

@@ -37,7 +37,7 @@ SHORTEST_RUN = 3
 
 FIGURES = (
     "rmse expected_rmse line_rmse left_out_rmse left_out_line_rmse unknown_past_rmse "
-    "fastest longest_rest longest_swing swings"
+    "fastest longest_rest longest_swing swings sensor_delay"
 ).split()
 """Keys of ``fit`` that commands compute with: null or numbers of at least 0."""
 
