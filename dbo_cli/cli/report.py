@@ -179,17 +179,24 @@ def matched(
     by: str,
 ) -> tuple[list[Pair], Units]:
     """Return what a trajectory of a file of its own desires beside what was measured, and the units."""
-    from dbo_cli.logs import Reading
+    from dbo_cli.logs import Reading, columns_of
     from dbo_cli.recordings import read_table
     from dbo_cli.reports import match
 
-    columns = {"time": None, "trajectory": column, "voltage": None}
+    drive = None
+    if (
+        column is not None and "desired" in column
+    ):  # of a channel, as compensate names it
+        drive_column = column.replace("desired", "voltage", 1)
+        names = [each.quantity for each in columns_of(trajectory)]
+        drive = next((name for name in names if drive_column.startswith(name)), None)
+    columns = {"time": None, "trajectory": column, "voltage": drive}
     optional = ("time", "voltage")
     log, table = read_table(trajectory, columns, Reading(), optional=optional)
     wanted = {"measured": log.columns["trajectory"].unit}
     pairs, units = read_pairs(logs, reading, roles, wanted, False)
-    desired, clock, drive = table["trajectory"], table.time, table.values.get("voltage")
-    return [match(p, desired, clock, by, trajectory, drive) for p in pairs], units
+    desired, clock, volts = table["trajectory"], table.time, table.values.get("voltage")
+    return [match(p, desired, clock, by, trajectory, volts) for p in pairs], units
 
 
 def publish(
