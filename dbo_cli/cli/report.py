@@ -67,7 +67,7 @@ def report(
     """
     from dbo_cli import channels
     from dbo_cli.logs import parse_rows
-    from dbo_cli.reports import Report, expected_in, expected_of
+    from dbo_cli.reports import Report, expected_in
 
     if model is not None and trajectory is not None:
         raise UsageError("give either `model` or `trajectory`")
@@ -100,10 +100,6 @@ def report(
             else:
                 pairs, units = read_pairs(logs, reading, roles, {}, False)
             unit, summary = units.get("measured"), summaries[channel]
-            if isinstance(summary, str):
-                summary = expected_in(summary, unit)
-            elif summary is not None:
-                summary = expected_of(summary, unit)
             results[channel] = Report.of(
                 [
                     dataclasses.replace(pair, rows=rows, name=name)
@@ -112,7 +108,7 @@ def report(
                 unit=unit,
                 lag=lag,
                 remove_offset=remove_offset,
-                expected=summary,
+                expected=None if summary is None else expected_in(summary, unit),
                 max_rmse=opt.quantity("max_rmse", max_rmse, unit),
                 max_nrmse_percent=percent_bound,
                 voltage_unit=units.get("voltage"),

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dbo_cli.model import Cascade, Quantity
-    from dbo_cli.reports.comparison import Scores, LogReport
+    from dbo_cli.reports.comparison import LogReport, Scores
 
 SCHEME = {
     "#1b1d22": "ink",
