@@ -305,7 +305,7 @@ def open_log(
     path: str | os.PathLike[str] | Table,
     roles: Mapping[str, str | None],
     reading: Reading | None = None,
-    units: Mapping[str, str] | None = None,
+    units: Mapping[str, str | None] | None = None,
     optional: Sequence[str] = ("time",),
 ) -> Log:
     """Open a log and give every role its column.
@@ -333,7 +333,7 @@ def open_log(
         The options contradict each other or are malformed.
     """
     reading = reading or Reading()
-    units = units or {}
+    stated = {role: unit for role, unit in (units or {}).items() if unit}
     elsewhere = {role: text for role, text in roles.items() if text and "::" in text}
     if "time" in elsewhere:
         raise UsageError(
@@ -348,9 +348,9 @@ def open_log(
         own.update(dict.fromkeys(twins))
         optional = (*optional, *twins)
     opened = path if isinstance(path, Table) else os.fspath(path)
-    log = _open_file(opened, own, reading, units, optional)
+    log = _open_file(opened, own, reading, stated, optional)
     if elsewhere:
-        log = _with_columns_of(log, elsewhere, own, reading, units)
+        log = _with_columns_of(log, elsewhere, own, reading, stated)
     if reading.resample is not None:
         from dbo_cli.logs.resample import resampled
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dbo_cli.model import Cascade, Quantity
-    from dbo_cli.reports.comparison import Comparison, LogReport
+    from dbo_cli.reports.comparison import LogReport, Scores
 
 SCHEME = {
     "#1b1d22": "ink",
@@ -53,11 +53,11 @@ DASHED: dict[str, Any] = {
 THIN: dict[str, Any] = {"color": INK, "linewidth": 0.9}
 WIDE = (5.0, 2.8)  # inches: two side by side fill a page in print, one a phone
 TALL = (5.0, 4.0)  # inches: as wide as those; for loops
-COLUMNS = 1000  # of a figure; a curve keeps the least and the greatest value in each
+FIGURE_COLUMNS = 1000  # a curve keeps the least and the greatest value in each
 MOST_POINTS = 20_000  # of a loop that stays lines in an SVG; more become a picture
 LOOP_POINTS = 501  # each way of a model's loop
 
-Kind = Literal["png", "svg", "inline"]
+ImageKind = Literal["png", "svg", "inline"]
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def style(outlines: bool = True) -> Iterator[None]:
         yield
 
 
-def draw(plot: Plot, kind: Kind) -> bytes:
+def draw(plot: Plot, kind: ImageKind) -> bytes:
     """Return a figure as PNG, as SVG, or as SVG that stands inside a page.
 
     The inline form has letters as text, no background, variables for the colours of
@@ -127,8 +127,8 @@ def figure_of(plot: Plot) -> Figure:
     plot.paint(axes)
     handles, labels = axes.get_legend_handles_labels()
     if handles:
-        place = {"loc": "outside upper left", "columnspacing": 1.6}
-        figure.legend(handles, labels, ncols=_legend_columns(labels), **place)
+        legend = {"loc": "outside upper left", "columnspacing": 1.6}
+        figure.legend(handles, labels, ncols=_legend_columns(labels), **legend)
     return figure
 
 
@@ -162,7 +162,7 @@ def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:
         raise OutputError(
             f"{folder}: {problem.strerror}: `figures` needs a folder"
         ) from None
-    kinds: tuple[Kind, ...] = ("png", "svg")
+    kinds: tuple[ImageKind, ...] = ("png", "svg")
     written = []
     try:
         with Outputs() as outputs:
@@ -182,7 +182,7 @@ def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:
 # --- a report ---
 
 
-def sections_of_report(report: Comparison) -> list[tuple[str, list[Plot]]]:
+def sections_of_report(report: Scores) -> list[tuple[str, list[Plot]]]:
     """Return the figures of a report with their headings: each log's, then the model's."""
     sections = []
     stems = file_stems([log.name for log in report.logs])
@@ -193,7 +193,7 @@ def sections_of_report(report: Comparison) -> list[tuple[str, list[Plot]]]:
     return sections
 
 
-def plots_of_report(report: Comparison) -> list[Plot]:
+def plots_of_report(report: Scores) -> list[Plot]:
     """Return all figures of a report."""
     plots = []
     for _, section in sections_of_report(report):
@@ -201,7 +201,7 @@ def plots_of_report(report: Comparison) -> list[Plot]:
     return plots
 
 
-def plots_of_log(report: Comparison, log: LogReport, stem: str) -> list[Plot]:
+def plots_of_log(report: Scores, log: LogReport, stem: str) -> list[Plot]:
     """Return the figures of one log: both signals, the error, the loop and the spectrum."""
     first, second = report.labels
     error = "Residual of the model" if first == "model" else "Error"
@@ -248,15 +248,15 @@ def _clock_of(log: LogReport) -> tuple[Floats, str]:
 
 def envelope(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Return a curve as its least and greatest value in each of many columns; a short one as it is."""
-    if len(x) <= 4 * COLUMNS:
+    if len(x) <= 4 * FIGURE_COLUMNS:
         return x, y
-    edges = np.linspace(0, len(x), COLUMNS + 1).astype(np.int64)[:-1]
+    edges = np.linspace(0, len(x), FIGURE_COLUMNS + 1).astype(np.int64)[:-1]
     low, high = np.minimum.reduceat(y, edges), np.maximum.reduceat(y, edges)
     heights = np.column_stack([low, high]).ravel()
     return np.repeat(x[edges], 2), heights
 
 
-def _paint_follow(report: Comparison, log: LogReport, axes: Axes) -> None:
+def _paint_follow(report: Scores, log: LogReport, axes: Axes) -> None:
     first, second = report.labels
     time, clock = _clock_of(log)
     measured = log.pair.measured - log.merits.offset
@@ -270,7 +270,7 @@ def _error_of(log: LogReport) -> Floats:
     return log.pair.measured - log.pair.desired - log.merits.offset
 
 
-def _paint_error(report: Comparison, log: LogReport, axes: Axes) -> None:
+def _paint_error(report: Scores, log: LogReport, axes: Axes) -> None:
     time, clock = _clock_of(log)
     rmse = log.merits.rmse
     band = f"± RMSE, {digits(rmse, 3)} {shown_unit(report.unit)}".rstrip()
@@ -280,7 +280,7 @@ def _paint_error(report: Comparison, log: LogReport, axes: Axes) -> None:
     axes.set(xlabel=clock, ylabel=axis_label(name, report.unit))
 
 
-def _paint_loop(report: Comparison, log: LogReport, axes: Axes) -> None:
+def _paint_loop(report: Scores, log: LogReport, axes: Axes) -> None:
     """Paint measured over the drive; over the desired signal, its own line, where no drive is known."""
     first, second = report.labels
     measured = log.pair.measured - log.merits.offset
@@ -318,7 +318,7 @@ def spectrum_of(log: LogReport) -> tuple[Floats, Floats] | None:
     return frequency[1:], np.sqrt(power[1:])
 
 
-def _paint_spectrum(report: Comparison, log: LogReport, axes: Axes) -> None:
+def _paint_spectrum(report: Scores, log: LogReport, axes: Axes) -> None:
     curve = spectrum_of(log)
     assert curve is not None
     axes.loglog(*curve, **THIN)

@@ -10,22 +10,22 @@ from html import escape
 from importlib import resources
 from string import Template
 
-from dbo_cli.reports.comparison import Comparison
+from dbo_cli.reports.comparison import Scores
 from dbo_cli.reports.plots import Plot, draw, sections_of_report
 from dbo_cli.reports.words import (
     digits,
     json_text,
-    short_name,
+    shortened,
     shown_unit,
     text_table,
 )
 from dbo_cli.version import __version__
 
-JSON_VERSION = 1  # of the form dbo-report
+REPORT_VERSION = 1  # of the form dbo-report
 LENGTHS = ("RMSE", "expected", "largest", "mean", "offset", "loop")
 
 
-def to_json(report: Comparison) -> str:
+def to_json(report: Scores) -> str:
     """Return the report as JSON text, ``dbo-report`` version 1; numbers read back exactly.
 
     The keys are always all there, in this order: ``format``, ``version``, ``unit``,
@@ -36,7 +36,7 @@ def to_json(report: Comparison) -> str:
     """
     content = {
         "format": "dbo-report",
-        "version": JSON_VERSION,
+        "version": REPORT_VERSION,
         "unit": report.unit,
         "compared": list(report.labels),
         "offset_removed": report.remove_offset,
@@ -49,7 +49,7 @@ def to_json(report: Comparison) -> str:
     return json_text(content)
 
 
-def to_csv(report: Comparison) -> str:
+def to_csv(report: Scores) -> str:
     """Return a line a log: the keys of the JSON form and the unit; what is undefined is empty."""
     rows = [{**log.record(), "unit": report.unit} for log in report.logs]
     out = io.StringIO()
@@ -59,7 +59,7 @@ def to_csv(report: Comparison) -> str:
     return out.getvalue()
 
 
-def table_of(report: Comparison) -> tuple[list[str], list[list[str]]]:
+def report_table(report: Scores) -> tuple[list[str], list[list[str]]]:
     """Return the headings of the table and a row a log; what is not known of any is left out."""
     clocked = any(log.pair.step() for log in report.logs)
     expected = any(log.expected_rmse for log in report.logs)
@@ -67,7 +67,7 @@ def table_of(report: Comparison) -> tuple[list[str], list[list[str]]]:
     for log in report.logs:
         figures = log.merits
         cells = {
-            "log": short_name(log.name),
+            "log": shortened(log.name),
             "rows": f"{figures.samples:,}",
             "RMSE": digits(figures.rmse),
         }
@@ -91,20 +91,20 @@ def table_of(report: Comparison) -> tuple[list[str], list[list[str]]]:
     return list(rows[0]), [list(cells.values()) for cells in rows]
 
 
-def to_text(report: Comparison) -> str:
+def to_text(report: Scores) -> str:
     """Return the verdict, an aligned table and at most a few lines."""
     lines = [verdict.words() for verdict in report.verdicts]
     if lines:
         lines.insert(0, "PASSED" if report.passed else "FAILED")
         lines.append("")
-    lines.append(text_table(*table_of(report)))
+    lines.append(text_table(*report_table(report)))
     lines += ["", settings_line(report)]
     lines += [f"warning: {warning}" for warning in report.warnings]
     lines += [f"note: {note}" for note in report.notes]
     return "\n".join(lines) + "\n"
 
 
-def settings_line(report: Comparison) -> str:
+def settings_line(report: Scores) -> str:
     """Return what was compared, and what the figures mean."""
     first, second = report.labels
     line = f"error = {second} - {first}"
@@ -122,22 +122,22 @@ def settings_line(report: Comparison) -> str:
 # --- the page: no script, no network, the figures inside it ---
 
 
-def to_html(report: Comparison) -> str:
+def to_html(report: Scores) -> str:
     """Return a page that needs no other file: verdict, table, figures, footer."""
     unit = shown_unit(report.unit)
     verdicts = []
     for verdict in report.verdicts:
         verdicts.append(replace(verdict, unit=verdict.unit.replace(" um", " µm")))
     report = replace(report, unit=unit or None, verdicts=tuple(verdicts))
-    titles, rows = table_of(report)
-    head = []
+    titles, rows = report_table(report)
+    headings = []
     for title in titles:
         length = unit and title in LENGTHS
-        head.append(f"{title} ({unit})" if length else title)
+        headings.append(f"{title} ({unit})" if length else title)
     parts = [_verdict(report), f'<p class="headline">{escape(report.line())}</p>']
     for warning in report.warnings:
         parts.append(f'<p class="warning">Warning: {escape(warning)}</p>')
-    parts.append(html_table(head, rows, chief=2))
+    parts.append(html_table(headings, rows, chief=2))
     parts.append(f'<p class="muted">{escape(settings_line(report))}</p>')
     parts += [f'<p class="muted">{escape(note)}</p>' for note in report.notes]
     for title, plots in sections_of_report(report):
@@ -149,7 +149,7 @@ def to_html(report: Comparison) -> str:
     return frame.substitute(style=style, body="\n".join(filter(None, parts)))
 
 
-def _verdict(report: Comparison) -> str:
+def _verdict(report: Scores) -> str:
     """Return whether the limits are kept; nothing where none was set."""
     if report.passed is None:
         return ""
@@ -159,7 +159,7 @@ def _verdict(report: Comparison) -> str:
     return f'<p class="verdict {word}">{"<br>".join(lines)}</p>'
 
 
-def footer_lines(report: Comparison) -> list[str]:
+def footer_lines(report: Scores) -> list[str]:
     """Return who made the page, from what: version, command, model, limits; no time of day."""
     lines = [f"dbo {__version__}"]
     if report.command:
@@ -171,13 +171,15 @@ def footer_lines(report: Comparison) -> list[str]:
     return lines
 
 
-def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int) -> str:
+def html_table(
+    headings: Sequence[str], rows: Sequence[Sequence[str]], chief: int
+) -> str:
     """Return a table whose cells know their heading: a narrow screen shows a row as a card."""
-    cells = "".join(f'<th scope="col">{escape(title)}</th>' for title in head)
+    cells = "".join(f'<th scope="col">{escape(title)}</th>' for title in headings)
     lines = []
     for row in rows:
         line = ""
-        for number, (title, cell) in enumerate(zip(head, row, strict=True)):
+        for number, (title, cell) in enumerate(zip(headings, row, strict=True)):
             mark = ' class="chief"' if number == chief else ""
             line += f'<td{mark} data-label="{escape(title)}">{escape(cell)}</td>'
         lines.append(f"<tr>{line}</tr>")
@@ -195,7 +197,7 @@ def html_figures(plots: Sequence[Plot]) -> str:
     return '<div class="figures">' + "\n".join(drawn) + "</div>"
 
 
-FORMS: dict[str, Callable[[Comparison], str]] = {
+FORMS: dict[str, Callable[[Scores], str]] = {
     "text": to_text,
     "json": to_json,
     "csv": to_csv,
