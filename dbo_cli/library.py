@@ -16,7 +16,6 @@ from typing import (
     TYPE_CHECKING,
     Any,
     Literal,
-    NamedTuple,
     ParamSpec,
     TypedDict,
     TypeVar,
@@ -36,14 +35,24 @@ from dbo_cli.logs import (
     Reading,
     frame_table,
     is_frame,
-    numbers,
     open_log,
     stated_unit,
 )
-from dbo_cli.logs.frame import dtype_kind
-from dbo_cli.logs.table import OVERLOAD
 from dbo_cli.model import Quantity
-from dbo_cli.units import multiplied, parse_quantity, to_model_unit
+from dbo_cli.recordings import (
+    COLUMNS,
+    arrays_table,
+    clock_of,
+    fitted,
+    floats,
+    in_unit,
+    pair_of,
+    recordings_of,
+    seconds_of,
+    signal_of,
+    tracked_of,
+)
+from dbo_cli.units import parse_quantity, to_model_unit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -67,8 +76,6 @@ Seconds = float | str | None
 StateLike = str | Path | room.State
 """``auto``, ``empty``, ``full``, ``settled``, a state that was returned, or a state file."""
 OnLimit = Literal["auto", "clip", "error"]
-Clock = float | Floats | None
-"""Seconds a sample, or the time of each sample (s)."""
 
 
 class Fit(TypedDict, total=False):
@@ -138,8 +145,8 @@ def with_known_words(function: Callable[P, R]) -> Callable[P, R]:
     def call(*values: P.args, **options: P.kwargs) -> R:
         for word in options:
             if word not in words:
-                near = get_close_matches(word, words, 2, 0.5) or words
-                listed = " or ".join(f"`{known}`" for known in near)
+                similar = get_close_matches(word, words, 2, 0.5) or words
+                listed = " or ".join(f"`{name}`" for name in similar)
                 raise UsageError(f"{function.__name__}: no `{word}`: give {listed}")
         return function(*values, **options)
 
@@ -287,17 +294,13 @@ class Model:
         from dbo_cli.drive.simulate import Simulator
 
         role = "voltage" if self.direction == "forward" else "displacement"
-        roles = role, "input"
-        signal = timed(x, roles, self.input, time, sample_rate, unit)
+        rate = _rate(sample_rate)
+        signal = signal_of(x, (role, "input"), self.input, time, rate, unit)
         begin = room.state_of(state, self.actuator)
         simulator = Simulator(self.actuator, begin, outside)
-        parts = [simulator.rows(signal.values, signal.dt, signal.time)]
-        parts.append(simulator.finish())
-        y = np.concatenate([part.y for part in parts])
-        if return_state:
-            after = cast(room.State, simulator.state)
-            return y, dataclasses.replace(after, model=self.digest)
-        return y
+        first = simulator.rows(signal["input"], signal.dt, signal.time)
+        y = np.concatenate([first.y, simulator.finish().y])
+        return (y, cast(room.State, simulator.state)) if return_state else y
 
     @overload
     def compensate(
@@ -404,13 +407,14 @@ class Model:
         for word, value in (("history", history), ("absolute", absolute)):
             if value and tracked is None:
                 raise UsageError(f"`{word}` needs `tracked` LOG")
-        signal = timed(wanted, (role, role), self.output, time, sample_rate, unit)
+        rate = _rate(sample_rate)
+        signal = signal_of(wanted, (role, role), self.output, time, rate, unit)
         limits = Limits.within(self.input, v_min, v_max, max_slew, extrapolate)
         start = voltage_in("from", from_, self.input)
         before = Lead(room.state_of(state, model), start, approach, condition, lead)
         end = voltage_in("return", return_, self.input)
         drive: Drive = Driver(model, limits, before, on_limit, end).whole(
-            signal.values,
+            signal[role],
             signal.dt,
             signal.time,
             bandwidth=_figure("bandwidth", bandwidth, "Hz"),
@@ -432,8 +436,6 @@ class Model:
         """Return recordings of the last pass in the model's units."""
         if tracked is None:  # nothing is loaded for it
             return []
-        from dbo_cli.recordings import tracked_of
-
         sources = _listed(tracked)
         columns = dict.fromkeys(("time", "voltage", "measured"))
         return tracked_of(sources, columns, Reading(), self.actuator)
@@ -625,8 +627,8 @@ def read_log(
         roles[role] = None if name is None else str(name)
     absent = tuple(role for role, name in roles.items() if name is None)
     with open_log(str(path), roles, reading, None, absent) as log:
-        known = [role for role in ("voltage", "displacement") if log.provided(role)]
-        if not known:
+        present = [role for role in ("voltage", "displacement") if log.provided(role)]
+        if not present:
             raise InputError(
                 f"{path}: no column is named voltage or displacement: give `voltage` NAME"
             )
@@ -635,9 +637,9 @@ def read_log(
     units: dict[str, str | None] = {}
     if table.time is not None:
         frame["time"], units["time"] = table.time, "s"
-    for role in known:
+    for role in present:
         frame[role], units[role] = table[role], log.columns[role].unit
-    names = {role: log.columns[role].name for role in known}
+    names = {role: log.columns[role].name for role in present}
     frame.attrs.update(name=str(path), units=units, columns=names)
     frame.attrs.update(notes=list(log.remarks), holds_delay=log.has_found_offset)
     return frame
@@ -709,8 +711,6 @@ def identify(
         No trustworthy model can be identified.
     """
     from dbo_cli.identification import Options
-    from dbo_cli.identification import identify as fit
-    from dbo_cli.recordings import COLUMNS, provenance, recordings_of
 
     if isinstance(prior, (str, Path)):
         prior = read_model(prior)
@@ -732,16 +732,14 @@ def identify(
     else:
         sources = _listed(data)
         if time is not None:
-            sources = [frame_table(source, _seconds(time)) for source in sources]
+            sources = [frame_table(source, seconds_of(time)) for source in sources]
     recordings, logs = recordings_of(sources, columns, reading, units)
-    if delay == "auto" and any(log.has_found_offset for log in logs):
-        delay = 0.0  # the offset between the clocks holds it
     options = Options(
         prior=shape,
         sign=sign,
-        skip=_seconds_of("skip", skip),
+        skip=_figure("skip", skip, "s"),
         zero=zero,
-        sensor_delay=_seconds_of("sensor_delay", sensor_delay),
+        sensor_delay=_figure("sensor_delay", sensor_delay, "s"),
         gears=gears,
         points=points,
         relaxation=_constants(relaxation),
@@ -752,9 +750,8 @@ def identify(
         force=force,
     )
     units = {"voltage": recordings[0].input[1], "displacement": recordings[0].output[1]}
-    left_out, _ = recordings_of(_listed(validate), COLUMNS, Reading(), units)
-    model = fit(recordings, options, left_out)
-    return Model(dataclasses.replace(model, provenance=provenance(recordings, logs)))
+    tests, _ = recordings_of(_listed(validate), COLUMNS, Reading(), units)
+    return Model(fitted(recordings, logs, options, tests))
 
 
 def _listed(data: Logs | None) -> list[Any]:
@@ -772,8 +769,6 @@ def _arrays(
     reading: Reading,
 ) -> tuple[FrameTable, Mapping[str, str | None]]:
     """Return the arrays of a recording as a table, and which column has which role."""
-    from dbo_cli.recordings import arrays_table
-
     stated = {}
     for role, values in signals.items():
         unit = stated_unit(values, role)
@@ -896,9 +891,7 @@ def _frame_pair(
     frame: Any, time: Signal | None, rate: float | None, model: Model | None
 ) -> tuple[Pair, dict[str, str]]:
     """Return a frame as what a report compares, and the units of its columns."""
-    from dbo_cli.recordings import pair_of
-
-    table = frame_table(frame, None if time is None else _seconds(time))
+    table = frame_table(frame, None if time is None else seconds_of(time))
     columns = dict.fromkeys(("time", "measured", "voltage"))
     units: dict[str, str | None] = {}
     if model is None:
@@ -922,135 +915,6 @@ def _common_unit(desired: Any, measured: Any, given: str | None) -> str | None:
     return given or first or second
 
 
-# --- arrays ---
-
-
-class Timed(NamedTuple):
-    """A signal in the unit of a model, with its clock.
-
-    Attributes
-    ----------
-    values : shape (n,)
-    time : shape (n,), s; None where only the step or nothing is known
-    dt : seconds since the row before, where they are known
-    """
-
-    values: Floats
-    time: Floats | None
-    dt: room.Steps
-
-
-def timed(
-    data: Any,
-    roles: tuple[str, str],
-    quantity: Quantity,
-    time: Any,
-    sample_rate: Figured | None,
-    unit: str | None,
-) -> Timed:
-    """Return a signal that a user hands over, a frame as the command reads a log.
-
-    Parameters
-    ----------
-    data
-        An array, a Series or a frame.
-    roles
-        What it is, and the role of its column in a log.
-    quantity
-        Of the model.
-    time, sample_rate, unit
-        As of ``Model.simulate``.
-    """
-    rate = _rate(sample_rate)
-    if not is_frame(data):
-        values = in_unit(data, roles[0], quantity.unit, unit)
-        clock = clock_of(data, time, rate, len(values))
-        if isinstance(clock, np.ndarray):
-            return Timed(values, clock, room.steps_of(clock))
-        return Timed(values, None, clock)
-    from dbo_cli.recordings import read_table
-
-    if unit is not None:
-        raise UsageError("`unit` is of arrays: a frame has its own units")
-    source = frame_table(data, None if time is None else _seconds(time))
-    columns = dict.fromkeys(("time", roles[1]))
-    units = {roles[1]: quantity.unit}
-    _, table = read_table(source, columns, Reading(sample_rate=rate), units)
-    return Timed(table[roles[1]], table.time, table.dt)
-
-
-def in_unit(values: Any, label: str, wanted: str | None, given: str | None) -> Floats:
-    """Return numbers in the unit of a model (``to_model_unit``); InputError where they are in another."""
-    array = floats(values, label)
-    factor = to_model_unit(label, stated_unit(values, label), given, wanted)
-    return cast(Floats, multiplied(array, factor))
-
-
-def floats(values: Any, name: str) -> Floats:
-    """Return a one-dimensional array of finite numbers.
-
-    Raises
-    ------
-    InputError
-        It has another shape, or holds what is no number: masked, missing, an overload.
-    """
-    try:
-        array = numbers(values)
-    except InputError:
-        array = np.empty(0)
-    if array.ndim != 1 or array.size == 0:
-        raise InputError(f"`{name}`: give one row of numbers, shape (n,)")
-    bad = np.flatnonzero(~(np.abs(array) < OVERLOAD))
-    if bad.size:
-        value = array[bad[0]]
-        text = "missing or masked" if np.isnan(value) else f"{value}, no finite number"
-        raise InputError(f"`{name}`[{bad[0]}] is {text}: leave such rows out")
-    return array
-
-
-def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Clock:
-    """Return the seconds between samples, or the time of each in s; None where neither is known.
-
-    The time index of a pandas object counts where neither is given: seconds if it
-    holds numbers other than a plain count, else durations or dates.
-
-    Raises
-    ------
-    UsageError
-        Both are given.
-    InputError
-        The time has another length, or is in another unit.
-    """
-    if time is not None and sample_rate is not None:
-        raise UsageError("`time` and `sample_rate` are both given: give one of them")
-    if sample_rate is not None:
-        return 1.0 / sample_rate
-    if time is None:
-        time = getattr(data, "index", None)
-        if getattr(getattr(time, "dtype", None), "kind", "O") not in "fmM":
-            return None
-    seconds = _seconds(time)
-    if len(seconds) != rows:
-        raise InputError(f"`time`: {len(seconds)} times for {rows} samples")
-    return seconds
-
-
-def _seconds(time: Any) -> Floats:
-    """Return times as seconds; dates count from the first."""
-    kind = dtype_kind(time)
-    if kind == "M":
-        dates = np.asarray(time, "M8[ns]")
-        time = (dates - dates[:1]) / np.timedelta64(1, "s")
-    elif kind == "m":
-        time = np.asarray(time) / np.timedelta64(1, "s")
-    elif stated_unit(time, "time") not in (None, "s"):
-        unit = stated_unit(time, "time")
-        raise InputError(
-            f"`time` is in {unit}: give seconds (`.to_numpy()` where the numbers are)"
-        )
-    return floats(time, "time")
-
-
 # --- typed numbers ---
 
 
@@ -1061,16 +925,11 @@ def _figure(name: str, typed: Figured | None, unit: str) -> Any:
     return parse_quantity(typed, unit, name)
 
 
-def _seconds_of(name: str, typed: Figured) -> float:
-    """Return a typed time in s."""
-    return parse_quantity(typed, "s", name)
-
-
 def _constants(typed: Any) -> Any:
     """Return typed time constants in s, or ``auto``."""
     if isinstance(typed, str):
         return typed
-    return tuple(_seconds_of("relaxation", constant) for constant in typed)
+    return tuple(parse_quantity(constant, "s", "relaxation") for constant in typed)
 
 
 def _rate(typed: Figured | None) -> float | None:

@@ -8,23 +8,39 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
-from dbo_cli.errors import InputError, warn
-from dbo_cli.logs import FrameTable, Reading, frame_table, is_frame, open_log
-from dbo_cli.units import multiplied, quantity_name, ratio
+import numpy as np
+
+from dbo_cli.arrays import Floats
+from dbo_cli.errors import InputError, UsageError, warn
+from dbo_cli.logs import (
+    FrameTable,
+    Reading,
+    frame_table,
+    is_frame,
+    numbers,
+    open_log,
+    stated_unit,
+)
+from dbo_cli.logs.frame import dtype_kind
+from dbo_cli.logs.table import OVERLOAD, Block
+from dbo_cli.model import Cascade, Quantity, steps_of
+from dbo_cli.units import multiplied, quantity_name, ratio, to_model_unit
 from dbo_cli.version import __version__
 
 if TYPE_CHECKING:
     from dbo_cli.drive.learning import Tracked
-    from dbo_cli.identification import Recording
-    from dbo_cli.logs import Block, Log
-    from dbo_cli.model import Cascade
+    from dbo_cli.identification import Options, Recording
+    from dbo_cli.logs import Log
     from dbo_cli.reports import Pair
 
 ROLES = ("voltage", "displacement")
 """The columns of a recording, beside its time; files, frames and arrays bring these."""
+Clock = float | Floats | None
+"""Seconds a sample, or the time of each sample (s)."""
 Columns = Mapping[str, str | None]
 """What was typed for each role; None: found by name and unit."""
 COLUMNS: Columns = dict.fromkeys(("time", *ROLES))
@@ -237,11 +253,36 @@ def tracked_of(
 
 def short_name(name: str) -> str:
     """Return a log's name without its folder, so that a model does not depend on where its logs were."""
-    file, mark, part = name.partition("::")
-    return os.path.basename(file) + mark + part
+    file, mark, inside = name.partition("::")
+    return os.path.basename(file) + mark + inside
 
 
-def provenance(recordings: Sequence[Recording], logs: Sequence[Log]) -> dict[str, Any]:
+def fitted(
+    recordings: Sequence[Recording],
+    logs: Sequence[Log],
+    options: Options,
+    tests: Sequence[Recording],
+) -> Cascade:
+    """Return the model of one actuator that logs were recorded of, with where it comes from.
+
+    Parameters
+    ----------
+    recordings, logs
+        As of ``recordings_of``.
+    options
+        Of the identification; an offset between clocks that was found holds the delay.
+    tests
+        Recordings that say how well the model predicts.
+    """
+    from dbo_cli.identification import identify
+
+    if options.delay == "auto" and any(log.has_found_offset for log in logs):
+        options = replace(options, delay=0.0)
+    model = identify(recordings, options, tests)
+    return replace(model, provenance=_provenance(recordings, logs))
+
+
+def _provenance(recordings: Sequence[Recording], logs: Sequence[Log]) -> dict[str, Any]:
     """Return where a model comes from: the program and its logs, and no time of day."""
     sources = []
     for recording, log in zip(recordings, logs, strict=True):
@@ -253,3 +294,113 @@ def provenance(recordings: Sequence[Recording], logs: Sequence[Log]) -> dict[str
             source[role] = column.name
         sources.append(source)
     return {"program": f"dbo {__version__}", "logs": sources}
+
+
+# --- arrays ---
+
+
+def signal_of(
+    data: Any,
+    roles: tuple[str, str],
+    quantity: Quantity,
+    time: Any,
+    sample_rate: float | None,
+    unit: str | None,
+) -> Block:
+    """Return a signal that a user hands over in the unit of a model, a frame as the command reads a log.
+
+    Parameters
+    ----------
+    data
+        An array, a Series or a frame.
+    roles
+        What it is, and the role of its column in a log, under which the block has it.
+    quantity
+        Of the model.
+    time, sample_rate, unit
+        As of ``Model.simulate``, the rate in Hz.
+    """
+    if is_frame(data):
+        if unit is not None:
+            raise UsageError("`unit` is of arrays: a frame has its own units")
+        source = frame_table(data, None if time is None else seconds_of(time))
+        columns = dict.fromkeys(("time", roles[1]))
+        units = {roles[1]: quantity.unit}
+        return read_table(source, columns, Reading(sample_rate=sample_rate), units)[1]
+    values = in_unit(data, roles[0], quantity.unit, unit)
+    clock = clock_of(data, time, sample_rate, len(values))
+    if isinstance(clock, np.ndarray):
+        return Block(clock, {roles[1]: values}, dt=steps_of(clock))
+    return Block(None, {roles[1]: values}, dt=clock)
+
+
+def in_unit(values: Any, label: str, wanted: str | None, given: str | None) -> Floats:
+    """Return numbers in the unit of a model (``to_model_unit``); InputError where they are in another."""
+    array = floats(values, label)
+    factor = to_model_unit(label, stated_unit(values, label), given, wanted)
+    return cast(Floats, multiplied(array, factor))
+
+
+def floats(values: Any, name: str) -> Floats:
+    """Return a one-dimensional array of finite numbers.
+
+    Raises
+    ------
+    InputError
+        It has another shape, or holds what is no number: masked, missing, an overload.
+    """
+    try:
+        array = numbers(values)
+    except InputError:
+        array = np.empty(0)
+    if array.ndim != 1 or array.size == 0:
+        raise InputError(f"`{name}`: give one row of numbers, shape (n,)")
+    bad = np.flatnonzero(~(np.abs(array) < OVERLOAD))
+    if bad.size:
+        value = array[bad[0]]
+        text = "missing or masked" if np.isnan(value) else f"{value}, no finite number"
+        raise InputError(f"`{name}`[{bad[0]}] is {text}: leave such rows out")
+    return array
+
+
+def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Clock:
+    """Return the seconds between samples, or the time of each in s; None where neither is known.
+
+    The time index of a pandas object counts where neither is given: seconds if it
+    holds numbers other than a plain count, else durations or dates.
+
+    Raises
+    ------
+    UsageError
+        Both are given.
+    InputError
+        The time has another length, or is in another unit.
+    """
+    if time is not None and sample_rate is not None:
+        raise UsageError("`time` and `sample_rate` are both given: give one of them")
+    if sample_rate is not None:
+        return 1.0 / sample_rate
+    if time is None:
+        time = getattr(data, "index", None)
+        if getattr(getattr(time, "dtype", None), "kind", "O") not in "fmM":
+            return None
+    seconds = seconds_of(time)
+    if len(seconds) != rows:
+        raise InputError(f"`time`: {len(seconds)} times for {rows} samples")
+    return seconds
+
+
+def seconds_of(time: Any) -> Floats:
+    """Return times as seconds; dates count from the first."""
+    kind = dtype_kind(time)
+    if kind == "M":
+        dates = np.asarray(time, "M8[ns]")
+        time = (dates - dates[:1]) / np.timedelta64(1, "s")
+    elif kind == "m":
+        time = np.asarray(time) / np.timedelta64(1, "s")
+    elif stated_unit(time, "time") not in (None, "s"):
+        unit = stated_unit(time, "time")
+        raise InputError(
+            f"`time` is in {unit}: give seconds (`.to_numpy()` where the numbers are)"
+        )
+    return floats(time, "time")

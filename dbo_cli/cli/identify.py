@@ -144,8 +144,7 @@ def identified(
     options: Options,
 ) -> tuple[Cascade, list[Recording], list[Log]]:
     """Return the model of one actuator, and the recordings and logs that it was identified from."""
-    from dbo_cli.identification import identify as fit
-    from dbo_cli.recordings import provenance, recordings_of
+    from dbo_cli.recordings import fitted, recordings_of
 
     units = {}
     if options.prior is not None:
@@ -153,12 +152,9 @@ def identified(
         units = {"voltage": into.unit, "displacement": out.unit}
     recordings, logs = recordings_of([*paths, *validate], columns, reading, units)
     count = len(paths)
-    if options.delay == "auto" and any(log.has_found_offset for log in logs):
-        options = replace(options, delay=0.0)  # the offset between the clocks holds it
     working("identifying")
-    model = fit(recordings[:count], options, recordings[count:])
-    source = provenance(recordings[:count], logs[:count])
-    return replace(model, provenance=source), recordings[:count], logs[:count]
+    model = fitted(recordings[:count], logs[:count], options, recordings[count:])
+    return model, recordings[:count], logs[:count]
 
 
 def summary_of(model: Cascade) -> str:

@@ -77,11 +77,11 @@ class DboModel:
         return self.model.static.simulate(voltage, dt=self._dt(clock))[0]
 
     def invert(
-        self, wanted: Floats, first: float, clock: Floats | None = None
+        self, desired: Floats, first: float, clock: Floats | None = None
     ) -> Floats:
         """Return the voltage for a displacement, from the state that ``first`` (V) starts in."""
         static = self.model.static
-        return static.drive(wanted, static.start(first), self._dt(clock)).y
+        return static.drive(desired, static.start(first), self._dt(clock)).y
 
     def predict(self, log: Recording) -> Floats:
         """Return the displacement that a log's drive leads to."""
@@ -231,10 +231,10 @@ def costs_of(model: PlayModel | DboModel, log: Recording) -> tuple[float, float]
     clock = None
     if log.dt is not None:
         clock = log.dt * np.arange(float(TIMED_SAMPLES))
-    wanted = model.simulate(voltage, clock)
+    desired = model.simulate(voltage, clock)
     first = float(voltage[0])
     forward = fastest(lambda: model.simulate(voltage, clock))
-    inverse = fastest(lambda: model.invert(wanted, first, clock))
+    inverse = fastest(lambda: model.invert(desired, first, clock))
     return forward / TIMED_SAMPLES, inverse / TIMED_SAMPLES
 
 
@@ -242,7 +242,7 @@ def fastest(run: Callable[[], object]) -> float:
     """Return the processor's time (ns) of the fastest of several runs."""
     times = []
     for _ in range(TIMED_RUNS):
-        begun = time.thread_time_ns()
+        start = time.thread_time_ns()
         run()
-        times.append(time.thread_time_ns() - begun)
+        times.append(time.thread_time_ns() - start)
     return float(min(times))

@@ -151,8 +151,8 @@ def counted(log: Recording, skip: float) -> Booleans:
 def rates_of(drive: Floats, time: Floats) -> Floats:
     """Return |change of the drive| a second since the sample before; 0 first."""
     steps = np.diff(time)
-    usual = float(np.median(steps[steps > 0.0]))
-    rates: Floats = np.abs(np.diff(drive)) / np.maximum(steps, 0.01 * usual)
+    step = float(np.median(steps[steps > 0.0]))
+    rates: Floats = np.abs(np.diff(drive)) / np.maximum(steps, 0.01 * step)
     return np.concatenate([[0.0], rates])
 
 
@@ -240,22 +240,22 @@ class Equations:
         return cls(design, problem, np.concatenate(tables))
 
     @property
-    def least(self) -> Floats:
+    def lower(self) -> Floats:
         """The lower bounds of the unknown weights: 0, and of the first the flattest slope."""
-        least = np.zeros(self.columns.shape[1])
-        least[0] = SLOPE_FLOOR
+        lower = np.zeros(self.columns.shape[1])
+        lower[0] = SLOPE_FLOOR
         if self.design.by_rate:
-            least[self.design.plays] = SLOPE_FLOOR
+            lower[self.design.plays] = SLOPE_FLOOR
         if self.design.one_sided:
-            least[1] = SLOPE_FLOOR
+            lower[1] = SLOPE_FLOOR
         if self.design.free_first:
-            least[0] = -np.inf
-        return least
+            lower[0] = -np.inf
+        return lower
 
-    def solve(self, taken: Booleans | slice = slice(None)) -> Solution:
+    def solve(self, rows: Booleans | slice = slice(None)) -> Solution:
         """Return the bounded least-squares solution for some of the rows."""
-        columns, output = self.columns[taken], self.problem.output[taken]
-        drift, segments = self.problem.drift[taken], self.design.segments
+        columns, output = self.columns[rows], self.problem.output[rows]
+        drift, segments = self.problem.drift[rows], self.design.segments
         begins = np.arange(segments) / segments
         ramps = np.clip(output[:, None] - begins, 0.0, 1.0 / segments)
         # scale: one more row says that the curve's slopes have the mean 1
@@ -265,8 +265,8 @@ class Equations:
         matrix = np.vstack([np.hstack([columns, -ramps]), fixing])
         right = np.append(np.zeros(len(output)), weight)
         drift = np.vstack([drift, np.zeros(drift.shape[1])])
-        least = np.append(self.least, np.full(segments, 1.0 / STEEPEST))
-        bounded, free = bounded_minimum(matrix, drift, right, least)
+        lower = np.append(self.lower, np.full(segments, 1.0 / STEEPEST))
+        bounded, free = bounded_minimum(matrix, drift, right, lower)
         weights, slopes = np.split(bounded, [columns.shape[1]])
         curve = Points(slopes / segments, np.full(segments, 1.0 / segments))
         return Solution(weights, curve, free)
@@ -310,27 +310,27 @@ def shares(drive: Floats, time: Floats | None, fastest: float) -> Floats:
 
 
 def bounded_minimum(
-    matrix: Floats, drift: Floats, right: Floats, least: Floats
+    matrix: Floats, drift: Floats, right: Floats, lower: Floats
 ) -> tuple[Floats, Floats]:
     """Return x >= least and z that minimise |matrix x + drift z - right|; least -inf: free.
 
     What is free is projected out, what is left are non-negative least squares.
     """
-    bound = np.isfinite(least)
-    x: Floats = np.where(bound, least, 0.0)
+    bound = np.isfinite(lower)
+    x: Floats = np.where(bound, lower, 0.0)
     free = np.hstack([matrix[:, ~bound], drift])
     base = np.linalg.qr(free).Q
     table = np.column_stack([matrix[:, bound], right - matrix @ x])
-    whole = np.linalg.norm(table, axis=0)
+    lengths = np.linalg.norm(table, axis=0)
     table -= base @ (base.T @ table)
     # a play that does not move in these rows is an offset: nothing tells its weight
-    table[:, np.linalg.norm(table, axis=0) <= RESTING * whole] = 0.0
+    table[:, np.linalg.norm(table, axis=0) <= RESTING * lengths] = 0.0
     triangle = np.linalg.qr(table).R
     x[bound] += nnls(triangle[:, :-1], triangle[:, -1], maxiter=50 * len(x))[0]
-    rest: Floats = np.linalg.pinv(free) @ (right - matrix @ x)
+    unbounded: Floats = np.linalg.pinv(free) @ (right - matrix @ x)
     alone = np.count_nonzero(~bound)
-    x[~bound] = rest[:alone]
-    return x, rest[alone:]
+    x[~bound] = unbounded[:alone]
+    return x, unbounded[alone:]
 
 
 @dataclass(frozen=True)
@@ -375,7 +375,7 @@ class PlayModel:
         return through(self.curves, bare)
 
     def invert(
-        self, wanted: Floats, first: float, time: Floats | None = None
+        self, desired: Floats, first: float, time: Floats | None = None
     ) -> Floats:
         """Return the voltage for a displacement; it stands at ``first`` (V) before.
 
@@ -384,7 +384,7 @@ class PlayModel:
         problem = self.equations.problem
         begin = float(problem.scaled(np.array([first]))[0])
         back = [curve.inverse() for curve in reversed(self.curves)]
-        u = through(back, wanted) - self.offset
+        u = through(back, desired) - self.offset
         design = self.design
         if design.by_rate or design.free_first or design.one_sided:
             x = self.plays.solve(u, begin, self.shares(u, time))
@@ -429,7 +429,7 @@ def operator_of(design: Design, weights: Floats) -> Plays:
         raise FitError("the best fit has no inverse: its last slope is not positive")
     sets = np.split(weights, 1 + design.by_rate)
     if design.falling:
-        sets = [np.append(taken.sum(), -taken[1:]) for taken in sets]
+        sets = [np.append(members.sum(), -members[1:]) for members in sets]
     by_rate = NOTHING
     if design.by_rate:
         by_rate = sets[1] - sets[0]
@@ -472,10 +472,10 @@ def with_delay(design: Design, problem: Problem) -> Equations:
     best = min((d for d in DELAYS if d <= problem.longest_delay), key=error)
     step = 1.0 if problem.longest_delay >= 1.0 else 0.0
     while step >= FINEST_DELAY:
-        near = min((best, max(best - step, 0.0), best + step), key=error)
-        if near == best:
+        closest = min((best, max(best - step, 0.0), best + step), key=error)
+        if closest == best:
             step *= 0.5
-        best = near
+        best = closest
     return delayed(best)
 
 

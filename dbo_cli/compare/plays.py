@@ -105,8 +105,8 @@ class Plays:
         sums = np.cumsum(w)
         weights = np.append(1.0 / sums[0], -w[1:] / (sums[1:] * sums[:-1]))
         reach = sums * radii - np.cumsum(w * radii)
-        beyond = np.append(np.cumsum((w * z)[:0:-1])[::-1], 0.0)
-        table, state = np.stack([reach, reach, weights]), sums * z + beyond
+        outer = np.append(np.cumsum((w * z)[:0:-1])[::-1], 0.0)
+        table, state = np.stack([reach, reach, weights]), sums * z + outer
         x = np.empty_like(y)
         extension = kernel.extension
         extension.plays_run(self.radii.size, table, NOTHING, state, y, x, NOTHING)
@@ -118,11 +118,11 @@ def places(radii: Floats, one_sided: bool, x: Floats, rows: Integers) -> Floats:
     plays = Plays(radii, np.ones_like(radii), one_sided)
     z = plays.start(float(x[0]))
     extension = kernel.extension
-    taken = []
+    tables = []
     for begin in range(0, len(x), BLOCK_ROWS):
         block = x[begin : begin + BLOCK_ROWS]
         table = np.empty((len(block), radii.size))
         extension.plays_rows(radii.size, plays.table, z, block, table)
         inside = rows[(rows >= begin) & (rows < begin + len(block))]
-        taken.append(table[inside - begin])
-    return np.concatenate(taken)
+        tables.append(table[inside - begin])
+    return np.concatenate(tables)

@@ -216,17 +216,17 @@ class Driver:
         self._gate.admit(period[:1], dt)  # the seam
         count = leading.size
         voltage = np.concatenate([leading, period])
-        played = model.run(voltage, plan.begin, dt)
-        self._state = replace(played.state, time=float(time[-1]))
+        run = model.run(voltage, plan.begin, dt)
+        self._state = replace(run.state, time=float(time[-1]))
         self._judge.lead_seconds, self._judge.is_loop = count * dt, True
-        unsettled = played.y[count:] - loops.settled_run(model, period, dt, state)
+        unsettled = run.y[count:] - loops.settled_run(model, period, dt, state)
         unsettled_rms = float(np.sqrt(np.mean(unsettled**2)))
         drive = self._judge.concluded(self._state, unsettled_rms)
         note = f"the first pass is {unsettled_rms:.3g}{model.output.suffix} off the settled one (RMS)"
         return replace(
             drive,
             time=np.concatenate([time[0] - dt * np.arange(count, 0.0, -1.0), time]),
-            desired=np.concatenate([played.y[:count], desired]),
+            desired=np.concatenate([run.y[:count], desired]),
             voltage=voltage,
             move=slice(count, voltage.size),
             notes=(f"{self.name}: {note}",),
@@ -422,9 +422,9 @@ class Driver:
                 round(self.model.delay_seconds / dt) if isinstance(dt, float) else 0
             )
             self._judge.transient = float(target[0] - ahead[delayed])
-        part = "lead" if self._still_rows else "move"
+        phase = "lead" if self._still_rows else "move"
         self._still_rows = 0
-        return Rows(time, desired, self._inverted(desired, target, time, dt, part))
+        return Rows(time, desired, self._inverted(desired, target, time, dt, phase))
 
     def _started(self, first: float) -> State:
         """Return the state in which a drive begins that nothing leads to."""
@@ -434,37 +434,42 @@ class Driver:
         return begin
 
     def _inverted(
-        self, desired: Floats, target: Floats, time: Floats | None, dt: Steps, part: str
+        self,
+        desired: Floats,
+        target: Floats,
+        time: Floats | None,
+        dt: Steps,
+        phase: str,
     ) -> Floats:
         """Return the voltages with which the static part reaches a target, within the limits."""
         model, limits, state = self.model, self.limits, self._state
         assert state is not None
         run = model.drive(target, state, dt, limits.move, limits.slew)
-        if part == "move":
+        if phase == "move":
             self._judge.clip(desired, target, run, state, dt)
         clipped_at_once = run.clipped and run.first_clipped == 0
-        beyond = model.inverse().outside(target[:1])[0]
-        if state.first is not None and not clipped_at_once and not beyond:
+        unreachable = model.inverse().outside(target[:1])[0]
+        if state.first is not None and not clipped_at_once and not unreachable:
             reached = model.static.run(run.y[:1], state, 0.0).y
             self._judge.missed = float(target[0] - reached[0])
-        self._admit(run.y, dt, part)
+        self._admit(run.y, dt, phase)
         self._state = run.state
         if time is not None:
             self._state = replace(run.state, time=float(time[-1]))
         return run.y
 
-    def _played(self, time: Floats, voltage: Floats, part: str, clocked: bool) -> Rows:
+    def _played(self, time: Floats, voltage: Floats, phase: str, clocked: bool) -> Rows:
         """Return rows that are played as they are, with the displacement that the model expects of them."""
         assert self._state is not None
         run = self.model.run(voltage, self._state, self._step)
-        self._admit(voltage, self._step, part)
+        self._admit(voltage, self._step, phase)
         self._state = replace(run.state, time=float(time[-1]))
         return Rows(time if clocked else None, run.y, voltage)
 
-    def _admit(self, voltage: Floats, dt: Steps, part: str) -> None:
+    def _admit(self, voltage: Floats, dt: Steps, phase: str) -> None:
         """Let rows of a part (``lead``, ``move``, ``return``) pass the gate, and count them."""
-        self._gate.admit(voltage, dt, part)
-        self._judge.count(voltage, dt, part)
+        self._gate.admit(voltage, dt, phase)
+        self._judge.count(voltage, dt, phase)
 
     def _require_numbers(self, values: Floats) -> None:
         """Refuse a row that is no displacement (InputError)."""

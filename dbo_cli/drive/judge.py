@@ -121,7 +121,7 @@ class Judge:
                 f"{self.name}: {self._exceeding()}{self._would_fit()} (or `on_limit` clip)"
             )
 
-    def count(self, voltage: Floats, dt: Steps, part: str) -> None:
+    def count(self, voltage: Floats, dt: Steps, phase: str) -> None:
         """Count rows of a part: ``lead``, ``move``, of which ``clip`` knows already, or ``return``."""
         if not voltage.size:
             return
@@ -129,9 +129,9 @@ class Judge:
             self._first = float(voltage[0])
         self._rows += voltage.size
         self._range = widened(self._range, voltage)
-        if part == "return":
+        if phase == "return":
             return
-        if part == "lead":
+        if phase == "lead":
             self._lead_rows += voltage.size
             self._lead_range = widened(self._lead_range, voltage)
         else:
@@ -258,9 +258,9 @@ class Judge:
         """
         assert self._range is not None
         voltage, steps = self._played()
-        beyond = self._beyond_identified(*self._range)
-        error = known = unrested = expected = None
-        if not beyond:
+        outside_texts = self._beyond_identified(*self._range)
+        error = known_error = unrested = expected = None
+        if not outside_texts:
             expected = expect.expected_error(
                 self.model, voltage, steps, self._lead_rows
             )
@@ -269,10 +269,10 @@ class Judge:
             past_known = self.lead.past_known
             error = math.hypot(expected.rms(past_known, past_known), missed)
             if not past_known:
-                known = math.hypot(expected.known, missed)
+                known_error = math.hypot(expected.known, missed)
             if self.lead.condition:
                 unrested = math.hypot(expected.rms(past_known=True), missed)
-        texts = [*self._start_warnings(), *self._jump_warning(), *beyond]
+        texts = [*self._start_warnings(), *self._jump_warning(), *outside_texts]
         texts += expect.move_warnings(self.model, voltage, steps)
         texts += [*self._worse_than_a_line(error), *self._creeping_hold(state)]
         warnings = tuple(f"{self.name}: {text}" for text in texts)
@@ -295,7 +295,7 @@ class Judge:
             lost_rms=self._lost_rms,
             lost_most=self._largest,
             expected_error=error,
-            expected_known=known,
+            expected_known=known_error,
             expected_unrested=unrested,
             starts_at=self._first if asks_start else None,
             past_known=self.lead.past_known,

@@ -135,9 +135,9 @@ class Limits:
         """The unit behind a blank, for messages."""
         return f" {self.unit}" if self.unit else ""
 
-    def range_of(self, part: str) -> tuple[float, float]:
+    def range_of(self, phase: str) -> tuple[float, float]:
         """Return the range of a part of a drive: ``move``, or another one, which may use the rating."""
-        return self.move if part == "move" else self.rating
+        return self.move if phase == "move" else self.rating
 
     def largest_step(self, dt: float | Floats | None) -> float | Floats | None:
         """Return the largest change in a time step (s), rounded down; None where any change is allowed.
@@ -284,7 +284,7 @@ class Gate:
         self.last = last
 
     def broken(
-        self, voltage: Floats, dt: float | Floats | None = None, part: str = "move"
+        self, voltage: Floats, dt: float | Floats | None = None, phase: str = "move"
     ) -> Booleans:
         """Return which rows break a limit; the gate goes on behind the last row.
 
@@ -294,7 +294,7 @@ class Gate:
             Consecutive rows.
         dt : float or array, optional
             Seconds since the row before; needed with a slew limit.
-        part : {"move", "lead", "return"}
+        phase : {"move", "lead", "return"}
             What the rows are: rows of a move keep the move's range, others the rating.
 
         Raises
@@ -304,7 +304,7 @@ class Gate:
         """
         if voltage.size == 0:
             return np.zeros(0, dtype=np.bool_)
-        low, high = self.limits.range_of(part)
+        low, high = self.limits.range_of(phase)
         inside = np.isfinite(voltage) & (voltage >= low) & (voltage <= high)
         bad: Booleans = ~inside
         largest = self.limits.largest_step(dt)
@@ -319,7 +319,7 @@ class Gate:
         return bad
 
     def admit(
-        self, voltage: Floats, dt: float | Floats | None = None, part: str = "move"
+        self, voltage: Floats, dt: float | Floats | None = None, phase: str = "move"
     ) -> None:
         """Let rows pass; see ``broken``.
 
@@ -329,19 +329,19 @@ class Gate:
             A row breaks a limit.
         """
         before = self._before(voltage)
-        bad = self.broken(voltage, dt, part)
+        bad = self.broken(voltage, dt, phase)
         if not bad.any():
             return
         row = int(np.argmax(bad))
-        reason = self.reason(float(voltage[row]), float(before[row]), part)
+        reason = self.reason(float(voltage[row]), float(before[row]), phase)
         raise GateError(
             f"internal error: a computed row breaks the limits: {reason}; the output ends here "
             "(please report it)"
         )
 
-    def reason(self, voltage: float, before: float, part: str = "move") -> str:
+    def reason(self, voltage: float, before: float, phase: str = "move") -> str:
         """Say why a row behind another one breaks a limit."""
-        low, high = self.limits.range_of(part)
+        low, high = self.limits.range_of(phase)
         unit = self.limits.suffix
         if not math.isfinite(voltage):
             return f"{voltage} is no voltage"

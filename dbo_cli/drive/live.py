@@ -175,17 +175,17 @@ class Controller:
         reach = self._model.output
         value = _number(wanted, "wanted", reach.min, reach.max, WANTED_SPANS)
         u, queue, undoing = self._undone(value)
-        voltage, clipped, begun = self._way_in(), True, None
+        voltage, clipped, started = self._way_in(), True, None
         if self._stepper is None:
-            begun = self._model.start_drive(u, self._begin, *self.limits.move)
+            started = self._model.start_drive(u, self._begin, *self.limits.move)
             if voltage is None:
-                voltage, clipped = self._planned_first(u, begun)
+                voltage, clipped = self._planned_first(u, started)
         elif voltage is None:
             voltage, clipped = self._planned(u)
         else:
             self._follow(voltage)
         self._admit(voltage)
-        self._pending = voltage, clipped, queue, undoing, begun
+        self._pending = voltage, clipped, queue, undoing, started
         return voltage
 
     def commit(self, applied: float | None = None) -> None:
@@ -200,12 +200,12 @@ class Controller:
         """
         if self._pending is None:
             raise UsageError("`commit`: nothing is planned (`plan` comes first)")
-        voltage, clipped, queue, undoing, begun = self._pending
+        voltage, clipped, queue, undoing, started = self._pending
         if applied is not None:
             voltage = _number(applied, "applied", *self.limits.rating, APPLIED_SPANS)
         if self._stepper is None:
-            assert begun is not None
-            self._stepper = self._stepper_after(begun, voltage, applied is not None)
+            assert started is not None
+            self._stepper = self._stepper_after(started, voltage, applied is not None)
         else:
             if applied is not None:
                 self._follow(voltage)
@@ -231,16 +231,16 @@ class Controller:
             queue = np.empty(self.lookahead + 1)
             queue[:-1] = self._wanted[1:]
             queue[-1] = wanted
-        known = queue[: self._inverter.ahead + 1]
-        undone, undoing = self._inverter.run(known, self._undoing)
-        return float(undone[0]), queue, undoing
+        ahead = queue[: self._inverter.ahead + 1]
+        target, undoing = self._inverter.run(ahead, self._undoing)
+        return float(target[0]), queue, undoing
 
-    def _planned_first(self, u: float, begun: State) -> tuple[float, bool]:
+    def _planned_first(self, u: float, started: State) -> tuple[float, bool]:
         """Return the voltage of the first row, and whether a limit held it back."""
         move, slew = self.limits.move, self.limits.slew
-        done = self._model.drive(np.array([u]), begun, self._dt, move, slew)
-        self._first = done.state
-        return float(done.y[0]), bool(done.clipped)
+        run = self._model.drive(np.array([u]), started, self._dt, move, slew)
+        self._first = run.state
+        return float(run.y[0]), bool(run.clipped)
 
     def _follow(self, voltage: float) -> None:
         """Plan a voltage that was not asked of the gears."""
@@ -251,17 +251,17 @@ class Controller:
             voltage = self._planned_output = float(run.y[0])
         self._stepper.follow(value_through(self._model.head, voltage))
 
-    def _stepper_after(self, begun: State, voltage: float, is_applied: bool) -> Any:
+    def _stepper_after(self, started: State, voltage: float, is_applied: bool) -> Any:
         """Return the stepper behind the first row."""
-        start = dataclasses.replace(begun, first=None)
-        moved = self._model.static.run(np.array([voltage]), start, self._dt).state
+        start = dataclasses.replace(started, first=None)
+        after = self._model.static.run(np.array([voltage]), start, self._dt).state
         if self._amplified is not None and self._first is not None and not is_applied:
-            moved = self._first
-        self._planned_output = moved.amplifier or 0.0
+            after = self._first
+        self._planned_output = after.amplifier or 0.0
         at_gears = value_through(self._model.head, voltage)
-        moved = dataclasses.replace(moved, drive=at_gears)
+        after = dataclasses.replace(after, drive=at_gears)
         window, slew = self._model.inner_limits(self.limits.move, self.limits.slew)
-        return self._model.gears.stepper(moved, self._dt, window, slew)
+        return self._model.gears.stepper(after, self._dt, window, slew)
 
     def _planned(self, u: float) -> tuple[float, bool]:
         """Return the voltage of a row behind another one, and whether a limit held it back."""

@@ -195,10 +195,10 @@ class Loop:
         growing = np.clip(growing, *limits.rating)  # rounding
         voltage = np.concatenate([growing, np.tile(period, passes - 1)])
         voltage = self._within_slew(voltage, begin)
-        off = abs(float(voltage[-1] - period[-1]))
-        if off > 0.0:
+        miss = abs(float(voltage[-1] - period[-1]))
+        if miss > 0.0:
             raise LimitError(
-                f"{self.name}: the run-in ends {off:.3g}{limits.suffix} off the settled loop: raise "
+                f"{self.name}: the run-in ends {miss:.3g}{limits.suffix} off the settled loop: raise "
                 "`passes` or `max_slew`"
             )
         return voltage

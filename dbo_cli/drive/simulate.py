@@ -186,6 +186,8 @@ class Simulator:
         if self._ahead is not None:
             blocks = self._ahead.remaining()
             rows = joined([self._driven(*block) for block in blocks])
+        if isinstance(self.state, State):
+            self.state = replace(self.state, model=self.model.digest)
         if self.outside_count:
             drive, verb = self._forward.input, "leave"
             if not self.model.is_forward:

@@ -61,17 +61,19 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
     parts.step += _curves(plan.to_drive, "behind", parts)
     if plan.forward.amplifier is not None:
         parts.step.append(c.fill("amplifier.c", {}).rstrip("\n"))
-    least, most = c.real(low), c.real(high)
+    lowest, highest = c.real(low), c.real(high)
     if plan.to_drive:  # rounding on the way back through the points
-        parts.step.append(f"x = x < {least} ? {least} : x > {most} ? {most} : x;")
+        parts.step.append(
+            f"x = x < {lowest} ? {lowest} : x > {highest} ? {highest} : x;"
+        )
     values = {
         "TABLES": "".join(parts.tables),
         "INIT": _statements(parts.init),
         "RESET": _statements(parts.reset),
         "STEP": _statements(parts.step),
         "FIRST_OUTPUT": c.real(plan.first_drive),
-        "LEAST": least,
-        "MOST": most,
+        "LEAST": lowest,
+        "MOST": highest,
         "REACH": repr(_ignored_beyond(plan.forward.output)),
         "DRIVE_REACH": repr(_ignored_beyond(plan.forward.input)),
     }
@@ -137,13 +139,13 @@ def _fixed_step(plan: Plan, parts: _Parts, run: int) -> None:
         [wide * rows[:, 3], rows[:, 1] / wide, rows[:, 1] * rows[:, 3], begins]
     )
     parts.tables.append(c.array("dbo_fixed_gear", "fixed_gears", c.real_structs(steps)))
-    decay = rest = "0"
+    decay = complement = "0"
     if plan.gain.size:
-        decay, rest = "decay", "rest"
+        decay, complement = "decay", "rest"
         parts.tables.append(c.reals("decay", plan.decay))
         parts.tables.append(c.reals("rest", 1.0 - plan.decay))
     parts.tables.append(
-        f"static const dbo_fixed_step fixed = {{{c.real(plan.kappa)}, {decay}, {rest},"
+        f"static const dbo_fixed_step fixed = {{{c.real(plan.kappa)}, {decay}, {complement},"
         " fixed_gears, 0, 0.0};\n"
     )
 
@@ -185,8 +187,10 @@ def _gears(plan: Plan, parts: _Parts) -> None:
         f"dbo_backlash_load(&op, &state->gears, {words});",
         f"state->gears.last = {c.real(plan.at_gears(plan.first_drive))};",
     ]
-    moved = plan.forward.starts.inside.n
-    parts.reset.append(f"dbo_backlash_settle(&op, &state->gears, {moved}, {words}, x);")
+    inside = plan.forward.starts.inside.n
+    parts.reset.append(
+        f"dbo_backlash_settle(&op, &state->gears, {inside}, {words}, x);"
+    )
     parts.step += [*pointers, step]
 
 
@@ -277,13 +281,13 @@ def _limit_amplifier(plan: Plan, parts: _Parts) -> None:
 
 def _undo_delay(plan: Plan, parts: _Parts) -> None:
     """Read ahead by the part of a sample that a delay has beyond whole ones."""
-    part = plan.delay_samples[1]
-    if not part:
+    fraction = plan.delay_samples[1]
+    if not fraction:
         return
     parts.kernel.append("dbo_interpolation.h")
     parts.members += ["double wanted[DBO_WINDOW];", "int waiting;"]
     parts.init.append("state->waiting = 1;")
-    parts.step.append(c.fill("delay.c", {"PART": c.real(part)}).rstrip("\n"))
+    parts.step.append(c.fill("delay.c", {"PART": c.real(fraction)}).rstrip("\n"))
 
 
 def _undo_dynamics(plan: Plan, parts: _Parts) -> None:
@@ -292,16 +296,16 @@ def _undo_dynamics(plan: Plan, parts: _Parts) -> None:
         return
     parts.kernel += ["dbo_dynamics.h", "dbo_dynamics.c"]
     rows = []
-    for number, part in enumerate(plan.undone):
-        ahead, weights = part.weight.size, "0"
+    for number, inverse in enumerate(plan.undone):
+        ahead, weights = inverse.weight.size, "0"
         if ahead:
             weights = f"weights_{number}"
-            parts.tables.append(c.reals(weights, part.weight))
-        numbers = [c.real(value) for value in part.numbers]
+            parts.tables.append(c.reals(weights, inverse.weight))
+        numbers = [c.real(value) for value in inverse.numbers]
         rows.append([*numbers, str(ahead), weights])
         parts.members.append(f"double window_{number}[{ahead + 1}];")
-        filled = c.fill("section.c", {"PLACE": str(number), "AHEAD": str(ahead)})
-        parts.step.append(filled.rstrip("\n"))
+        statements = c.fill("section.c", {"PLACE": str(number), "AHEAD": str(ahead)})
+        parts.step.append(statements.rstrip("\n"))
     parts.tables.append(c.array("dbo_section_inverse", "sections", c.structs(rows)))
     parts.members += [f"dbo_inverse_state sections[{len(rows)}];", "int moving;"]
     parts.init.append("state->moving = 0;")

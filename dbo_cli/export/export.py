@@ -91,7 +91,7 @@ def export_model(
         "ahead": plan.ahead,
     }
     if loss is not None:
-        figures["loss"] = {"max": loss.most, "rms": loss.rms}
+        figures["loss"] = {"max": loss.largest, "rms": loss.rms}
     if arithmetic == "double":
         sources = double_sources(plan, lookup)
     else:
@@ -133,8 +133,8 @@ def _files(values: dict[str, str], sources: c.Sources) -> dict[str, str]:
 
 def _about_model(plan: Plan) -> dict[str, str]:
     """Return what goes in and comes out, in words."""
-    wanted, drive = plan.forward.output, plan.forward.input
-    into, out = c.plain(wanted.quantity), c.plain(drive.quantity)
+    displacement, drive = plan.forward.output, plan.forward.input
+    into, out = c.plain(displacement.quantity), c.plain(drive.quantity)
     low, high = plan.limits.move
     unit = c.plain(plan.limits.suffix)
     drive_range = f"{low!r} to {high!r}{unit}"
@@ -143,7 +143,7 @@ def _about_model(plan: Plan) -> dict[str, str]:
     return {
         "TITLE": f"The drive of an actuator, {into} to {out}",
         "INPUT_NAME": into,
-        "INPUT_RANGE": _range(wanted),
+        "INPUT_RANGE": _range(displacement),
         "OUTPUT_NAME": out,
         "OUTPUT_RANGE": _range(drive),
         "LOWEST": f"{drive.min!r}{c.plain(drive.suffix)}",
@@ -179,8 +179,8 @@ def _duties(
     if loss is not None:
         span, suffix = plan.forward.output.span, c.plain(plan.forward.output.suffix)
         lost = (
-            f"{plan.gears.n} gears instead of the model's: {loss.most:.3g}{suffix}"
-            f" ({100.0 * loss.most / span:.2g} % of the range) at most, {loss.rms:.3g}{suffix} RMS on test"
+            f"{plan.gears.n} gears instead of the model's: {loss.largest:.3g}{suffix}"
+            f" ({100.0 * loss.largest / span:.2g} % of the range) at most, {loss.rms:.3g}{suffix} RMS on test"
             " moves."
         )
     return {
@@ -194,13 +194,13 @@ def _duties(
 def _self_test(name: str, number: str, sources: c.Sources) -> dict[str, str]:
     """Return the vectors of NAME_test.c, and the calls that play them."""
     vectors, runs, count = "", "", 0
-    for place, run in enumerate(sources.runs):
-        vectors += c.array(number, f"inputs_{place}", run.inputs)
-        vectors += c.array(number, f"expected_{place}", run.outputs)
+    for index, run in enumerate(sources.runs):
+        vectors += c.array(number, f"inputs_{index}", run.inputs)
+        vectors += c.array(number, f"expected_{index}", run.outputs)
         label, call = "after init", f"{name}_init(&state);"
         if run.reset is not None:
             label, call = "after reset", f"{name}_reset(&state, {run.reset});"
-        played = f"inputs_{place}, expected_{place}, {len(run.inputs)}U"
-        runs += f'    {call}\n    wrong += play("{label}", &state, {played});\n'
+        arguments = f"inputs_{index}, expected_{index}, {len(run.inputs)}U"
+        runs += f'    {call}\n    wrong += play("{label}", &state, {arguments});\n'
         count += len(run.inputs)
     return {"VECTORS": vectors, "RUNS": runs.rstrip("\n"), "COUNT": str(count)}

@@ -37,11 +37,11 @@ def write_folder(
             tempfile.TemporaryDirectory(dir=target.parent, prefix=".") as scratch,
             unfinished(scratch),
         ):
-            made = Path(scratch, "made")
-            made.mkdir()
+            fresh = Path(scratch, "made")
+            fresh.mkdir()
             for name, content in {**files, MANIFEST: text}.items():
-                (made / name).write_text(content, encoding="utf-8", newline="\n")
-            _replace(made, target, Path(scratch, "old"))
+                (fresh / name).write_text(content, encoding="utf-8", newline="\n")
+            _replace(fresh, target, Path(scratch, "old"))
     except OSError as problem:
         reason = problem.strerror or problem
         raise OutputError(f"{folder}: cannot be written: {reason}") from None
@@ -68,12 +68,12 @@ def _written_before(target: Path) -> list[str]:
         return []
 
 
-def _replace(made: Path, target: Path, old: Path) -> None:
+def _replace(fresh: Path, target: Path, old: Path) -> None:
     """Put a folder in the place of another; where that fails the other one stays."""
     if target.exists():
         target.rename(old)
     try:
-        made.rename(target)
+        fresh.rename(target)
     except BaseException:
         if old.exists():
             old.rename(target)

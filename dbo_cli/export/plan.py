@@ -132,8 +132,8 @@ class Plan:
     @property
     def ahead(self) -> int:
         """How many samples earlier the input is needed: for the delay, and the dynamics."""
-        whole, part = self.delay_samples
-        rows = whole + (AFTER if part else 0)
+        samples, fraction = self.delay_samples
+        rows = samples + (AFTER if fraction else 0)
         return rows + sum(inverse.weight.size for inverse in self.undone)
 
     # ---- starts and runs of the library, for the self-test ----
@@ -152,9 +152,9 @@ class Plan:
 
     def resting(self, drive: float, bits: int) -> State:
         """Return the state of an actuator that rests at a drive, its gears coming from ``bits``."""
-        moved = self.forward.gears.run([self.at_gears(drive)], State(bits)).state
+        state = self.forward.gears.run([self.at_gears(drive)], State(bits)).state
         amplifier = None if self.forward.amplifier is None else drive
-        return replace(moved, drive=drive, amplifier=amplifier)
+        return replace(state, drive=drive, amplifier=amplifier)
 
     def settled(self, drive: float) -> State:
         """Return the state after ``NAME_reset``."""
@@ -169,14 +169,14 @@ class Plan:
 
     def played(self, moves: Floats, state: State) -> Floats:
         """Return what the library drives for each input, as the exported step does, ahead."""
-        rest = np.full(self.ahead + MORE_REST, moves[0])
+        before = np.full(self.ahead + MORE_REST, moves[0])
         rows = self.forward.inverter(self.dt).ahead
         after = np.full(rows - self.ahead, moves[-1])
-        wanted = np.concatenate([rest, moves, after])
-        undone, _ = self.forward.inverter(self.dt).run(wanted)
+        desired = np.concatenate([before, moves, after])
+        target, _ = self.forward.inverter(self.dt).run(desired)
         static = self.forward.static
         move, slew = self.limits.move, self.limits.slew
-        return static.drive(undone[MORE_REST:], state, self.dt, move, slew).y
+        return static.drive(target[MORE_REST:], state, self.dt, move, slew).y
 
 
 def plan_of(model: Cascade, sample_rate: float | None, limits: Limits) -> Plan:
@@ -226,7 +226,7 @@ def trial_moves(low: float, high: float, seed: int = 1) -> Floats:
 class Loss(NamedTuple):
     """What fewer gears change, over test moves: the largest and the RMS difference of the output."""
 
-    most: float
+    largest: float
     rms: float
 
 
@@ -255,7 +255,7 @@ def with_fewer_gears(model: Cascade, gears: int) -> tuple[Cascade, Loss | None]:
     widths, heights = np.full(gears, width), np.diff(up)
     fewer = Gears(widths, heights, low, float(up[0]), full.relaxation)
     stages = tuple(
-        fewer if isinstance(part, Gears) else part for part in forward.stages
+        fewer if isinstance(stage, Gears) else stage for stage in forward.stages
     )
     reduced = forward.with_stages(stages)
     return reduced, _loss(forward, reduced)
@@ -272,5 +272,5 @@ def _loss(full: Cascade, fewer: Cascade) -> Loss:
     x = np.concatenate(moves)
     exact, _ = full.static.simulate(x, dt=step)
     coarse, _ = fewer.static.simulate(x, dt=step)
-    off = coarse - exact
-    return Loss(float(np.abs(off).max()), float(np.sqrt(np.mean(off**2))))
+    error = coarse - exact
+    return Loss(float(np.abs(error).max()), float(np.sqrt(np.mean(error**2))))

@@ -49,9 +49,9 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
     memory = memory_of(plan, x_axis, y_axis)
     before = fold(plan.to_gears, source.min, source.max)
     height = float(y_axis.exact.sum())
-    behind = fold(plan.to_drive, gears.x0, gears.x0 + height)
+    after = fold(plan.to_drive, gears.x0, gears.x0 + height)
     drives = fold(plan.forward.head, drive.min, drive.max)
-    bounds = bounds_of(plan, x_axis, y_axis, memory, before, behind)
+    bounds = bounds_of(plan, x_axis, y_axis, memory, before, after)
     limits = limits_of(plan, y_axis)
     runs = [_run(plan, None, 1), _run(plan, plan.trimmed, 2)]
     # where the gears begin on the input, which the memory widens
@@ -59,7 +59,7 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
     source_counts, drive_counts = counts_of_range(source), counts_of_range(drive)
     functions = {
         "BEFORE": segments_of(before, source_counts, (begin, x_axis.unit)),
-        "BEHIND": segments_of(behind, (gears.x0, y_axis.count), drive_counts),
+        "BEHIND": segments_of(after, (gears.x0, y_axis.count), drive_counts),
         "DRIVE": segments_of(drives, drive_counts, (gears.x0, y_axis.unit)),
     }
     tables = _gear_tables(plan, x_axis, y_axis, memory, bounds)
@@ -127,13 +127,13 @@ def _members(plan: Plan) -> list[str]:
 def _values(plan: Plan, y_axis: Axis, limits: CountLimits) -> dict[str, str]:
     """Return what the state begins with, and what surrounds the gears in a step."""
     first = plan.first_drive
-    place = round((plan.at_gears(first) - plan.gears.x0) / y_axis.unit)
+    position = round((plan.at_gears(first) - plan.gears.x0) / y_axis.unit)
     output = min(max(to_counts(first, plan.forward.input), limits.low), limits.high)
     init = delay = slew = ""
-    part = plan.delay_samples[1]
-    if part:
+    fraction = plan.delay_samples[1]
+    if fraction:
         init = "    state->waiting = 1;"
-        delay = c.fill("delay_q31.c", {"PART": str(round(part * PARTS))})
+        delay = c.fill("delay_q31.c", {"PART": str(round(fraction * PARTS))})
     if limits.change is not None:
         slew = c.fill("slew_q31.c", {"MOST_CHANGE": c.whole(limits.change)})
     return {
@@ -143,7 +143,7 @@ def _values(plan: Plan, y_axis: Axis, limits: CountLimits) -> dict[str, str]:
         "CHECKPOINTS": "state->checkpoints" if plan.gears.n > SPACING else "0",
         "MEMORY": "state->memory" if plan.gain.size else "0",
         "COVERED": str(plan.forward.starts.inside.n),
-        "FIRST_DRIVE": c.whole(place),
+        "FIRST_DRIVE": c.whole(position),
         "FIRST_OUTPUT": c.whole(output),
         "LEAST": c.whole(limits.low),
         "MOST": c.whole(limits.high),
@@ -233,13 +233,13 @@ def _run(plan: Plan, reset: float | None, seed: int) -> c.Run:
     inputs = []
     for move in trial_moves(source.min, source.max, seed).tolist():
         inputs.append(to_counts(move, source))
-    begun = None
+    reset_counts = None
     state = plan.resting(plan.first_drive, plan.forward.starts.empty)
     if reset is not None:
         start = to_counts(reset, drive)
-        begun = c.whole(start)
+        reset_counts = c.whole(start)
         drive_middle, drive_unit = counts_of_range(drive)
         state = plan.settled(start * drive_unit + drive_middle)
     outputs = plan.played(np.array(inputs) * unit + middle, state)
     expected = [c.whole(to_counts(y, drive)) for y in outputs.tolist()]
-    return c.Run(begun, [c.whole(x) for x in inputs], expected)
+    return c.Run(reset_counts, [c.whole(x) for x in inputs], expected)

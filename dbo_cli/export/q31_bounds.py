@@ -60,7 +60,7 @@ def bounds_of(
     y_axis: Axis,
     memory: Memory | None,
     before: Folded,
-    behind: Folded,
+    after: Folded,
 ) -> Bounds:
     """Return the bounds.
 
@@ -85,26 +85,26 @@ def bounds_of(
     run = plan.gears.equal_run
     # what each part rounds: the input, the gears' widths, the memory, and their heights
     unit = counts_of_range(plan.forward.output)[1]
-    place = _function_error(before, plan.forward.output.max, unit, x_axis.unit)
+    input_error = _function_error(before, plan.forward.output.max, unit, x_axis.unit)
     if plan.delay_samples[1]:
-        place += INTERPOLATED * unit * float(np.abs(before.slope).max())
-    place += _subset_error(x_axis, run)
+        input_error += INTERPOLATED * unit * float(np.abs(before.slope).max())
+    input_error += _subset_error(x_axis, run)
     gain, growth = 0.0, 1.0
     if memory is not None:
-        place += _memory_error(plan, memory, x_axis, y_axis)
+        input_error += _memory_error(plan, memory, x_axis, y_axis)
         gain, growth = _loop(plan, steepest)
     height = _height_error(x_axis, y_axis, run)
-    inner = (steepest * place + height) * growth
-    moved = place + gain * inner
-    fraction = _tolerance(plan.key, moved, height, x_axis, y_axis)
+    inner = (steepest * input_error + height) * growth
+    shift = input_error + gain * inner
+    fraction = _tolerance(plan.key, shift, height, x_axis, y_axis)
     # one gear's width on another branch
     variation = float(np.sum(np.abs(np.diff(slopes))))
     hop = float(x_axis.exact.max()) * variation * growth
     # and from the gears to the drive
     output_unit = counts_of_range(plan.forward.input)[1]
-    bend = float(np.abs(behind.slope).max())
+    bend = float(np.abs(after.slope).max())
     end = plan.gears.x0 + float(y_axis.exact.sum())
-    leaving = _function_error(behind, end, y_axis.count, output_unit)
+    leaving = _function_error(after, end, y_axis.count, output_unit)
     same = bend * (inner + 0.5 * y_axis.count) + leaving + output_unit
     close = same + bend * hop
     percent = 100.0 / plan.forward.input.span
@@ -127,8 +127,8 @@ def _errors(axis: Axis, run: int) -> Floats:
 
 def _subset_error(axis: Axis, run: int) -> float:
     """Bound what the roundings of any set of gears add up to."""
-    off = _errors(axis, run)
-    return float(max(off[off > 0.0].sum(), -off[off < 0.0].sum()))
+    errors = _errors(axis, run)
+    return float(max(errors[errors > 0.0].sum(), -errors[errors < 0.0].sum()))
 
 
 def _height_error(x_axis: Axis, y_axis: Axis, run: int) -> float:
@@ -161,11 +161,13 @@ def _loop(plan: Plan, steepest: float) -> tuple[float, float]:
 
 
 def _tolerance(
-    key: str, place: float, height: float, x_axis: Axis, y_axis: Axis
+    key: str, input_error: float, height: float, x_axis: Axis, y_axis: Axis
 ) -> float:
     """Return a power of two, twice what rounding can shift a turn by, as a part of the smallest gear."""
-    part = max(place / float(x_axis.exact.min()), height / float(y_axis.exact.min()))
-    power = min(math.floor(-math.log2(2.0 * part)), FINEST_TOLERANCE)
+    shift = max(
+        input_error / float(x_axis.exact.min()), height / float(y_axis.exact.min())
+    )
+    power = min(math.floor(-math.log2(2.0 * shift)), FINEST_TOLERANCE)
     if power < COARSEST_TOLERANCE:
         raise ModelError(
             f"{key}.dx: {x_axis.exact.size} gears are too narrow for q31: lower `gears`, or use "

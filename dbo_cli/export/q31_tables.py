@@ -64,8 +64,8 @@ class Axis:
     def of(cls, exact: Floats, run: int) -> Axis:
         """Return the axis of widths, ``run`` equal ones side by side."""
         total, widest = float(exact.sum()), float(exact.max())
-        most = widest / total * COUNTS
-        fine = min(math.floor(math.log2((2.0**31 - 1024.0) / most)), MOST_FINE_BITS)
+        counts = widest / total * COUNTS
+        fine = min(math.floor(math.log2((2.0**31 - 1024.0) / counts)), MOST_FINE_BITS)
         unit = total / COUNTS / 2.0**fine
         return cls(exact, _quantised(exact, run, unit), unit, fine)
 
@@ -94,11 +94,11 @@ def fold(curves: Curves, low: float, high: float) -> Folded:
     the input.
     """
     nodes = [low]
-    for place, stage in enumerate(curves):
+    for number, stage in enumerate(curves):
         if isinstance(stage, Scale):
             continue
         inner = np.ascontiguousarray(stage.segments[1:, 0] + stage.x0)
-        back = tuple(before.inverse() for before in reversed(curves[:place]))
+        back = tuple(before.inverse() for before in reversed(curves[:number]))
         nodes += through(back, inner).tolist()
     span = high - low
     begins: list[float] = []
@@ -185,9 +185,11 @@ def memory_of(plan: Plan, x_axis: Axis, y_axis: Axis) -> Memory | None:
             f"{plan.key}.relaxation.gain: beyond the range of q31: use `arithmetic` double"
         )
     terms = []
-    for factor, rest in zip(carried.tolist(), (1.0 - plan.decay).tolist(), strict=True):
-        down = math.floor(math.log2(COUNTS / rest))
-        terms.append((round(factor * 2.0**shift), round(rest * 2.0**down), down))
+    for factor, follow in zip(
+        carried.tolist(), (1.0 - plan.decay).tolist(), strict=True
+    ):
+        down = math.floor(math.log2(COUNTS / follow))
+        terms.append((round(factor * 2.0**shift), round(follow * 2.0**down), down))
     return Memory(terms, shift, offset, unit, y_axis.fine + coarse)
 
 
@@ -213,12 +215,12 @@ def limits_of(plan: Plan, y_axis: Axis) -> CountLimits:
         They are beyond what counts hold, or finer than they resolve.
     """
     middle, unit = counts_of_range(plan.forward.input)
-    least, most = plan.limits.move
-    low, high = round((least - middle) / unit), round((most - middle) / unit)
+    lowest, highest = plan.limits.move
+    low, high = round((lowest - middle) / unit), round((highest - middle) / unit)
     # within the limits as NAME_OUT converts them
-    while low * unit + middle < least:
+    while low * unit + middle < lowest:
         low += 1
-    while high * unit + middle > most:
+    while high * unit + middle > highest:
         high -= 1
     y0 = plan.gears.x0
     inner_low, inner_high = ((end - y0) / y_axis.unit for end in plan.inner)

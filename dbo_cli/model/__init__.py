@@ -16,7 +16,6 @@ from dbo_cli.model.file import (
     state_of,
 )
 from dbo_cli.model.gears import Gears
-from dbo_cli.model.inverter import read_ahead
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
 from dbo_cli.model.sections import Lag, Mode, Resonance, Section
@@ -56,7 +55,6 @@ __all__ = [
     "dumps_state",
     "is_set",
     "model_values",
-    "read_ahead",
     "read_model",
     "read_models",
     "read_state",

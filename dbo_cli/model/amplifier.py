@@ -174,10 +174,7 @@ class AmplifiedGears:
             rows = slice(row, row + size)
             block, limits = output[rows], (shares[rows], changes[rows], window)
             steps = dt[rows] if isinstance(dt, np.ndarray) else dt
-            if block.size == 1:
-                done = self._undo_row(block, state, steps, limits, extend)
-            else:
-                done = self._undo_rows(block, state, steps, limits, extend)
+            done = self._undo_block(block, state, steps, limits, extend)
             count = done.y.size
             drive[row : row + count] = done.y
             if done.clipped and not clipped:
@@ -197,7 +194,7 @@ class AmplifiedGears:
         last = float(run.y[-1])
         return Run(run.y, replace(run.state, drive=last)), done.y
 
-    def _undo_rows(
+    def _undo_block(
         self,
         output: Floats,
         state: State,
@@ -205,18 +202,28 @@ class AmplifiedGears:
         limits: Limits,
         extend: bool,
     ) -> Run:
-        """Return the drive of the rows before the first one that a limit may hold back."""
-        free, voltage = self._undo_freely(output, state, dt, extend)
+        """Return the drive of one row within its window, or of the rows before the first that is held."""
         shares, changes, window = limits
-        u = back_through(self.head, voltage)
-        previous = np.concatenate([[state.amplifier or 0.0], u[:-1]])
-        last = np.concatenate([[_or_nan(state.drive)], free.y[:-1]])
-        low, high = _range(last, changes, window)
-        one_end = through(self.head, previous + shares * (low - previous))
-        other_end = through(self.head, previous + shares * (high - previous))
-        held = (free.y < low) | (free.y > high)
-        held |= voltage < np.minimum(one_end, other_end)
-        held |= voltage > np.maximum(one_end, other_end)
+        before = state.amplifier or 0.0
+        stands = np.array([math.nan if state.drive is None else state.drive])
+        if output.size == 1:
+            low, high = (float(end[0]) for end in _range(stands, changes, window))
+            range_ = before, float(shares[0]), low, high
+            done = self.gears.undo(
+                output, state, dt, self.window(*range_), None, extend
+            )
+            drive, u = self.drive(float(done.y[0]), *range_)
+            after = replace(done.state, amplifier=u, drive=drive)
+            return Run(np.array([drive]), after, done.clipped)
+        free, voltage = self._undo_freely(output, state, dt, extend)
+        previous = np.concatenate([[before], back_through(self.head, voltage)[:-1]])
+        lows, highs = _range(np.concatenate([stands, free.y[:-1]]), changes, window)
+        ends = [
+            through(self.head, previous + shares * (end - previous))
+            for end in (lows, highs)
+        ]
+        held = (free.y < lows) | (free.y > highs)
+        held |= (voltage < np.minimum(*ends)) | (voltage > np.maximum(*ends))
         if not held.any():
             return free
         count = int(np.argmax(held))
@@ -224,29 +231,6 @@ class AmplifiedGears:
             return Run(free.y[:0], state)
         steps = dt[:count] if isinstance(dt, np.ndarray) else dt
         return self._undo_freely(output[:count], state, steps, extend)[0]
-
-    def _undo_row(
-        self,
-        output: Floats,
-        state: State,
-        dt: float | Floats,
-        limits: Limits,
-        extend: bool,
-    ) -> Run:
-        """Return the drive of one row within its window."""
-        shares, changes, window = limits
-        share, before = float(shares[0]), state.amplifier or 0.0
-        last = np.array([_or_nan(state.drive)])
-        low, high = (float(end[0]) for end in _range(last, changes, window))
-        at_gears = self.window(before, share, low, high)
-        done = self.gears.undo(output, state, dt, at_gears, None, extend)
-        drive, u = self.drive(float(done.y[0]), before, share, low, high)
-        state = replace(done.state, amplifier=u, drive=drive)
-        return Run(np.array([drive]), state, done.clipped)
-
-
-def _or_nan(drive: float | None) -> float:
-    return math.nan if drive is None else drive
 
 
 def _range(last: Floats, changes: Floats, window: Window) -> tuple[Floats, Floats]:

@@ -16,7 +16,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,7 +34,6 @@ from dbo_cli.model.points import (
     Points,
     Scale,
     back_through,
-    through,
     value_back_through,
     value_through,
 )
@@ -56,19 +55,8 @@ _TIME_IS_NEEDED = "this model needs a clock: add `time` COLUMN or `sample_rate` 
 _RANKS = {Amplifier: 0, Points: 1, Scale: 1, Gears: 1, Dynamics: 2, Delay: 3}
 
 
-class Arrangement(NamedTuple):
-    """The stages of a cascade by what they are, in the order in which a signal passes them."""
-
-    amplifier: Amplifier | None
-    head: Curves
-    gears: Gears
-    tail: Curves
-    dynamics: Dynamics | None
-    delay: Delay | None
-
-
-def arrange(stages: Sequence[Stage], direction: Direction = "forward") -> Arrangement:
-    """Return stages by what they are.
+def require_order(stages: Sequence[Stage], direction: Direction = "forward") -> None:
+    """Refuse stages that are no model.
 
     At most one amplifier comes first, then curves around one stage of gears, then at most
     one dynamics and at most one delay. ``direction`` is that of the file, whose keys
@@ -85,13 +73,11 @@ def arrange(stages: Sequence[Stage], direction: Direction = "forward") -> Arrang
             index = len(stages) - 1 - index
         return f"stages[{index}]"
 
-    gears = _only(Gears, stages)
-    if gears is None:
+    gears = [index for index, stage in enumerate(stages) if isinstance(stage, Gears)]
+    if not gears:
         raise ModelError("stages: one of type backlash is missing")
-    at = stages.index(gears)
-    for index, stage in enumerate(stages[at + 1 :], at + 1):
-        if isinstance(stage, Gears):
-            raise ModelError(f"{key(index)}: a second backlash stage")
+    if len(gears) > 1:
+        raise ModelError(f"{key(gears[1])}: a second backlash stage")
     ranks = [_RANKS[type(stage)] for stage in stages]
     for index, (previous, rank) in enumerate(pairwise(ranks), 1):
         if rank < previous or rank == previous != _RANKS[Gears]:
@@ -99,22 +85,16 @@ def arrange(stages: Sequence[Stage], direction: Direction = "forward") -> Arrang
                 f"{key(index)}: wrong order; one amplifier, points and scales around the gears, one "
                 "dynamics, one delay (inverse: mirrored)"
             )
-    delay = _only(Delay, stages)
-    if delay is not None and delay.seconds == 0.0:
-        delay = None
-    return Arrangement(
-        _only(Amplifier, stages),
-        tuple(stage for stage in stages[:at] if isinstance(stage, Points | Scale)),
-        gears,
-        tuple(stage for stage in stages[at:] if isinstance(stage, Points | Scale)),
-        _only(Dynamics, stages),
-        delay,
-    )
 
 
 def _only(kind: type[Kind], stages: Sequence[Stage]) -> Kind | None:
     """Return the stage of a kind that occurs once at most."""
     return next((stage for stage in stages if isinstance(stage, kind)), None)
+
+
+def _curves(stages: Sequence[Stage]) -> Curves:
+    """Return the curves among stages."""
+    return tuple(stage for stage in stages if isinstance(stage, Points | Scale))
 
 
 @dataclass(frozen=True)
@@ -130,7 +110,7 @@ class Candidate:
             raise ModelError(
                 f"weight: {self.weight!r} is not a finite number greater than 0"
             )
-        arrange(self.stages)
+        require_order(self.stages)
 
 
 @dataclass(eq=False)
@@ -187,9 +167,17 @@ class Cascade:
 
     def __post_init__(self) -> None:
         """Check the cascade, and name its stages."""
-        arrangement = arrange(self.stages, self.direction)
-        self.amplifier, self.head, self.gears = arrangement[:3]
-        self.tail, self.dynamics, self.delay = arrangement[3:]
+        require_order(self.stages, self.direction)
+        index = next(k for k, s in enumerate(self.stages) if isinstance(s, Gears))
+        self.gears = cast(Gears, self.stages[index])
+        self.amplifier = _only(Amplifier, self.stages)
+        self.head, self.tail = (
+            _curves(self.stages[:index]),
+            _curves(self.stages[index:]),
+        )
+        self.dynamics = _only(Dynamics, self.stages)
+        delay = _only(Delay, self.stages)
+        self.delay = delay if delay is not None and delay.seconds else None
         if len(self.candidates) > MOST_CANDIDATES:
             raise ModelError(
                 f"candidates: {len(self.candidates)} are more than {MOST_CANDIDATES}"
@@ -246,10 +234,10 @@ class Cascade:
 
     def inverse(self) -> Cascade:
         """Return the same cascade for the other direction, without candidates."""
-        return self._turned
+        return self._inverse
 
     @functools.cached_property
-    def _turned(self) -> Cascade:
+    def _inverse(self) -> Cascade:
         direction: Direction = "inverse" if self.is_forward else "forward"
         ends = self.output, self.input
         return Cascade(
@@ -272,12 +260,9 @@ class Cascade:
         """Return a model of the same quantities with other stages, without candidates."""
         return replace(self, stages=stages, candidates=())
 
-    def candidate_models(self) -> list[tuple[float, Cascade]]:
-        """Return weight and model of every candidate of a forward model."""
-        return self._candidate_models
-
     @functools.cached_property
-    def _candidate_models(self) -> list[tuple[float, Cascade]]:
+    def candidate_models(self) -> list[tuple[float, Cascade]]:
+        """Weight and model of every candidate of a forward model."""
         return [
             (each.weight, self.with_stages(each.stages)) for each in self.candidates
         ]
@@ -384,8 +369,8 @@ class Cascade:
         state = self.start(float(signal[0]) if signal.size else 0.0, state)
         if outside == "error":
             self.require_inside(signal)
-        done = self.run(signal, state, dt, outside)
-        return done.y, done.state
+        result = self.run(signal, state, dt, outside)
+        return result.y, result.state
 
     def run(
         self, x: ArrayLike, state: State, dt: Steps = None, outside: Outside = "extend"
@@ -409,16 +394,13 @@ class Cascade:
             state.amplifier,
         )  # fmt: skip
         last = float(y[-1])
-        if self.amplifier is not None:
-            y, after, *_ = self.amplifier.run(y, after, steps)
-        y = through(self.head, y)
-        if not extend and self.starts.inside is not self.gears:
-            y = np.clip(y, *self.starts.inside.x_range)
-        y, after, *_ = self.gears.run(y, after, steps, extend)
-        y = through(self.tail, y)
-        for stage in (self.dynamics, self.delay):
-            if stage is not None:
+        for stage in self.stages:
+            if not isinstance(stage, Gears):
                 y, after, *_ = stage.run(y, after, steps)
+                continue
+            if not extend and self.starts.inside is not stage:
+                y = np.clip(y, *self.starts.inside.x_range)
+            y, after, *_ = stage.run(y, after, steps, extend)
         if after.drive != last:  # the gears have it as they meet it
             after = after.behind(after.bits, after.memory, last)
         return Run(y, after)
@@ -460,10 +442,10 @@ class Cascade:
         name
             Of the signal, for the message.
         """
-        beyond = self.outside(x)
-        if not beyond.any():
+        outside = self.outside(x)
+        if not outside.any():
             return
-        row = int(np.argmax(beyond))
+        row = int(np.argmax(outside))
         low, high = self.covered
         raise InputError(
             f"{name}{': ' if name else ''}row {before + row + 1:,}: {x[row]:.6g} is outside the "
@@ -551,21 +533,21 @@ class Cascade:
         extend = outside != "hold"
         output = back_through(self.tail, y)
         if self.amplifier is None:
-            done = self._undo_gears(output, state, steps, window, slew, extend)
+            result = self._undo_gears(output, state, steps, window, slew, extend)
         else:
             before = AmplifiedGears(self.amplifier, self.head, self.gears)
-            done = before.undo(output, state, steps, window, slew, extend)
+            result = before.undo(output, state, steps, window, slew, extend)
         after = State(
-            done.state.bits,
-            done.state.memory,
-            float(done.y[-1]),
-            amplifier=done.state.amplifier,
+            result.state.bits,
+            result.state.memory,
+            float(result.y[-1]),
+            amplifier=result.state.amplifier,
         )
         if self.dynamics is not None or self.delay is not None:
-            played = self.run(done.y, state, dt).state
-            after = replace(after, sections=played.sections, delay=played.delay)
-        first_clipped = 0 if clipped else done.first_clipped
-        return Run(done.y, after, done.clipped + clipped, first_clipped)
+            driven = self.run(result.y, state, dt).state
+            after = replace(after, sections=driven.sections, delay=driven.delay)
+        first_clipped = 0 if clipped else result.first_clipped
+        return Run(result.y, after, result.clipped + clipped, first_clipped)
 
     def _undo_gears(
         self,
@@ -580,14 +562,15 @@ class Cascade:
         inner, inner_slew = window, slew
         if window is not None:
             inner, inner_slew = self.inner_limits(window, slew)
-        if state.drive is not None:
-            state = replace(state, drive=value_through(self.head, state.drive))
-        done = self.gears.undo(output, state, steps, inner, inner_slew, extend)
-        voltage = back_through(self.head, done.y)
+        if self.head and state.drive is not None:
+            at_gears = value_through(self.head, state.drive)
+            state = state.behind(state.bits, state.memory, at_gears)
+        result = self.gears.undo(output, state, steps, inner, inner_slew, extend)
+        voltage = back_through(self.head, result.y)
         if window is not None and self.head:
             # rounding on the way back through the points
             voltage = np.clip(voltage, *window)
-        return done._replace(y=voltage)
+        return result._replace(y=voltage)
 
     def inner_limits(
         self, window: Window, slew: float | None

@@ -36,21 +36,21 @@ MOST_DELAYED = 10_000_000  # samples: 80 MB; a delay of 100 s at 100 kHz
 
 def whole_and_part(samples: float) -> tuple[int, float]:
     """Return whole samples and the part beyond; within a billionth of a whole number there is none."""
-    whole = math.floor(samples + WHOLE)
-    part = samples - whole
-    if part <= WHOLE:
-        part = 0.0
-    return whole, part
+    count_before = math.floor(samples + WHOLE)
+    fraction = samples - count_before
+    if fraction <= WHOLE:
+        fraction = 0.0
+    return count_before, fraction
 
 
-def between_even(values: Floats, place: int, part: float) -> Floats:
-    """Return values between even samples: the ``part`` of a step behind sample ``place`` of each six.
+def between_even(values: Floats, position: int, fraction: float) -> Floats:
+    """Return values between even samples: the ``fraction`` of a step behind sample ``position`` of each six.
 
-    ``values`` has five more than come out. ``place`` is 0 to 4: 2 has as many samples of
+    ``values`` has five more than come out. ``position`` is 0 to 4: 2 has as many samples of
     the six before the step as behind it, 4 none behind it.
     """
     out = np.empty(values.size - (WINDOW - 1))
-    kernel.extension.between_even(np.ascontiguousarray(values), out, place, part)
+    kernel.extension.between_even(np.ascontiguousarray(values), out, position, fraction)
     return out
 
 
@@ -111,10 +111,10 @@ class Delay:
     ) -> tuple[Floats, Held]:
         """Delay the last ``count`` samples, looked up by time."""
         times, values = _with_rest_before(times, values, count)
-        wanted = np.ascontiguousarray(times[-count:] - self.seconds)
+        sought = np.ascontiguousarray(times[-count:] - self.seconds)
         y = np.empty(count)
         newest = values.size - count
-        before = kernel.extension.between(times, values, wanted, y, newest, WHOLE)
+        before = kernel.extension.between(times, values, sought, y, newest, WHOLE)
         begin = max(before - (WINDOW - 1), 0)
         return y, (tuple(times[begin:].tolist()), tuple(values[begin:].tolist()))
 
@@ -124,22 +124,22 @@ class Delay:
         """Delay the last ``count`` samples, counted in steps."""
         if not step > 0.0:
             raise InputError(f"time step: {step!r} s is not greater than 0")
-        whole, part = self._samples(step)
+        count_before, fraction = self._samples(step)
         # which step of six samples the time wanted lies in: three of them come after it
-        # (place 2) where they have come already, else two or one
-        place = max(BEFORE, WINDOW - 2 - whole)
-        needed = whole  # samples before the one that has just come
-        if part:
-            needed = whole + 1 + place
+        # (position 2) where they have come already, else two or one
+        position = max(BEFORE, WINDOW - 2 - count_before)
+        needed = count_before  # samples before the one that has just come
+        if fraction:
+            needed = count_before + 1 + position
         missing = needed - (values.size - count)
         if missing > 0:
             earlier = times[0] - step * np.arange(missing, 0, -1)
             times = np.concatenate([earlier, times])
             values = np.concatenate([np.full(missing, values[0]), values])
         begin = values.size - count - needed
-        if part:
+        if fraction:
             six = values[begin : begin + count + WINDOW - 1]
-            y = between_even(six, place, 1.0 - part)
+            y = between_even(six, position, 1.0 - fraction)
         else:
             y = values[begin : begin + count].copy()
         kept = max(needed, 1)
@@ -157,10 +157,10 @@ class Delay:
 
     def ahead(self, dt: float) -> int:
         """Return how many rows of an even clock ``undo`` reads ahead."""
-        whole, part = self._samples(dt)
-        if not part:
-            return whole
-        return max(whole + AFTER, WINDOW - 1)
+        count_before, fraction = self._samples(dt)
+        if not fraction:
+            return count_before
+        return max(count_before + AFTER, WINDOW - 1)
 
     def undo(self, y: Floats, state: State, dt: float, ahead: int) -> Run:
         """Return an even signal earlier by the delay, and the state with what undoing remembers.
@@ -191,20 +191,20 @@ class Delay:
     def _earlier(self, y: Floats, dt: float, past: tuple[float, ...]) -> Floats:
         """Return all rows but the last that are read ahead, earlier by the delay."""
         count = y.size - self.ahead(dt)
-        whole, part = self._samples(dt)
-        if not part:
-            return y[whole : whole + count]
+        count_before, fraction = self._samples(dt)
+        if not fraction:
+            return y[count_before : count_before + count]
         signal = np.concatenate([past, y])
-        first = len(past) + whole - BEFORE  # begin of the first row's six
-        early = min(max(-first, 0), count)
+        first = len(past) + count_before - BEFORE  # begin of the first row's six
+        first_rows = min(max(-first, 0), count)
         blocks = [
-            between_even(signal[:WINDOW], BEFORE + first + row, part)
-            for row in range(early)
+            between_even(signal[:WINDOW], BEFORE + first + row, fraction)
+            for row in range(first_rows)
         ]
-        begin = first + early
-        if early < count:
-            six = signal[begin : begin + count - early + WINDOW - 1]
-            blocks.append(between_even(six, BEFORE, part))
+        begin = first + first_rows
+        if first_rows < count:
+            six = signal[begin : begin + count - first_rows + WINDOW - 1]
+            blocks.append(between_even(six, BEFORE, fraction))
         return np.concatenate(blocks)
 
     def loop(self, x: Floats, dt: float) -> Floats:

@@ -71,8 +71,8 @@ class Dynamics:
         if x.size == 0:
             return Run(x, state)
         first = float(x[0])
-        rest = ((first, 0.0, first),) * len(self.sections)
-        memory = np.array(state.sections or rest, dtype=np.float64)
+        at_rest = ((first, 0.0, first),) * len(self.sections)
+        memory = np.array(state.sections or at_rest, dtype=np.float64)
         y = np.empty(x.size)
         if isinstance(dt, np.ndarray):
             rows = _step_rows(self.sections, checked_steps(dt))
@@ -148,8 +148,8 @@ class Dynamics:
         """Return one period behind all sections when it has been repeated for ever."""
 
         def run(x: Floats, states: SectionStates) -> tuple[Floats, SectionStates]:
-            done = self.run(x, State(sections=states), dt)
-            return done.y, done.state.sections or states
+            after = self.run(x, State(sections=states), dt)
+            return after.y, after.state.sections or states
 
         return repeated(run, x, len(self.sections))
 
@@ -158,9 +158,9 @@ class Dynamics:
         ahead = self.ahead(dt)
 
         def undo(y: Floats, states: SectionStates) -> tuple[Floats, SectionStates]:
-            done = self.undo(y, State(undoing=(dt, states, ())), dt, ahead)
-            assert done.state.undoing is not None
-            return done.y, done.state.undoing[1]
+            after = self.undo(y, State(undoing=(dt, states, ())), dt, ahead)
+            assert after.state.undoing is not None
+            return after.y, after.state.undoing[1]
 
         return repeated(undo, np.pad(y, (0, ahead), mode="wrap"), len(self.sections))
 

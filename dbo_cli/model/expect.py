@@ -75,7 +75,7 @@ def expected_error(
 
     expected = played(model)
     squares = float(left) ** 2
-    for weight, candidate in model.candidate_models():
+    for weight, candidate in model.candidate_models:
         squares += weight * _mean_square(played(candidate) - expected)
     past = max(float(model.fit.get("unknown_past_rmse") or 0.0) ** 2 - left**2, 0.0)
     if model.input.min < float(drive[0]) < model.input.max:

@@ -74,8 +74,8 @@ def read_models(path: str, only: list[str] | None = None) -> dict[str, Cascade]:
             raise ModelError("models: is empty")
         for channel in channels if only is None else only:
             if channel not in channels:
-                known = ", ".join(channels)
-                raise InputError(f"{name}: no model {channel}; models: {known}")
+                names = ", ".join(channels)
+                raise InputError(f"{name}: no model {channel}; models: {names}")
             models[channel] = _model(channels[channel], f'models["{channel}"]')
     except ModelError as problem:
         raise ModelError(f"{name}: {problem}") from None
@@ -163,28 +163,28 @@ def _stages(
 
 def _stage(values: Any, path: str, direction: Direction) -> Any:
     """Return the stage that an object describes; in an inverse model it describes what undoes the stage."""
-    rest = dict(fields.notes(values, path))
-    kind = fields.choice(rest.pop("type", None), f"{path}.type", TYPES)
+    content = dict(fields.notes(values, path))
+    kind = fields.choice(content.pop("type", None), f"{path}.type", TYPES)
     is_inverse = direction == "inverse"
     if kind == "scale":
-        scale = build(Scale, rest, path, gain=number, offset=number)
+        scale = build(Scale, content, path, gain=number, offset=number)
         return scale.inverse() if is_inverse else scale
     if kind == "delay":
         delay = _negative_delay if is_inverse else Delay
-        return build(delay, rest, path, seconds=number)
+        return build(delay, content, path, seconds=number)
     if kind == "amplifier":
-        return build(Amplifier, rest, path, seconds=number)
+        return build(Amplifier, content, path, seconds=number)
     if kind == "dynamics":
         sections = partial(fields.listed, read=_section)
-        return build(Dynamics, rest, path, sections=sections)
+        return build(Dynamics, content, path, sections=sections)
     table = {"dx": fields.widths, "dy": fields.widths, "x0": number, "y0": number}
     make: Callable[..., Stage] = Points if kind == "point" else Gears
     if is_inverse:
         make = partial(_exchanged, make)
     if kind == "point":
-        return build(make, rest, path, **table)
+        return build(make, content, path, **table)
     terms = partial(_relaxation, on="output" if is_inverse else "input")
-    return build(make, rest, path, ("relaxation",), relaxation=terms, **table)
+    return build(make, content, path, ("relaxation",), relaxation=terms, **table)
 
 
 def _exchanged(
@@ -211,10 +211,10 @@ def _negative_delay(seconds: float) -> Delay:
 
 
 def _relaxation(values: Any, path: str, on: str) -> Any:
-    rest = dict(fields.notes(values, path))
-    if rest.pop("on", None) != on:
+    content = dict(fields.notes(values, path))
+    if content.pop("on", None) != on:
         raise ModelError(f"{path}.on: must be {on!r} in this direction")
-    return build(Relaxation, rest, path, reference=number, tau=numbers, gain=numbers)
+    return build(Relaxation, content, path, reference=number, tau=numbers, gain=numbers)
 
 
 def _section(values: Any, path: str) -> Any:

@@ -13,7 +13,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -160,15 +159,13 @@ class Gears:
     def _exchanged_rows(self) -> tuple[Floats, Places]:
         return kernel_table(self.exchanged)
 
-    def _operator(self, extend: bool) -> tuple[Any, ...]:
-        """Return the kernel's first arguments, the same for all blocks."""
-        ends = self.x0, self.y0, extend
-        return *self.kernel_rows, self.n, 1, *ends, self.gain, self._reference, False
-
-    def _inverse_operator(self, extend: bool) -> tuple[Any, ...]:
-        """Return the kernel's first arguments for the inverse: its memory follows the output."""
-        ends = self.y0, self.x0, extend
-        return *self._exchanged_rows, self.n, 1, *ends, self.gain, self._reference, True
+    def _operator(self, extend: bool, is_inverse: bool = False) -> tuple[Any, ...]:
+        """Return the kernel's first arguments, the same for all blocks; memory follows the voltage."""
+        rows, origins = self.kernel_rows, (self.x0, self.y0)
+        if is_inverse:
+            rows, origins = self._exchanged_rows, (self.y0, self.x0)
+        ends = *origins, extend, self.gain, self._reference
+        return *rows, self.n, 1, *ends, is_inverse
 
     @property
     def _reference(self) -> float:
@@ -257,7 +254,7 @@ class Gears:
             The state is not of these gears.
         """
         y = np.ascontiguousarray(y, dtype=np.float64).reshape(-1)
-        operator = self._inverse_operator(extend)
+        operator = self._operator(extend, is_inverse=True)
         return self._block(operator, y, state, dt, window, slew)
 
     def _block(
@@ -272,25 +269,28 @@ class Gears:
         """Run the kernel over a block; where no memory is known, the first sample is at rest."""
         if x.size == 0:
             return Run(x, state)
-        decay = steps = _NO_NUMBERS
-        if self.relaxation is not None:
-            decay = self.relaxation.decay(dt)
+        steps = _NO_NUMBERS
         if window is not None and slew is not None:
             steps = np.array(largest_step(slew, dt), dtype=np.float64).reshape(-1)
-        if self.relaxation is None or state.memory is not None:
+        if self.relaxation is None:
+            return self._kernel(operator, x, state, _NO_NUMBERS, window, steps)
+        if state.memory is not None:
+            decay = self.relaxation.decay(dt)
             return self._kernel(operator, x, state, decay, window, steps)
         # at rest at the first sample: without decay nothing of the past is left
-        rest = replace(state, memory=(0.0,) * self.gain.size)
-        first = self._kernel(operator, x[:1], rest, 0.0 * decay[:1], window, steps[:1])
+        at_rest = state.behind(state.bits, (0.0,) * self.gain.size, state.drive)
+        none = np.zeros((1, self.gain.size))
+        first = self._kernel(operator, x[:1], at_rest, none, window, steps[:1])
         if x.size == 1:
             return first
+        decay = self.relaxation.decay(dt)
         decay = decay if len(decay) == 1 else np.ascontiguousarray(decay[1:])
         steps = steps if steps.size == 1 else steps[1:]
-        behind = self._kernel(operator, x[1:], first.state, decay, window, steps)
-        y = np.concatenate([first.y, behind.y])
-        clipped = first.clipped + behind.clipped
-        index = 0 if first.clipped or not clipped else behind.first_clipped + 1
-        return Run(y, behind.state, clipped, index)
+        after = self._kernel(operator, x[1:], first.state, decay, window, steps)
+        y = np.concatenate([first.y, after.y])
+        clipped = first.clipped + after.clipped
+        index = 0 if first.clipped or not clipped else after.first_clipped + 1
+        return Run(y, after.state, clipped, index)
 
     def _kernel(
         self,
@@ -341,7 +341,7 @@ class Gears:
             decay = self.relaxation.decay(dt)
         step = largest_step(slew, dt)
         stepper = kernel.extension.Stepper(
-            *self._inverse_operator(True), decay, True, *window, self.slack(*window),
+            *self._operator(True, is_inverse=True), decay, True, *window, self.slack(*window),
             math.nan if step is None else step,
         )  # fmt: skip
         memories = np.array(state.memory or (), dtype=np.float64)

@@ -1,20 +1,11 @@
-"""Dynamics and a delay undone together on an even clock, and rows read ahead of a stream."""
+"""Dynamics and a delay undone together on an even clock."""
 
 from __future__ import annotations
-
-from collections import deque
-from collections.abc import Iterable, Iterator
-from itertools import chain
-from typing import TypeVar
-
-import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics
 from dbo_cli.model.state import State, Undoing
-
-Payload = TypeVar("Payload")
 
 
 class Inverter:
@@ -57,8 +48,8 @@ class Inverter:
             return desired, None
         signal, state, ahead = desired, State(undoing=undoing), self.ahead
         for stage, rows in self.stages:
-            done = stage.undo(signal, state, self.dt, ahead)
-            signal, state, ahead = done.y, done.state, ahead - rows
+            after = stage.undo(signal, state, self.dt, ahead)
+            signal, state, ahead = after.y, after.state, ahead - rows
         return signal, state.undoing
 
     def behind(self, state: State) -> Undoing | None:
@@ -74,26 +65,3 @@ class Inverter:
         for stage, _ in self.stages:
             desired = stage.undo_loop(desired, self.dt)
         return desired
-
-
-def read_ahead(
-    blocks: Iterable[tuple[Payload, Floats]], rows: int
-) -> Iterator[tuple[Payload, Floats]]:
-    """Yield each block with ``rows`` samples of those after it; at the end the last value holds.
-
-    Empty blocks are dropped.
-    """
-    waiting: deque[tuple[Payload, int]] = deque()
-    values = np.empty(0)  # of the blocks that wait, and what is known of those after
-    for block in chain(blocks, [None]):
-        if block is not None:
-            payload, part = block
-            if part.size:
-                waiting.append((payload, part.size))
-            values = np.concatenate([values, part])
-        elif values.size:  # at the end
-            values = np.concatenate([values, np.full(rows, values[-1])])
-        while waiting and values.size - waiting[0][1] >= rows:
-            payload, count = waiting.popleft()
-            yield payload, values[: count + rows]
-            values = values[count:]

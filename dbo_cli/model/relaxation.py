@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,13 +24,13 @@ becomes 0.8 V of it; round trips do not show that.
 def checked_steps(dt: float | ArrayLike) -> Floats:
     """Return time steps (s) as an array; InputError where one is negative or not a number."""
     steps = np.asarray(dt, dtype=np.float64).reshape(-1)
-    wrong = np.flatnonzero(~(steps >= 0.0))
-    if wrong.size:
-        row = int(wrong[0])
-        raise InputError(
-            f"time step {row + 1}: {float(steps[row])!r} s; time must not go backwards"
-        )
-    return steps
+    right = steps >= 0.0
+    if right.all():
+        return steps
+    row = int(np.argmin(right))
+    raise InputError(
+        f"time step {row + 1}: {float(steps[row])!r} s; time must not go backwards"
+    )
 
 
 @dataclass(frozen=True)
@@ -64,14 +65,14 @@ class Relaxation:
             raise ModelError(
                 f"gain: has {len(self.gain)} entries where tau has {len(self.tau)}"
             )
-        for place, tau in enumerate(self.tau):
+        for index, tau in enumerate(self.tau):
             if not (math.isfinite(tau) and tau > 0.0):
                 raise ModelError(
-                    f"tau[{place}]: {tau!r} is not a finite time greater than 0"
+                    f"tau[{index}]: {tau!r} is not a finite time greater than 0"
                 )
-        for place, gain in enumerate(self.gain):
+        for index, gain in enumerate(self.gain):
             if not math.isfinite(gain):
-                raise ModelError(f"gain[{place}]: {gain!r} is not a finite number")
+                raise ModelError(f"gain[{index}]: {gain!r} is not a finite number")
 
     def keys(self) -> Json:
         """Return what a model file holds of the terms."""
@@ -101,10 +102,10 @@ class Relaxation:
         if negative == 0.0:
             return
         gear = int(np.argmin(slopes))
-        left = float(slopes[gear]) + negative
-        if left < LEAST_SLOPE * mean:
+        slope = float(slopes[gear]) + negative
+        if slope < LEAST_SLOPE * mean:
             raise ModelError(
-                f"relaxation.gain: negative gains leave gear {gear} a slope of {left:.6g}, less than 3 % "
+                f"relaxation.gain: negative gains leave gear {gear} a slope of {slope:.6g}, less than 3 % "
                 f"of the mean, {LEAST_SLOPE * mean:.6g}"
             )
 
@@ -116,8 +117,9 @@ class Relaxation:
         InputError
             A time step is negative or not a number.
         """
-        steps = checked_steps(dt)
-        factors: Floats = np.exp(-steps[:, np.newaxis] / np.array(self.tau))
+        if isinstance(dt, float):
+            return _even_decay(self.tau, dt)
+        factors: Floats = np.exp(-checked_steps(dt)[:, np.newaxis] / np.array(self.tau))
         return factors
 
     def lags(
@@ -147,3 +149,11 @@ class Relaxation:
             self.reference, memories, drive[start:], rows[start:], decay
         )
         return rows, tuple(memories.tolist())
+
+
+@lru_cache(maxsize=32)
+def _even_decay(tau: tuple[float, ...], dt: float) -> Floats:
+    """Return a_j of one time step; every block of a stream asks for it."""
+    factors: Floats = np.exp(-checked_steps(dt)[:, np.newaxis] / np.array(tau))
+    factors.flags.writeable = False
+    return factors

@@ -37,13 +37,13 @@ _SERIES = 1.0
 _TERMS = 24  # of the series; the last is below 1e-20 of the first at one radian
 
 
-def _positive(key: str, value: float, most: float = math.inf) -> None:
+def _positive(key: str, value: float, largest: float = math.inf) -> None:
     """Refuse a number that is not between 0 and ``most``, naming the key."""
-    if math.isfinite(value) and 0.0 < value < most:
+    if math.isfinite(value) and 0.0 < value < largest:
         return
     bound = "greater than 0"
-    if most < math.inf:
-        bound = f"between 0 and {most:g}"
+    if largest < math.inf:
+        bound = f"between 0 and {largest:g}"
     raise ModelError(f"{key}: {value!r} is not a finite number {bound}")
 
 
@@ -118,8 +118,8 @@ class Resonance(Mode):
         slow = angle < _SERIES
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             step = np.where(slow, _series(angle, zeta, 0), 1.0 - (cosine + zeta * sine))
-            late = 1.0 - (2.0 * zeta * step + sine) / angle
-            ramp = np.where(slow, _series(angle, zeta, 1), late)
+            lag_steps = 1.0 - (2.0 * zeta * step + sine) / angle
+            ramp = np.where(slow, _series(angle, zeta, 1), lag_steps)
             rate = np.where(angle > 0.0, step / angle, 0.0)
         return np.column_stack([sine, step, ramp, cosine - zeta * sine, sine, rate])
 
@@ -187,10 +187,10 @@ class Lag:
         """Return the kernel's six numbers for each time step (s)."""
         none = np.zeros_like(dt)
         with np.errstate(divide="ignore", invalid="ignore"):
-            late = np.where(dt > 0.0, self.seconds / dt, np.inf)
-            beta = np.minimum(LAG_ZERO, late)
-            part = 1.0 / (1.0 + (late - beta))
-        return np.column_stack([none, part, part * (1.0 - beta), none, none, none])
+            lag_steps = np.where(dt > 0.0, self.seconds / dt, np.inf)
+            beta = np.minimum(LAG_ZERO, lag_steps)
+            share = 1.0 / (1.0 + (lag_steps - beta))
+        return np.column_stack([none, share, share * (1.0 - beta), none, none, none])
 
     def response(self, frequency: Floats) -> Complexes:
         """Return G(2 pi i f) for frequencies in Hz."""

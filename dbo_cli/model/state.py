@@ -106,7 +106,7 @@ class State:
     model: str = ""
 
     def behind(
-        self, bits: int, memory: tuple[float, ...] | None, drive: float
+        self, bits: int, memory: tuple[float, ...] | None, drive: float | None
     ) -> State:
         """Return the state with the gears and the voltage of a later sample."""
         return State(
@@ -158,17 +158,17 @@ def steps_of(time: ArrayLike) -> float | Floats:
     return np.concatenate([[0.0], steps])
 
 
-def steps_behind(left: float | None, time: Floats | None, dt: Steps) -> Steps:
+def steps_behind(last_time: float | None, time: Floats | None, dt: Steps) -> Steps:
     """Return the seconds before each row, where a state was left at a time (s) before the first.
 
     An even clock that goes on stays one number; a clock that begins anew, or no clock,
     leaves ``dt`` as it is.
     """
-    if left is None or time is None or not time[0] > left:
+    if last_time is None or time is None or not time[0] > last_time:
         return dt
-    if isinstance(dt, float) and abs(time[0] - left - dt) <= _COARSE * dt:
+    if isinstance(dt, float) and abs(time[0] - last_time - dt) <= _COARSE * dt:
         return dt
-    return np.diff(time, prepend=left)
+    return np.diff(time, prepend=last_time)
 
 
 def _last_decimal(stamps: Floats, coarsest: float) -> float:
@@ -177,7 +177,7 @@ def _last_decimal(stamps: Floats, coarsest: float) -> float:
         unit = 10.0**-places
         if unit > coarsest:
             continue
-        off = np.abs(stamps - np.round(stamps, places)).max()
-        if off < 1e-3 * unit + 4.0 * float(np.spacing(np.abs(stamps).max())):
+        error = np.abs(stamps - np.round(stamps, places)).max()
+        if error < 1e-3 * unit + 4.0 * float(np.spacing(np.abs(stamps).max())):
             return 1.01 * unit
     return 0.0

@@ -85,27 +85,27 @@ def section_inverse(section: Section, dt: float) -> SectionInverse:
     root = half * half - det
     if root <= 0.0:
         return _forward_only(section, dt, recursion, math.sqrt(det))
-    far = half + math.copysign(math.sqrt(root), half)
-    near = det / far
-    near, far = sorted([near, far], key=abs)
-    if abs(far) < 1.0:
-        return _forward_only(section, dt, recursion, abs(far))
-    count = math.ceil(math.log(LEFT_OVER) / -math.log(abs(far)))
-    if abs(near) >= 1.0 or count > LONGEST_AHEAD:
+    outer = half + math.copysign(math.sqrt(root), half)
+    inner = det / outer
+    inner, outer = sorted([inner, outer], key=abs)
+    if abs(outer) < 1.0:
+        return _forward_only(section, dt, recursion, abs(outer))
+    count = math.ceil(math.log(LEFT_OVER) / -math.log(abs(outer)))
+    if abs(inner) >= 1.0 or count > LONGEST_AHEAD:
         raise _unresolved(section, dt)
-    inside_row, inside_drive = _eigenpart(recursion, near)
-    _, outside_drive = _eigenpart(recursion, far)
-    weight = -outside_drive * far ** -np.arange(1.0, count + 1.0)
-    numbers = np.array([near, 0.0, 0.0, 0.0, inside_drive, 0.0, 1.0, 0.0])
+    inside_row, inside_drive = _eigenpart(recursion, inner)
+    _, outside_drive = _eigenpart(recursion, outer)
+    weight = -outside_drive * outer ** -np.arange(1.0, count + 1.0)
+    numbers = np.array([inner, 0.0, 0.0, 0.0, inside_drive, 0.0, 1.0, 0.0])
     return SectionInverse(numbers, weight, np.array([inside_row, [0.0, 0.0]]))
 
 
 def _eigenpart(recursion: _Recursion, zero: float) -> tuple[Floats, float]:
     """Return the part of the inverse that belongs to one eigenvalue: as seen in the result, and its drive."""
     matrix, drive, out = recursion
-    left = np.array([matrix[1, 0], zero - matrix[0, 0]])
+    left_vector = np.array([matrix[1, 0], zero - matrix[0, 0]])
     right = np.array([matrix[0, 1], zero - matrix[0, 0]])
-    row = left * (float(out @ right) / float(left @ right))
+    row = left_vector * (float(out @ right) / float(left_vector @ right))
     return row, float(row @ drive)
 
 
@@ -115,7 +115,7 @@ def _forward_only(
     """Return an inverse without a look ahead: both zeros are inside the unit circle."""
     if not largest < 1.0 or section.antiresonance is None:
         raise _unresolved(section, dt)
-    numbers = np.concatenate([part.reshape(-1) for part in recursion])
+    numbers = np.concatenate([block.reshape(-1) for block in recursion])
     return SectionInverse(numbers, np.zeros(0), np.eye(2))
 
 

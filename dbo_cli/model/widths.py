@@ -31,9 +31,9 @@ def checked_pair(
             raise ModelError(f"{key}: is empty")
         wrong = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
         if wrong.size:
-            place = int(wrong[0])
+            index = int(wrong[0])
             raise ModelError(
-                f"{key}[{place}]: {float(values[place])!r} is not a finite width greater than 0"
+                f"{key}[{index}]: {float(values[index])!r} is not a finite width greater than 0"
             )
         values.flags.writeable = False
         pair.append(values)
@@ -70,9 +70,9 @@ def on_binary_grid(key: str, widths: Floats) -> Floats:
         rounded: Floats = np.rint(widths / grid) * grid
         narrow = np.flatnonzero(rounded < _NARROWEST * total)
         if narrow.size:
-            place = int(narrow[0])
+            index = int(narrow[0])
             raise ModelError(
-                f"{key}[{place}]: {float(widths[place])!r} is less than 2^-42 of the sum of all widths,"
+                f"{key}[{index}]: {float(widths[index])!r} is less than 2^-42 of the sum of all widths,"
                 f" {total!r}"
             )
         if np.array_equal(rounded, widths):
@@ -111,9 +111,9 @@ def gear_table(dx: Floats, dy: Floats, rounding: Floats) -> Floats:
         inverse_slope = dx / dy
     wrong = np.flatnonzero(~np.isfinite(slope) | ~np.isfinite(inverse_slope))
     if wrong.size:
-        place = int(wrong[0])
+        index = int(wrong[0])
         raise ModelError(
-            f"dy[{place}]: {float(dy[place])!r} over dx[{place}], {float(dx[place])!r}, is beyond the range"
+            f"dy[{index}]: {float(dy[index])!r} over dx[{index}], {float(dx[index])!r}, is beyond the range"
             " of the arithmetic"
         )
     gears: Floats = np.ascontiguousarray(

@@ -76,9 +76,9 @@ class Coding(NamedTuple):
 
     def decode(self, codes: Codes) -> Floats:
         """Return the voltages of codes."""
-        part = (codes - self.codes[0]) / (self.codes[1] - self.codes[0])
+        share = (codes - self.codes[0]) / (self.codes[1] - self.codes[0])
         low, high = self.volts
-        return np.clip(low + part * (high - low), low, high)
+        return np.clip(low + share * (high - low), low, high)
 
 
 def _positional(value: float) -> str:

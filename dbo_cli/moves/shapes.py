@@ -157,9 +157,9 @@ def _check_options(
     for name in NEEDS[shape]:
         if figures[name] is None:
             raise UsageError(f"a {shape} needs `{name}`")
-    taken = NEEDS[shape] + TAKES.get(shape, ())
+    allowed = NEEDS[shape] + TAKES.get(shape, ())
     for name, value in [*figures.items(), ("loop", loop or None)]:
-        if value is not None and name not in taken:
+        if value is not None and name not in allowed:
             raise UsageError(f"`{name}`: a {shape} has none")
 
 
@@ -187,24 +187,24 @@ def _steps(count: int) -> Floats:
     return np.arange(1.0, count + 1.0)
 
 
-def _turned(place: float, speed: float, count: int) -> Floats:
+def _turned(center: float, speed: float, count: int) -> Floats:
     """Return a turn at ``place`` from ``speed`` (a row) to its opposite, count speed/pi beyond."""
     angle = math.pi * _steps(count) / max(count, 1)
-    return place + speed * count / math.pi * np.sin(angle)
+    return center + speed * count / math.pi * np.sin(angle)
 
 
-def _started(place: float, speed: float, count: int) -> Floats:
+def _started(end: float, speed: float, count: int) -> Floats:
     """Return a start from rest that arrives at ``place`` with ``speed``, the row at rest included."""
     row = np.arange(count + 1.0)
     bend = np.sin(math.pi * row / max(count, 1))
     distance: Floats = 0.5 * row - 0.5 * count / math.pi * bend
-    return place + speed * (distance - 0.5 * count)
+    return end + speed * (distance - 0.5 * count)
 
 
 def _risen(count: int) -> Floats:
     """Return the way from 0 to 1: its acceleration is one period of a sine."""
-    part = _steps(count) / max(count, 1)
-    share: Floats = part - np.sin(2.0 * math.pi * part) / (2.0 * math.pi)
+    phase = _steps(count) / max(count, 1)
+    share: Floats = phase - np.sin(2.0 * math.pi * phase) / (2.0 * math.pi)
     share[-1:] = 1.0
     return share
 
@@ -216,9 +216,9 @@ def _strokes(ends: Range, flat: int, turn: int, count: int, loop: bool) -> Float
     """
     low, high = ends
     speed = (high - low) / flat
-    part = _steps(flat) / flat
-    up = [low + (high - low) * part, _turned(high, speed, turn)]
-    back = [high - (high - low) * part, _turned(low, -speed, turn)]
+    share = _steps(flat) / flat
+    up = [low + (high - low) * share, _turned(high, speed, turn)]
+    back = [high - (high - low) * share, _turned(low, -speed, turn)]
     pair = np.concatenate(up + back)
     lines = np.tile(pair, (count + 1) // 2)[: count * (flat + turn)]
     if loop:
@@ -241,9 +241,9 @@ def _eased(period: int, count: int, loop: bool) -> Floats:
     return np.concatenate([begin, line, count - begin[::-1][1:]])
 
 
-def _between(ends: Range, part: Floats) -> Floats:
+def _between(ends: Range, share: Floats) -> Floats:
     low, high = ends
-    return np.clip(low + (high - low) * part, low, high)
+    return np.clip(low + (high - low) * share, low, high)
 
 
 # --- the shapes: the axes, and a note ---

@@ -40,9 +40,9 @@ def check_reach(move: Trajectory, models: Sequence[Cascade]) -> None:
     for number, axis in enumerate(move.axes):
         output = models[min(number, len(models) - 1)].output
         slack = REACH_SLACK * output.span
-        least, most = float(axis.min()), float(axis.max())
-        if least < output.min - slack or most > output.max + slack:
+        lowest, highest = float(axis.min()), float(axis.max())
+        if lowest < output.min - slack or highest > output.max + slack:
             raise UsageError(
-                f"the move goes from {least:.6g} to {most:.6g}, the model from {output.min:.6g} to "
+                f"the move goes from {lowest:.6g} to {highest:.6g}, the model from {output.min:.6g} to "
                 f"{output.max:.6g}{output.suffix}: narrow `range`"
             )

@@ -108,14 +108,14 @@ def waveform(
     checked.require_passed()
     if voltage.size < 2:
         raise UsageError(f"{name}: one row is not a drive")
-    most = 0.01 * max_rounding * float(np.ptp(voltage))
-    played, rate, moved = _at_points(voltage, drive_rate, points, rate, loop)
-    if moved > most:
+    allowance = 0.01 * max_rounding * float(np.ptp(voltage))
+    resampled, rate, shift = _at_points(voltage, drive_rate, points, rate, loop)
+    if shift > allowance:
         raise LimitError(
-            f"{name}: {played.size:,} points change the drive by up to {moved:.3g} V, more than "
-            f"{most:.3g} V: raise `points`, `rate` or `max_rounding`"
+            f"{name}: {resampled.size:,} points change the drive by up to {shift:.3g} V, more than "
+            f"{allowance:.3g} V: raise `points`, `rate` or `max_rounding`"
         )
-    exact = played / gain
+    exact = resampled / gain
     ends = volts or (float(exact.min()), float(exact.max()))
     if form.codes is not None and not -math.inf < ends[0] < ends[1] < math.inf:
         raise UsageError(f"`volts` {ends[0]:g}:{ends[1]:g}: give LOW:HIGH")
@@ -133,9 +133,9 @@ def waveform(
         values = coding.encode(exact, allowed.rating)
         heard = coding.decode(values)
         rounding = abs(gain) * float(np.abs(heard - exact).max())
-        if rounding > most and np.ptp(exact) > 0.0:
+        if rounding > allowance and np.ptp(exact) > 0.0:
             raise LimitError(
-                f"{name}: codes change the drive by up to {rounding:.3g} V, more than {most:.3g} V: "
+                f"{name}: codes change the drive by up to {rounding:.3g} V, more than {allowance:.3g} V: "
                 "narrow `volts`, or raise `max_rounding`"
             )
         if allowed.slew is not None:  # codes stand a step beside
@@ -146,7 +146,7 @@ def waveform(
         )
     Gate(allowed).admit(heard, 1.0 / rate, "return")
     data = form.write(Signal(values, rate, ends))
-    line = _line(heard, rate, gain, moved)
+    line = _line(heard, rate, gain, shift)
     return Waveform(data, heard, rate, line, meaning, values)
 
 
@@ -171,12 +171,12 @@ def _check_codes(form: Format, to: str, codes: Span | None, volts: Span | None) 
             f"{to} needs `volts` LOW:HIGH, the voltages of the lowest and highest code"
         )
     if codes is not None:
-        least, most = form.codes
-        whole = codes[0] == round(codes[0]) and codes[1] == round(codes[1])
-        if not (whole and least <= codes[0] < codes[1] <= most):
+        lowest, highest = form.codes
+        integral = codes[0] == round(codes[0]) and codes[1] == round(codes[1])
+        if not (integral and lowest <= codes[0] < codes[1] <= highest):
             raise UsageError(
-                f"`codes` {codes[0]:g}:{codes[1]:g}: give whole numbers from {least} to {most}, the lower "
-                "first"
+                f"`codes` {codes[0]:g}:{codes[1]:g}: give whole numbers from {lowest} to {highest}, the "
+                "lower first"
             )
 
 
@@ -217,9 +217,9 @@ def _at_points(
         rate = (points - more) / seconds
     time, new = np.arange(drive.size) / drive_rate, np.arange(points) / rate
     period = seconds if loop else None
-    played = np.interp(new, time, drive, period=period)
-    back = np.interp(time, new, played, period=period)
-    return played, rate, float(np.abs(back - drive).max())
+    resampled = np.interp(new, time, drive, period=period)
+    back = np.interp(time, new, resampled, period=period)
+    return resampled, rate, float(np.abs(back - drive).max())
 
 
 def _at_generator(limits: Limits, gain: float) -> Limits:
@@ -231,7 +231,7 @@ def _at_generator(limits: Limits, gain: float) -> Limits:
     return Limits((low, high), (low, high), (low, high), slew, "V")
 
 
-def _line(volts: Floats, rate: float, gain: float, moved: float) -> str:
+def _line(volts: Floats, rate: float, gain: float, shift: float) -> str:
     """Return what to set at the generator, and what resampling changed, in words."""
     low, high = float(volts.min()), float(volts.max())
     text = (
@@ -240,6 +240,6 @@ def _line(volts: Floats, rate: float, gain: float, moved: float) -> str:
     )
     if gain != 1.0:
         text += f" at gain {gain:g}"
-    if moved:
-        text += f"; resampled within {moved:.3g} V"
+    if shift:
+        text += f"; resampled within {shift:.3g} V"
     return text

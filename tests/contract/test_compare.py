@@ -9,28 +9,35 @@ from typing import Any
 import pytest
 
 from .conftest import creep_log
-from .program import Outcome, done, refused
+from .program import Outcome, done, refused, table, write
+
+KEYS = """name words rmse expected_rmse validation_rmse parameters forward_ns inverse_ns
+refused""".split()
 
 
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Any]:
-    """Return the table as text and as JSON, of one log judged on another."""
+    """Return the table of a log without a clock as text, and that of one judged on another as JSON."""
     folder = tmp_path_factory.mktemp("compare")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         log, other = creep_log("log.csv"), creep_log("other.csv", seed=2)
         part = ("--rows", "1:1000")
         done("compare", log, "--validate", other, *part, "-o", "table.json", "-q")
-        text = done("compare", log, "--rows", "1:401")
+        values = table(log)
+        write("bare.csv", "voltage_V,displacement_um", values["voltage_V"][:401],
+              values["displacement_um"][:401])  # fmt: skip
+        text = done("compare", "bare.csv")
     return text, json.loads((folder / "table.json").read_text())
 
 
 def test_there_is_a_row_for_each_operator(compared: tuple[Outcome, Any]) -> None:
     told = compared[1]
     assert (told["format"], told["version"], told["unit"]) == ("dbo-compare", 1, "um")
+    assert (told["logs"], told["validation"]) == (["log.csv"], ["other.csv"])
     names = [row["name"] for row in told["models"]]
-    assert len(names) >= 4 and len(set(names)) == len(names)
-    assert any("dbo" in name.lower() or "backlash" in name.lower() for name in names)
+    assert names == "dbo line pi modified rate extended asymmetric".split()
+    assert [list(row) for row in told["models"]] == [KEYS] * len(names)
 
 
 def test_errors_parameters_and_costs(compared: tuple[Outcome, Any]) -> None:
@@ -56,6 +63,7 @@ def test_the_table_is_aligned_text(compared: tuple[Outcome, Any]) -> None:
     lines = compared[0].out.splitlines()
     assert len(lines) >= 5 and max(map(len, lines)) <= 120
     assert "um" in compared[0].out
+    assert "note: rate: the rate needs a clock" in compared[0].out
     for row in compared[1]["models"]:
         assert row["name"].lower() in compared[0].out.lower()
 

@@ -43,8 +43,8 @@ def test_brackets_in_a_name_are_no_pattern(suffix: str) -> None:
 def test_a_damaged_byte_of_a_matlab_file_ends_in_a_line_or_in_numbers(
     is_compressed: bool,
 ) -> None:
-    """Every byte takes two other values, in one process that has to survive."""
-    columns = {"time_s": TIME[:9], "voltage_V": VOLTS[:9], "gain": 2.0}
+    """Every byte takes another value, in one process that has to survive."""
+    columns = {"time_s": TIME[:3], "voltage_V": VOLTS[:3], "gain": 2.0}
     scipy.io.savemat("run.mat", columns, do_compression=is_compressed)
     Path("attack.py").write_text(
         """
@@ -54,16 +54,15 @@ from dbo_cli.logs import open_log
 whole = pathlib.Path("run.mat").read_bytes()
 refused = 0
 for place in range(116, len(whole)):
-    for value in (0, 255):
-        damaged = bytearray(whole)
-        damaged[place] = value
-        pathlib.Path("damaged.mat").write_bytes(damaged)
-        try:
-            with open_log("damaged.mat", {"time": None, "voltage": "2"}) as log:
-                log.read()
-        except DboError as problem:
-            refused += 1
-            assert chr(10) not in str(problem)
+    damaged = bytearray(whole)
+    damaged[place] = 255 * (damaged[place] < 128)
+    pathlib.Path("damaged.mat").write_bytes(damaged)
+    try:
+        with open_log("damaged.mat", {"time": None, "voltage": "2"}) as log:
+            log.read()
+    except DboError as problem:
+        refused += 1
+        assert chr(10) not in str(problem)
 print(refused)
 """
     )

@@ -10,6 +10,8 @@ import jsonschema
 import numpy as np
 import pytest
 
+from dbo_cli.library import Fit
+
 from .conftest import creep_log
 from .program import (
     SAMPLES,
@@ -104,6 +106,7 @@ def test_the_sample_s_model_fits_the_schema_and_knows_lag_and_range(
     schema = json.loads(SCHEMA.read_text())
     for found in (values, done("invert", sample_model).json):
         assert jsonschema.Draft202012Validator(schema).is_valid(found)
+    assert set(values["fit"]) <= set(Fit.__annotations__)
     assert values["input"]["min"] == pytest.approx(0.0, abs=0.5)
     assert values["input"]["max"] == pytest.approx(100.0, abs=0.5)
     assert values["output"]["unit"] == "um"
@@ -269,6 +272,17 @@ def test_spikes_do_not_spoil_a_model() -> None:
         values["displacement_um"][row] += 30.0
     write("log.csv", LOG, *values.values())
     assert identified("log.csv", *QUICK)["fit"]["rmse"] < 1.3 * clean
+
+
+def test_the_sample_period_of_several_logs_is_the_shortest(log: Path) -> None:
+    columns = table(log)
+    thinned = [values[::2] for values in columns.values()]
+    write("slow.csv", "time_s,voltage_V,displacement_um", *thinned)
+    for names in (("log.csv", "slow.csv"), ("slow.csv", "log.csv")):
+        outputs = ("-o", "m.json", "--summary", "s.json", "-q")
+        done("identify", *names, *QUICK, *outputs)
+        stated = json.loads(Path("s.json").read_text())["sample_period"]
+        assert stated == pytest.approx(0.002, rel=1e-9)
 
 
 # --- refusals ---

@@ -209,23 +209,6 @@ def test_no_row_leaves_the_limits(case: dict[str, Any]) -> None:
         assert np.abs(np.diff(played)).max() <= case["slew"] / 1000.0 * (1.0 + 1e-9)
 
 
-@pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
-@settings(max_examples=12)
-@given(
-    seed=st.integers(0, 10**6),
-    size=st.sampled_from([0.5, 2.0]),
-    slew=st.sampled_from([200.0, 3000.0]),
-)
-def test_what_is_written_passes_the_check(seed: int, size: float, slew: float) -> None:
-    actuator = dbo_cli.read_model(model("creep"))
-    wanted = wanted_of(actuator, seed, size, periodic=False)
-    write("odd.csv", "time_s,displacement_um", np.arange(120) / 1000.0, wanted)
-    limits = ("--v-min", 3, "--v-max", 91, "--max-slew", slew)
-    words = (*limits, "--on-limit", "clip", "--from", 3, "--approach", "auto")
-    done("compensate", model("creep"), "odd.csv", *words, "-o", "odd-drive.csv", "-q")
-    done("check", "odd-drive.csv", *limits, "--from", 3, "-o", "check.txt", "-q")
-
-
 def test_the_state_follows_what_was_really_driven() -> None:
     """A clipped move: what comes behind it is driven from where the actuator is."""
     wanted = np.concatenate([np.linspace(2.0, 14.0, 50), np.linspace(14.0, 3.0, 50)])

@@ -148,28 +148,6 @@ def test_a_broken_key_is_named_and_the_schema_refuses_it(
     assert valid(schema, values) == (fault in NO_SCHEMA_KNOWS)
 
 
-def test_a_file_that_ends_early_is_said() -> None:
-    text = model("small").read_text()
-    Path("cut.json").write_text(text[: len(text) // 2])
-    error = refused(1, "show", "cut.json")
-    assert error.startswith("cut.json: ") and "Expecting" not in error
-
-
-def test_what_is_no_model_is_refused() -> None:
-    contents = {
-        b"": "model.json",
-        b"voltage_V\n0\n": "model.json",
-        b"\xff\xfe\x00": "model.json",
-        b"[1, 2]": "model.json",
-        b'{"format": "dbo-model", "format": "dbo-model"}': "format",
-        b'{"format": "dbo-model", "version": NaN}': "model.json",
-        b"[" * 100_000: "model.json",
-    }
-    for content, held in contents.items():
-        Path("model.json").write_bytes(content)
-        assert held in refused(1, "show", "model.json")
-
-
 # --- sets ---
 
 

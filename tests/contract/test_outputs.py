@@ -218,14 +218,22 @@ app.run()
 
 
 @posix
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_at_any_call_ends_the_same_way(files: None, number: int) -> None:
+@pytest.mark.parametrize(
+    ("number", "calls"),
+    [
+        (signal.SIGINT, [10, 1_000, *range(100_000, 2_000_000, 300_000)]),
+        (signal.SIGTERM, [10, 250_000]),
+    ],
+)
+def test_a_signal_at_any_call_ends_the_same_way(
+    files: None, number: int, calls: list[int]
+) -> None:
     """From the first import to the last rename: the code, nothing else said, all outputs or none."""
     before = set(listing())
     words = "compensate mm.json wish.csv -o out.h5 --summary s.json -q".split()
     said = b"dbo: interrupted\n" if number == signal.SIGINT else b""
     codes = []
-    for call in [10, 1_000, *range(100_000, 2_000_000, 300_000)]:
+    for call in calls:
         line = [sys.executable, "-c", AT_CALL, str(call), str(int(number)), *words]
         ended = subprocess.run(line, capture_output=True, check=False)
         codes.append(ended.returncode)
@@ -235,7 +243,7 @@ def test_a_signal_at_any_call_ends_the_same_way(files: None, number: int) -> Non
             break
         assert (ended.returncode, ended.stderr) == (128 + number, said)
         assert new == set(), call
-    assert len(codes) > 3
+    assert len(codes) > min(3, len(calls) - 1)
 
 
 @posix

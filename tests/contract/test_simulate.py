@@ -206,3 +206,19 @@ def test_negative_gains_come_back_exactly() -> None:
     done("compensate", model("soft"), "wish.csv", "--state", "full", "-o", "drive.csv")
     written = table(done("simulate", model("soft"), "drive.csv", "--state", "full"))
     np.testing.assert_allclose(written["displacement_um"][1:], wanted[1:], atol=1e-11)
+
+
+def test_the_step_behind_a_gap_of_a_joined_log_is_the_gap() -> None:
+    """A model that creeps tells each step of time: joined, or from one file without the gap's rows."""
+    time = np.arange(400) / 500.0
+    voltage = 50.0 - 50.0 * np.cos(8.0 * time)
+    recorded = (time < 0.2) | (time > 0.5)
+    write("base.csv", "time_s,displacement_um", time, 0.1 * voltage)
+    write("guest.csv", "time_s,voltage_V", time[recorded], voltage[recorded])
+    write("one.csv", "time_s,voltage_V", time[recorded], voltage[recorded])
+    creep = model("creep")
+    words = ("simulate", creep, "base.csv", "--input", "guest.csv::voltage_V")
+    joined = table(done(*words, "--time", "time_s"))
+    whole = table(done("simulate", creep, "one.csv"))
+    for name, values in whole.items():
+        np.testing.assert_allclose(joined[name], values, rtol=0.0, atol=1e-12)

@@ -80,7 +80,7 @@ def test_another_number_of_decimals_is_clear(way: str) -> None:
         Path("log.csv").write_text(layouts(rows)[way])
         words = ("--outside", "extend")
         done("simulate", model("small"), "log.csv", *words)
-        numbers = [clear, *["999", "1.000"] * 30_000]
+        numbers = [clear, *["999", "1.000"] * 10_000]
         rows = [(f"{k / 2000:.4f}", x) for k, x in enumerate(numbers)]
         Path("log.csv").write_text(layouts(rows)[way])
         with open_log("log.csv", ROLES) as log:

@@ -80,16 +80,16 @@ def test_start_inside_the_rating_and_outside_the_move() -> None:
 
 
 def broken(
-    voltage: list[float], limits: Limits, last: float | None = None, part: str = "move"
+    voltage: list[float], limits: Limits, last: float | None = None, phase: str = "move"
 ) -> list[bool]:
-    return Gate(limits, last).broken(np.array(voltage), 0.1, part).tolist()
+    return Gate(limits, last).broken(np.array(voltage), 0.1, phase).tolist()
 
 
 def test_gate_of_ranges() -> None:
     limits = Limits.within(RANGE, 0, 5)
     rows = [0.0, 0.236, 3.424, 3.4241, math.nan, math.inf, -math.inf]
     assert broken(rows, limits) == [True, False, False, True, True, True, True]
-    assert broken(rows, limits, part="lead") == [
+    assert broken(rows, limits, phase="lead") == [
         False,
         False,
         False,
@@ -98,7 +98,7 @@ def test_gate_of_ranges() -> None:
         True,
         True,
     ]
-    assert broken([5.0, 5.0001, -1e-9], limits, part="return") == [False, True, True]
+    assert broken([5.0, 5.0001, -1e-9], limits, phase="return") == [False, True, True]
 
 
 def test_gate_of_slew_counts_every_step() -> None:

@@ -16,7 +16,7 @@ from firmware import (
     with_rest,
 )
 
-from dbo_cli.errors import ModelError, UsageError
+from dbo_cli.errors import UsageError
 from dbo_cli.export import export_model
 from dbo_cli.export.plan import with_fewer_gears
 
@@ -92,13 +92,6 @@ def test_less_code_and_less_memory_change_no_bit(flags, tmp_path):
     assert same_bits(*compared(model, firmware, limits_of(model)))
 
 
-def test_too_many_gears_for_a_table_and_a_memory_are_refused(tmp_path):
-    with pytest.raises(ModelError, match="`gears` 12"):
-        exported(MODELS["gears"], tmp_path, lookup=True)
-    with pytest.raises(ModelError, match="`relaxation` 0"):
-        exported(MODELS["creep"], tmp_path, lookup=True, gears=12)
-
-
 def test_what_is_no_number_repeats_the_last_output(tmp_path):
     firmware = exported(MODELS["creep"], tmp_path)
     found = firmware.play([np.nan, 2.0, np.inf, 1e300, -np.inf, np.nan, 2.5])
@@ -117,7 +110,7 @@ def test_fewer_gears_keep_the_loading_curve_and_say_what_is_lost():
     full, _ = model.static.simulate(up, dt=1e9, state="empty")
     coarse, _ = fewer.static.simulate(up, dt=1e9, state="empty")
     np.testing.assert_allclose(coarse, full, atol=1e-12)
-    assert 0.0 < loss.rms < loss.most < 0.05 * model.output.span
+    assert 0.0 < loss.rms < loss.largest < 0.05 * model.output.span
     worse = with_fewer_gears(model, 4)[1]
     assert worse.rms > 2.0 * loss.rms
     assert with_fewer_gears(model, 64) == (model, None)

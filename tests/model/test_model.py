@@ -26,7 +26,6 @@ from dbo_cli.model import (
     Scale,
     Stage,
     State,
-    read_ahead,
     steps_of,
 )
 from tests.model.random_models import DT, Floats, random_drive, random_model
@@ -101,34 +100,6 @@ def test_blocks_change_nothing(seed: int) -> None:
         parts.append(done.y)
     assert np.array_equal(np.concatenate(parts), whole)
     assert state == after
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_a_drive_in_blocks_is_the_drive(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    seconds = float(rng.choice([0.0, 3e-3, 0.4e-3, 1.5e-3, 17.7e-3]))
-    model = plant(Dynamics((Resonance(80.0, 0.03), Lag(4e-3))), Delay(seconds))
-    wanted = 8.0 + np.cumsum(np.cumsum(rng.normal(size=600))) * 1e-3
-
-    def driven(blocks: list[Floats]) -> tuple[Floats, State]:
-        undoing, state, parts = None, None, []
-        named = ((None, block) for block in blocks)
-        for _, known in read_ahead(named, model.inverter(DT).ahead):
-            u, undoing = model.inverter(DT).run(known, undoing)
-            if state is None:
-                state = model.start_drive(float(u[0]), "auto", 1.0, 9.0)
-            done = model.drive(u, state, DT, (1.0, 9.0), 4000.0)
-            state = done.state
-            parts.append(done.y)
-        assert state is not None
-        return np.concatenate(parts), replace(state, undoing=undoing)
-
-    voltage, state = driven([wanted])
-    cut, cut_state = driven(in_blocks(rng, wanted))
-    np.testing.assert_allclose(cut, voltage, rtol=0, atol=1e-12)
-    assert cut_state.bits == state.bits
-    assert cut_state.undoing is not None and state.undoing is not None
-    assert cut_state.undoing[2] == state.undoing[2]
 
 
 def smooth_move(model: Cascade, rows: int) -> Floats:
@@ -412,7 +383,7 @@ def test_candidates_are_models_of_the_same_quantities() -> None:
     model = plant()
     other = Candidate(0.4, (Gears([10.0], [20.0]),))
     both = replace(model, candidates=(other,))
-    ((weight, candidate),) = both.candidate_models()
+    ((weight, candidate),) = both.candidate_models
     assert weight == 0.4
     assert candidate.input == model.input
     assert both.inverse().candidates == ()

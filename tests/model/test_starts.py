@@ -122,3 +122,14 @@ def test_a_state_of_spare_gears_is_kept(
     path = tmp_path_factory.mktemp("state") / "s.json"
     path.write_text(dumps_state(state, spare))
     assert read_state(str(path), spare).bits == state.bits
+
+
+def test_a_start_ends_where_the_range_is_small_beside_the_gears_origin() -> None:
+    """Halving 0.1 V at 1000 V comes to neighbours in float64 before it comes to the tolerance."""
+    gears = Gears([0.01] * 10, [0.1 + 0.02 * k for k in range(10)], 1000.0, 0.0)
+    drive = Quantity("voltage", "V", 1000.0, 1000.1)
+    actuator = Cascade("forward", drive, Quantity("x", "um", 0.0, 1.9), (gears,))
+    for k in range(40):
+        start = actuator.start_drive(0.05 * k, "auto", 1000.0, 1000.1)
+        assert start.first is not None
+        assert 1000.0 <= start.first <= 1000.1
