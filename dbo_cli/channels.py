@@ -44,20 +44,22 @@ PLACE = "{}"
 ALONE = ("",)
 """The channels of a log whose columns are no patterns."""
 MOST_TRIES = 20  # to make channels equally long; what creeps meanwhile may change a row
-OWN_LIMIT = 0.1
+LIMIT_SLACK = 0.1
 """Of a channel's range: so far beyond it a limit is only that of the channel whose name it has."""
 
 
 def is_pattern(columns: Mapping[str, str | None]) -> bool:
     """Return whether the name of a column stands for many."""
-    return any(typed is not None and PLACE in typed for typed in columns.values())
+    return any(pattern is not None and PLACE in pattern for pattern in columns.values())
 
 
 def columns_for(columns: Mapping[str, str | None], name: str) -> dict[str, str | None]:
     """Return the columns of one channel."""
     columns_of_channel = {}
-    for role, typed in columns.items():
-        columns_of_channel[role] = None if typed is None else typed.replace(PLACE, name)
+    for role, pattern in columns.items():
+        columns_of_channel[role] = (
+            None if pattern is None else pattern.replace(PLACE, name)
+        )
     return columns_of_channel
 
 
@@ -82,16 +84,16 @@ def names(
         raise UsageError("-: channels need a file, not a pipe")
     headers = [column.name for column in columns_of(path, reading)]
     channels: list[str] = []
-    for role, typed in columns.items():
-        if typed is None or PLACE not in typed:
+    for role, pattern in columns.items():
+        if pattern is None or PLACE not in pattern:
             continue
-        matches = _matches(typed, headers)
+        matches = _matches(pattern, headers)
         channels = channels or matches
         mismatched = sorted(set(channels) ^ set(matches))
         if mismatched or not matches:
             lacking = f"not for channel {mismatched[0]}" if mismatched else "no column"
             raise InputError(
-                f"{path}: `{role}` {typed}: {lacking}; columns: {', '.join(headers)}"
+                f"{path}: `{role}` {pattern}: {lacking}; columns: {', '.join(headers)}"
             )
     return channels
 
@@ -121,7 +123,7 @@ def models_of(path: str, channels: Sequence[str]) -> dict[str, Cascade]:
 
 
 def value_for(
-    name: str, typed: Sequence[str] | None, channel: str, channels: Sequence[str]
+    name: str, texts: Sequence[str] | None, channel: str, channels: Sequence[str]
 ) -> str | None:
     """Return what was typed for a channel: ``x=120V`` for one of them, ``120V`` for all.
 
@@ -129,7 +131,7 @@ def value_for(
     ----------
     name
         Of the option.
-    typed
+    texts
         Its values.
     channel, channels
         The channel, and all there are.
@@ -140,7 +142,7 @@ def value_for(
         A value is of no channel, or two values are of one.
     """
     values: dict[str | None, str] = {}
-    for text in typed or ():
+    for text in texts or ():
         name_of_channel, mark, value = text.rpartition("=")
         owner = name_of_channel if mark else None
         if mark and (not owner or owner not in channels):
@@ -153,28 +155,28 @@ def value_for(
 
 
 def values_for(
-    typed: Mapping[str, Sequence[str] | None], channel: str, channels: Sequence[str]
+    texts: Mapping[str, Sequence[str] | None], channel: str, channels: Sequence[str]
 ) -> dict[str, str | None]:
     """Return what was typed of several options for a channel, by option."""
     values = {}
-    for name, texts in typed.items():
-        values[name] = value_for(name, texts, channel, channels)
+    for name, values_of_option in texts.items():
+        values[name] = value_for(name, values_of_option, channel, channels)
     return values
 
 
 def require_own_limit(
     name: str,
-    typed: Sequence[str] | None,
+    texts: Sequence[str] | None,
     channel: str,
     value: float | None,
     model: Cascade,
 ) -> None:
     """Refuse a limit for all channels that is far beyond the range of one of them (UsageError)."""
-    is_own = any(text.startswith(f"{channel}=") for text in typed or ())
+    is_own = any(text.startswith(f"{channel}=") for text in texts or ())
     if value is None or not channel or is_own:
         return
     drive = model.input
-    slack = OWN_LIMIT * drive.span
+    slack = LIMIT_SLACK * drive.span
     if drive.min - slack <= value <= drive.max + slack:
         return
     raise UsageError(

@@ -839,7 +839,7 @@ def report(
     InputError
         Lengths or units differ, or there is nothing to compare.
     """
-    from dbo_cli.reports import Pair, Report, expected_of, predict
+    from dbo_cli.reports import Pair, Report, expected_in, predict
 
     rate = _rate(sample_rate)
     if is_frame(desired):
@@ -876,7 +876,7 @@ def report(
         unit=unit,
         lag=lag,
         remove_offset=remove_offset,
-        expected=None if expected is None else expected_of(expected, unit),
+        expected=None if expected is None else expected_in(expected, unit),
         max_rmse=None
         if max_rmse is None
         else parse_quantity(max_rmse, unit, "max_rmse"),

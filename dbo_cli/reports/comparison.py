@@ -145,7 +145,7 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Scores:
     """What was compared, and the figures of every log in the order they were given.
 
     Attributes
