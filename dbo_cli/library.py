@@ -31,7 +31,6 @@ from dbo_cli import model as room
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs import (
-    FrameTable,
     Reading,
     frame_table,
     is_frame,
@@ -43,6 +42,7 @@ from dbo_cli.recordings import (
     COLUMNS,
     arrays_table,
     clock_of,
+    common_unit,
     fitted,
     floats,
     in_unit,
@@ -52,7 +52,7 @@ from dbo_cli.recordings import (
     signal_of,
     tracked_of,
 )
-from dbo_cli.units import parse_quantity, to_model_unit
+from dbo_cli.units import parse_quantity
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -723,7 +723,7 @@ def identify(
     columns: Mapping[str, str | None] = COLUMNS
     if displacement is not None:
         signals = {"voltage": data, "displacement": displacement}
-        source, columns = _arrays(signals, given, units, time, reading)
+        source, columns = arrays_table(signals, given, units, time, reading.sample_rate)
         sources = [source]
     elif voltage_unit or displacement_unit:
         raise UsageError(
@@ -759,25 +759,6 @@ def _listed(data: Logs | None) -> list[Any]:
     if data is None:
         return []
     return list(data) if isinstance(data, (list, tuple)) else [data]
-
-
-def _arrays(
-    signals: Mapping[str, Any],
-    given: Mapping[str, str | None],
-    units: Mapping[str, str | None],
-    time: Signal | None,
-    reading: Reading,
-) -> tuple[FrameTable, Mapping[str, str | None]]:
-    """Return the arrays of a recording as a table, and which column has which role."""
-    stated = {}
-    for role, values in signals.items():
-        unit = stated_unit(values, role)
-        to_model_unit(role, unit, given[role], units.get(role, given[role]))
-        stated[role] = given[role] or unit
-    rate = reading.sample_rate
-    clock = clock_of(signals["voltage"], time, rate, len(signals["voltage"]))
-    stamps = clock if isinstance(clock, np.ndarray) else None
-    return arrays_table("the arrays", signals, stated, stamps)
 
 
 @with_known_words
@@ -912,7 +893,7 @@ def _common_unit(desired: Any, measured: Any, given: str | None) -> str | None:
             f"measured is in {second}, desired in {first}: convert one of them, and pass "
             "`unit` of both"
         )
-    return given or first or second
+    return given or common_unit("report", first, second)
 
 
 # --- typed numbers ---
