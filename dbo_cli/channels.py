@@ -3,7 +3,8 @@
 ``--voltage 'V{}' --displacement 'D{}'`` takes the columns V1 and D1, V2 and D2, and so
 on. Each channel has a model of its own; a model set is one file of them. Channels are
 worked on one after the other, in memory; their results stand side by side in one table,
-and what belongs to a channel (state, summary, history) in one file of all.
+and what belongs to a channel (state, summary, history) in one file of all. A log
+without patterns is one channel whose name is empty: it has the plain files.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import json
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,7 @@ from dbo_cli.errors import (
     warn,
 )
 from dbo_cli.model import State, fields
-from dbo_cli.model.file import parse_state
+from dbo_cli.model.file import parse_state, read_state
 from dbo_cli.model.state import START_NAMES
 from dbo_cli.units import split_header
 
@@ -39,20 +40,20 @@ if TYPE_CHECKING:
 
 Result = tuple[str, str | None, Floats]
 """A column of the result: its name, unit and values."""
-Columns = Mapping[str, str | None]
-"""What was typed for each role."""
 PLACE = "{}"
+ALONE = ("",)
+"""The channels of a log whose columns are no patterns."""
 MOST_TRIES = 20  # to make channels equally long; what creeps meanwhile may change a row
-BEYOND = 0.1
+LIMIT_SLACK = 0.1
 """Of a channel's range: so far beyond it a limit is only that of the channel whose name it has."""
 
 
-def is_pattern(columns: Columns) -> bool:
+def is_pattern(columns: Mapping[str, str | None]) -> bool:
     """Return whether the name of a column stands for many."""
     return any(typed is not None and PLACE in typed for typed in columns.values())
 
 
-def columns_for(columns: Columns, name: str) -> dict[str, str | None]:
+def columns_for(columns: Mapping[str, str | None], name: str) -> dict[str, str | None]:
     """Return the columns of one channel."""
     columns_of_channel = {}
     for role, typed in columns.items():
@@ -60,8 +61,10 @@ def columns_for(columns: Columns, name: str) -> dict[str, str | None]:
     return columns_of_channel
 
 
-def names(paths: Sequence[str], reading: Reading, columns: Columns) -> list[str]:
-    """Return the channels that patterns find in a log, in the order of its columns.
+def names(
+    paths: Sequence[str], reading: Reading, columns: Mapping[str, str | None]
+) -> list[str]:
+    """Return the channels that patterns find in a log, in the order of its columns; else ``ALONE``.
 
     Raises
     ------
@@ -72,6 +75,8 @@ def names(paths: Sequence[str], reading: Reading, columns: Columns) -> list[str]
     """
     from dbo_cli.logs import columns_of
 
+    if not is_pattern(columns):
+        return list(ALONE)
     path = paths[0]
     if path == "-":
         raise UsageError("-: channels need a file, not a pipe")
@@ -103,13 +108,12 @@ def _matches(pattern: str, headers: Sequence[str]) -> list[str]:
     return channels
 
 
-def models_of(path: str, channels: Iterable[str]) -> dict[str, Cascade]:
+def models_of(path: str, channels: Sequence[str]) -> dict[str, Cascade]:
     """Return the model of each channel: of a set, or one that serves all."""
     from dbo_cli.model import is_set, read_model, read_models
 
-    if not is_set(path):
-        model = read_model(path)
-        return dict.fromkeys(channels, model)
+    if tuple(channels) == ALONE or not is_set(path):
+        return dict.fromkeys(channels, read_model(path))
     return read_models(path, list(channels))
 
 
@@ -117,10 +121,7 @@ def models_of(path: str, channels: Iterable[str]) -> dict[str, Cascade]:
 
 
 def value_for(
-    name: str,
-    typed: Sequence[str],
-    channel: str | None,
-    all_channels: Sequence[str] = (),
+    name: str, typed: Sequence[str] | None, channel: str, channels: Sequence[str]
 ) -> str | None:
     """Return what was typed for a channel: ``x=120V`` for one of them, ``120V`` for all.
 
@@ -130,8 +131,8 @@ def value_for(
         Of the option.
     typed
         Its values.
-    channel, known
-        The channel, and all there are; None and nothing without channels.
+    channel, channels
+        The channel, and all there are.
 
     Raises
     ------
@@ -139,11 +140,11 @@ def value_for(
         A value is of no channel, or two values are of one.
     """
     values: dict[str | None, str] = {}
-    for text in typed:
+    for text in typed or ():
         name_of_channel, mark, value = text.rpartition("=")
         owner = name_of_channel if mark else None
-        if mark and owner not in all_channels:
-            names = ", ".join(all_channels) or "this is no set of channels"
+        if mark and (not owner or owner not in channels):
+            names = ", ".join(channels) or "this is no set of channels"
             raise UsageError(f"`{name}` {text}: no channel {owner}: {names}")
         if owner in values:
             raise UsageError(f"`{name}` {text}: is given twice")
@@ -151,14 +152,29 @@ def value_for(
     return values.get(channel, values.get(None))
 
 
+def values_for(
+    typed: Mapping[str, Sequence[str] | None], channel: str, channels: Sequence[str]
+) -> dict[str, str | None]:
+    """Return what was typed of several options for a channel, by option."""
+    values = {}
+    for name, texts in typed.items():
+        values[name] = value_for(name, texts, channel, channels)
+    return values
+
+
 def require_own_limit(
-    name: str, typed: Sequence[str], channel: str, value: float, model: Cascade
+    name: str,
+    typed: Sequence[str] | None,
+    channel: str,
+    value: float | None,
+    model: Cascade,
 ) -> None:
     """Refuse a limit for all channels that is far beyond the range of one of them (UsageError)."""
-    if any(text.startswith(f"{channel}=") for text in typed):
+    is_own = any(text.startswith(f"{channel}=") for text in typed or ())
+    if value is None or not channel or is_own:
         return
     drive = model.input
-    slack = BEYOND * drive.span
+    slack = LIMIT_SLACK * drive.span
     if drive.min - slack <= value <= drive.max + slack:
         return
     raise UsageError(
@@ -170,10 +186,10 @@ def require_own_limit(
 # --- tables and drives of all channels ---
 
 
-def read(
+def read_channels(
     log_path: str,
     reading: Reading,
-    columns: Columns,
+    columns: Mapping[str, str | None],
     roles: Mapping[str, Mapping[str, Any]],
 ) -> dict[str, Block]:
     """Return the log of each channel.
@@ -187,10 +203,7 @@ def read(
 
     tables = {}
     for name in next(iter(roles.values())):
-        units = {}
-        for role, quantities in roles.items():
-            if quantities[name].unit:
-                units[role] = quantities[name].unit
+        units = {role: quantities[name].unit for role, quantities in roles.items()}
         with open_log(log_path, columns_for(columns, name), reading, units) as log:
             tables[name] = log.read()
     return tables
@@ -238,8 +251,8 @@ def together(
 
 @contextmanager
 def naming(channel: str) -> Iterator[None]:
-    """Name the channel in an error."""
-    prefix = f"channel {channel}: "
+    """Name the channel in an error, if it has a name."""
+    prefix = f"channel {channel}: " if channel else ""
     try:
         yield
     except DboError as problem:
@@ -251,21 +264,29 @@ def naming(channel: str) -> Iterator[None]:
 
 def dumps_files(kind: str, texts: Mapping[str, str]) -> str:
     """Return the files of channels as one: a set of states, summaries or histories (of a ``kind``)."""
+    if tuple(texts) == ALONE:
+        return texts[""]
     plural = {"history": "histories", "summary": "summaries"}.get(kind, f"{kind}s")
     members = {name: json.loads(text) for name, text in texts.items()}
     content = {"format": f"dbo-{kind}-set", "version": fields.VERSION, plural: members}
     return json.dumps(content, indent=2) + "\n"
 
 
-def is_file_set(path: str) -> bool:
-    """Return whether a file is one of all channels."""
-    values = fields.load(path, "summary")[1]
+def summaries_of(path: str | None, channels: Sequence[str]) -> dict[str, Any]:
+    """Return the summary of each channel, of a set of them; else the file itself, which serves all."""
+    values = None
+    if path is not None and tuple(channels) != ALONE:
+        values = fields.load(path, "summary")[1]
     form = values.get("format") if isinstance(values, dict) else None
-    return isinstance(form, str) and form.endswith("-set")
+    if path is not None and isinstance(form, str) and form.endswith("-set"):
+        return read_files(path, "summary", channels)
+    return dict.fromkeys(channels, path)
 
 
-def paths_of(output: str, channels: Iterable[str]) -> dict[str, str]:
+def paths_of(output: str, channels: Collection[str]) -> dict[str, str]:
     """Return one name a channel: ``drive.arb`` becomes ``drive_x.arb`` (UsageError: it is ``-``)."""
+    if tuple(channels) == ALONE:
+        return {"": output}
     if output == "-":
         raise UsageError("`output` -: this format has a file a channel: give a name")
     stem, ending = os.path.splitext(output)
@@ -300,6 +321,8 @@ def states_of(state: str, models: Mapping[str, Cascade]) -> dict[str, State | st
     """Return what was before the first row of each channel: the name of a start, or a state of a set."""
     if state in START_NAMES:
         return dict.fromkeys(models, state)
+    if tuple(models) == ALONE:
+        return {"": read_state(state, models[""])}
     members = read_files(state, "state", models)
     states: dict[str, State | str] = {}
     for name, model in models.items():
@@ -309,10 +332,12 @@ def states_of(state: str, models: Mapping[str, Cascade]) -> dict[str, State | st
 
 def histories_of(path: str | None, channels: Sequence[str]) -> dict[str, Any]:
     """Return the passes so far of each channel; none where there is no file yet."""
-    from dbo_cli.drive.learning import parse_history
+    from dbo_cli.drive.learning import parse_history, read_history
 
     if path is None or not os.path.exists(path):
         return dict.fromkeys(channels, ())
+    if tuple(channels) == ALONE:
+        return {"": read_history(path)}
     members = read_files(path, "history", channels)
     return {name: parse_history(members[name], f"{path}: {name}") for name in channels}
 

@@ -833,10 +833,10 @@ def report(
     else:
         drive = desired if model is not None else voltage
         if drive is not None:
-            wanted = None if model is None else model.input.unit
             own = stated_unit(drive, "voltage")
-            drive = in_unit(drive, "voltage", wanted or voltage_unit, voltage_unit)
-            voltage_unit = wanted or voltage_unit or own
+            unit_of = own if model is None else model.input.unit
+            drive = in_unit(drive, "voltage", voltage_unit or unit_of, voltage_unit)
+            voltage_unit = unit_of or voltage_unit or own
         if model is not None:
             moved = in_unit(measured, "displacement", model.output.unit, unit)
             unit = model.output.unit

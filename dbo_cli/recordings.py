@@ -28,7 +28,13 @@ from dbo_cli.logs import (
 from dbo_cli.logs.frame import dtype_kind
 from dbo_cli.logs.table import OVERLOAD, Block
 from dbo_cli.model import Cascade, Quantity, steps_of
-from dbo_cli.units import multiplied, quantity_name, ratio, to_model_unit
+from dbo_cli.units import (
+    multiplied,
+    quantity_name,
+    ratio,
+    to_model_unit,
+    warn_unstated,
+)
 from dbo_cli.version import __version__
 
 if TYPE_CHECKING:
@@ -76,14 +82,13 @@ def read_table(
     InputError
         It cannot be read, or it is not clear which column is which.
     """
-    wanted = {role: unit for role, unit in (units or {}).items() if unit}
     if is_frame(source):
         source = frame_table(source)
     elif isinstance(source, Path):
         source = str(source)
     elif not isinstance(source, (str, FrameTable)):
         raise InputError("give a file, or a frame of pandas or polars")
-    with open_log(source, columns, reading, wanted, optional) as log:
+    with open_log(source, columns, reading, units, optional) as log:
         table = log.read()
     for doubt in log.doubtful:
         warn(f"{log.name}: {doubt}")
@@ -127,9 +132,10 @@ def recordings_of(
         log, table = read_table(source, columns, reading, units)
         if logs:
             _refuse_other_units(logs[0], log)
-        units = {role: log.columns[role].unit for role in ROLES}
+        stated = {role: log.columns[role].unit for role in ROLES}
+        units = {role: unit for role, unit in stated.items() if unit}
         quantities = {
-            role: (quantity_name(role, units[role]), units[role]) for role in ROLES
+            role: (quantity_name(role, unit), unit) for role, unit in stated.items()
         }
         recording = Recording(
             short_name(log.name),
@@ -352,10 +358,13 @@ def signal_of(
     return Block(None, {roles[1]: values}, dt=clock)
 
 
-def in_unit(values: Any, label: str, wanted: str | None, given: str | None) -> Floats:
+def in_unit(
+    values: Any, label: str, model_unit: str | None, given: str | None
+) -> Floats:
     """Return numbers in the unit of a model (``to_model_unit``); InputError where they are in another."""
-    array = floats(values, label)
-    factor = to_model_unit(label, stated_unit(values, label), given, wanted)
+    array, unit = floats(values, label), stated_unit(values, label)
+    factor = to_model_unit(label, unit, given, model_unit)
+    warn_unstated(label, unit, model_unit)
     return cast(Floats, multiplied(array, factor))
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError, UsageError, warn
 
 # what instruments write, and what it measures; each with the SI prefixes
 _BASES = {
@@ -182,7 +182,7 @@ def conversion(from_text: str | None, to_text: str | None) -> float:
 
 
 def to_model_unit(
-    label: str, stated: str | None, given: str | None, wanted: str | None
+    label: str, unit: str | None, given: str | None, model_unit: str | None
 ) -> Fraction:
     """Return by what numbers are multiplied to be in the unit of a model.
 
@@ -190,12 +190,12 @@ def to_model_unit(
     ----------
     label
         What the numbers are, for messages.
-    stated
+    unit
         The unit that they state of themselves, None for none. It never converts: pandas
         keeps ``attrs`` through arithmetic.
     given
         The unit that the user gives, None for none.
-    wanted
+    model_unit
         The unit of the model, None where it states none.
 
     Raises
@@ -206,22 +206,30 @@ def to_model_unit(
         The unit that is given cannot be converted.
     """
     if given is not None:
-        if wanted is None:
+        if model_unit is None:
             raise UsageError(f"`unit` {given}: the model states no unit: leave it out")
         try:
-            return ratio(given, wanted)
+            return ratio(given, model_unit)
         except InputError:
             raise UsageError(
-                f"`unit` {given}: not convertible to {wanted}, the unit of the model"
+                f"`unit` {given}: not convertible to {model_unit}, the unit of the model"
             ) from None
-    if stated is None or wanted is None or spell(stated) == spell(wanted):
+    if unit is None or model_unit is None or spell(unit) == spell(model_unit):
         return Fraction(1)
-    numbers = f"`.to_numpy()` for numbers in {wanted}"
-    if kind_of(stated) != kind_of(wanted):
+    numbers = f"`.to_numpy()` for numbers in {model_unit}"
+    if kind_of(unit) != kind_of(model_unit):
         numbers = f"give another signal, or {numbers}"
     else:
-        numbers = f'pass `unit="{stated}"`, or {numbers}'
-    raise InputError(f"{label} is in {stated}, the model in {wanted}: {numbers}")
+        numbers = f'pass `unit="{unit}"`, or {numbers}'
+    raise InputError(f"{label} is in {unit}, the model in {model_unit}: {numbers}")
+
+
+def warn_unstated(label: str, unit: str | None, model_unit: str | None) -> None:
+    """Warn of numbers that state a unit where the model, or what they are compared with, states none."""
+    if unit is not None and model_unit is None:
+        warn(
+            f"{label} is in {unit}, model or trajectory states no unit: its numbers are taken as they are"
+        )
 
 
 def multiplied(values: Any, factor: Fraction) -> Any:
@@ -293,13 +301,13 @@ def _split_at_end(plain: str) -> tuple[str, str | None]:
 
 
 def parse_quantity(
-    typed: str | float, unit: str | None, name: str = "value", largest: float = math.inf
+    text: str | float, unit: str | None, name: str = "value", largest: float = math.inf
 ) -> float:
     """Return a typed figure in ``unit``: a number is in it already, ``"1.2kV"`` is converted.
 
     Parameters
     ----------
-    typed
+    text
         A number, or a text with or without a unit.
     unit
         What the result is in; with a stroke and a unit of time it is a speed
@@ -314,23 +322,23 @@ def parse_quantity(
     UsageError
         It is no finite number; or its unit cannot be converted, or is missing.
     """
-    value, stated = split_quantity(typed, name)
-    if stated is None:
-        _require_plain(value, unit, f"`{name}` {typed}", largest)
+    value, figure_unit = split_quantity(text, name)
+    if figure_unit is None:
+        _require_plain(value, unit, f"`{name}` {text}", largest)
         return value
     if unit is None:
         raise UsageError(
-            f"`{name}` {typed}: the log or model states no unit: type a plain number"
+            f"`{name}` {text}: the log or model states no unit: type a plain number"
         )
     try:
-        return float(multiplied(value, _ratio_of_speeds(stated, unit)))
+        return float(multiplied(value, _ratio_of_speeds(figure_unit, unit)))
     except InputError:
         raise UsageError(
-            f"`{name}` {typed}: not convertible; give a number in {unit}"
+            f"`{name}` {text}: not convertible; give a number in {unit}"
         ) from None
 
 
-def split_quantity(typed: str | float, name: str = "value") -> tuple[float, str | None]:
+def split_quantity(text: str | float, name: str = "value") -> tuple[float, str | None]:
     """Return the number of a typed figure and the unit behind it, None for a plain number.
 
     Raises
@@ -338,18 +346,18 @@ def split_quantity(typed: str | float, name: str = "value") -> tuple[float, str 
     UsageError
         It is no finite number; True and False are none.
     """
-    number, unit = typed, None
-    if isinstance(typed, str):
-        match = _QUANTITY.fullmatch(typed)
+    number, unit = text, None
+    if isinstance(text, str):
+        match = _QUANTITY.fullmatch(text)
         number, unit = (match["number"], match["unit"]) if match else ("nan", None)
-    is_number = not type(typed).__name__.startswith("bool")  # numpy's is no bool
+    is_number = not type(text).__name__.startswith("bool")  # numpy's is no bool
     try:
         value = float(number) if is_number else math.nan
     except (TypeError, ValueError):
         value = math.nan
     if not math.isfinite(value):
         raise UsageError(
-            f"`{name}` {typed}: give a finite number, alone or with its unit"
+            f"`{name}` {text}: give a finite number, alone or with its unit"
         )
     return value, unit
 
@@ -357,11 +365,11 @@ def split_quantity(typed: str | float, name: str = "value") -> tuple[float, str 
 def _require_plain(value: float, unit: str | None, label: str, largest: float) -> None:
     """Refuse (UsageError) a plain number beyond ``largest`` in a unit with a prefix."""
     above, time = (None, None) if unit is None else _without_time(unit)
-    known = parse_unit(above)
-    if known is None or abs(value) <= largest:
+    parsed = parse_unit(above)
+    if parsed is None or abs(value) <= largest:
         return
-    base = known.base
-    if base == known.text or not known.text.endswith(base):  # bar is no prefix of Pa
+    base = parsed.base
+    if base == parsed.text or not parsed.text.endswith(base):  # bar
         return
     per = f"/{time}" if time else ""
     raise UsageError(
@@ -370,13 +378,13 @@ def _require_plain(value: float, unit: str | None, label: str, largest: float) -
     )
 
 
-def _ratio_of_speeds(stated: str, wanted: str) -> Fraction:
+def _ratio_of_speeds(from_unit: str, to_unit: str) -> Fraction:
     """Return the ratio of two units, each with or without a unit of time behind a stroke."""
-    above, time = _without_time(stated)
-    wanted_above, wanted_time = _without_time(wanted)
-    if (time is None) != (wanted_time is None):
-        raise InputError(f"{stated} cannot be converted to {wanted}")
-    return ratio(above, wanted_above) / ratio(time, wanted_time)
+    above, time = _without_time(from_unit)
+    to_above, to_time = _without_time(to_unit)
+    if (time is None) != (to_time is None):
+        raise InputError(f"{from_unit} cannot be converted to {to_unit}")
+    return ratio(above, to_above) / ratio(time, to_time)
 
 
 def _without_time(unit: str) -> tuple[str, str | None]:
@@ -401,9 +409,9 @@ def quantity_name(role: str, unit: str | None) -> str:
     return role
 
 
-def drive_unit(typed: str | float) -> str:
+def drive_unit(figure: str | float) -> str:
     """Return the unit of a drive that goes up to a figure: bar for ``4bar``; V for volts and numbers."""
-    unit = spell(split_quantity(typed, "v_max")[1])
+    unit = spell(split_quantity(figure, "v_max")[1])
     if kind_of(unit) in DRIVING_KINDS:
         return unit or "V"
     return "V"

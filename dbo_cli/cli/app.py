@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import os
 import signal
@@ -89,11 +88,10 @@ class Commands(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command that the first word names."""
-        if args[0] not in COMMANDS:
+        if args[0] not in COMMANDS and not args[0].startswith("-"):
             names = self.list_commands(ctx)
-            if args[0] not in names and not args[0].startswith("-"):
-                hint = _nearest(args[0], names) or f"; try {', '.join(names)}"
-                ctx.fail(f"no such command: {args[0]}{hint}")
+            if args[0] not in names:
+                ctx.fail(f"no such command: {args[0]}: type one of {', '.join(names)}")
         return super().resolve_command(ctx, args)
 
 
@@ -210,21 +208,12 @@ def _explained(problem: BaseException, words: Sequence[str]) -> tuple[int, str]:
 
 
 def _refused(problem: Any) -> str:
-    """Return why typer refused the command line, with the option that is most like an unknown one."""
-    if hasattr(problem, "possibilities"):
-        closest = _nearest(problem.option_name, problem.possibilities or [])
-        return f"no such option: {problem.option_name}{closest}"
-    text: str = problem.format_message().replace("Value error, ", "")
+    """Return why typer refused the command line, in words of this program."""
+    text: str = problem.format_message().replace("Value error, ", "").rstrip(".")
     for words, plain in NOT_A_NUMBER.items():
         if words in text:
             text = f"{text.partition(words)[0]}{plain}"
-    return text[:1].lower() + text[1:].rstrip(".")
-
-
-def _nearest(word: str, names: Sequence[str]) -> str:
-    """Return a question for the name that is most like a word; empty where none is."""
-    closest = difflib.get_close_matches(word, names, 1, 0.7)
-    return f"; did you mean {closest[0]}?" if closest else ""
+    return text[:1].lower() + text[1:]
 
 
 # --- what belongs to the process ---

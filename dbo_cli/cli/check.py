@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.options import Text, column, flag, option, rare
+from dbo_cli.cli.options import Text, Texts, column, flag, option, rare
 from dbo_cli.cli.say import detail
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 
@@ -17,26 +17,22 @@ if TYPE_CHECKING:
 
 
 def check(
-    drive: opt.DriveFile,
     reading: opt.Reading,
-    output: opt.Output = "-",
-    form: opt.TextOrJson = None,
-    v_min: opt.VMins = None,
-    v_max: opt.VMaxs = None,
-    max_slew: opt.MaxSlews = None,
-    start: opt.Froms = None,
-    loop: Annotated[
-        bool, flag("--loop", "Also check the step from the last row to the first.")
-    ] = False,
-    against: Annotated[
-        Text, option("FILE", "DRIVE is a recording; was this file played?")
-    ] = None,
-    gain: Annotated[float, rare("FACTOR", "With --against: amplifier gain.")] = 1.0,
-    tolerance: Annotated[
-        Text, option("VOLT", "With --against: largest difference; 0.1 % of the range.")
-    ] = None,
-    time: opt.Time = None,
-    voltage: Annotated[Text, column("The drive voltage: name or number.")] = None,
+    drive: str = opt.DRIVE,
+    output: str = opt.OUTPUT_FILE,
+    form: opt.TextOrJson = opt.FORM,
+    v_min: Texts = opt.V_MIN,
+    v_max: Texts = opt.V_MAX,
+    max_slew: Texts = opt.MAX_SLEW,
+    start: Texts = opt.FROM,
+    loop: bool = flag("--loop", "Also check the step from the last row to the first."),
+    against: Text = option("FILE", "DRIVE is a recording; was this file played?"),
+    gain: float = rare("FACTOR", "With --against: amplifier gain.", default=1.0),
+    tolerance: Text = option(
+        "VOLT", "With --against: largest difference; 0.1 % of the range."
+    ),
+    time: Text = opt.TIME,
+    voltage: Text = column("The drive voltage: name or number."),
 ) -> None:
     """Check a drive against the limits of an amplifier.
 
@@ -56,29 +52,23 @@ def check(
             "nothing to check: add `v_min`, `v_max`, `max_slew`, `loop` or `against`"
         )
     columns = {"time": time, "voltage": voltage}
-    known: list[str] = []
-    if channels.is_pattern(columns):
-        known = channels.names([drive], reading, columns)
-    typed = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew, "from": start}
+    names = channels.names([drive], reading, columns)
+    ranges = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew, "from": start}
     checks = {}
-    for channel in known or [""]:
-        limits = {}
-        for name, values in typed.items():
-            limits[name] = channels.value_for(
-                name, values or [], channel or None, known
-            )
-        chosen = channels.columns_for(columns, channel)
-        column = chosen["voltage"] if channel else None
+    for channel in names:
+        limits = channels.values_for(ranges, channel, names)
+        roles = channels.columns_for(columns, channel)
+        column = roles["voltage"] if channel else None
         name = f"{drive}: channel {channel}" if channel else drive
         checks[channel] = checked(
-            drive, name, reading, chosen, limits, loop, against, column, gain, tolerance
+            drive, name, reading, roles, limits, loop, against, column, gain, tolerance
         )
     is_json = opt.form_of(form, output) == "json"
     texts = {name: c.json() if is_json else c.text() for name, c in checks.items()}
-    text = "".join(texts.values())
-    if is_json and known:
-        text = channels.dumps_files("check", texts)
-    write_text(output, text)
+    if is_json:
+        write_text(output, channels.dumps_files("check", texts))
+    else:
+        write_text(output, "".join(texts.values()))
     for result in checks.values():
         result.require_passed()
 
@@ -88,7 +78,7 @@ def checked(
     name: str,
     reading: Reading,
     columns: dict[str, str | None],
-    typed: dict[str, str | None],
+    texts: dict[str, str | None],
     loop: bool,
     against: str | None,
     column: str | None,
@@ -100,14 +90,14 @@ def checked(
     from dbo_cli.logs import Reading as Plain
     from dbo_cli.units import parse_quantity
 
-    signal, log = read_drive(drive, reading, columns, None)
-    if typed["max_slew"] is not None and log.clock.assumption:
+    signal, log = read_drive(drive, reading, columns)
+    if texts["max_slew"] is not None and log.clock.assumption:
         warn(f"{drive}: {log.clock.assumption}")
     unit = log.columns["voltage"].unit
-    limits = limits_in(unit, typed["v_min"], typed["v_max"], typed["max_slew"])
-    stands = typed["from"]
+    limits = limits_in(unit, texts["v_min"], texts["v_max"], texts["max_slew"])
+    stands = texts["from"]
     position = None if stands is None else parse_quantity(stands, unit, "from", 0.0)
-    allowed, slack, played = None, 0.0, signal["voltage"] * gain
+    allowed, slack, recorded = None, 0.0, signal["voltage"] * gain
     if against is not None:
         roles = {"time": None, "voltage": column}
         meant, _ = read_drive(against, Plain(), roles, unit)
@@ -115,7 +105,7 @@ def checked(
             allowed = parse_quantity(tolerance, unit, "tolerance", 0.0)
             if allowed < 0.0:
                 raise UsageError(f"`tolerance` {tolerance}: give 0 or more")
-        slack = tolerance_of(meant["voltage"], played, allowed) / abs(gain)
+        slack = tolerance_of(meant["voltage"], recorded, allowed) / abs(gain)
     result = check_drive(
         signal["voltage"],
         signal.time,
@@ -128,13 +118,16 @@ def checked(
     )
     if against is not None:
         steps = (step_of(meant), step_of(signal))
-        check_played(result, meant["voltage"], played, steps, allowed)
+        check_played(result, meant["voltage"], recorded, steps, allowed)
     detail(*log.doubtful)
     return result
 
 
 def read_drive(
-    path: str, reading: Reading, columns: dict[str, str | None], unit: str | None
+    path: str,
+    reading: Reading,
+    columns: dict[str, str | None],
+    unit: str | None = None,
 ) -> tuple[Block, Log]:
     """Read a drive whole, as strictly as it was written.
 

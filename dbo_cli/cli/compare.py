@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.options import option
+from dbo_cli.cli.options import Text, Texts, option
 from dbo_cli.cli.say import say_logs, working
 
 
 def compare(
-    logs: opt.LogFiles,
     reading: opt.Reading,
-    output: opt.Output = "-",
-    form: opt.TextOrJson = None,
-    time: opt.Time = None,
-    voltage: opt.Voltage = None,
-    displacement: opt.Displacement = None,
-    validate: Annotated[
-        list[str] | None, option("LOG", "Log to test each operator on; repeatable.")
-    ] = None,
-    skip: opt.Skip = "0",
+    logs: list[str] = opt.LOGS,
+    output: str = opt.OUTPUT_FILE,
+    form: opt.TextOrJson = opt.FORM,
+    time: Text = opt.TIME,
+    voltage: Text = opt.VOLTAGE,
+    displacement: Text = opt.DISPLACEMENT,
+    validate: Texts = option("LOG", "Log to test each operator on; repeatable."),
+    skip: str = opt.SKIP,
 ) -> None:
     """Compare the DBO with other hysteresis operators.
 

@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.options import Text, option
+from dbo_cli.cli.options import LIMITS, Text, option
 from dbo_cli.cli.say import say_output
 
 
 def excite(
-    v_max: Annotated[str, option("VOLT", "Highest voltage, or another drive: 4bar.")],
-    v_min: opt.VMin = "0",
-    max_slew: opt.MaxSlew = None,
-    sample_rate: Annotated[
-        str, option("HZ", "Rows per second; default 1000.")
-    ] = "1000",
-    duration: Annotated[
-        Text, option("SECONDS", "Of the swings; 30 s, longer where slew is limited.")
-    ] = None,
-    sweep_to: Annotated[
-        Text, option("HZ", "Append a small sweep up to this frequency.")
-    ] = None,
-    sweep_amplitude: Annotated[
-        Text, option("VOLT", "Amplitude of the sweep; default 1 % of the range.")
-    ] = None,
-    output: opt.Output = "-",
+    v_max: str = option(
+        "VOLT", "Highest voltage, or another drive: 4bar.", default=...
+    ),
+    v_min: str = option(
+        "VOLT", "Lowest voltage of the amplifier.", LIMITS, default="0"
+    ),
+    max_slew: Text = opt.MAX_SLEW,
+    sample_rate: str = option("HZ", "Rows per second; default 1000.", default="1000"),
+    duration: Text = option(
+        "SECONDS", "Of the swings; 30 s, longer where slew is limited."
+    ),
+    sweep_to: Text = option("HZ", "Append a small sweep up to this frequency."),
+    sweep_amplitude: Text = option(
+        "VOLT", "Amplitude of the sweep; default 1 % of the range."
+    ),
+    output: str = opt.OUTPUT_FILE,
 ) -> None:
     """Write a drive from which a model is identified well.
 

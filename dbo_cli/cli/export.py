@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, flag, option
@@ -11,27 +11,20 @@ from dbo_cli.errors import ModelError, UsageError
 
 
 def export(
-    model: opt.ModelFile,
-    output: Annotated[str, option("DIR", "Output folder.", None, "-o", "--output")],
-    name: Annotated[
-        str, option(None, "First word of file, type and function names.")
-    ] = "actuator",
-    arithmetic: Annotated[
-        Literal["double", "q31"],
-        option(None, "double: exact (default); q31: integers, bounded error."),
-    ] = "double",
-    sample_rate: Annotated[
-        Text, option("HZ", "Steps per second, for a model that needs time.")
-    ] = None,
-    gears: Annotated[
-        int | None, option("N", "Fewer gears than the model has.", min=0)
-    ] = None,
-    lookup: Annotated[
-        bool, flag("--lookup", "Table of all states; at most 12 gears.")
-    ] = False,
-    v_min: opt.VMin = None,
-    v_max: opt.VMax = None,
-    max_slew: opt.MaxSlew = None,
+    model: str = opt.MODEL,
+    output: str = option("DIR", "Output folder.", None, "-o", "--output", default=...),
+    name: str = option(
+        None, "First word of file, type and function names.", default="actuator"
+    ),
+    arithmetic: Literal["double", "q31"] = option(
+        None, "double: exact (default); q31: integers, bounded error.", default="double"
+    ),
+    sample_rate: Text = option("HZ", "Steps per second, for a model that needs time."),
+    gears: int | None = option("N", "Fewer gears than the model has.", min=0),
+    lookup: bool = flag("--lookup", "Table of all states; at most 12 gears."),
+    v_min: Text = opt.V_MIN,
+    v_max: Text = opt.V_MAX,
+    max_slew: Text = opt.MAX_SLEW,
 ) -> None:
     """Write a model's drive as C99, with a self-test.
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.options import READING, Text, flag, option, rare
+from dbo_cli.cli.options import READING, Text, Texts, flag, option, rare
 from dbo_cli.cli.say import detail, say, say_logs, say_output, working
 from dbo_cli.errors import UsageError
 
@@ -20,55 +20,51 @@ STRUCTURE = "Structure of the model"
 
 
 def identify(
-    logs: opt.LogFiles,
     reading: opt.Reading,
-    output: opt.Output = "-",
-    summary: opt.Summary = None,
-    time: opt.Time = None,
-    voltage: opt.Voltage = None,
-    displacement: opt.Displacement = None,
-    validate: Annotated[
-        list[str] | None, option("LOG", "Log to test the model on; repeatable.")
-    ] = None,
-    prior: Annotated[
-        Text, option("MODEL", "Keep its shape; identify gain, offset, delay.")
-    ] = None,
-    sign: Annotated[
-        Literal["rising", "falling"] | None,
-        option(None, "Expected direction; exit 3 if the log differs."),
-    ] = None,
-    skip: opt.Skip = "0",
-    zero: Annotated[
-        str, rare("none|mean|first|VALUE", "Displacement to call 0.")
-    ] = "none",
-    sensor_delay: Annotated[
-        str, rare("SECONDS", "Delay of the sensor, taken off.", READING)
-    ] = "0",
-    gears: Annotated[str, rare("N|auto", "Number of gears.", STRUCTURE)] = "auto",
-    points: Annotated[
-        str, rare("M|auto", "Segments of the asymmetry; 0 for none.", STRUCTURE)
-    ] = "auto",
-    relaxation: Annotated[
-        str,
-        rare("auto|0|T1,T2,...", "Creep's time constants in s; 0: none.", STRUCTURE),
-    ] = "auto",
-    delay: Annotated[
-        str, rare("SECONDS|auto", "Delay behind the drive.", STRUCTURE)
-    ] = "auto",
-    dynamics: Annotated[
-        str, rare("auto|0|1|2", "Resonances; needs a sweep in the log.", STRUCTURE)
-    ] = "auto",
-    slopes: Annotated[
-        Literal["auto", "growing", "falling", "free"],
-        rare(None, "Slopes of the gears.", STRUCTURE),
-    ] = "auto",
-    method: Annotated[
-        Literal["least-squares", "paper"],
-        rare(None, "paper: the procedure of the 2018 paper.", STRUCTURE),
-    ] = "least-squares",
-    force: Annotated[
-        bool, flag("--force", "Keep a model no better than a straight line.")
-    ] = False,
+    logs: list[str] = opt.LOGS,
+    output: str = opt.OUTPUT_FILE,
+    summary: Text = opt.SUMMARY_FILE,
+    time: Text = opt.TIME,
+    voltage: Text = opt.VOLTAGE,
+    displacement: Text = opt.DISPLACEMENT,
+    validate: Texts = option("LOG", "Log to test the model on; repeatable."),
+    prior: Text = option("MODEL", "Keep its shape; identify gain, offset, delay."),
+    sign: Literal["rising", "falling"] | None = option(
+        None, "Expected direction; exit 3 if the log differs."
+    ),
+    skip: str = opt.SKIP,
+    zero: str = rare(
+        "none|mean|first|VALUE", "Displacement to call 0.", default="none"
+    ),
+    sensor_delay: str = rare(
+        "SECONDS", "Delay of the sensor, taken off.", READING, default="0"
+    ),
+    gears: str = rare("N|auto", "Number of gears.", STRUCTURE, default="auto"),
+    points: str = rare(
+        "M|auto", "Segments of the asymmetry; 0 for none.", STRUCTURE, default="auto"
+    ),
+    relaxation: str = rare(
+        "auto|0|T1,T2,...",
+        "Creep's time constants in s; 0: none.",
+        STRUCTURE,
+        default="auto",
+    ),
+    delay: str = rare(
+        "SECONDS|auto", "Delay behind the drive.", STRUCTURE, default="auto"
+    ),
+    dynamics: str = rare(
+        "auto|0|1|2", "Resonances; needs a sweep in the log.", STRUCTURE, default="auto"
+    ),
+    slopes: Literal["auto", "growing", "falling", "free"] = rare(
+        None, "Slopes of the gears.", STRUCTURE, default="auto"
+    ),
+    method: Literal["least-squares", "paper"] = rare(
+        None,
+        "paper: the procedure of the 2018 paper.",
+        STRUCTURE,
+        default="least-squares",
+    ),
+    force: bool = flag("--force", "Keep a model no better than a straight line."),
 ) -> None:
     """Identify a model from logs of drive voltage and displacement.
 
@@ -80,63 +76,58 @@ def identify(
     from dbo_cli import channels
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.identification import Options, describe, describe_validation, leads
-    from dbo_cli.model import dumps_model, dumps_set, is_set, read_model
+    from dbo_cli.model import dumps_model, dumps_set
     from dbo_cli.reports import ShownModel
 
     check_outputs(output, summary)
     options = Options(
-        prior=None if prior is None or is_set(prior) else read_model(prior),
         sign=sign,
         skip=opt.quantity("skip", skip, "s"),
-        zero=opt.number("zero", zero, float, "none", "mean", "first"),
+        zero=opt.number_of("zero", zero, float, "none", "mean", "first"),
         sensor_delay=opt.quantity("sensor_delay", sensor_delay, "s"),
-        gears=opt.number("gears", gears, int, "auto"),
-        points=opt.number("points", points, int, "auto"),
+        gears=opt.number_of("gears", gears, int, "auto"),
+        points=opt.number_of("points", points, int, "auto"),
         relaxation=relaxation_of(relaxation),
         delay=opt.quantity("delay", delay, "s", "auto"),
-        dynamics=opt.number("dynamics", dynamics, int, "auto"),
+        dynamics=opt.number_of("dynamics", dynamics, int, "auto"),
         slopes=slopes,
         method=method,
         force=force,
     )
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
-    tests = validate or []
-    if channels.is_pattern(columns):
-        known = channels.names(logs, reading, columns)
-        shapes = {} if prior is None else channels.models_of(prior, known)
-        models, lines = {}, []
-        for name in known:
-            chosen = channels.columns_for(columns, name)
-            own = replace(options, prior=shapes.get(name))
-            with channels.naming(name):
-                model, recordings, _ = identified(logs, tests, reading, chosen, own)
-            models[name] = model
-            lines.append(f"{name}: {describe(model, recordings)}")
-            lines += [f"{name}: {line}" for line in describe_validation(model)]
-        with Outputs() as outputs:
-            outputs.write_text(output, dumps_set(models))
-            if summary is not None:
-                texts = {name: summary_of(model) for name, model in models.items()}
-                outputs.write_text(summary, channels.dumps_files("summary", texts))
-        say_output(output, f"{len(models)} models")
-        for line in lines:
-            say(line)
-        return
-    model, recordings, read = identified(logs, tests, reading, columns, options)
+    names = channels.names(logs, reading, columns)
+    priors = {} if prior is None else channels.models_of(prior, names)
+    models, lines = {}, []
+    for name in names:
+        roles = channels.columns_for(columns, name)
+        channel_options = replace(options, prior=priors.get(name))
+        with channels.naming(name):
+            fitted = read_and_fit(logs, validate or [], reading, roles, channel_options)
+        models[name], recordings, read = fitted
+        texts = [describe(models[name], recordings), *describe_validation(models[name])]
+        lines += [f"{name}: {text}" if name else text for text in texts]
+    is_set = tuple(names) != channels.ALONE
     with Outputs() as outputs:
-        outputs.write_text(output, dumps_model(model))
+        outputs.write_text(
+            output, dumps_set(models) if is_set else dumps_model(models[""])
+        )
         if summary is not None:
-            outputs.write_text(summary, summary_of(model))
-    rows = sum(log["rows"] for log in model.provenance["logs"])
-    sense = f"{model.sign}, leads the drive" if leads(recordings) else model.sign
-    say_logs(read, rows, f" ({sense})")
-    detail(*ShownModel(model).text().splitlines()[1:])
-    say_output(output, describe(model, recordings))
-    for line in describe_validation(model):
+            figures = {name: fit_summary(model) for name, model in models.items()}
+            outputs.write_text(summary, channels.dumps_files("summary", figures))
+    if is_set:
+        say_output(output, f"{len(models)} models")
+    else:
+        model = models[""]
+        rows = sum(log["rows"] for log in model.provenance["logs"])
+        sense = f"{model.sign}, leads the drive" if leads(recordings) else model.sign
+        say_logs(read, rows, f" ({sense})")
+        detail(*ShownModel(model).text().splitlines()[1:])
+        say_output(output, lines.pop(0))
+    for line in lines:
         say(line)
 
 
-def identified(
+def read_and_fit(
     paths: list[str],
     validate: list[str],
     reading: opt.Reading,
@@ -157,7 +148,7 @@ def identified(
     return model, recordings[:count], logs[:count]
 
 
-def summary_of(model: Cascade) -> str:
+def fit_summary(model: Cascade) -> str:
     """Return the figures of the fit as JSON."""
     values = {
         "format": "dbo-summary",

@@ -6,7 +6,10 @@ from dbo_cli.cli import options as opt
 from dbo_cli.cli.say import detail
 
 
-def invert(model: opt.ModelFile, output: opt.Output = "-") -> None:
+def invert(
+    model: str = opt.MODEL,
+    output: str = opt.OUTPUT_FILE,
+) -> None:
     """Write the exact inverse of a model.
 
     The inverse of a forward model turns a displacement into the drive.

@@ -12,7 +12,7 @@ import inspect
 import math
 import os
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from typer import Argument, Option
 
@@ -25,142 +25,108 @@ else:
     Reading = Any  # the help imports no log
 
 Text = str | None
+Texts = list[str] | None
+TextOrJson = Literal["text", "json"] | None
 LIMITS, MOVE, READING, OUTPUT = "Limits", "Move", "Log", "Output"
-FORMS = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
+FORM_OF_ENDING = {".json": "json", ".csv": "csv", ".html": "html", ".htm": "html"}
 
 
 def option(
-    metavar: str | None, text: str, panel: str | None = None, *names: str, **more: Any
+    metavar: str | None,
+    text: str,
+    panel: str | None = None,
+    *names: str,
+    default: Any = None,
+    **more: Any,
 ) -> Any:
-    """Return an option under a heading of the help."""
+    """Return an option under a heading of the help; a default of ``...`` makes it required."""
     more |= {"metavar": metavar, "help": text, "rich_help_panel": panel}
-    return Option(*names, show_default=False, **more)
+    return Option(default, *names, show_default=False, **more)
 
 
-rare = functools.partial(option, hidden=True)
-"""An option that ``--help-all`` alone shows."""
+def rare(metavar: str | None, text: str, *words: str, **more: Any) -> Any:
+    """Return an option that ``--help-all`` alone shows."""
+    return option(metavar, text, *words, hidden=True, **more)
 
 
-def flag(name: str, text: str, panel: str | None = None) -> Any:
+def flag(name: str, text: str, panel: str | None = None, **more: Any) -> Any:
     """Return an option without a value."""
-    return option(None, text, panel, name)
+    return option(None, text, panel, name, default=False, **more)
 
 
-def column(text: str) -> Any:
-    """Return the option of a column's role."""
-    return option("COLUMN", text, READING)
+def column(text: str, **more: Any) -> Any:
+    """Return the option of a column's role: a header name, a dataset path, a number or FILE::COLUMN."""
+    return option("COLUMN", text, READING, **more)
 
 
 # --- arguments ---
 
-ModelFile = Annotated[
-    str, Argument(metavar="MODEL", help="Model file; - is stdin, FILE::x one of a set.")
-]
-LogFile = Annotated[
-    str, Argument(metavar="LOG", help="The log; FILE::/group in HDF5; - is stdin.")
-]
-LogFiles = Annotated[
-    list[str],
-    Argument(metavar="LOG...", help="Logs; FILE::/group in HDF5; - is stdin."),
-]
-DriveFile = Annotated[str, Argument(metavar="DRIVE", help="The drive; - is stdin.")]
+MODEL = Argument(
+    ..., metavar="MODEL", help="Model file; - is stdin, FILE::x one of a set."
+)
+LOG = Argument(..., metavar="LOG", help="The log; FILE::/group in HDF5; - is stdin.")
+LOGS = Argument(..., metavar="LOG...", help="Logs; FILE::/group in HDF5; - is stdin.")
+DRIVE = Argument(..., metavar="DRIVE", help="The drive; - is stdin.")
 
 # --- output ---
 
-Output = Annotated[
-    str,
-    option("FILE", "Output file; - is stdout, the default.", OUTPUT, "-o", "--output"),
-]
-Summary = Annotated[Text, option("FILE", "Write the figures as JSON, too.", OUTPUT)]
-Figures = Annotated[Text, option("DIR", "Write PNG and SVG figures there.", OUTPUT)]
-TextOrJson = Annotated[
-    Literal["text", "json"] | None,
-    option(None, "Default: by the name of the output.", OUTPUT, "--format"),
-]
+OUTPUT_FILE = option(
+    "FILE",
+    "Output file; - is stdout, the default.",
+    OUTPUT,
+    "-o",
+    "--output",
+    default="-",
+)
+SUMMARY_FILE = option("FILE", "Write the figures as JSON, too.", OUTPUT)
+FIGURES_DIR = option("DIR", "Write PNG and SVG figures there.", OUTPUT)
+FORM = option(None, "Default: by the name of the output.", OUTPUT, "--format")
 
-# --- columns: a header name, a dataset path, a number from 1, or FILE::COLUMN ---
+# --- columns ---
 
-Time = Annotated[Text, column("The time.")]
-Voltage = Annotated[Text, column("The drive voltage: name, number or FILE::COLUMN.")]
-Displacement = Annotated[
-    Text, column("The displacement: name, number or FILE::COLUMN.")
-]
+TIME = column("The time.")
+VOLTAGE = column("The drive voltage: name, number or FILE::COLUMN.")
+DISPLACEMENT = column("The displacement: name, number or FILE::COLUMN.")
 
-# --- limits ---
+# --- limits; a command that takes channels takes several, such as x=120V ---
 
-VMin = Annotated[Text, option("VOLT", "Lowest voltage of the amplifier.", LIMITS)]
-VMax = Annotated[Text, option("VOLT", "Highest voltage of the amplifier.", LIMITS)]
-MaxSlew = Annotated[Text, option("VOLT/S", "Largest slew rate, or 2V/ms.", LIMITS)]
-From = Annotated[
-    Text, option("VOLT", "Voltage of the amplifier before row 1.", MOVE, "--from")
-]
-
-# of several channels: x=120V for one of them, repeatable
-Texts = list[str] | None
-VMins = Annotated[
-    Texts, option("VOLT", "Lowest voltage of the amplifier.", LIMITS, "--v-min")
-]
-VMaxs = Annotated[
-    Texts, option("VOLT", "Highest voltage of the amplifier.", LIMITS, "--v-max")
-]
-MaxSlews = Annotated[
-    Texts, option("VOLT/S", "Largest slew rate, or 2V/ms.", LIMITS, "--max-slew")
-]
-Froms = Annotated[
-    Texts, option("VOLT", "Voltage of the amplifier before row 1.", MOVE, "--from")
-]
+V_MIN = option("VOLT", "Lowest voltage of the amplifier.", LIMITS)
+V_MAX = option("VOLT", "Highest voltage of the amplifier.", LIMITS)
+MAX_SLEW = option("VOLT/S", "Largest slew rate, or 2V/ms.", LIMITS)
+FROM = option("VOLT", "Voltage of the amplifier before row 1.", MOVE, "--from")
 
 # --- state ---
 
-State = Annotated[
-    str, option("NAME|FILE", "Start: auto, empty, full, settled or a file.", MOVE)
-]
-SaveState = Annotated[Text, rare("FILE", "Write the state after the last row.", OUTPUT)]
-Skip = Annotated[str, option("SECONDS", "Skip the beginning of every log.", READING)]
+STATE = option(
+    "NAME|FILE", "Start: auto, empty, full, settled or a file.", MOVE, default="auto"
+)
+SAVE_STATE = rare("FILE", "Write the state after the last row.", OUTPUT)
+SKIP = option("SECONDS", "Skip the beginning of every log.", READING, default="0")
 
 # --- options that are appended ---
 
 
 def read_as(
     *,
-    sample_rate: Annotated[
-        Text, option("HZ", "Rate of a log without a time column.", READING)
-    ] = None,
-    scale: Annotated[
-        list[str] | None,
-        option("ROLE=FACTOR", "Factor: voltage=20, displacement=10um/V.", READING),
-    ] = None,
-    rows: Annotated[
-        Text, rare("A:B", "Data rows A to B, counted from 1.", READING)
-    ] = None,
-    time_unit: Annotated[
-        Text, rare("UNIT", "Unit of the time: s, ms, us, min, h.", READING)
-    ] = None,
-    skip_bad: Annotated[
-        bool,
-        rare(None, "Drop and count rows that hold no number.", READING, "--skip-bad"),
-    ] = False,
-    resample: Annotated[
-        Text, rare("HZ", "Interpolate to this rate first.", READING)
-    ] = None,
-    delimiter: Annotated[
-        Text, rare("NAME", "comma, semicolon, tab, blanks or pipe.", READING)
-    ] = None,
-    decimal: Annotated[Text, rare("point|comma", "Decimal sign.", READING)] = None,
-    skip_lines: Annotated[
-        int | None, rare("N", "Lines before the header.", READING, min=0)
-    ] = None,
-    encoding: Annotated[
-        Text, rare("NAME", "Text encoding, if not UTF-8.", READING)
-    ] = None,
-    clock_offset: Annotated[
-        Text,
-        rare(
-            "SECONDS|auto",
-            "Added to the clock of the drive's file; auto finds it.",
-            READING,
-        ),
-    ] = None,
+    sample_rate: Text = option("HZ", "Rate of a log without a time column.", READING),
+    scale: Texts = option(
+        "ROLE=FACTOR", "Factor: voltage=20, displacement=10um/V.", READING
+    ),
+    rows: Text = rare("A:B", "Data rows A to B, counted from 1.", READING),
+    time_unit: Text = rare("UNIT", "Unit of the time: s, ms, us, min, h.", READING),
+    skip_bad: bool = flag(
+        "--skip-bad", "Drop and count rows that hold no number.", READING, hidden=True
+    ),
+    resample: Text = rare("HZ", "Interpolate to this rate first.", READING),
+    delimiter: Text = rare("NAME", "comma, semicolon, tab, blanks or pipe.", READING),
+    decimal: Text = rare("point|comma", "Decimal sign.", READING),
+    skip_lines: int | None = rare("N", "Lines before the header.", READING, min=0),
+    encoding: Text = rare("NAME", "Text encoding, if not UTF-8.", READING),
+    clock_offset: Text = rare(
+        "SECONDS|auto",
+        "Added to the clock of the drive's file; auto finds it.",
+        READING,
+    ),
 ) -> Reading:
     """Return how a log is to be read."""
     from dbo_cli.logs import Reading
@@ -193,13 +159,13 @@ def _scales(texts: list[str]) -> dict[str, str | float]:
 
 def speak(
     *,
-    quiet: Annotated[
-        bool, option(None, "Print errors only.", OUTPUT, "-q", "--quiet")
-    ] = False,
-    verbose: Annotated[bool, flag("--verbose", "Print details.", OUTPUT)] = False,
-    debug: Annotated[
-        bool, rare(None, "Print the traceback of an error.", OUTPUT, "--debug")
-    ] = False,
+    quiet: bool = option(
+        None, "Print errors only.", OUTPUT, "-q", "--quiet", default=False
+    ),
+    verbose: bool = flag("--verbose", "Print details.", OUTPUT),
+    debug: bool = flag(
+        "--debug", "Print the traceback of an error.", OUTPUT, hidden=True
+    ),
 ) -> None:
     """Set how much a command says."""
     Level.quiet, Level.verbose, Level.debug = quiet, verbose, debug
@@ -235,14 +201,14 @@ def present(*values: Any) -> list[Any]:
     return [value for value in values if value is not None]
 
 
-def require(partner: str, typed: object, options: dict[str, Any]) -> None:
+def require(partner: str, partner_value: object, options: dict[str, Any]) -> None:
     """Refuse options that say nothing without another one."""
     for name, value in options.items():
-        if value and not typed:
+        if value and not partner_value:
             raise UsageError(f"`{name}` needs `{partner}`")
 
 
-def number(name: str, text: str | None, kind: type, *words: str) -> Any:
+def number_of(name: str, text: str | None, kind: type, *words: str) -> Any:
     """Return the number (int or float) of an option, or one of its words; UsageError otherwise."""
     if text is None or text in words:
         return text
@@ -284,13 +250,4 @@ def unit_behind(text: str) -> str:
 
 def form_of(form: str | None, output: str) -> str:
     """Return the form of a result: by ``--format``, else by the name of the output."""
-    return form or FORMS.get(os.path.splitext(output.lower())[1], "text")
-
-
-def units_of(**quantities: Any) -> dict[str, str]:
-    """Return the unit of each role, of those that have one."""
-    units = {}
-    for role, quantity_of in quantities.items():
-        if quantity_of.unit:
-            units[role] = quantity_of.unit
-    return units
+    return form or FORM_OF_ENDING.get(os.path.splitext(output.lower())[1], "text")

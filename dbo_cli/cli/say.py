@@ -16,10 +16,10 @@ from dbo_cli.errors import warn
 
 ERASE = "\r\x1b[K"
 PARAMETER = re.compile(r"`([a-z]\w*)`")
-WIDTH = 115  # characters of a default line, behind ``dbo: ``
-HEAD = 30  # of them in front of what is cut out of a longer one
-PAUSE = 0.2  # seconds between two updates of a progress line
-Block = TypeVar("Block")
+LINE_LENGTH = 115  # characters of a default line, behind ``dbo: ``
+SHOWN_START = 30  # of them in front of what is cut out of a longer one
+UPDATE_SECONDS = 0.2  # seconds between two updates of a progress line
+Counted = TypeVar("Counted")
 
 
 class Level:
@@ -31,13 +31,13 @@ class Level:
 
 
 def say(text: str) -> None:
-    """Print a line that everybody needs, at most ``WIDTH`` characters of it without ``--verbose``.
+    """Print a line that everybody needs, at most ``LINE_LENGTH`` characters of it without ``--verbose``.
 
     A longer one is cut near its beginning, where the name of a file stands; the figures
     stand behind it.
     """
-    if len(text) > WIDTH and not Level.verbose:
-        text = f"{text[:HEAD]}…{text[HEAD + 1 - WIDTH :]}"
+    if len(text) > LINE_LENGTH and not Level.verbose:
+        text = f"{text[:SHOWN_START]}…{text[SHOWN_START + 1 - LINE_LENGTH :]}"
     if text and not Level.quiet:
         print_line(text)
 
@@ -60,13 +60,8 @@ def say_logs(logs: Sequence[Any], rows: int, suffix: str = "") -> None:
 
 
 def say_log(log: Any) -> None:
-    """Print what was read, and warn of what is doubtful."""
-    say_doubts(log)
+    """Print what was read, and warn of rows that were left out, cut or guessed."""
     say_logs([log], 0)
-
-
-def say_doubts(log: Any) -> None:
-    """Warn of rows that were left out, cut or guessed."""
     for doubt in log.doubtful:
         warn(f"{log.name}: {doubt}")
 
@@ -98,12 +93,12 @@ def working(task: str) -> None:
         print(f"{ERASE}dbo: {task} ...", end="", file=sys.stderr, flush=True)
 
 
-def progress(blocks: Iterable[Block], task: str) -> Iterator[Block]:
+def progress(blocks: Iterable[Counted], task: str) -> Iterator[Counted]:
     """Hand blocks on, and say on a terminal how many rows have passed; a block has a length."""
     rows, last = 0, time.monotonic()
     for block in blocks:
         yield block
         rows += len(block)  # type: ignore[arg-type]
-        if time.monotonic() - last > PAUSE:
+        if time.monotonic() - last > UPDATE_SECONDS:
             last = time.monotonic()
             working(f"{task} {rows:,} rows")

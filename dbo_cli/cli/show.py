@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dbo_cli.cli import options as opt
+from dbo_cli.cli.options import Text
 from dbo_cli.cli.say import detail
 
 
 def show(
-    model: opt.ModelFile,
-    output: opt.Output = "-",
-    form: opt.TextOrJson = None,
-    figures: opt.Figures = None,
+    model: str = opt.MODEL,
+    output: str = opt.OUTPUT_FILE,
+    form: opt.TextOrJson = opt.FORM,
+    figures: Text = opt.FIGURES_DIR,
 ) -> None:
     """Show what is in a model, and how good it is.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import chain
-from typing import Annotated, Literal
+from typing import Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, column, option
@@ -12,18 +12,17 @@ from dbo_cli.errors import ModelError
 
 
 def simulate(
-    model: opt.ModelFile,
-    log: opt.LogFile,
     reading: opt.Reading,
-    output: opt.Output = "-",
-    time: opt.Time = None,
-    input: Annotated[Text, column("Input of the model.")] = None,
-    state: opt.State = "auto",
-    save_state: opt.SaveState = None,
-    outside: Annotated[
-        Literal["extend", "hold", "error"],
-        option(None, "Beyond the identified range; default extend."),
-    ] = "extend",
+    model: str = opt.MODEL,
+    log: str = opt.LOG,
+    output: str = opt.OUTPUT_FILE,
+    time: Text = opt.TIME,
+    input: Text = column("Input of the model."),
+    state: str = opt.STATE,
+    save_state: Text = opt.SAVE_STATE,
+    outside: Literal["extend", "hold", "error"] = option(
+        None, "Beyond the identified range; default extend.", default="extend"
+    ),
 ) -> None:
     """Run a model over its input and write its output.
 
@@ -45,7 +44,7 @@ def simulate(
         return
     actuator = read_model(model)
     start = state_of(state, actuator)
-    units = opt.units_of(input=actuator.input)
+    units = {"input": actuator.input.unit}
     with open_log(log, columns, reading, units) as signal, Outputs() as outputs:
         blocks = progress(signal.blocks(), "simulated")
         first = next(blocks)
@@ -66,10 +65,10 @@ def simulate(
         if save_state is not None and isinstance(simulator.state, State):
             text = dumps_state(simulator.state, actuator)
             outputs.write_text(save_state, text, "state")
-    moved = actuator.output
+    quantity = actuator.output
     say_log(signal)
     say_output(
-        output, f"{simulator.row_count:,} rows of {moved.quantity}{moved.suffix}"
+        output, f"{simulator.row_count:,} rows of {quantity.quantity}{quantity.suffix}"
     )
 
 
@@ -90,14 +89,14 @@ def simulate_set(
     from dbo_cli.logs import add_table
     from dbo_cli.model import State, dumps_state
 
-    known = channels.names([log], reading, columns)
-    models = channels.models_of(model, known)
+    names = channels.names([log], reading, columns)
+    models = channels.models_of(model, names)
     inputs = {name: actuator.input for name, actuator in models.items()}
-    tables = channels.read(log, reading, columns, {"input": inputs})
+    tables = channels.read_channels(log, reading, columns, {"input": inputs})
     states = channels.states_of(state, models)
     results: list[channels.Result] = []
     texts = {}
-    time = tables[known[0]].time
+    time = tables[names[0]].time
     if time is not None:
         results.append(("time", "s", time))
     for name, actuator in models.items():
@@ -110,8 +109,8 @@ def simulate_set(
         if isinstance(simulator.state, State):
             texts[name] = dumps_state(simulator.state, actuator)
     with Outputs() as outputs:
-        names = [(name, unit) for name, unit, _ in results]
-        add_table(outputs, output, names).write(*(c for _, _, c in results))
+        headings = [(name, unit) for name, unit, _ in results]
+        add_table(outputs, output, headings).write(*(c for _, _, c in results))
         if save_state is not None:
             text = channels.dumps_files("state", texts)
             outputs.write_text(save_state, text, "state")

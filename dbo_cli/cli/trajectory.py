@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 from typer import Argument
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.options import Text, flag, option
+from dbo_cli.cli.options import Text, Texts, flag, option
 from dbo_cli.cli.say import say_output
 from dbo_cli.errors import UsageError
 
@@ -15,39 +13,30 @@ UNIT = "um"  # without a model
 
 
 def trajectory(
-    shape: Annotated[
-        str,
-        Argument(metavar="SHAPE", help="raster, spiral, staircase, sine or triangle."),
-    ],
-    rate: Annotated[str, option("HZ", "Rows per second.")],
-    range_: Annotated[
-        str,
-        option("LOW:HIGH", "Of each axis, in the model's unit or um.", None, "--range"),
-    ],
-    output: opt.Output = "-",
-    frequency: Annotated[
-        Text, option("HZ", "Lines, turns or cycles per second.")
-    ] = None,
-    lines: Annotated[int | None, option("N", "Lines of a raster.", min=0)] = None,
-    steps: Annotated[
-        int | None, option("N", "Steps of a staircase: up, then down.", min=0)
-    ] = None,
-    dwell: Annotated[
-        Text, option("SECONDS", "Time at each level of a staircase.")
-    ] = None,
-    duration: Annotated[
-        Text, option("SECONDS", "Of a spiral, sine or triangle; default one cycle.")
-    ] = None,
-    loop: Annotated[
-        bool, flag("--loop", "One closed period, for compensate --periodic.")
-    ] = False,
-    bandwidth: Annotated[
-        Text, option("HZ", "Round corners, start and stop to this bandwidth.")
-    ] = None,
-    model: Annotated[
-        list[str] | None,
-        option("MODEL", "Require its range, round to its bandwidth; twice: x, y."),
-    ] = None,
+    shape: str = Argument(
+        ..., metavar="SHAPE", help="raster, spiral, staircase, sine or triangle."
+    ),
+    rate: str = option("HZ", "Rows per second.", default=...),
+    range_: str = option(
+        "LOW:HIGH",
+        "Of each axis, in the model's unit or um.",
+        None,
+        "--range",
+        default=...,
+    ),
+    output: str = opt.OUTPUT_FILE,
+    frequency: Text = option("HZ", "Lines, turns or cycles per second."),
+    lines: int | None = option("N", "Lines of a raster.", min=0),
+    steps: int | None = option("N", "Steps of a staircase: up, then down.", min=0),
+    dwell: Text = option("SECONDS", "Time at each level of a staircase."),
+    duration: Text = option(
+        "SECONDS", "Of a spiral, sine or triangle; default one cycle."
+    ),
+    loop: bool = flag("--loop", "One closed period, for compensate --periodic."),
+    bandwidth: Text = option("HZ", "Round corners, start and stop to this bandwidth."),
+    model: Texts = option(
+        "MODEL", "Require its range, round to its bandwidth; twice: x, y."
+    ),
 ) -> None:
     """Write a move: raster, spiral, staircase, sine or triangle.
 

@@ -2,46 +2,34 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.check import limits_in, read_drive, step_of
-from dbo_cli.cli.options import Text, flag, option
+from dbo_cli.cli.options import Text, Texts, flag, option
 from dbo_cli.cli.say import detail, say, say_output
 from dbo_cli.errors import InputError
 
 
 def waveform(
-    drive: opt.DriveFile,
     reading: opt.Reading,
-    to: Annotated[
-        str, option("FORMAT", "npy, wav, int16, uint16, keysight-arb or pi-gcs.")
-    ],
-    output: opt.Output = "-",
-    gain: Annotated[float, option("FACTOR", "Amplifier gain, divided out.")] = 1.0,
-    rate: Annotated[
-        Text, option("HZ", "Points per second; default: the drive's.")
-    ] = None,
-    points: Annotated[
-        int | None, option("N", "Points, over the same time.", min=0)
-    ] = None,
-    loop: Annotated[
-        bool, flag("--loop", "The drive is one period: other points keep it.")
-    ] = False,
-    codes: Annotated[
-        Text, option("LOW:HIGH", "Range of codes; default: the format's.")
-    ] = None,
-    volts: Annotated[
-        Text, option("LOW:HIGH", "Output voltage of the codes; default: the drive's.")
-    ] = None,
-    max_rounding: Annotated[
-        float, option("PERCENT", "Allowed rounding, % of range; more: exit 3.")
-    ] = 1.0,
-    v_min: opt.VMins = None,
-    v_max: opt.VMaxs = None,
-    max_slew: opt.MaxSlews = None,
-    time: opt.Time = None,
-    voltage: opt.Voltage = None,
+    drive: str = opt.DRIVE,
+    to: str = option(
+        "FORMAT", "npy, wav, int16, uint16, keysight-arb or pi-gcs.", default=...
+    ),
+    output: str = opt.OUTPUT_FILE,
+    gain: float = option("FACTOR", "Amplifier gain, divided out.", default=1.0),
+    rate: Text = option("HZ", "Points per second; default: the drive's."),
+    points: int | None = option("N", "Points, over the same time.", min=0),
+    loop: bool = flag("--loop", "The drive is one period: other points keep it."),
+    codes: Text = option("LOW:HIGH", "Range of codes; default: the format's."),
+    volts: Text = option("LOW:HIGH", "Voltage of the codes; default: the drive's."),
+    max_rounding: float = option(
+        "PERCENT", "Allowed rounding, % of range.", default=1.0
+    ),
+    v_min: Texts = opt.V_MIN,
+    v_max: Texts = opt.V_MAX,
+    max_slew: Texts = opt.MAX_SLEW,
+    time: Text = opt.TIME,
+    voltage: Text = opt.VOLTAGE,
 ) -> None:
     """Write a drive in the format of a generator or converter.
 
@@ -56,19 +44,13 @@ def waveform(
     from dbo_cli.units import kind_of, multiplied, ratio
 
     columns = {"time": time, "voltage": voltage}
-    known: list[str] = []
-    if channels.is_pattern(columns):
-        known = channels.names([drive], reading, columns)
-    typed = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
-    made = {}
-    for channel in known or [""]:
-        ranges = []
-        for name, values in typed.items():
-            ranges.append(
-                channels.value_for(name, values or [], channel or None, known)
-            )
-        chosen = channels.columns_for(columns, channel)
-        signal, log = read_drive(drive, reading, chosen, None)
+    names = channels.names([drive], reading, columns)
+    ranges = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
+    waveforms = {}
+    for channel in names:
+        roles = channels.columns_for(columns, channel)
+        bounds = channels.values_for(ranges, channel, names)
+        signal, log = read_drive(drive, reading, roles)
         unit = log.columns["voltage"].unit
         if kind_of(unit) not in (None, "voltage"):
             raise InputError(
@@ -80,11 +62,11 @@ def waveform(
             raise InputError(
                 f"{drive}: needs an even clock: add `resample` HZ, or `sample_rate` HZ if it has none"
             )
-        made[channel] = make(
+        waveforms[channel] = make(
             multiplied(signal["voltage"], ratio(unit, "V")),
             1.0 / step,
             to,
-            limits_in(volt, *ranges),
+            limits_in(volt, **bounds),
             name=f"{drive}: channel {channel}" if channel else drive,
             gain=gain,
             loop=loop,
@@ -96,17 +78,17 @@ def waveform(
             doubts=log.doubtful,
         )
         detail(*log.doubtful)
-    files = {output: made[""].data} if not known else {}
-    if known:
-        whole = side_by_side(list(made.values()), to)
-        if whole is None:
-            paths = channels.paths_of(output, made)
-            files = {paths[name]: one.data for name, one in made.items()}
-        else:
-            files = {output: whole}
+    joined = None
+    if tuple(names) != channels.ALONE:
+        joined = side_by_side(list(waveforms.values()), to)
+    if joined is not None:
+        files = {output: joined}
+    else:
+        paths = channels.paths_of(output, names)
+        files = {paths[name]: written.data for name, written in waveforms.items()}
     with Outputs() as outputs:
         for path, data in files.items():
             outputs.write_bytes(path, data)
-    for channel, written in made.items():
+    for channel, written in waveforms.items():
         say_output(f"{output}: {channel}" if channel else output, written.line)
         say(written.codes)

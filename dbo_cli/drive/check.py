@@ -21,7 +21,7 @@ NOISE = 6.0
 GAP = 1.5
 """Usual steps, from which on a step is a gap; usual is the median of the steps around it."""
 NEIGHBOURS = 16  # steps on either side that say what is usual
-FEWEST_NEIGHBOURS = 4  # of them: fewer on a side say nothing
+FEWEST_NEIGHBOURS = 4  # of them on one side at least: fewer say nothing
 EVEN = 0.1
 """Of a step: the steps around a gap differ by less, but for one in ``NEIGHBOURS``. On an uneven clock
 nothing says when the next row is due. Stamps of so even a clock may be rounded, to a twentieth of a step.
@@ -259,14 +259,14 @@ def gaps(steps: Floats) -> Booleans:
         behind = steps[index + 1 : index + 1 + NEIGHBOURS]
         usual = float(np.median(np.concatenate([before, behind])))
         if steps[index] > GAP * usual:
-            result[index] = _is_even(before, usual) and _is_even(behind, usual)
+            is_clear = max(before.size, behind.size) >= FEWEST_NEIGHBOURS
+            is_even = _is_even(before, usual) and _is_even(behind, usual)
+            result[index] = is_clear and is_even
     return result
 
 
 def _is_even(steps: Floats, usual: float) -> bool:
     """Return whether the steps on one side of a step are even, but for one in ``NEIGHBOURS``."""
-    if steps.size < FEWEST_NEIGHBOURS:
-        return False
     odd = np.count_nonzero(np.abs(steps - usual) > EVEN * usual)
     return bool(odd <= steps.size // NEIGHBOURS)
 

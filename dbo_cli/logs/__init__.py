@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dbo_cli.logs.frame import FrameTable, frame_table, is_frame, numbers, stated_unit
-from dbo_cli.logs.log import Log, columns_of, open_log, parse_rows
-from dbo_cli.logs.table import Block, Column, Reading
+from dbo_cli.logs.log import Log, columns_of, open_log
+from dbo_cli.logs.table import Block, Column, Reading, parse_rows
 from dbo_cli.logs.write import add_table, create
 
 __all__ = [

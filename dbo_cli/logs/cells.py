@@ -1,4 +1,4 @@
-"""Cells of a text log: how a line is split, what is a number, and how time stamps look."""
+"""Cells of a text log: how lines are split, what is a number, how time stamps look, how rows are laid out."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import contextlib
 import csv
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.table import LONGEST_CELL, TOO_LONG, Column
+from dbo_cli.logs.table import LONGEST_CELL, TOO_LONG, Column, StatedClock
 
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
 _POINT = re.compile(NUMBER, re.ASCII)
@@ -100,13 +100,64 @@ def stamp_format(cells: Sequence[tuple[str, float]]) -> str | None:
     return None
 
 
+# --- rows ---
+
+
+@dataclass
+class Layout:
+    """How a text log is written.
+
+    Attributes
+    ----------
+    delimiter, decimal
+        The signs.
+    width
+        The number of columns.
+    numeric
+        The columns of numbers (from 0).
+    empty
+        The columns in which hardly a cell is filled.
+    stamps
+        The format of the columns of time stamps.
+    texts
+        A cell of each column that holds neither numbers nor nothing.
+    first
+        The index of the line of the first row.
+    first_row, counts
+        Its cells; whether the first of them is a number in quotes.
+    names, units, clock
+        What the lines above the rows say.
+    """
+
+    delimiter: str
+    decimal: str
+    width: int = 0
+    numeric: frozenset[int] = frozenset()
+    empty: frozenset[int] = frozenset()
+    stamps: dict[int, str] = field(default_factory=dict)
+    texts: dict[int, str] = field(default_factory=dict)
+    first: int = 0
+    first_row: list[str] = field(default_factory=list)
+    counts: bool = False
+    names: list[str] = field(default_factory=list)
+    units: list[str] = field(default_factory=list)
+    clock: StatedClock = field(default_factory=StatedClock)
+
+    def partly_fits(self, line: str) -> bool:
+        """Return whether half of the numbers stand where the rows have theirs."""
+        cells = split_cells(line, self.delimiter)
+        places = [n for n in self.numeric if n < len(cells)]
+        numbers = [n for n in places if is_number(cells[n], self.decimal)]
+        return bool(numbers) and 2 * len(numbers) >= len(self.numeric)
+
+
 # --- thousands or decimals ---
 
-WHOLE = r"[-+]?(?:0|[1-9]\d{0,2})"
-GROUPED = r"[-+]?[1-9]\d{0,2}[.,]\d{3}"
-_WHOLE = re.compile(WHOLE, re.ASCII)
-_GROUPED = re.compile(GROUPED, re.ASCII)
-MOST_DOUBTFUL = 400  # rows; written by decimals, other numbers of them come sooner
+WHOLE_CELL = r"[-+]?(?:0|[1-9]\d{0,2})"
+GROUPED_CELL = r"[-+]?[1-9]\d{0,2}[.,]\d{3}"
+_WHOLE = re.compile(WHOLE_CELL, re.ASCII)
+_GROUPED = re.compile(GROUPED_CELL, re.ASCII)
+_MOST_DOUBTFUL = 400  # rows; written by decimals, other numbers of them come sooner
 
 
 @dataclass
@@ -137,7 +188,7 @@ class Marks:
         elif is_number(cell, ".") or is_number(cell, ","):
             self.is_clear = not self.is_doubtful(row)
 
-    def is_doubtful(self, row: int, limit: int = MOST_DOUBTFUL) -> bool:
+    def is_doubtful(self, row: int, limit: int = _MOST_DOUBTFUL) -> bool:
         """Return whether both kinds stand above a row, by more than so many rows."""
         if self.plain is None or self.grouped is None:
             return False

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError, warn
-from dbo_cli.logs.columns import TIME_NAMES, listed, named, words
+from dbo_cli.logs.columns import TIME_NAMES, listing_of, named, words
 from dbo_cli.logs.table import Column, Reading, Table
 from dbo_cli.signals import even
 from dbo_cli.units import kind_of, multiplied, ratio, time_unit
@@ -323,7 +323,7 @@ def _stated_clock(source: Table, reading: Reading) -> Clock:
     if reading.time_unit is not None:
         raise InputError(
             f"{name}: `time_unit` {reading.time_unit}: no time column: "
-            f"{listed(source.columns)} (`time` NAME or NUMBER)"
+            f"{listing_of(source.columns)} (`time` NAME or NUMBER)"
         )
     if statement.problem:
         raise InputError(f"{name}: {statement.problem}")

@@ -20,27 +20,27 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 
-PLAYS = np.geomspace(0.003, 0.7, 24)  # half widths, in parts of the drive's range
-FINE = 20_000  # places at which the drive is followed
-MOST_ROWS = 3_000  # of the sensor that are used (means of neighbours)
-COARSE = 2_000  # steps of the coarse search over the shorter record
-CANDIDATES = 6  # best places of the coarse search that are refined
-STEPS = 12  # of Gauss and Newton at most
-COVERED = 0.5  # of the shorter record must be covered by both
-FEWEST_ROWS = 40  # of the sensor, and a tenth of them, where the drive's past is known
-PARTS = 8  # of a record: the scatter of their offsets is the uncertainty
-EXPLAINED = 0.09  # of the displacement's variance may be left unexplained
-ALIKE = 1.3  # times the least residual: a second place that explains as well
-PERFECT = 1e-6  # of the variance: below that, no place fits better than another
-KNOWN_TO = 0.5  # samples of the slower clock, two standard deviations
-APART = 5.0  # standard deviations from which on two clocks count as apart
+_PLAYS = np.geomspace(0.003, 0.7, 24)  # half widths, in parts of the drive's range
+_FINE = 20_000  # places at which the drive is followed
+_MOST_ROWS = 3_000  # of the sensor that are used (means of neighbours)
+_COARSE = 2_000  # steps of the coarse search over the shorter record
+_CANDIDATES = 6  # best places of the coarse search that are refined
+_STEPS = 12  # of Gauss and Newton at most
+_COVERED = 0.5  # of the shorter record must be covered by both
+_FEWEST_ROWS = 40  # of the sensor, and a tenth of them, where the drive's past is known
+_PARTS = 8  # of a record: the scatter of their offsets is the uncertainty
+_EXPLAINED = 0.09  # of the displacement's variance may be left unexplained
+_ALIKE = 1.3  # times the least residual: a second place that explains as well
+_PERFECT = 1e-6  # of the variance: below that, no place fits better than another
+_KNOWN_TO = 0.5  # samples of the slower clock, two standard deviations
+_APART = 5.0  # standard deviations from which on two clocks count as apart
 # times less unexplained variance, where the drive's clock is moved: an amplifier's lag
 # of 3 ms made 2 to 6 of a cycle of a second, 10 ms between clocks 14 to 42
-BETTER = 10.0
+_BETTER = 10.0
 
 
 @dataclass(frozen=True)
-class Fit:
+class OffsetFit:
     """An offset (s), its standard deviation (s), and the part of the variance left unexplained."""
 
     offset: float
@@ -49,7 +49,7 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Pair:
+class RecordPair:
     """A drive on a fine clock with what the displacement may be made of, and the sensor's rows.
 
     ``slower`` is the usual step (s) of the slower recorder.
@@ -69,7 +69,7 @@ class Pair:
         drive: Floats,
         time: Floats,
         displacement: Floats,
-    ) -> Pair:
+    ) -> RecordPair:
         """Prepare two records, whose times (s) do not fall.
 
         Raises
@@ -77,22 +77,22 @@ class Pair:
         InputError
             One is too short, or stands still. The message has no files in front.
         """
-        if min(len(drive_time), len(time)) < FEWEST_ROWS or np.ptp(drive_time) == 0.0:
-            raise InputError(f"{FEWEST_ROWS} rows of each are needed")
+        if min(len(drive_time), len(time)) < _FEWEST_ROWS or np.ptp(drive_time) == 0.0:
+            raise InputError(f"{_FEWEST_ROWS} rows of each are needed")
         if np.ptp(drive) == 0.0 or np.ptp(displacement) == 0.0:
             raise InputError("one of the two stands still")
-        usual = [np.ptp(times) / (len(times) - 1) for times in (drive_time, time)]
-        fine = np.linspace(drive_time[0], drive_time[-1], FINE)
+        steps = [np.ptp(times) / (len(times) - 1) for times in (drive_time, time)]
+        fine = np.linspace(drive_time[0], drive_time[-1], _FINE)
         drive = np.interp(fine, drive_time, drive)
-        group = -(-len(time) // MOST_ROWS)
+        group = -(-len(time) // _MOST_ROWS)
         count = len(time) // group * group
         time = time[:count].reshape(-1, group).mean(axis=1)
         displacement = displacement[:count].reshape(-1, group).mean(axis=1)
-        return cls(fine, drive, _columns(drive), time, displacement, float(max(usual)))
+        return cls(fine, drive, _columns(drive), time, displacement, float(max(steps)))
 
-    def fits(self) -> list[Fit]:
+    def fits(self) -> list[OffsetFit]:
         """Return the fits near the places that look alike, the best first."""
-        fits: list[Fit] = []
+        fits: list[OffsetFit] = []
         for start in self._coarse():
             fit = self._refined(start)
             if fit is not None:
@@ -110,54 +110,58 @@ class Pair:
     def residual(self, offset: float) -> float:
         """Return what part of the variance an offset leaves; 0 where too little is in common."""
         inside = self._inside(offset)
-        return 0.0 if inside is None else self._part(self._left(offset, inside), inside)
+        return (
+            0.0
+            if inside is None
+            else self._share(self._remainder(offset, inside), inside)
+        )
 
-    def _part(self, left: Floats, inside: NDArray[np.bool_]) -> float:
+    def _share(self, remainder: Floats, inside: NDArray[np.bool_]) -> float:
         variance = max(float(np.var(self.displacement[inside])), 1e-300)
-        return float(np.mean(left**2)) / variance
+        return float(np.mean(remainder**2)) / variance
 
     def _coarse(self) -> list[float]:
         """Return offsets (s) at which the two correlate most, whatever the sign, the best first."""
         from scipy.signal import correlate
 
         shorter = min(float(np.ptp(self.drive_time)), float(np.ptp(self.time)))
-        step = max(self.slower, shorter / COARSE)
+        step = max(self.slower, shorter / _COARSE)
         grid = np.arange(self.drive_time[0], self.drive_time[-1], step)
         v = np.interp(grid, self.drive_time, self.drive)
         grid = np.arange(self.time[0], self.time[-1], step)
         y = np.interp(grid, self.time, self.displacement)
         v, y = v - v.mean(), y - y.mean()
         count = np.rint(correlate(np.ones(len(y)), np.ones(len(v))))
-        enough = count >= COVERED * min(len(v), len(y))
+        enough = count >= _COVERED * min(len(v), len(y))
         alike = np.where(enough, correlate(y, v) ** 2 / np.maximum(count, 1.0), 0.0)
         inner = alike[1:-1]
         is_peak = (inner >= alike[:-2]) & (inner >= alike[2:]) & (inner > 0.0)
         peaks = 1 + np.flatnonzero(is_peak)
-        best = peaks[np.argsort(-alike[peaks], kind="stable")][:CANDIDATES]
+        best = peaks[np.argsort(-alike[peaks], kind="stable")][:_CANDIDATES]
         begin = float(self.time[0] - self.drive_time[0])
         return [begin + (int(k) - (len(v) - 1)) * step for k in best]
 
-    def _refined(self, start: float) -> Fit | None:
+    def _refined(self, start: float) -> OffsetFit | None:
         """Return the best fit near an offset; None where too little is in common."""
         span = float(np.ptp(self.drive_time))
-        step = span / (FINE - 1)
+        step = span / (_FINE - 1)
         offset = start
-        fit: Fit | None = None
-        for _ in range(STEPS):
+        fit: OffsetFit | None = None
+        for _ in range(_STEPS):
             inside = self._inside(offset)
             if inside is None:
                 return None
-            left = self._left(offset, inside)
-            later = self._left(offset + step, inside)
-            slope = (later - self._left(offset - step, inside)) / (2.0 * step)
+            remainder = self._remainder(offset, inside)
+            later = self._remainder(offset + step, inside)
+            slope = (later - self._remainder(offset - step, inside)) / (2.0 * step)
             steepness = max(float(slope @ slope), 1e-300)
-            change = -float(slope @ left) / steepness
+            change = -float(slope @ remainder) / steepness
             farthest = 2.0 * step + 0.01 * span  # that one step of the search goes
             change = min(max(change, -farthest), farthest)
             offset += change
-            deviation = _scatter(left, slope) / steepness
-            part = self._part(left + slope * change, inside)
-            fit = Fit(offset, deviation, part)
+            deviation = _scatter(remainder, slope) / steepness
+            share = self._share(remainder + slope * change, inside)
+            fit = OffsetFit(offset, deviation, share)
             if abs(change) < 0.02 * deviation + 1e-9 * span:
                 break
         return fit
@@ -166,27 +170,27 @@ class Pair:
         """Return which rows of the sensor the drive covers, once its past no longer matters."""
         margin = 2.0 * float(self.drive_time[1] - self.drive_time[0])
         at = self.time - offset
-        known = float(self.drive_time[_known_from(self.columns[:, 0])])
-        inside = (at >= known + margin) & (at <= self.drive_time[-1] - margin)
-        is_enough = np.count_nonzero(inside) >= max(0.1 * len(at), FEWEST_ROWS)
+        begin = float(self.drive_time[_known_from(self.columns[:, 0])])
+        inside = (at >= begin + margin) & (at <= self.drive_time[-1] - margin)
+        is_enough = np.count_nonzero(inside) >= max(0.1 * len(at), _FEWEST_ROWS)
         return inside if is_enough else None
 
-    def _left(self, offset: float, inside: NDArray[np.bool_]) -> Floats:
+    def _remainder(self, offset: float, inside: NDArray[np.bool_]) -> Floats:
         """Return what the columns, moved by an offset (s), cannot explain of the displacement."""
-        place = (self.time[inside] - offset - self.drive_time[0]) / (
+        position = (self.time[inside] - offset - self.drive_time[0]) / (
             self.drive_time[1] - self.drive_time[0]
         )
-        row = place.astype(np.intp)
-        part = (place - row)[:, None]
-        made = self.columns[row] * (1.0 - part) + self.columns[row + 1] * part
-        made = np.column_stack([made, np.ones(len(row)), place / FINE])
+        row = position.astype(np.intp)
+        fraction = (position - row)[:, None]
+        terms = self.columns[row] * (1.0 - fraction) + self.columns[row + 1] * fraction
+        terms = np.column_stack([terms, np.ones(len(row)), position / _FINE])
         y = self.displacement[inside]
-        basis = np.linalg.qr(made)[0]
-        left: Floats = y - basis @ (basis.T @ y)
-        return left
+        basis = np.linalg.qr(terms)[0]
+        remainder: Floats = y - basis @ (basis.T @ y)
+        return remainder
 
 
-def find_offset(pair: Pair) -> Fit:
+def find_offset(pair: RecordPair) -> OffsetFit:
     """Return what is to be added to the drive's clock.
 
     Raises
@@ -198,12 +202,12 @@ def find_offset(pair: Pair) -> Fit:
     if not fits:
         raise InputError("the two overlap too little")
     best = fits[0]
-    if best.residual > EXPLAINED:
+    if best.residual > _EXPLAINED:
         share = 100.0 * (1.0 - best.residual)
         raise InputError(
             f"the drive explains at most {share:.0f} % of the displacement"
         )
-    if 2.0 * best.deviation > KNOWN_TO * pair.slower:
+    if 2.0 * best.deviation > _KNOWN_TO * pair.slower:
         raise InputError(
             f"{best.offset:.6g} s is uncertain by {2.0 * best.deviation:.2g} s, more than half a "
             "sample"
@@ -212,10 +216,10 @@ def find_offset(pair: Pair) -> Fit:
     return best
 
 
-def _require_single(fits: Sequence[Fit], slower: float) -> None:
+def _require_single(fits: Sequence[OffsetFit], slower: float) -> None:
     """Refuse a second place that explains the records as well (InputError)."""
     best = fits[0]
-    alike = ALIKE * max(best.residual, PERFECT)
+    alike = _ALIKE * max(best.residual, _PERFECT)
     for fit in fits[1:]:
         if abs(fit.offset - best.offset) > slower and fit.residual < alike:
             raise InputError(
@@ -223,14 +227,14 @@ def _require_single(fits: Sequence[Fit], slower: float) -> None:
             )
 
 
-def apart(pair: Pair) -> float:
+def clocks_apart(pair: RecordPair) -> float:
     """Return the offset (s) by which clocks are clearly apart; 0 where they may agree."""
     fits = pair.fits()
-    if not fits or fits[0].residual > EXPLAINED:
+    if not fits or fits[0].residual > _EXPLAINED:
         return 0.0
     best = fits[0]
-    is_better = pair.residual(0.0) > BETTER * max(best.residual, PERFECT)
-    is_apart = abs(best.offset) > pair.slower + APART * best.deviation
+    is_better = pair.residual(0.0) > _BETTER * max(best.residual, _PERFECT)
+    is_apart = abs(best.offset) > pair.slower + _APART * best.deviation
     return best.offset if is_better and is_apart else 0.0
 
 
@@ -241,33 +245,33 @@ def _columns(drive: Floats) -> Floats:
     end has come down to it, and each play lags by its half width.
     """
     u = (drive - drive.min()) / np.ptp(drive)
-    plays = np.empty((len(u), len(PLAYS)))
-    half = np.minimum(PLAYS, 0.5)
+    plays = np.empty((len(u), len(_PLAYS)))
+    half = np.minimum(_PLAYS, 0.5)
     play = np.clip(u[0], half, 1.0 - half)
     for row, value in enumerate(u.tolist()):
-        play = np.minimum(np.maximum(play, value - PLAYS), value + PLAYS)
+        play = np.minimum(np.maximum(play, value - _PLAYS), value + _PLAYS)
         plays[row] = play
     return np.column_stack([u, u**2, u**3, plays])
 
 
-def _scatter(left: Floats, slope: Floats) -> float:
+def _scatter(remainder: Floats, slope: Floats) -> float:
     """Return how the pull on the offset scatters between parts of the record.
 
     What is wrong with the description of the loop scatters so, and so does a clock that
     runs faster than the other.
     """
-    parts = np.array_split(slope * left, PARTS)
-    pulls = np.array([float(part.sum()) for part in parts])
-    return math.sqrt(float(pulls @ pulls) * PARTS / (PARTS - 1))
+    parts = np.array_split(slope * remainder, _PARTS)
+    pulls = np.array([float(section.sum()) for section in parts])
+    return math.sqrt(float(pulls @ pulls) * _PARTS / (_PARTS - 1))
 
 
-def _known_from(part: Floats) -> int:
+def _known_from(drive: Floats) -> int:
     """Return the first place whose past no longer matters.
 
     That is where the drive has been at both ends of its range, if more than half of the
     record follows; else where it has been at one, as if it had never gone farther.
     """
-    low = int(np.argmax(part <= 0.005))
-    high = int(np.argmax(part >= 0.995))
+    low = int(np.argmax(drive <= 0.005))
+    high = int(np.argmax(drive >= 0.995))
     both = max(low, high)
-    return both if both < 0.5 * len(part) else min(low, high)
+    return both if both < 0.5 * len(drive) else min(low, high)

@@ -146,7 +146,7 @@ def words(name: str) -> set[str]:
     return {word.lower() for word in re.findall(r"[^\W\d_]+", spaced)}
 
 
-def listed(columns: Sequence[Column]) -> str:
+def listing_of(columns: Sequence[Column]) -> str:
     """List columns as messages do."""
     if not any(column.name for column in columns):
         s = "" if len(columns) == 1 else "s"
@@ -194,11 +194,11 @@ def named(source: Table, selector: str, option: str) -> Column:
     column = matches[0] if matches else source.find(text)
     if column is None:
         raise InputError(
-            f"{name}: no column '{text}': {listed(columns)}{source.hint} (`{option}` NAME or NUMBER)"
+            f"{name}: no column '{text}': {listing_of(columns)}{source.hint} (`{option}` NAME or NUMBER)"
         )
     if column.kind in ("text", "empty"):
         raise InputError(
-            f"{name}: {column.label} holds neither numbers nor known time stamps: {listed(columns)}"
+            f"{name}: {column.label} holds neither numbers nor known time stamps: {listing_of(columns)}"
         )
     return column
 
@@ -222,7 +222,7 @@ def choose(
     table: Table,
     selectors: Mapping[str, str | None],
     clock_columns: Sequence[Column],
-    units: Mapping[str, str],
+    units: Mapping[str, str | None],
     optional: Sequence[str],
 ) -> dict[str, Column]:
     """Give every role its column; optional roles take what the required ones leave.
@@ -260,7 +260,7 @@ def choose(
         if role in optional:
             used = [*used, *picks.values()]
         free = [column for column in table.columns if column not in used]
-        matches = candidates(free, role_of(role, units.get(role)))
+        matches = _candidates(free, role_of(role, units.get(role)))
         if len(matches) == 1:
             picks[role] = matches[0]
         elif role not in optional:
@@ -297,7 +297,7 @@ def _refuse_shared(
         first = roles.setdefault(column.number, role)
         if first != role:
             raise InputError(
-                f"{name}: {column.label} cannot be both {first} and {role}: {listed(columns)} "
+                f"{name}: {column.label} cannot be both {first} and {role}: {listing_of(columns)} "
                 f"(`{first}` and `{role}` NAME or NUMBER)"
             )
 
@@ -325,7 +325,7 @@ def _question(
         if len(remaining) == 1 and not _is_monotone(table, remaining[0]):
             example = _typed(remaining[0], table.columns)
     options = " ".join(f"`{role}` {example}" for role in unclear)
-    text = f"{' '.join(questions)} {listed(table.columns)} (for example {options})"
+    text = f"{' '.join(questions)} {listing_of(table.columns)} (for example {options})"
     patterns = [_pattern(matches) for matches in unclear.values()]
     channels = {channels for _, channels in patterns}
     if len(patterns) > 1 and len(channels) == 1 and "" not in channels.pop():
@@ -373,7 +373,7 @@ def _typed(column: Column, columns: Sequence[Column]) -> str:
     return shlex.quote(column.name)
 
 
-def candidates(columns: Sequence[Column], role: Role) -> list[Column]:
+def _candidates(columns: Sequence[Column], role: Role) -> list[Column]:
     """Return the columns that may have a role, by the surest reason that there is.
 
     A preferred name; a whole name; a word or a letter of the name, beside which every

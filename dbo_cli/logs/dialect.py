@@ -9,13 +9,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.cells import MISSING, STAMPS, is_number, split_cells, stamp_format
+from dbo_cli.logs.cells import (
+    MISSING,
+    STAMPS,
+    Layout,
+    is_number,
+    split_cells,
+    stamp_format,
+)
 from dbo_cli.logs.names import are_names, read_header
 from dbo_cli.logs.settings import is_setting
-from dbo_cli.logs.table import LONGEST_CELL, TOO_LONG, Reading, StatedClock
+from dbo_cli.logs.table import LONGEST_CELL, TOO_LONG, Reading
 
 COMMENTS = "#%"
 """A line that begins with one of these is a comment."""
@@ -24,72 +30,13 @@ _SAMPLE = 40  # rows from which the dialect is found
 _JUDGED = 400  # rows in which the decimal sign must be clear
 _BLANKS = 0.9
 _FADING = 0.7  # a line counts so much less than the one below it
-DELIMITERS = {
+_DELIMITERS = {
     "comma": ",", "semicolon": ";", "tab": "\t", "blanks": " ", "space": " ", "pipe": "|",
 }  # fmt: skip
 _DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
 _TWO_READINGS = re.compile(r"\s*[-+]?\d+,\d+\s*", re.ASCII)
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}", re.ASCII)
 ERROR = r"#[A-Z][A-Z/0]*[!?]?[;,\t|]"  # how a row begins that a spreadsheet could not compute
-
-
-@dataclass
-class Layout:
-    """How a text log is written.
-
-    Attributes
-    ----------
-    delimiter, decimal
-        The signs.
-    width
-        The number of columns.
-    numeric
-        The columns of numbers (from 0).
-    empty
-        The columns in which hardly a cell is filled.
-    stamps
-        The format of the columns of time stamps.
-    texts
-        A cell of each column that holds neither numbers nor nothing.
-    first
-        The index of the line of the first row.
-    first_row, counts
-        Its cells; whether the first of them is a number in quotes.
-    names, units, clock
-        What the lines above the rows say.
-    """
-
-    delimiter: str
-    decimal: str
-    width: int = 0
-    numeric: frozenset[int] = frozenset()
-    empty: frozenset[int] = frozenset()
-    stamps: dict[int, str] = field(default_factory=dict)
-    texts: dict[int, str] = field(default_factory=dict)
-    first: int = 0
-    first_row: list[str] = field(default_factory=list)
-    counts: bool = False
-    names: list[str] = field(default_factory=list)
-    units: list[str] = field(default_factory=list)
-    clock: StatedClock = field(default_factory=StatedClock)
-
-    def fits(self, line: str) -> bool:
-        """Return whether a line is written as the rows are."""
-        cells = split_cells(line, self.delimiter)
-        if len(cells) != self.width or any(cells[n] for n in self.empty):
-            return False
-        if 0 not in self.numeric and is_setting(cells[0]):
-            return False
-        if not all(is_number(cells[n], self.decimal) for n in self.numeric):
-            return False
-        return all(STAMPS[form].fullmatch(cells[n]) for n, form in self.stamps.items())
-
-    def partly_fits(self, line: str) -> bool:
-        """Return whether half of the numbers stand where the rows have theirs."""
-        cells = split_cells(line, self.delimiter)
-        places = [n for n in self.numeric if n < len(cells)]
-        numbers = [n for n in places if is_number(cells[n], self.decimal)]
-        return bool(numbers) and 2 * len(numbers) >= len(self.numeric)
 
 
 def is_no_row(line: str) -> bool:
@@ -155,7 +102,7 @@ def _refuse_other_delimiter(name: str, layout: Layout) -> None:
     """Refuse a column of texts such as ``500;1`` (InputError)."""
     for text in layout.texts.values():
         for mark in ("semicolon", "tab", "pipe"):
-            sign = re.escape(DELIMITERS[mark])
+            sign = re.escape(_DELIMITERS[mark])
             if re.search(rf"\d{sign}|{sign}\d", text):
                 raise InputError(
                     f"{name}: {text!r} holds another delimiter: type `delimiter` {mark}"
@@ -197,10 +144,10 @@ def delimiter_of(text: str) -> str:
     UsageError
         It is neither a known name nor a single character.
     """
-    mark = DELIMITERS.get(text, "\t" if text == "\\t" else text)
+    mark = _DELIMITERS.get(text, "\t" if text == "\\t" else text)
     if len(mark) != 1 or not mark.isascii() or mark.isalnum() or mark in '"\n\r+-.':
         raise UsageError(
-            f"`delimiter` {text}: give a single character or one of {', '.join(DELIMITERS)}"
+            f"`delimiter` {text}: give a single character or one of {', '.join(_DELIMITERS)}"
         )
     return mark
 
@@ -220,7 +167,7 @@ def decimal_of(text: str) -> str:
 
 def _best_layout(sample: Sequence[str], reading: Reading) -> Layout | None:
     """Return the layout under which most of the cells are numbers in rows of one width."""
-    marks = list(dict.fromkeys(DELIMITERS.values()))
+    marks = list(dict.fromkeys(_DELIMITERS.values()))
     if reading.delimiter is not None:
         marks = [delimiter_of(reading.delimiter)]
     signs = [".", ","]
@@ -311,13 +258,25 @@ def _refuse_commas(name: str, table: Sequence[Sequence[str]]) -> None:
         )
 
 
+def _is_row(line: str, layout: Layout) -> bool:
+    """Return whether a line is written as the rows are."""
+    cells = split_cells(line, layout.delimiter)
+    if len(cells) != layout.width or any(cells[n] for n in layout.empty):
+        return False
+    if 0 not in layout.numeric and is_setting(cells[0]):
+        return False
+    if not all(is_number(cells[n], layout.decimal) for n in layout.numeric):
+        return False
+    return all(STAMPS[form].fullmatch(cells[n]) for n, form in layout.stamps.items())
+
+
 def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int:
     """Find the first line that is written as the last ones are.
 
     Lines right above it with numbers in their places are rows, too: they are to be
     refused, not passed over.
     """
-    fitting = (k for k, n in enumerate(rows) if layout.fits(lines[n]))
+    fitting = (k for k, n in enumerate(rows) if _is_row(lines[n], layout))
     index = next(fitting, None)
     if index is None:
         partly = (k for k, n in enumerate(rows) if layout.partly_fits(lines[n]))

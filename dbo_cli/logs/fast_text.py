@@ -15,13 +15,13 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from dbo_cli.logs.cells import GROUPED, STAMPS, WHOLE, Marks
-from dbo_cli.logs.dialect import ERROR, Layout
+from dbo_cli.logs.cells import GROUPED_CELL, STAMPS, WHOLE_CELL, Layout, Marks
+from dbo_cli.logs.dialect import ERROR
 from dbo_cli.logs.table import LONGEST_CELL, NOT_A_TIME, Column
 
-Arrays = list[NDArray[Any]]
-STRETCHES = 1024  # that are looked at at once
-STRETCH = 96  # bytes; where each stretch holds a line end, no line is longer than LONGEST_CELL
+_Arrays = list[NDArray[Any]]
+_STRETCHES = 1024  # that are looked at at once
+_STRETCH = 96  # bytes; where each stretch holds a line end, no line is longer than LONGEST_CELL
 
 
 def read_fast(
@@ -30,7 +30,7 @@ def read_fast(
     columns: Sequence[Column],
     marks: Mapping[int, Marks],
     first_row: int,
-) -> tuple[Arrays, int] | None:
+) -> tuple[_Arrays, int] | None:
     """Read whole lines; None where a line or a cell of them is not regular.
 
     Parameters
@@ -75,9 +75,9 @@ def has_long_cell(text: bytes, delimiter: str) -> bool:
 
 def _has_short_lines(letters: NDArray[np.uint8]) -> bool:
     """Return whether every stretch holds a line end; looked at by what stays in caches."""
-    for start in range(0, len(letters), STRETCHES * STRETCH):
-        is_end = letters[start : start + STRETCHES * STRETCH] == ord("\n")
-        ends = is_end[: len(is_end) // STRETCH * STRETCH].view(np.uint64)
+    for start in range(0, len(letters), _STRETCHES * _STRETCH):
+        is_end = letters[start : start + _STRETCHES * _STRETCH] == ord("\n")
+        ends = is_end[: len(is_end) // _STRETCH * _STRETCH].view(np.uint64)
         ends = ends[0::2] | ends[1::2]  # of 16 bytes
         ends = ends[0::2] | ends[1::2]  # of 32 bytes
         ends = ends[0::3] | ends[1::3] | ends[2::3]
@@ -92,7 +92,7 @@ def _arrays(
     columns: Sequence[Column],
     marks: Mapping[int, Marks],
     first_row: int,
-) -> Arrays | None:
+) -> _Arrays | None:
     """Read the columns; None where polars refuses, or a cell or a line is not regular."""
     unclear = [number for number, mark in marks.items() if not mark.is_clear]
     schema: dict[str, Any] = {}
@@ -122,7 +122,7 @@ def _arrays(
         _watch(marks[number], cells, first_row)
     if not _is_regular(text, layout, frame):
         return None
-    arrays: Arrays = []
+    arrays: _Arrays = []
     for column in columns:
         series = frame[f"{column.number}"]
         if series.null_count():
@@ -136,8 +136,8 @@ def _arrays(
 
 def _watch(marks: Marks, cells: pl.Series, first_row: int) -> None:
     """Take the cells of a column into account: of each kind the first."""
-    is_whole = cells.str.contains(f"^{WHOLE}$")
-    is_grouped = cells.str.contains(f"^{GROUPED}$")
+    is_whole = cells.str.contains(f"^{WHOLE_CELL}$")
+    is_grouped = cells.str.contains(f"^{GROUPED_CELL}$")
     rows = []
     for is_kind in (is_whole, is_grouped, ~(is_whole | is_grouped)):
         row = is_kind.arg_max()

@@ -74,7 +74,6 @@ class FrameTable(Table):
         """
         arrays = [self._arrays[column.number - 1] for column in columns]
         for column, array in zip(columns, arrays, strict=True):
-            self.last_block[column.number] = array
             if len(array) != len(arrays[0]):
                 raise InputError(
                     f"{self.name}: {column.label} has {len(array):,} rows, "

@@ -27,20 +27,20 @@ from dbo_cli.logs.formats.stored import (
 from dbo_cli.logs.settings import Statement, is_clock_setting, plain_key
 from dbo_cli.logs.table import Column, Reading, Table
 
-MOST_HOPS = 16  # soft links behind each other; more are a circle
+_MOST_HOPS = 16  # soft links behind each other; more are a circle
 # bytes a dataset: a compressed chunk is unpacked once, not once a block
-CHUNK_CACHE = 1 << 22
-NOT_APPLIED = {
+_CHUNK_CACHE = 1 << 22
+_NOT_APPLIED = {
     "scalefactor": 1.0, "addoffset": 0.0, "scale": 1.0, "offset": 0.0, "gain": 1.0, "factor": 1.0,
     "sensitivity": 1.0, "calibration": 1.0, "conversion": 1.0, "scalingfactor": 1.0,
 }  # fmt: skip
 """Attributes that may belong to a dataset's values, by their plain keys, and what changes nothing."""
-MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
+_MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
                   "uint32", "uint64", "logical")  # fmt: skip
 _EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
 
 
-def read(path: str, inner: str, reading: Reading) -> Table:
+def open_hdf5(path: str, inner: str, reading: Reading) -> Table:
     """Read an HDF5 log; ``inner`` is a group or a dataset, by its path.
 
     Without it, the columns are those of the shallowest group that has any.
@@ -51,7 +51,7 @@ def read(path: str, inner: str, reading: Reading) -> Table:
         It is damaged, has no such part, or holds no columns of numbers.
     """
     with fenced(path, "HDF5"):
-        file = h5py.File(path, "r", rdcc_nbytes=CHUNK_CACHE)
+        file = h5py.File(path, "r", rdcc_nbytes=_CHUNK_CACHE)
     try:
         with fenced(path, "HDF5"):
             return Hdf5Table(path, inner, file, bool(reading.scale))
@@ -62,7 +62,7 @@ def read(path: str, inner: str, reading: Reading) -> Table:
 
 @dataclass
 class _Group:
-    """A group by its path from the part that is read, and what stands in it."""
+    """A group by its path from the part that is open_hdf5, and what stands in it."""
 
     path: str
     columns: list[StoredColumn] = field(default_factory=list)
@@ -82,14 +82,14 @@ class _Group:
 
     def take(self, dataset: Any, name: str) -> None:
         """Take the columns of a dataset, and what it states of the rate."""
-        columns = columns_of(dataset, name)
+        columns = _columns_of(dataset, name)
         self.columns += columns
         self.datasets += [name] * len(columns)
         self.statements += _attributes(dataset)
 
     @property
     def depth(self) -> int:
-        """How far below the part that is read it stands."""
+        """How far below the part that is open_hdf5 it stands."""
         return self.path.count("/") + bool(self.path)
 
     @property
@@ -102,7 +102,7 @@ class Hdf5Table(StoredTable):
     """The columns of an HDF5 file.
 
     A column whose attributes may belong to its values (``scale_factor``) is refused where
-    it is read, or warned of where the user types a scale (``is_scaled``).
+    it is open_hdf5, or warned of where the user types a scale (``is_scaled``).
     """
 
     def __init__(self, path: str, inner: str, file: Any, is_scaled: bool) -> None:
@@ -132,13 +132,13 @@ class Hdf5Table(StoredTable):
             self.hint = f" (or one group alone: {path}::{holders[0].path})"
 
     def find(self, name: str) -> Column | None:
-        """Return the column that a dataset's path names, from the part that is read or from the top."""
+        """Return the column that a dataset's path names, from the part that is open_hdf5 or from the top."""
         for base in (self._node, self._node.file):
             node = (
                 _node(self.name, base, name) if isinstance(base, h5py.Group) else None
             )
             if isinstance(node, h5py.Dataset):
-                members = columns_of(node, name)
+                members = _columns_of(node, name)
                 if len(members) == 1:
                     return self.add(members[0])
         return None
@@ -172,7 +172,7 @@ def _node(path: str, base: Any, inner: str, hops: int = 0) -> Any:
             )
         if isinstance(link, h5py.SoftLink):
             target = "/".join([link.path, *steps[number + 1 :]])
-            return None if hops >= MOST_HOPS else _node(path, node, target, hops + 1)
+            return None if hops >= _MOST_HOPS else _node(path, node, target, hops + 1)
         if link is None:
             return None
         node = node[step]
@@ -212,7 +212,7 @@ def _holding(groups: Sequence[_Group]) -> list[_Group]:
     return wide if len(wide) == 1 else holding
 
 
-def columns_of(dataset: Any, name: str) -> list[StoredColumn]:
+def _columns_of(dataset: Any, name: str) -> list[StoredColumn]:
     """Take a dataset apart into columns; none where it holds no numbers."""
     if not dataset.size or not _holds_numbers(dataset):
         return []
@@ -260,7 +260,7 @@ def _not_applied(dataset: Any) -> str:
     factors = [(key, _attribute(dataset, key)) for key in dataset.attrs]
     factors.append(("YInc", _attribute(dataset.parent, "YInc")))  # Keysight's counts
     for key, values in factors:
-        neutral = 1.0 if key == "YInc" else NOT_APPLIED.get(plain_key(key))
+        neutral = 1.0 if key == "YInc" else _NOT_APPLIED.get(plain_key(key))
         if neutral is not None and len(values) == 1 and values[0] != neutral:
             return f"has an attribute {key}, {values[0]}, which is not applied: type `scale` ROLE=FACTOR"
     for sibling in (f"{dataset.name}_scaling_factor", f"{dataset.name}_offset"):
@@ -318,7 +318,7 @@ def _holds_numbers(dataset: Any) -> bool:
     if name and name[0].startswith(_EMPTY_DIMENSION):
         return False
     matlab = _texts(dataset, "MATLAB_class")
-    is_number = not matlab or matlab[0] in MATLAB_NUMBERS
+    is_number = not matlab or matlab[0] in _MATLAB_NUMBERS
     return is_number and "MATLAB_empty" not in dataset.attrs
 
 

@@ -1,21 +1,22 @@
-"""Two recorders, one log: joined by time."""
+"""Rows on other times: beside those of a second recorder, or at an even rate; by linear interpolation."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError, warn
-from dbo_cli.logs.clock_offset import Pair, apart, find_offset
-from dbo_cli.logs.log import Log
+from dbo_cli.errors import InputError, UsageError, warn
+from dbo_cli.logs.clock import Clock
+from dbo_cli.logs.clock_offset import RecordPair, clocks_apart, find_offset
 from dbo_cli.logs.table import Block
 
 SENSORS = ("displacement", "measured")  # the rows are those of their file
-DRIVES = ("voltage", "desired", "input")
-GAP_STEPS = 2.5  # usual steps; in a longer one at least a row is missing
+_DRIVES = ("voltage", "desired", "input")
+_GAP_STEPS = 2.5  # usual steps; in a longer one at least a row is missing
+_MOST_ROWS = 100_000_000  # of a log at an even rate: some gigabytes
 
 
 @dataclass(frozen=True)
@@ -37,17 +38,24 @@ class ClockOffset:
         return f"{name} moved by {self.seconds:.4g}{within} s"
 
 
-def joined(log: Log, second: Log, clock_offset: float | str | None) -> Log:
-    """Join two logs of one move by time into one, which has the name of the first.
+def joined(
+    rows: Block,
+    clock: Clock,
+    guest: Block,
+    guest_clock: Clock,
+    clock_offset: float | str | None,
+) -> tuple[Block, ClockOffset | None]:
+    """Put the signals of a second log beside the rows of a first, by time.
 
-    The rows are those of the log that holds the displacement (or what was measured),
-    else of the first one. The other is interpolated linearly onto them, where both have
-    rows.
+    They are interpolated linearly, where both logs have rows; ``clock`` becomes that of
+    the rows which are left.
 
     Parameters
     ----------
-    log, second
-        The logs, each with its roles.
+    rows, clock
+        The log whose rows stay: that of the displacement, or of what was measured.
+    guest, guest_clock
+        The other one.
     clock_offset
         Seconds, or ``auto``, added to the clock of the drive's file.
 
@@ -56,60 +64,48 @@ def joined(log: Log, second: Log, clock_offset: float | str | None) -> Log:
     InputError
         A log has no clock, they have no time in common, or the offset cannot be found.
     """
-    base, guest = log, second
-    if any(role in second.columns for role in SENSORS):
-        base, guest = second, log
-    pair_name = f"{base.name} and {guest.name}"
-    rows, table = base.read(), guest.read()
-    time = _time_beside(base, guest, table, clock_offset)
+    names = f"{clock.name} and {guest_clock.name}"
+    time = _time_on(clock, guest_clock, guest, clock_offset)
     offset = None
     if clock_offset is None:
-        _warn_if_apart(pair_name, rows, time, table)
+        _warn_if_apart(names, rows, time, guest)
     else:
-        seconds, deviation = _offset(pair_name, rows, time, table, clock_offset)
-        offset = ClockOffset(guest.name, seconds, deviation, clock_offset == "auto")
+        seconds, deviation = _offset(names, rows, time, guest, clock_offset)
+        is_auto = clock_offset == "auto"
+        offset = ClockOffset(guest_clock.name, seconds, deviation, is_auto)
         time = time + seconds
-    matched = _beside(rows, time, table, pair_name)
-    remarks = [*base.remarks, *guest.remarks]
-    if len(matched) < len(rows):
-        remarks.append(
-            f"{len(rows) - len(matched):,} rows of {base.name} left out: {guest.name} has none there"
-        )
+    matched = _side_by_side(rows, time, guest, names)
     assert matched.time is not None
-    first, last = float(matched.time[0]), float(matched.time[-1])
-    clock = replace(base.clock, first=first, last=last, rows=len(matched))
-    columns = {**base.columns, **guest.columns}
-    result = Log.in_memory(log.name, columns, matched, clock, remarks)
-    result.doubtful = [*base.doubtful, *guest.doubtful]
-    result.clock_offset = offset
-    return result
+    clock.first, clock.last = float(matched.time[0]), float(matched.time[-1])
+    clock.rows = len(matched)
+    return matched, offset
 
 
-def _time_beside(
-    base: Log, log: Log, table: Block, clock_offset: float | str | None
+def _time_on(
+    clock: Clock, guest_clock: Clock, guest: Block, clock_offset: float | str | None
 ) -> Floats:
-    """Return a log's times on the clock of the base (InputError)."""
-    for member in (base, log):
-        if member.clock.kind == "none":
+    """Return a second log's times on the clock of the first (InputError)."""
+    for member in (clock, guest_clock):
+        if member.kind == "none":
             raise InputError(
                 f"{member.name} has no clock to join by: add a time column, or `sample_rate` HZ if both "
                 "have one rate"
             )
-    assert table.time is not None
-    base_stamp, log_stamp = base.clock.first_stamp, log.clock.first_stamp
-    if base_stamp is not None and log_stamp is not None:
-        if (base.clock.origin is None) == (log.clock.origin is None):
-            shifted: Floats = table.time + (log_stamp - base_stamp) / 1e9
+    assert guest.time is not None
+    stamp, guest_stamp = clock.first_stamp, guest_clock.first_stamp
+    if stamp is not None and guest_stamp is not None:
+        if (clock.origin is None) == (guest_clock.origin is None):
+            shifted: Floats = guest.time + (guest_stamp - stamp) / 1e9
             return shifted
-    if base_stamp is log_stamp or clock_offset is not None:
-        return table.time
+    if stamp is guest_stamp or clock_offset is not None:
+        return guest.time
     raise InputError(
-        f"{base.name} and {log.name}: only one clock has dates: give `clock_offset` SECONDS, or "
-        "auto"
+        f"{clock.name} and {guest_clock.name}: only one clock has dates: give `clock_offset` SECONDS, "
+        "or auto"
     )
 
 
-def _beside(rows: Block, time: Floats, table: Block, pair_name: str) -> Block:
+def _side_by_side(rows: Block, time: Floats, table: Block, pair_name: str) -> Block:
     """Put another log's signals beside rows, where it has some; none in its gaps.
 
     Raises
@@ -123,7 +119,7 @@ def _beside(rows: Block, time: Floats, table: Block, pair_name: str) -> Block:
     if len(time) > 1:
         steps = np.diff(time)
         following = np.clip(np.searchsorted(time, at, side="right"), 1, len(time) - 1)
-        in_gap = steps[following - 1] > GAP_STEPS * np.sort(steps)[len(steps) // 2]
+        in_gap = steps[following - 1] > _GAP_STEPS * np.sort(steps)[len(steps) // 2]
         is_stamp = (at == time[following]) | (at == time[following - 1])
         covered &= ~in_gap | is_stamp
     if not covered.any():
@@ -145,13 +141,13 @@ def _beside(rows: Block, time: Floats, table: Block, pair_name: str) -> Block:
     return Block(times, values, dt=dt)
 
 
-def _pair(rows: Block, time: Floats, table: Block) -> Pair | None:
+def _pair(rows: Block, time: Floats, table: Block) -> RecordPair | None:
     """Return drive and displacement of two logs, if one has each (InputError)."""
-    drives = [table.values[role] for role in DRIVES if role in table.values]
+    drives = [table.values[role] for role in _DRIVES if role in table.values]
     sensors = [rows.values[role] for role in SENSORS if role in rows.values]
     if not drives or not sensors or rows.time is None:
         return None
-    return Pair.of(time, drives[0], rows.time, sensors[0])
+    return RecordPair.of(time, drives[0], rows.time, sensors[0])
 
 
 def _offset(
@@ -184,9 +180,48 @@ def _warn_if_apart(pair_name: str, rows: Block, time: Floats, table: Block) -> N
         pair = _pair(rows, time, table)
     except InputError:
         return
-    offset = 0.0 if pair is None else apart(pair)
+    offset = 0.0 if pair is None else clocks_apart(pair)
     if offset:
         warn(
             f"{pair_name}: drive and sensor do not line up in time (by {offset:+.3g} s): try "
             "`clock_offset` auto"
         )
+
+
+# --- an even rate ---
+
+
+def resampled(rows: Block, clock: Clock, rate: float) -> tuple[Block, Clock]:
+    """Return rows at an even rate (Hz), and their clock.
+
+    Raises
+    ------
+    InputError
+        They have no clock, or last less than a step.
+    UsageError
+        The rate is not above 0.
+    """
+    if not 0.0 < rate < np.inf:
+        raise UsageError(f"`resample` {rate:g}: give a rate above 0 Hz")
+    if rows.time is None:
+        raise InputError(
+            f"{clock.name}: `resample` needs a clock (`time` COLUMN or `sample_rate` HZ)"
+        )
+    first = float(rows.time[0])
+    span = float(rows.time[-1]) - first
+    count = int(np.floor(span * rate * (1.0 + 1e-12))) + 1
+    if count < 2 or count > _MOST_ROWS:
+        raise InputError(
+            f"{clock.name}: `resample` {rate:g}: the log lasts {span:.4g} s"
+        )
+    time = first + np.arange(count) / rate
+    values = {}
+    for role, array in rows.values.items():
+        values[role] = np.interp(time, rows.time, array)
+    even = Clock(clock.name, "rate", rate=rate, start=first, origin=clock.origin)
+    even.step = 1.0 / rate
+    even.rows, even.first, even.last = count, first, float(time[-1])
+    even.remarks.append(
+        f"{len(rows):,} rows are interpolated to {count:,} at {rate:g} Hz"
+    )
+    return Block(time, values, dt=even.step), even

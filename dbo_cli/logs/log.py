@@ -7,38 +7,35 @@ roles are chosen; blocks come as arrays by role, in seconds and in the units ask
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.files import note_input
-from dbo_cli.logs import text
 from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import choose, named
 from dbo_cli.logs.formats import reader_of
-from dbo_cli.logs.scale import Scale, scales_of
+from dbo_cli.logs.join import SENSORS, ClockOffset, joined, resampled
+from dbo_cli.logs.scale import ColumnScale, scales_of
 from dbo_cli.logs.table import (
     BLOCK_ROWS,
-    NOT_A_TIME,
-    OVERLOAD,
     Block,
     Column,
     Reading,
     Table,
+    bad_cells,
+    is_good,
+    parse_rows,
 )
+from dbo_cli.logs.text import open_text
 from dbo_cli.units import multiplied
 
-if TYPE_CHECKING:
-    from dbo_cli.logs.join import ClockOffset
-
-Numbers = NDArray[np.int64]  # of rows, from 1
-Arrays = list[NDArray[Any]]
+_Numbers = NDArray[np.int64]  # of rows, from 1
+_Arrays = list[NDArray[Any]]
 
 _FIRST_BYTES = 1024  # MATLAB 7.3 has the mark of HDF5 at byte 512
 
@@ -67,7 +64,7 @@ class Log:
         source: Table,
         clock: Clock,
         picks: Mapping[str, Column],
-        scales: Mapping[str, Scale],
+        scales: Mapping[str, ColumnScale],
         reading: Reading,
     ) -> None:
         self.name = source.name
@@ -87,20 +84,35 @@ class Log:
         self._count = 0
         self._rows: Block | None = None
 
-    @classmethod
-    def in_memory(
-        cls,
-        name: str,
-        columns: Mapping[str, Column],
-        rows: Block,
-        clock: Clock,
-        remarks: list[str],
-    ) -> Log:
-        """Return a log of rows in memory, as a joined or resampled one is."""
-        scales = {role: (Fraction(1), column.unit) for role, column in columns.items()}
-        log = cls(Table(name), clock, columns, scales, Reading())
-        log.remarks, log._rows = remarks, rows
-        return log
+    def join(self, second: Log, clock_offset: float | str | None) -> None:
+        """Take the columns of a second log; the rows are those of the log with the sensor, else the first's.
+
+        Raises
+        ------
+        InputError
+            They cannot be joined; see ``joined``.
+        """
+        base, guest = self, second
+        if any(role in second.columns for role in SENSORS):
+            base, guest = second, self
+        rows, others = base.read(), guest.read()
+        self._rows, self.clock_offset = joined(
+            rows, base.clock, others, guest.clock, clock_offset
+        )
+        self.clock = base.clock
+        self.columns = {**base.columns, **guest.columns}
+        self.remarks = [*base.remarks, *guest.remarks]
+        self.doubtful = [*base.doubtful, *guest.doubtful]
+        left_out = len(rows) - len(self._rows)
+        if left_out:
+            self.remarks.append(
+                f"{left_out:,} rows of {base.name} left out: {guest.name} has none there"
+            )
+
+    def resample(self, rate: float) -> None:
+        """Interpolate the log to an even rate (Hz), in memory (InputError, UsageError)."""
+        self._rows, self.clock = resampled(self.read(), self.clock, rate)
+        self.remarks += self.clock.remarks
 
     def provided(self, role: str) -> bool:
         """Return whether the log has a column for a role, or a clock for ``time``."""
@@ -167,7 +179,7 @@ class Log:
         self.doubtful += self.remarks[noted:]
         self._finish(row - 1)
 
-    def _asked(self, numbers: Numbers, arrays: Arrays) -> tuple[Numbers, Arrays]:
+    def _asked(self, numbers: _Numbers, arrays: _Arrays) -> tuple[_Numbers, _Arrays]:
         """Return the rows inside ``rows``."""
         first, last = int(numbers[0]), int(numbers[-1])
         if self._first <= first and (self._last is None or last <= self._last):
@@ -177,8 +189,8 @@ class Log:
         return numbers[inside], [array[inside] for array in arrays]
 
     def _good(
-        self, numbers: Numbers, arrays: Arrays, columns: Sequence[Column]
-    ) -> tuple[Numbers, Arrays]:
+        self, numbers: _Numbers, arrays: _Arrays, columns: Sequence[Column]
+    ) -> tuple[_Numbers, _Arrays]:
         """Return the rows that hold numbers.
 
         Raises
@@ -186,13 +198,14 @@ class Log:
         InputError
             A row does not, and such rows are not to be left out.
         """
-        if all(map(_is_good, arrays)):
+        if all(map(is_good, arrays)):
             return numbers, arrays
-        bad = [_bad_cells(array) for array in arrays]
+        bad = [bad_cells(array) for array in arrays]
         good = ~np.logical_or.reduce(bad)
         at = int(np.argmin(good))
-        column = columns[[bool(marks[at]) for marks in bad].index(True)]
-        location = self._source.where(int(numbers[at]), column)
+        index = [bool(marks[at]) for marks in bad].index(True)
+        row, value = int(numbers[at]), arrays[index][at]
+        location = self._source.where(row, columns[index], value)
         count = int(np.count_nonzero(~good))
         if not self._skip_bad:
             more = f", and {count - 1:,} more such rows near it" if count > 1 else ""
@@ -207,10 +220,10 @@ class Log:
         for row in torn:
             is_first = not self._count and (not len(numbers) or row < numbers[0])
             if self._torn is None and not is_first:
-                self._torn = row, self._source.where(row, columns[-1])
+                self._torn = row, self._source.where(row, columns[-1], "")
         return numbers, [array[good] for array in arrays]
 
-    def _refuse_torn(self, numbers: Numbers) -> None:
+    def _refuse_torn(self, numbers: _Numbers) -> None:
         """Refuse rows whose time is counted behind a line that may be no sample (InputError)."""
         if self._torn is None or self.clock.kind != "rate":
             return
@@ -262,40 +275,6 @@ class Log:
         self.close()
 
 
-def _is_good(array: NDArray[Any]) -> bool:
-    """Return whether all cells are numbers or stamps."""
-    if not len(array):
-        return True
-    if array.dtype.kind == "i":
-        return bool(array.min() != NOT_A_TIME)
-    return bool(-OVERLOAD < array.min() and array.max() < OVERLOAD)  # no NaN is
-
-
-def _bad_cells(array: NDArray[Any]) -> NDArray[np.bool_]:
-    """Return which cells are no numbers and no stamps."""
-    if array.dtype.kind == "i":
-        return np.asarray(array == NOT_A_TIME)
-    return np.asarray(~(np.abs(array) < OVERLOAD))
-
-
-def parse_rows(rows: str | None) -> tuple[int, int | None]:
-    """Read ``rows``: the first and the last data row, counted from 1; either may be left out.
-
-    Raises
-    ------
-    UsageError
-        It is no range.
-    """
-    match = re.fullmatch(r"\s*(\d{0,15})\s*:\s*(\d{0,15})\s*", rows or ":", re.ASCII)
-    first = int(match[1] or 1) if match else 0
-    last = int(match[2]) if match and match[2] else None
-    if first < 1 or (last is not None and last < first):
-        raise UsageError(
-            f"`rows` {rows}: give A:B, data rows counted from 1, both ends included"
-        )
-    return first, last
-
-
 # --- opening ---
 
 
@@ -303,7 +282,7 @@ def open_log(
     path: str | os.PathLike[str] | Table,
     roles: Mapping[str, str | None],
     reading: Reading | None = None,
-    units: Mapping[str, str] | None = None,
+    units: Mapping[str, str | None] | None = None,
     optional: Sequence[str] = ("time",),
 ) -> Log:
     """Open a log and give every role its column.
@@ -319,7 +298,7 @@ def open_log(
     reading
         How the file is to be read.
     units
-        By role, the unit that the values are wanted in.
+        By role, the unit that the values are wanted in; None of a model that states none.
     optional
         Roles that may be absent.
 
@@ -343,39 +322,37 @@ def open_log(
     roles = {role: text for role, text in roles.items() if role not in elsewhere}
     opened = path if isinstance(path, Table) else os.fspath(path)
     log = _open_file(opened, roles, reading, units, optional)
-    if elsewhere:
-        log = _with_columns_of(log, elsewhere, reading, units)
-    if reading.resample is not None:
-        from dbo_cli.logs.resample import resampled
-
-        log = resampled(log, reading.resample)
+    if not elsewhere and reading.resample is None:
+        return log
+    with log:
+        if elsewhere:
+            with _open_second(log.name, elsewhere, reading, units) as second:
+                log.join(second, reading.clock_offset)
+        if reading.resample is not None:
+            log.resample(reading.resample)
     return log
 
 
-def _with_columns_of(
-    log: Log, elsewhere: Mapping[str, str], reading: Reading, units: Mapping[str, str]
+def _open_second(
+    name: str,
+    elsewhere: Mapping[str, str],
+    reading: Reading,
+    units: Mapping[str, str | None],
 ) -> Log:
-    """Join columns ``FILE::COLUMN`` of a second file to a log."""
-    from dbo_cli.logs.join import joined
-
-    with log:
-        files = {text.rpartition("::")[0] for text in elsewhere.values()}
-        if len(files) > 1:
-            listing = ", ".join(sorted(files))
-            raise UsageError(
-                f"{log.name}: one more file, not {listing}: join them first"
-            )
-        roles = {role: text.rpartition("::")[2] for role, text in elsewhere.items()}
-        uncut = replace(reading, rows=None)
-        with _open_file(files.pop(), roles, uncut, units, ()) as second:
-            return joined(log, second, reading.clock_offset)
+    """Open the second file that columns ``FILE::COLUMN`` stand in."""
+    files = {text.rpartition("::")[0] for text in elsewhere.values()}
+    if len(files) > 1:
+        listing = ", ".join(sorted(files))
+        raise UsageError(f"{name}: one more file, not {listing}: join them first")
+    roles = {role: text.rpartition("::")[2] for role, text in elsewhere.items()}
+    return _open_file(files.pop(), roles, replace(reading, rows=None), units, ())
 
 
 def _open_file(
     name: str | Table,
     roles: Mapping[str, str | None],
     reading: Reading,
-    units: Mapping[str, str],
+    units: Mapping[str, str | None],
     optional: Sequence[str],
 ) -> Log:
     """Open one file or table as a log."""
@@ -404,14 +381,14 @@ def open_table(name: str, reading: Reading) -> Table:
         reader = reader_of(path, start)
         if reader is not None:
             return reader(path, inner, reading)
-    return text.read(path, inner, reading)
+    return open_text(path, inner, reading)
 
 
 def _chosen(
     source: Table,
     roles: Mapping[str, str | None],
     reading: Reading,
-    units: Mapping[str, str],
+    units: Mapping[str, str | None],
     optional: Sequence[str],
 ) -> tuple[Clock, dict[str, Column]]:
     """Choose the clock and the columns of the roles."""

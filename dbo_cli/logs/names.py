@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.cells import is_number, split_cells
+from dbo_cli.logs.cells import Layout, is_number, split_cells
 from dbo_cli.logs.columns import KNOWN_NAMES, words
 from dbo_cli.logs.settings import (
     NAME_KEYS,
@@ -27,9 +26,6 @@ from dbo_cli.logs.settings import (
 )
 from dbo_cli.logs.table import LONGEST_CELL, Table
 from dbo_cli.units import kind_of, parse_unit, spell, split_header, time_unit
-
-if TYPE_CHECKING:
-    from dbo_cli.logs.dialect import Layout
 
 _LINES = 3  # names, units and a remark stand above the rows at most
 _BESIDE = 40  # rows beside which settings may stand

@@ -8,9 +8,16 @@ from fractions import Fraction
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.table import Column
-from dbo_cli.units import parse_unit, ratio, spell, split_header, units_in
+from dbo_cli.units import (
+    parse_unit,
+    ratio,
+    spell,
+    split_header,
+    units_in,
+    warn_unstated,
+)
 
-Scale = tuple[Fraction, str | None]  # a factor, and the unit behind it
+ColumnScale = tuple[Fraction, str | None]  # a factor, and the unit behind it
 
 _FACTOR = re.compile(
     r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?:([^\s/\d.][^\s/]*)\s*/\s*([^\s/]+))?\s*",
@@ -22,9 +29,9 @@ def scales_of(
     name: str,
     columns: Mapping[str, Column],
     factors: Mapping[str, str | float],
-    units: Mapping[str, str],
+    units: Mapping[str, str | None],
     remarks: list[str],
-) -> dict[str, Scale]:
+) -> dict[str, ColumnScale]:
     """Return the scale of every role: what the user types, then the unit that is wanted.
 
     Raises
@@ -45,6 +52,8 @@ def scales_of(
             _refuse_unclear_unit(name, role, column)
             factor, unit = Fraction(1), column.unit
         target = units.get(role)
+        if role in units:
+            warn_unstated(f"{name}: {column.label}", unit, target)
         if target is not None and unit is None:
             remarks.append(f"{column.label} has no unit: {target} assumed")
         if target is not None:
@@ -60,7 +69,7 @@ def scales_of(
     return scales
 
 
-def _typed_scale(name: str, role: str, column: Column, text: str) -> Scale:
+def _typed_scale(name: str, role: str, column: Column, text: str) -> ColumnScale:
     """Return the scale that the user types: ``20``, or ``10um/V``."""
     match = _FACTOR.fullmatch(text)
     if match is None or not 0.0 < abs(float(match[1])) < 1e250:

@@ -17,17 +17,17 @@ from dbo_cli.units import conversion, split_header, time_unit
 Statement = tuple[str, object, str]  # what a file states: key, value, unit
 
 # keys without blanks and signs, in lower case
-RATES = frozenset(
+_RATES = frozenset(
     "samplerate samplingrate samplingfrequency samplefrequency samplingfreq samplefreq acqrate fs srate "
     "sfreq acquisitionrate acquisitionfrequency abtastrate abtastfrequenz messfrequenz messrate "
     "framerate framespersecond samplespersecond bildrate".split()
 )
-STEPS = frozenset(
+_STEPS = frozenset(
     "wfincrement sampleperiod samplingperiod sampleinterval samplinginterval sampletime timestep dt ts "
     "deltat deltax timeincrement tinterval xincrement xinc tinc increment abtastintervall abtastzeit "
     "abtastperiode timeinterval timeresolution hresolution".split()
 )
-STARTS = frozenset(
+_STARTS = frozenset(
     "x0 hoffset xorg t0 start xorigin tstart wfstartoffset wfstarttime".split()
 )
 NAME_KEYS = frozenset("tracename name source channelname label".split())
@@ -70,7 +70,7 @@ def plain_key(key: str) -> str:
 
 def is_clock_setting(key: str) -> bool:
     """Return whether a key states a rate, a step or the time of the first row."""
-    return _kind_of(key)[0] != "" or plain_key(key) in STARTS
+    return _kind_of(key)[0] != "" or plain_key(key) in _STARTS
 
 
 def is_channel_key(key: str) -> bool:
@@ -87,11 +87,11 @@ def _kind_of(key: str) -> tuple[str, str]:
     """Return ``rate``, ``step`` or nothing for a key, and the unit that it carries."""
     name, unit = split_header(key)
     plain = plain_key(name)
-    if plain.endswith("hz") and plain.removesuffix("hz") in RATES:
+    if plain.endswith("hz") and plain.removesuffix("hz") in _RATES:
         return "rate", unit or "Hz"
-    if plain in RATES:
+    if plain in _RATES:
         return "rate", unit or ""
-    if plain in STEPS:
+    if plain in _STEPS:
         return "step", unit or ""
     return _BARE.get(plain, ""), unit or ""
 
@@ -127,7 +127,7 @@ def stated_clock(statements: Sequence[Statement], decimal: str = ".") -> StatedC
     starts: dict[str, float] = {}
     for key, value, _ in statements:
         text = str(value).replace(",", ".")
-        if plain_key(key) in STARTS and is_number(text, "."):
+        if plain_key(key) in _STARTS and is_number(text, "."):
             start = to_number(text, ".")
             if starts.setdefault(key, start) != start:
                 clock.problem = (
@@ -251,7 +251,7 @@ def clock_of_settings(settings: dict[str, list[str]], decimal: str) -> StatedClo
         unit = unit_text if plain_key(key) in _IN_TIME_UNIT else ""
         if len(nonempty) == 2 and re.fullmatch(r"[^\d=:\[]{1,12}", nonempty[1]):
             unit = nonempty.pop()  # 1,kHz
-        if plain_key(key) in STARTS and not all(is_number(x, ".") for x in nonempty):
+        if plain_key(key) in _STARTS and not all(is_number(x, ".") for x in nonempty):
             nonempty = nonempty[:1]
         statements += [(key, value, unit) for value in nonempty]
     clock = stated_clock(statements, decimal)

@@ -19,8 +19,8 @@ from typing import IO, Any, cast
 
 from dbo_cli.errors import InputError, UsageError
 
-HEAD = 1 << 16  # bytes from which the layout is found; longer than any header
-BLOCK = 1 << 22  # bytes of text at a time; of 1 to 8 MB the fastest
+_HEAD = 1 << 16  # bytes from which the layout is found; longer than any header
+_BLOCK = 1 << 22  # bytes of text at a time; of 1 to 8 MB the fastest
 _ASCII = ("utf-8", "cp1252", "ascii", "iso8859-1")  # their digits and signs are ASCII's
 
 
@@ -78,8 +78,8 @@ class TextStream:
             It cannot be read, or it is no text.
         """
         start = b""
-        while len(start) < HEAD:
-            data = self._read(HEAD - len(start))
+        while len(start) < _HEAD:
+            data = self._read(_HEAD - len(start))
             self.ended = not data
             start += data
             if self.ended:
@@ -95,7 +95,7 @@ class TextStream:
 
     def next(self) -> bytes:
         """Return the next text; none at the end (InputError)."""
-        data = self._read(BLOCK)
+        data = self._read(_BLOCK)
         self.ended = not data
         return self._plain(data)
 

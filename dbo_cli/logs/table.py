@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
+from dbo_cli.errors import UsageError
 from dbo_cli.units import spell, split_header
 
 BLOCK_ROWS = 65536
@@ -86,6 +88,24 @@ class Reading:
     clock_offset: float | str | None = None
 
 
+def parse_rows(rows: str | None) -> tuple[int, int | None]:
+    """Read ``rows``: the first and the last data row, counted from 1; either may be left out.
+
+    Raises
+    ------
+    UsageError
+        It is no range.
+    """
+    match = re.fullmatch(r"\s*(\d{0,15})\s*:\s*(\d{0,15})\s*", rows or ":", re.ASCII)
+    first = int(match[1] or 1) if match else 0
+    last = int(match[2]) if match and match[2] else None
+    if first < 1 or (last is not None and last < first):
+        raise UsageError(
+            f"`rows` {rows}: give A:B, data rows counted from 1, both ends included"
+        )
+    return first, last
+
+
 @dataclass
 class Block:
     """Rows that travel together; a whole log in memory is one block, ``block["voltage"]``.
@@ -145,6 +165,22 @@ class Block:
         return cls(np.concatenate(times) if times else None, values, dt=dt)
 
 
+def is_good(array: NDArray[Any]) -> bool:
+    """Return whether all cells are numbers or stamps."""
+    if not len(array):
+        return True
+    if array.dtype.kind == "i":
+        return bool(array.min() != NOT_A_TIME)
+    return bool(-OVERLOAD < array.min() and array.max() < OVERLOAD)  # no NaN is
+
+
+def bad_cells(array: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which cells are no numbers and no stamps."""
+    if array.dtype.kind == "i":
+        return np.asarray(array == NOT_A_TIME)
+    return np.asarray(~(np.abs(array) < OVERLOAD))
+
+
 @dataclass
 class StatedClock:
     """What a file states of its clock beside the rows.
@@ -191,8 +227,6 @@ class Table:
         Whether a clock offset was found when it was made of two files.
     remarks
         What the user is to be told, without the file's name in front.
-    last_block, first_row
-        The arrays of the last block by the columns' numbers, and the number of its first row.
     torn
         The rows (from 1) of the last block that have another number of cells.
     """
@@ -202,7 +236,6 @@ class Table:
     cure: str = "`skip_bad` drops such rows"
     has_found_offset: bool = False
     has_paths = False
-    first_row: int = 1
     torn: Sequence[int] = ()
 
     def __init__(self, name: str, clock: StatedClock | None = None) -> None:
@@ -210,7 +243,6 @@ class Table:
         self.columns: list[Column] = []
         self.stated = clock or StatedClock()
         self.remarks: list[str] = []
-        self.last_block: dict[int, NDArray[Any]] = {}
 
     def add_column(
         self,
@@ -238,9 +270,8 @@ class Table:
         """
         raise NotImplementedError
 
-    def where(self, row: int, column: Column) -> str:
-        """Say where a row (from 1) of the last block is, and what stands in a column of it."""
-        value = self.last_block[column.number][row - self.first_row]
+    def where(self, row: int, column: Column, value: object) -> str:
+        """Say where a row (from 1) of the last block is, and which value a column has there."""
         return f"{self.name}: row {row}: {column.label} is {value}"
 
     def find(self, name: str) -> Column | None:

@@ -2,7 +2,7 @@
 
 Most files have known names in the first line and numbers below: ``plain_layout`` takes
 them. How others are written is found by ``dialect.py``. polars reads a block at once
-(``fast_text.py``); a block that is not regular is read line by line, and so is a small
+(``fast_text.py``); a block that is not regular is open_text line by line, and so is a small
 file, which does without polars.
 """
 
@@ -17,28 +17,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.cells import NUMBER, Marks, split_cells, to_number
+from dbo_cli.logs.cells import NUMBER, Layout, Marks, split_cells, to_number
 from dbo_cli.logs.columns import KNOWN_NAMES, words
-from dbo_cli.logs.dialect import Layout, find_layout, is_no_row
+from dbo_cli.logs.dialect import find_layout, is_no_row
 from dbo_cli.logs.names import begins_run, describe_columns
 from dbo_cli.logs.settings import is_setting
 from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import LONGEST_CELL, Column, Reading, Table
 from dbo_cli.units import parse_unit, split_header, time_unit
 
-LONGEST_LINE = 1 << 24  # bytes; what is longer has no line ends
-SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
-TINY = 1 << 12  # bytes that are read faster in Python than by polars
+_LONGEST_LINE = 1 << 24  # bytes; what is longer has no line ends
+_SMALL = 1 << 18  # bytes that are open_text faster in Python than polars is imported
+_TINY = 1 << 12  # bytes that are open_text faster in Python than by polars
 _COMMENT = re.compile(rb"(?m)^[ \t]*[#%].*\n?")
 
 
-def read(path: str, inner: str, reading: Reading) -> Table:
+def open_text(path: str, inner: str, reading: Reading) -> Table:
     """Read a text log; see ``Table``.
 
     Raises
     ------
     InputError
-        It cannot be read, or it is not clear how it is written.
+        It cannot be open_text, or it is not clear how it is written.
     """
     if inner:
         raise UsageError(
@@ -114,6 +114,7 @@ class TextTable(Table):
         self._reading = reading
         self._marks: dict[int, Marks] = {}
         self._size = 0  # bytes of rows
+        self._first_row = 1  # of the last block
         try:
             start = stream.head(self._has_layout)
             lines = stream.lines(start)
@@ -153,11 +154,11 @@ class TextTable(Table):
                 self._doubt_last_line(text)
             arrays, lines = self._read_block(text, columns)
             if len(arrays[0]):
-                self._refuse_doubtful(self.first_row + len(arrays[0]) - 1)
+                self._refuse_doubtful(self._first_row + len(arrays[0]) - 1)
                 yield arrays
-            self.first_row += len(arrays[0])
+            self._first_row += len(arrays[0])
             self._line += lines
-        self._refuse_doubtful(self.first_row, limit=0)
+        self._refuse_doubtful(self._first_row, limit=0)
 
     def _texts(self) -> Iterator[bytes]:
         """Return the rows in blocks of whole lines, without those of delimiters at the end of the file."""
@@ -168,7 +169,7 @@ class TextTable(Table):
                 yield data[:end] if not tail else tail + data[:end]
                 tail = b""
             tail += data[end:]
-            if len(tail) > LONGEST_LINE:
+            if len(tail) > _LONGEST_LINE:
                 raise InputError(
                     f"{self.name}: a line is longer than 16 MB: no text log?"
                 )
@@ -199,11 +200,11 @@ class TextTable(Table):
         """Read a block by polars, or line by line where it is small or not regular; count its lines."""
         self._size += len(text)
         self.torn = ()
-        is_small = self._size <= SMALL and "polars" not in sys.modules
-        if not is_small and len(text) > TINY and self._has_plain_comments(text):
+        is_small = self._size <= _SMALL and "polars" not in sys.modules
+        if not is_small and len(text) > _TINY and self._has_plain_comments(text):
             from dbo_cli.logs.fast_text import read_fast
 
-            block = read_fast(text, self.layout, columns, self._marks, self.first_row)
+            block = read_fast(text, self.layout, columns, self._marks, self._first_row)
             if block is not None:
                 return block
         return self._read_lines(text, columns), text.count(b"\n")
@@ -230,7 +231,7 @@ class TextTable(Table):
             if not self._is_passed(line):
                 rows.append(split_cells(line, self.layout.delimiter))
         torn = [k for k, cells in enumerate(rows) if len(cells) != width]
-        self.torn = [self.first_row + k for k in torn]
+        self.torn = [self._first_row + k for k in torn]
         for k in torn:
             rows[k] = [""] * width
         arrays: list[NDArray[Any]] = []
@@ -252,16 +253,16 @@ class TextTable(Table):
     def _watch(self, column: Column, cells: Sequence[str]) -> None:
         """Take the cells of a column into account, until its marks are clear."""
         marks = self._marks.get(column.number, Marks(is_clear=True))
-        for row, cell in enumerate(cells, start=self.first_row):
+        for row, cell in enumerate(cells, start=self._first_row):
             if marks.is_clear:
                 break
             marks.watch(row, cell)
 
-    def where(self, row: int, column: Column) -> str:
+    def where(self, row: int, column: Column, value: object) -> str:
         """Say in which line a row of the last block is, and what stands in a column of it."""
         lines = self._stream.lines(self._text)
         numbers = [k for k, line in enumerate(lines) if not self._is_passed(line)]
-        number = numbers[row - self.first_row]
+        number = numbers[row - self._first_row]
         at = f"{self.name}:{self._line + number}"
         if is_no_row(lines[number]):
             return f"{at}: a comment as above another run: cut with `rows` :{row - 1}"

@@ -23,17 +23,17 @@ from numpy.typing import ArrayLike
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.files import Output, Outputs, telling
+from dbo_cli.logs.table import BLOCK_ROWS
 from dbo_cli.units import split_header
 
 Named = tuple[str, str | None]  # a column's name and its unit
 Attributes = dict[str, str | float]
 
-BLOCK_ROWS = 1 << 16  # rows that are formatted at once
 # Cells that Python formats sooner than polars is imported (0.1 s, measured).
-PLAIN_CELLS = 1 << 16
-GZIP_LEVEL = 1  # three times as fast as 6, and 8 % larger (measured)
-HDF5_SUFFIXES = (".h5", ".hdf5")
-DELIMITERS = {"": ",", ".csv": ",", ".txt": ",", ".dat": ",", ".tsv": "\t"}
+_PLAIN_CELLS = 1 << 16
+_GZIP_LEVEL = 1  # three times as fast as 6, and 8 % larger (measured)
+_HDF5_SUFFIXES = (".h5", ".hdf5")
+_DELIMITERS = {"": ",", ".csv": ",", ".txt": ",", ".dat": ",", ".tsv": "\t"}
 
 
 @contextlib.contextmanager
@@ -75,9 +75,9 @@ def add_table(
     """Return a writer of columns; its file appears with the other ``outputs``; see :func:`create`."""
     path = os.fspath(path)
     suffix = _suffix_of(path)
-    if suffix in HDF5_SUFFIXES:
+    if suffix in _HDF5_SUFFIXES:
         return Hdf5Writer(outputs.add(path), columns, attributes or {})
-    return TextWriter(outputs.add(path), columns, DELIMITERS[suffix])
+    return TextWriter(outputs.add(path), columns, _DELIMITERS[suffix])
 
 
 def _suffix_of(path: str) -> str:
@@ -89,9 +89,9 @@ def _suffix_of(path: str) -> str:
     suffix = suffix.lower()
     if suffix == ".gz":
         suffix = os.path.splitext(stem)[1].lower()
-        if suffix in HDF5_SUFFIXES:
+        if suffix in _HDF5_SUFFIXES:
             raise UsageError(f"{path}: HDF5 compresses by itself: type {stem}")
-    if suffix in DELIMITERS or suffix in HDF5_SUFFIXES:
+    if suffix in _DELIMITERS or suffix in _HDF5_SUFFIXES:
         return suffix
     if os.path.exists(path) and not os.path.isfile(path):
         return ""  # a pipe or a device
@@ -153,7 +153,7 @@ class TextWriter(Writer):
         self._file = self._stream = file.open()
         if file.path.lower().endswith(".gz"):
             # no name and no time: the same numbers give the same bytes
-            packed = gzip.GzipFile("", "wb", GZIP_LEVEL, self._file, 0)
+            packed = gzip.GzipFile("", "wb", _GZIP_LEVEL, self._file, 0)
             self._stream = packed  # type: ignore[assignment]
         cells = [header_cell(name, unit, delimiter) for name, unit in columns]
         with telling(self.path):
@@ -167,7 +167,7 @@ class TextWriter(Writer):
 
     def _append(self, block: Sequence[Floats]) -> None:
         cells = (self.rows + len(block[0])) * len(block)
-        if cells < PLAIN_CELLS and "polars" not in sys.modules:
+        if cells < _PLAIN_CELLS and "polars" not in sys.modules:
             columns = [map(repr, array.tolist()) for array in block]
             lines = map(self.delimiter.join, zip(*columns, strict=True))
             self._send(("\n".join(lines) + "\n").encode())

@@ -235,7 +235,7 @@ def _line(volts: Floats, rate: float, gain: float, shift: float) -> str:
     """Return what to set at the generator, and what resampling changed, in words."""
     low, high = float(volts.min()), float(volts.max())
     text = (
-        f"{volts.size:,} points at {rate:.9g} Hz, {volts.size / rate:.6g} s; {high - low:.6g} Vpp,"
+        f"{volts.size:,} points at {rate:.5g} Hz, {volts.size / rate:.6g} s; {high - low:.6g} Vpp,"
         f" offset {0.5 * (high + low):.6g} V"
     )
     if gain != 1.0:

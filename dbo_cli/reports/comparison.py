@@ -14,7 +14,7 @@ from dbo_cli.errors import LimitError
 from dbo_cli.reports.expected import Expected
 from dbo_cli.reports.merits import Merits, merits
 from dbo_cli.reports.pair import Pair, scored
-from dbo_cli.reports.words import digits, short_name
+from dbo_cli.reports.words import digits, shortened
 from dbo_cli.signals import between, noise
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class LogReport:
     @property
     def largest_row(self) -> int:
         """Row of the largest error in the file."""
-        return self.pair.first_row + self.merits.max_abs_place
+        return self.pair.first_row + self.merits.max_abs_index
 
     def seconds(self, samples: float | None, scale: float = 1.0) -> float | None:
         """Return a number of samples in seconds times ``scale``; None where no clock is known."""
@@ -70,7 +70,7 @@ class LogReport:
     def record(self) -> dict[str, Any]:
         """Return the figures as plain values under the keys of the JSON form."""
         figures, time = self.merits, self.pair.time
-        when = None if time is None else float(time[figures.max_abs_place])
+        when = None if time is None else float(time[figures.max_abs_index])
         return {
             "name": self.name,
             "samples": figures.samples,
@@ -127,7 +127,7 @@ class Verdict:
 
     def words(self) -> str:
         """Return the verdict as a sentence."""
-        name = short_name(self.name)
+        name = shortened(self.name)
         if self.value is None:
             return f"{name}: the move has no range: no percentage for the limit of {self.limit:g} %"
         relation = "is within" if self.passed else "exceeds"
@@ -265,10 +265,10 @@ class Comparison:
         first = self.logs[0]
         best = min(self.logs, key=lambda log: log.merits.rmse)
         error = f"error {digits(best.merits.rmse, 3)} {self.unit or ''}".rstrip()
-        line = f"{short_name(best.name)}: {error} RMS"
+        line = f"{shortened(best.name)}: {error} RMS"
         if best is not first and best.merits.rmse > 0.0:
             times = digits(first.merits.rmse / best.merits.rmse, 2)
-            return f"{line}, {times} times less than {short_name(first.name)}"
+            return f"{line}, {times} times less than {shortened(first.name)}"
         if best.merits.nrmse_percent is not None:
             line += f" ({digits(best.merits.nrmse_percent, 2)} % of the move)"
         if best.expected_rmse is not None:
@@ -278,13 +278,13 @@ class Comparison:
 
 def _evaluated(pair: Pair, lag: int, remove_offset: bool) -> LogReport:
     """Return the figures of one log, with a warning where more was expected of it."""
-    chosen = scored(pair, lag)
-    figures = merits(chosen.desired, chosen.measured, remove_offset)
-    if chosen.expected is not None:
-        warning = _beyond(chosen.expected, chosen, figures)
+    compared = scored(pair, lag)
+    figures = merits(compared.desired, compared.measured, remove_offset)
+    if compared.expected is not None:
+        warning = _beyond(compared.expected, compared, figures)
         if warning:
-            chosen = replace(chosen, warnings=(f"{pair.name}: {warning}",))
-    return LogReport(chosen, figures, lag)
+            compared = replace(compared, warnings=(f"{pair.name}: {warning}",))
+    return LogReport(compared, figures, lag)
 
 
 def _beyond(expected: Expected, pair: Pair, figures: Merits) -> str:
@@ -315,14 +315,14 @@ def _cause(pair: Pair, figures: Merits, white: float) -> str:
             "set the sensor's zero, sweep the range before the move, or `remove_offset`",
         )
     ]
-    late = figures.lag
-    if late is not None and pair.step() is not None:
-        rows = np.arange(float(len(error))) - late
+    lag = figures.lag
+    if lag is not None and pair.step() is not None:
+        rows = np.arange(float(len(error))) - lag
         inside = (rows >= 0.0) & (rows <= len(error) - 1.0)
         shifted = pair.measured[inside] - between(pair.desired, rows[inside])
-        milliseconds = 1e3 * late * (pair.step() or 0.0)
+        milliseconds = 1e3 * lag * (pair.step() or 0.0)
         side, remedy = "late", "identify with `sensor_delay`, or `lag`"
-        if late < 0.0:
+        if lag < 0.0:
             side, remedy = (
                 "early",
                 "match the clocks, or take the delay out of the model",
@@ -330,15 +330,15 @@ def _cause(pair: Pair, figures: Merits, white: float) -> str:
         text = f"it is {abs(milliseconds):.3g} ms {side}"
         causes.append((_left(shifted - figures.offset, white), text, remedy))
     largest = np.argsort(np.abs(error))[: math.floor(0.99 * len(error))]
-    row = pair.first_row + figures.max_abs_place
+    row = pair.first_row + figures.max_abs_index
     text = f"one row in a hundred holds most of it, the largest at row {row:,}"
     causes.append(
         (_left(error[largest], white), text, "look there for a gap or a limit")
     )
-    left, text, remedy = min(causes)
-    if left > HALVED * _left(error, white):
+    residual, text, remedy = min(causes)
+    if residual > HALVED * _left(error, white):
         return ": sweep the range before the move, or identify again"
-    return f": {text}, without which {left:.2g} is left: {remedy}"
+    return f": {text}, without which {residual:.2g} is left: {remedy}"
 
 
 def _left(error: Floats, white: float) -> float:
@@ -360,9 +360,9 @@ def _verdicts(
     ]
     verdicts = []
     for log in logs:
-        for figure, limit, behind in limits:
+        for figure, limit, unit_of_limit in limits:
             if limit is None:
                 continue
             value = getattr(log.merits, figure)
-            verdicts.append(Verdict(log.name, figure, value, limit, behind))
+            verdicts.append(Verdict(log.name, figure, value, limit, unit_of_limit))
     return tuple(verdicts)

@@ -25,7 +25,7 @@ LARGEST_TURN = 0.1
 """Part of the range that a turn need not exceed: few samples a cycle look like noise."""
 LAG_ROWS = 1 << 17
 """Rows that the lag left is looked for in, evenly picked."""
-EXPLAINED = 0.5
+UNEXPLAINED = 0.5
 """Part of the measured signal's variance that a lag may leave unexplained at most."""
 
 
@@ -39,7 +39,7 @@ class Merits:
         Pairs that were compared.
     rmse, max_abs, p95_abs
         Root mean square, largest magnitude, and the magnitude that 95 % stay below.
-    max_abs_place
+    max_abs_index
         Index of the largest error.
     nrmse_percent
         RMSE in percent of the move, ``desired_max - desired_min``; None where it is 0.
@@ -57,7 +57,7 @@ class Merits:
     rmse: float
     nrmse_percent: float | None
     max_abs: float
-    max_abs_place: int
+    max_abs_index: int
     mean: float
     p95_abs: float
     loop_width: float | None
@@ -90,15 +90,15 @@ def merits(desired: Floats, measured: Floats, remove_offset: bool = False) -> Me
         offset = float(np.mean(error))
         error = error - offset
     magnitude = np.abs(error)
-    place = int(np.argmax(magnitude))
+    index = int(np.argmax(magnitude))
     low, high = float(desired.min()), float(desired.max())
     rmse = math.sqrt(float(np.mean(np.square(error))))
     return Merits(
         samples=len(error),
         rmse=rmse,
         nrmse_percent=percent_of(rmse, high - low),
-        max_abs=float(magnitude[place]),
-        max_abs_place=place,
+        max_abs=float(magnitude[index]),
+        max_abs_index=index,
         mean=0.0 if remove_offset else float(np.mean(error)),
         p95_abs=float(np.quantile(magnitude, 0.95, method="inverted_cdf")),
         loop_width=loop_width(desired, error),
@@ -109,9 +109,9 @@ def merits(desired: Floats, measured: Floats, remove_offset: bool = False) -> Me
     )
 
 
-def percent_of(value: float, whole: float) -> float | None:
+def percent_of(value: float, span: float) -> float | None:
     """Return a value in percent of a range; None where the range is 0."""
-    return 100.0 * value / whole if whole > 0.0 else None
+    return 100.0 * value / span if span > 0.0 else None
 
 
 def directions(values: Floats) -> NDArray[np.int8]:
@@ -121,13 +121,13 @@ def directions(values: Floats) -> NDArray[np.int8]:
     between the extreme and the place where that is certain have no direction: there the
     signal rests.
     """
-    least = min(TURN_IN_NOISE * noise(values), LARGEST_TURN * float(np.ptp(values)))
-    rows = turns(values, least)
+    threshold = min(TURN_IN_NOISE * noise(values), LARGEST_TURN * float(np.ptp(values)))
+    rows = turns(values, threshold)
     signs = np.zeros(len(values), dtype=np.int8)
     for begin, end in itertools.pairwise(rows.tolist()):
         change = values[begin + 1 : end + 1] - values[begin]
-        if change.size and abs(change[-1]) > least:
-            moving = int(np.argmax(np.abs(change) > least))
+        if change.size and abs(change[-1]) > threshold:
+            moving = int(np.argmax(np.abs(change) > threshold))
             signs[begin + 1 + moving : end + 1] = np.sign(change[-1])
     return signs
 
@@ -148,9 +148,9 @@ def loop_width(desired: Floats, error: Floats) -> float | None:
     means = []
     counted = np.ones(LOOP_BINS, dtype=bool)
     for sign in (1, -1):
-        taken = signs == sign
-        counts = np.bincount(bins[taken], minlength=LOOP_BINS)
-        sums = np.bincount(bins[taken], weights=error[taken], minlength=LOOP_BINS)
+        mask = signs == sign
+        counts = np.bincount(bins[mask], minlength=LOOP_BINS)
+        sums = np.bincount(bins[mask], weights=error[mask], minlength=LOOP_BINS)
         means.append(sums / np.maximum(counts, 1))
         counted &= counts >= FEWEST_IN_BIN
     if not counted.any():
@@ -166,7 +166,7 @@ def lag_left(desired: Floats, measured: Floats) -> float | None:
     forth, as a ramp, or where nothing of it is measured.
     """
     stride = -(-len(desired) // LAG_ROWS)
-    found = lag(measured[::stride], desired[::stride], float(stride))
-    if found is None or found.residual > EXPLAINED or math.isinf(found.deviation):
+    shift = lag(measured[::stride], desired[::stride], float(stride))
+    if shift is None or shift.residual > UNEXPLAINED or math.isinf(shift.deviation):
         return None
-    return found.seconds if abs(found.seconds) < len(desired) / 4.0 else None
+    return shift.seconds if abs(shift.seconds) < len(desired) / 4.0 else None

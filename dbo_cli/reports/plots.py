@@ -53,11 +53,11 @@ DASHED: dict[str, Any] = {
 THIN: dict[str, Any] = {"color": INK, "linewidth": 0.9}
 WIDE = (5.0, 2.8)  # inches: two side by side fill a page in print, one a phone
 TALL = (5.0, 4.0)  # inches: as wide as those; for loops
-COLUMNS = 1000  # of a figure; a curve keeps the least and the greatest value in each
+FIGURE_COLUMNS = 1000  # a curve keeps the least and the greatest value in each
 MOST_POINTS = 20_000  # of a loop that stays lines in an SVG; more become a picture
 LOOP_POINTS = 501  # each way of a model's loop
 
-Kind = Literal["png", "svg", "inline"]
+ImageKind = Literal["png", "svg", "inline"]
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def style(outlines: bool = True) -> Iterator[None]:
         yield
 
 
-def draw(plot: Plot, kind: Kind) -> bytes:
+def draw(plot: Plot, kind: ImageKind) -> bytes:
     """Return a figure as PNG, as SVG, or as SVG that stands inside a page.
 
     The inline form has letters as text, no background, variables for the colours of
@@ -127,8 +127,8 @@ def figure_of(plot: Plot) -> Figure:
     plot.paint(axes)
     handles, labels = axes.get_legend_handles_labels()
     if handles:
-        place = {"loc": "outside upper left", "columnspacing": 1.6}
-        figure.legend(handles, labels, ncols=_legend_columns(labels), **place)
+        legend = {"loc": "outside upper left", "columnspacing": 1.6}
+        figure.legend(handles, labels, ncols=_legend_columns(labels), **legend)
     return figure
 
 
@@ -162,7 +162,7 @@ def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:
         raise OutputError(
             f"{folder}: {problem.strerror}: `figures` needs a folder"
         ) from None
-    kinds: tuple[Kind, ...] = ("png", "svg")
+    kinds: tuple[ImageKind, ...] = ("png", "svg")
     written = []
     try:
         with Outputs() as outputs:
@@ -248,9 +248,9 @@ def _clock_of(log: LogReport) -> tuple[Floats, str]:
 
 def envelope(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Return a curve as its least and greatest value in each of many columns; a short one as it is."""
-    if len(x) <= 4 * COLUMNS:
+    if len(x) <= 4 * FIGURE_COLUMNS:
         return x, y
-    edges = np.linspace(0, len(x), COLUMNS + 1).astype(np.int64)[:-1]
+    edges = np.linspace(0, len(x), FIGURE_COLUMNS + 1).astype(np.int64)[:-1]
     low, high = np.minimum.reduceat(y, edges), np.maximum.reduceat(y, edges)
     heights = np.column_stack([low, high]).ravel()
     return np.repeat(x[edges], 2), heights

@@ -15,13 +15,13 @@ from dbo_cli.reports.plots import Plot, draw, sections_of_report
 from dbo_cli.reports.words import (
     digits,
     json_text,
-    short_name,
+    shortened,
     shown_unit,
     text_table,
 )
 from dbo_cli.version import __version__
 
-JSON_VERSION = 1  # of the form dbo-report
+REPORT_VERSION = 1  # of the form dbo-report
 LENGTHS = ("RMSE", "expected", "largest", "mean", "offset", "loop")
 
 
@@ -36,7 +36,7 @@ def to_json(report: Comparison) -> str:
     """
     content = {
         "format": "dbo-report",
-        "version": JSON_VERSION,
+        "version": REPORT_VERSION,
         "unit": report.unit,
         "compared": list(report.labels),
         "offset_removed": report.remove_offset,
@@ -59,7 +59,7 @@ def to_csv(report: Comparison) -> str:
     return out.getvalue()
 
 
-def table_of(report: Comparison) -> tuple[list[str], list[list[str]]]:
+def report_table(report: Comparison) -> tuple[list[str], list[list[str]]]:
     """Return the headings of the table and a row a log; what is not known of any is left out."""
     clocked = any(log.pair.step() for log in report.logs)
     expected = any(log.expected_rmse for log in report.logs)
@@ -67,7 +67,7 @@ def table_of(report: Comparison) -> tuple[list[str], list[list[str]]]:
     for log in report.logs:
         figures = log.merits
         cells = {
-            "log": short_name(log.name),
+            "log": shortened(log.name),
             "rows": f"{figures.samples:,}",
             "RMSE": digits(figures.rmse),
         }
@@ -97,7 +97,7 @@ def to_text(report: Comparison) -> str:
     if lines:
         lines.insert(0, "PASSED" if report.passed else "FAILED")
         lines.append("")
-    lines.append(text_table(*table_of(report)))
+    lines.append(text_table(*report_table(report)))
     lines += ["", settings_line(report)]
     lines += [f"warning: {warning}" for warning in report.warnings]
     lines += [f"note: {note}" for note in report.notes]
@@ -129,15 +129,15 @@ def to_html(report: Comparison) -> str:
     for verdict in report.verdicts:
         verdicts.append(replace(verdict, unit=verdict.unit.replace(" um", " µm")))
     report = replace(report, unit=unit or None, verdicts=tuple(verdicts))
-    titles, rows = table_of(report)
-    head = []
+    titles, rows = report_table(report)
+    headings = []
     for title in titles:
         length = unit and title in LENGTHS
-        head.append(f"{title} ({unit})" if length else title)
+        headings.append(f"{title} ({unit})" if length else title)
     parts = [_verdict(report), f'<p class="headline">{escape(report.line())}</p>']
     for warning in report.warnings:
         parts.append(f'<p class="warning">Warning: {escape(warning)}</p>')
-    parts.append(html_table(head, rows, chief=2))
+    parts.append(html_table(headings, rows, chief=2))
     parts.append(f'<p class="muted">{escape(settings_line(report))}</p>')
     parts += [f'<p class="muted">{escape(note)}</p>' for note in report.notes]
     for title, plots in sections_of_report(report):
@@ -171,13 +171,15 @@ def footer_lines(report: Comparison) -> list[str]:
     return lines
 
 
-def html_table(head: Sequence[str], rows: Sequence[Sequence[str]], chief: int) -> str:
+def html_table(
+    headings: Sequence[str], rows: Sequence[Sequence[str]], chief: int
+) -> str:
     """Return a table whose cells know their heading: a narrow screen shows a row as a card."""
-    cells = "".join(f'<th scope="col">{escape(title)}</th>' for title in head)
+    cells = "".join(f'<th scope="col">{escape(title)}</th>' for title in headings)
     lines = []
     for row in rows:
         line = ""
-        for number, (title, cell) in enumerate(zip(head, row, strict=True)):
+        for number, (title, cell) in enumerate(zip(headings, row, strict=True)):
             mark = ' class="chief"' if number == chief else ""
             line += f'<td{mark} data-label="{escape(title)}">{escape(cell)}</td>'
         lines.append(f"<tr>{line}</tr>")

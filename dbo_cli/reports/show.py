@@ -14,8 +14,8 @@ from dbo_cli.reports.words import digits, json_text
 if TYPE_CHECKING:
     from dbo_cli.model import Cascade, Quantity
 
-WIDTH = 96  # characters of a line
-APART = ("logs", "validation", "warnings", "notes")
+LINE_WIDTH = 96  # characters of a line
+SEPARATE_KEYS = ("logs", "validation", "warnings", "notes")
 """Keys of ``fit`` that stand beside it in the JSON form."""
 
 
@@ -51,8 +51,8 @@ class ShownModel:
             "delay_seconds": model.delay_seconds,
             "dynamics": sections,
             "candidates": len(model.candidates),
-            "fit": {key: fit[key] for key in fit if key not in APART},
-            **{key: list(fit.get(key, [])) for key in APART},
+            "fit": {key: fit[key] for key in fit if key not in SEPARATE_KEYS},
+            **{key: list(fit.get(key, [])) for key in SEPARATE_KEYS},
             "provenance": dict(model.provenance),
         }
 
@@ -91,8 +91,8 @@ class ShownModel:
             rows.append(("made by", str(values["provenance"]["program"])))
         rows += [("warning", text) for text in values["warnings"]]
         rows += [("note", text) for text in values["notes"]]
-        head = f"{self.name}: {values['direction']} model, {values['digest'][:12]}\n"
-        return head + _aligned(rows)
+        title = f"{self.name}: {values['direction']} model, {values['digest'][:12]}\n"
+        return title + _aligned(rows)
 
     def figures(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Draw the model's figures into a folder, PNG and SVG; return the files."""
@@ -166,7 +166,7 @@ def _aligned(rows: list[tuple[str, str]]) -> str:
     for name, text in rows:
         wrapped = textwrap.fill(
             text,
-            WIDTH,
+            LINE_WIDTH,
             initial_indent=name.ljust(width),
             subsequent_indent=" " * width,
             break_long_words=False,

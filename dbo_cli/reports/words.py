@@ -28,7 +28,7 @@ def shown_unit(unit: str | None) -> str:
     return {"um": "µm", "us": "µs"}.get(unit or "", unit or "")
 
 
-def short_name(name: str) -> str:
+def shortened(name: str) -> str:
     """Return a long name without its folders, and cut in its middle where it is still too long."""
     if len(name) > LONGEST_NAME:
         name = name.rsplit("/", 1)[-1] or name
@@ -37,11 +37,11 @@ def short_name(name: str) -> str:
     return f"{name[:12]}…{name[-(LONGEST_NAME - 13) :]}"
 
 
-def text_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def text_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Return columns two blanks apart, the first to the left, the others to the right."""
-    table = [list(head), *[list(row) for row in rows]]
+    table = [list(headings), *[list(row) for row in rows]]
     widths = []
-    for number in range(len(head)):
+    for number in range(len(headings)):
         widths.append(max(len(row[number]) for row in table))
     lines = []
     for row in table:

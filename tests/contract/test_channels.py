@@ -310,3 +310,24 @@ def test_report_of_every_channel(scanner: Path) -> None:
     done(*words, "-o", "r.html")
     assert Path("r_x.html").exists() and Path("r_y.html").exists()
     assert dbo(*words, "--max-rmse", "5nm", "-o", "r.txt").code == 3
+
+
+def test_a_set_is_no_prior_of_one_log(channels: Path) -> None:
+    """It was passed over in silence."""
+    alone = ("--voltage", "Vc_V", "--displacement", "Dc_um")
+    line = refused(1, "identify", channels, *alone, "--prior", "set.json")
+    assert "set.json" in line and "set.json::" in line
+
+
+def test_channels_keep_an_uneven_clock(channels: Path) -> None:
+    columns = table(channels)
+    columns["time_s"] = TIME + 4e-4 * np.sin(np.arange(len(TIME)))
+    write("uneven.csv", ",".join(columns), *columns.values())
+    words = ("--max-slew", 60, "--on-limit", "clip", "-q")
+    done("compensate", "set.json", "uneven.csv", "--displacement", "D{}_um", *words,
+         "-o", "set.csv")  # fmt: skip
+    done("compensate", "set.json::b", "uneven.csv", "--displacement", "Db_um", *words,
+         "-o", "one.csv")  # fmt: skip
+    ours, alone = table("set.csv"), table("one.csv")
+    np.testing.assert_allclose(ours["voltage_b_V"], alone["voltage_V"], atol=1e-12)
+    np.testing.assert_array_equal(ours["time_s"], alone["time_s"])

@@ -75,10 +75,12 @@ def test_a_gap_is_a_gap_on_an_even_clock_alone() -> None:
     drive = 50.0 + 40.0 * np.sin(2.0 * np.pi * 5.0 * TIME)
     words = ("--v-min", 0, "--v-max", 100)
     for lost in (2, 3, 51):
-        time = TIME.copy()
-        time[100:] += (lost - 1) / 1000.0
-        write("drive.csv", "time_s,voltage_V", time, drive)
-        assert "row 101" in dbo("check", "drive.csv", *words).lines[-1]
+        for row in (1, 2, 3, 100, TIME.size - 3, TIME.size - 1):
+            time = TIME.copy()
+            time[row:] += (lost - 1) / 1000.0
+            write("drive.csv", "time_s,voltage_V", time, drive)
+            line = dbo("check", "drive.csv", *words).lines[-1]
+            assert f"row {row + 1:,}: a gap in time" in line
     uneven = np.cumsum(np.random.default_rng(1).uniform(0.0005, 0.0015, TIME.size))
     write("drive.csv", "time_s,voltage_V", uneven, drive)
     done("check", "drive.csv", *words)

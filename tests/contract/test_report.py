@@ -253,7 +253,15 @@ def test_an_error_beside_the_expected_one() -> None:
 
 
 def test_refusals_name_what_is_wrong() -> None:
+    write("wish.csv", "time_s,displacement_um", TIME, WANTED)
+    write("late.csv", "time_s,displacement_um", TIME + 50.0, WANTED)
+    write("bare.csv", "displacement_um", WANTED)
     wrong = {
+        "good.csv --lag 600": "--lag",
+        "good.csv --figures good.csv": "--figures",
+        "late.csv --trajectory wish.csv --match time": "--match",
+        "bare.csv --trajectory wish.csv --match time": "bare.csv: has no time",
+        "wish.csv --trajectory bare.csv --match time": "bare.csv: has no time",
         "missing.csv": "missing.csv",
         "good.csv --desired nothing": "nothing",
         "good.csv --trajectory missing.csv": "missing.csv",

@@ -57,6 +57,20 @@ def test_a_typed_unit_where_the_file_states_none(words: str) -> None:
     assert shell("check", "v.csv", "--v-min", 0, "--v-max", 120).code == 0
 
 
+def test_a_log_with_units_and_a_model_without_is_said() -> None:
+    path, move = without_units("creep"), 2.5 - np.cos(30.0 * TIME)
+    text = "displacement_nm' is in nm, model or trajectory states no unit"
+    write("move.csv", "time_s,displacement_nm", TIME, move)
+    assert text in shell("compensate", path, "move.csv", "-o", "drive.csv").err
+    series = dbo.read_log("move.csv")["displacement"]
+    with pytest.warns(
+        dbo.DboWarning, match="in nm, model or trajectory states no unit"
+    ):
+        dbo.read_model(path).compensate(series, time=TIME)
+    write("move.csv", "time_s,displacement", TIME, move)
+    assert "no unit" not in shell("compensate", path, "move.csv", "-o", "drive.csv").err
+
+
 @pytest.mark.parametrize("figure", ["50mV", "50kV", "50um", "0.05kV", "50V"])
 def test_a_typed_unit_where_the_model_states_none(figure: str) -> None:
     path = without_units("creep")

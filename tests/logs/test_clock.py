@@ -35,11 +35,6 @@ def test_even_time(tmp_path: Path) -> None:
     assert log.line().endswith("500 rows, 1 s at 500 Hz; voltage_V")
 
 
-def test_even_to_the_decimals_that_are_written(tmp_path: Path) -> None:
-    table, _ = read(write(tmp_path, [f"{n / 3000:.6f}" for n in range(3000)]))
-    assert table.dt == pytest.approx(1 / 3000, rel=1e-6)
-
-
 def test_uneven_time_gives_each_step(tmp_path: Path) -> None:
     with pytest.warns(DboWarning) as said:
         table, _ = read(
@@ -85,37 +80,10 @@ def test_the_unit_is_given(tmp_path: Path) -> None:
         read(path, time_unit="furlongs")
 
 
-@pytest.mark.parametrize("times", [["1.7e12", "1.7000000001e12"], ["0", "3600"]])
-def test_figures_without_a_unit_that_can_hardly_be_seconds(
-    times: list[str], tmp_path: Path
-) -> None:
-    with pytest.raises(InputError, match="`time_unit`"):
-        read(write(tmp_path, times, "time"))
-
-
 def test_time_s_that_may_count_milliseconds_is_asked_about(tmp_path: Path) -> None:
     with pytest.warns(DboWarning, match="`time_unit` s"):
         read(write(tmp_path, [str(n) for n in range(7200)]))
     read(write(tmp_path, [str(n) for n in range(7200)]), time_unit="s")
-
-
-@pytest.mark.parametrize("header", ["time_ticks", "time (samples)", "Time [furlong]"])
-def test_what_is_no_unit_of_time_is_refused(header: str, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="`time_unit`"):
-        read(write(tmp_path, ["0", "0.1", "0.2"], header))
-
-
-def test_time_that_goes_back_is_refused_with_its_row(tmp_path: Path) -> None:
-    path = write(tmp_path, ["0", "0.1", "0.2", "0.1", "0.2"])
-    with pytest.raises(InputError, match=r"row 4: time goes back.*`rows`"):
-        read(path)
-    assert read(path, rows=":3")[0].rows == 3
-    assert read(path, rows="4:")[0].rows == 2
-
-
-def test_repeated_stamps_of_too_few_digits_are_warned_of(tmp_path: Path) -> None:
-    with pytest.warns(DboWarning, match="`sample_rate`"):
-        read(write(tmp_path, [f"{n / 1000:.2f}" for n in range(100)]))
 
 
 @pytest.mark.parametrize(
@@ -152,31 +120,6 @@ def test_polars_reads_stamps_as_the_cells_are_read(tmp_path: Path) -> None:
     assert table.time is not None
     np.testing.assert_array_equal(table.time, np.arange(20_000) * 3 / 1000)
     assert log.clock.origin == 1767394770.0
-
-
-def test_rates(tmp_path: Path) -> None:
-    path = write(tmp_path, ["1", "2", "3"], "current_A", above="# Sample rate: 2 kHz\n")
-    table, log = read(path)
-    assert (table.dt, log.clock.kind) == (1 / 2000, "rate")
-    assert table.time is not None
-    assert table.time.tolist() == [0.0, 0.0005, 0.001]
-    table, log = read(write(tmp_path, ["5", "6", "7"]), sample_rate=100.0)
-    assert table.dt == 0.01
-    assert log.remarks == ["`sample_rate` replaces column 'time_s'"]
-    for rate in (0.0, -1.0, float("nan"), float("inf")):
-        with pytest.raises(UsageError, match="`sample_rate`"):
-            read(path, sample_rate=rate)
-    with (
-        pytest.raises(UsageError),
-        open_log(path, {"voltage": None, "time": "1"}, Reading(sample_rate=1.0)),
-    ):
-        pass
-
-
-def test_no_clock(tmp_path: Path) -> None:
-    table, log = read(write(tmp_path, ["1", "2", "3"], "current_A"))
-    assert table.time is None and table.dt is None
-    assert "no clock" in log.line() and not log.provided("time")
 
 
 def test_statements_of_a_rate() -> None:

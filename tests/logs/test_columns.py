@@ -8,7 +8,7 @@ import pytest
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs import Reading, columns_of, open_log
-from dbo_cli.logs.columns import candidates, role_of
+from dbo_cli.logs.columns import _candidates, role_of
 from dbo_cli.logs.table import Column
 from dbo_cli.units import split_header
 
@@ -24,7 +24,7 @@ def columns(*headers: str) -> list[Column]:
 
 def found(role: str, *headers: str, unit: str | None = None) -> list[int]:
     return [
-        column.number for column in candidates(columns(*headers), role_of(role, unit))
+        column.number for column in _candidates(columns(*headers), role_of(role, unit))
     ]
 
 
@@ -71,20 +71,6 @@ def test_a_unit_of_a_model_says_what_is_looked_for() -> None:
         role_of("colour", None)
 
 
-def test_the_question_lists_columns_and_complete_options(tmp_path: Path) -> None:
-    path = write(tmp_path, "t [s],CH1,Out 2")
-    with pytest.raises(InputError) as raised:
-        open_log(path, BOTH)
-    message = str(raised.value)
-    assert "1 t [s], 2 CH1, 3 Out 2" in message
-    assert "`voltage` NAME `displacement` NAME" in message
-    with pytest.raises(InputError) as raised:
-        open_log(path, {"voltage": "CH1", "displacement": None})
-    assert "CH1" in str(raised.value) and "`displacement` NAME" in str(raised.value)
-    with open_log(path, {"voltage": "CH1", "displacement": "Out 2"}) as log:
-        assert log.read()["displacement"].tolist() == [2.0, 2.001, 2.002]
-
-
 @pytest.mark.parametrize(
     "selector", ["2", "voltage_V", "VOLTAGE_v", "voltage", "number=2", "name=voltage_V"]
 )
@@ -95,45 +81,10 @@ def test_a_column_is_named(selector: str, tmp_path: Path) -> None:
         assert log.read()["voltage"].tolist() == [1.0, 1.001, 1.002]
 
 
-@pytest.mark.parametrize("selector", ["4", "0", "-1", "volts", "u", "number=9"])
-def test_no_such_column(selector: str, tmp_path: Path) -> None:
-    path = write(tmp_path, "time_s,u,u")
-    with pytest.raises((InputError, UsageError), match="`voltage`"):
-        open_log(path, {"voltage": selector})
-
-
-def test_a_number_that_is_a_name_is_asked_about(tmp_path: Path) -> None:
-    path = tmp_path / "scope.csv"
-    path.write_text("x-axis,1,2\nsecond,Volt,Volt\n0,1,2\n0.001,3,4\n")
-    with pytest.raises(InputError, match="`voltage` number=1 or `voltage` name=1"):
-        open_log(path, {"voltage": "1"})
-    with open_log(path, {"voltage": "name=1"}) as log:
-        assert log.read()["voltage"].tolist() == [1.0, 3.0]
-
-
 def test_one_column_for_two_roles_is_refused(tmp_path: Path) -> None:
     path = write(tmp_path, "time_s,a,b")
     with pytest.raises(InputError, match="cannot be both"):
         open_log(path, {"voltage": "a", "displacement": "a"})
-
-
-def test_units_are_converted_and_kinds_refused(tmp_path: Path) -> None:
-    path = write(tmp_path, "time_s,voltage_kV,displacement_nm,z")
-    units = {"voltage": "V", "displacement": "um"}
-    with open_log(path, BOTH, units=units) as log:
-        table = log.read()
-        assert [column.unit for column in log.columns.values()] == ["V", "um"]
-    assert table["voltage"].tolist() == pytest.approx(
-        [1000.0, 1001.0, 1002.0], rel=1e-15
-    )
-    assert table["displacement"].tolist() == pytest.approx(
-        [0.002, 0.002001, 0.002002], rel=1e-15
-    )
-    with pytest.raises(InputError, match="`scale` voltage=FACTORbar/kV"):
-        open_log(path, {"voltage": "2"}, units={"voltage": "bar"})
-    with open_log(path, {"displacement": "z"}, units={"displacement": "um"}) as log:
-        log.read()
-        assert any("has no unit: um assumed" in remark for remark in log.remarks)
 
 
 def test_scales(tmp_path: Path) -> None:

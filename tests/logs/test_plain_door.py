@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbo_cli.logs.dialect import Layout, find_layout
+from dbo_cli.logs.cells import Layout
+from dbo_cli.logs.dialect import find_layout
 from dbo_cli.logs.names import describe_columns
 from dbo_cli.logs.table import Reading, Table
 from dbo_cli.logs.text import plain_layout

@@ -1,13 +1,11 @@
 """Random tables, written in many ways and damaged: read right or refused, never wrong in silence.
 
-``python -m tests.logs.test_text_fuzz SEED COUNT`` runs more of them by hand.
+``benchmarks/attack_files.py`` runs more of them.
 """
 
 from __future__ import annotations
 
 import random
-import sys
-import tempfile
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -187,7 +185,7 @@ def once(seed: int, path: Path) -> str:
     return "wrong" if misread(got, written, lines) else "right"
 
 
-@pytest.mark.parametrize("block", range(10))
+@pytest.mark.parametrize("block", range(5))
 def test_nothing_is_misread(block: int, tmp_path: Path) -> None:
     outcomes: dict[str, int] = {}
     for seed in range(300 * block, 300 * block + 300):
@@ -195,19 +193,3 @@ def test_nothing_is_misread(block: int, tmp_path: Path) -> None:
         assert outcome != "wrong", f"seed {seed}"
         outcomes[outcome] = outcomes.get(outcome, 0) + 1
     assert outcomes["right"] > 90
-
-
-if __name__ == "__main__":
-    start, count = int(sys.argv[1]), int(sys.argv[2])
-    tally: dict[str, int] = {}
-    for seed in range(start, start + count):
-        path = Path(tempfile.gettempdir()) / "dbo_fuzz_run.csv"
-        try:
-            outcome = once(seed, path)
-        except Exception as problem:
-            outcome = f"crash {type(problem).__name__}"
-            print(seed, repr(problem)[:200])
-        if outcome == "wrong":
-            print("wrong", seed)
-        tally[outcome] = tally.get(outcome, 0) + 1
-    print(tally)

@@ -16,7 +16,7 @@ def test_values_by_hand():
     figures = merits(desired, measured)
     assert figures.rmse == pytest.approx(math.sqrt(10.0 / 4.0), rel=1e-15)
     assert figures.nrmse_percent == pytest.approx(100.0 * math.sqrt(2.5) / 4.0)
-    assert (figures.max_abs, figures.max_abs_place) == (3.0, 2)
+    assert (figures.max_abs, figures.max_abs_index) == (3.0, 2)
     assert figures.mean == -0.5
     assert figures.p95_abs == 3.0
     assert (figures.desired_min, figures.desired_max) == (0.0, 4.0)

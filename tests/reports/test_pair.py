@@ -50,8 +50,6 @@ def test_lag_takes_measured_later():
     assert rmse(pair) == 3.0
     assert rmse(pair, lag=3) == 0.0
     assert rmse(pair, lag=-2) == 5.0
-    with pytest.raises(InputError, match="`lag`"):
-        rmse(pair, lag=100)
 
 
 @pytest.mark.parametrize("rows", [(41, 60), (None, 60), (41, None)])
@@ -66,11 +64,6 @@ def test_rows_are_those_of_desired(rows):
     assert late.logs[0].merits.samples == 20
     assert late.logs[0].merits.max_abs == 65.0
     assert late.logs[0].largest_row == 60
-
-
-def test_rows_outside_are_refused():
-    with pytest.raises(InputError, match="`rows`"):
-        rmse(Pair("run", np.zeros(9), np.zeros(9), rows=(20, 30)))
 
 
 def test_rows_before_time_0_take_no_part():
@@ -105,20 +98,6 @@ def test_match_by_rows_takes_the_trajectory_s_time():
     assert len(pair) == 90
     assert pair.time[0] == -0.2
     assert any("10 rows fewer" in note for note in pair.notes)
-
-
-def test_match_by_rows_at_two_rates_is_refused():
-    with pytest.raises(InputError, match=r"1000 Hz.*500 Hz.*`match` time"):
-        match("run", np.ones(9), np.ones(9), measured_time=1e-3 * np.arange(9),
-              desired_time=2e-3 * np.arange(9), match="rows")  # fmt: skip
-
-
-def test_match_needs_clocks_for_time():
-    with pytest.raises(InputError, match="run: has no time"):
-        match("run", np.ones(9), np.ones(9), desired_time=np.arange(9), match="time")
-    with pytest.raises(InputError, match="no row lies within"):
-        match("run", np.ones(9), np.arange(9.0), measured_time=np.arange(50.0, 59.0),
-              desired_time=np.arange(9.0), match="time")  # fmt: skip
 
 
 def test_match_by_time_interpolates():

@@ -10,7 +10,7 @@ import pytest
 from dbo_cli.errors import InputError
 from dbo_cli.reports import Expected, Pair, Report, expected_in
 from dbo_cli.reports.plots import SCHEME, draw, envelope, file_stems, plots_of_report
-from dbo_cli.reports.words import digits, short_name
+from dbo_cli.reports.words import digits, shortened
 
 
 def signals(rows=2000):
@@ -154,4 +154,4 @@ def test_file_stems_differ():
     assert len(set(stems)) == len(stems)
     for stem in stems:
         assert stem and "/" not in stem and not stem.startswith(".")
-    assert short_name("x" * 100).count("x") < 40
+    assert shortened("x" * 100).count("x") < 40

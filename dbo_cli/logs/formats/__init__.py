@@ -11,22 +11,25 @@ from __future__ import annotations
 import os
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.formats import arrow, excel, matlab, npy, tdms, zipped
-from dbo_cli.logs.formats.stored import Format, Reader
+from dbo_cli.logs.formats.arrow import ARROW
+from dbo_cli.logs.formats.excel import EXCEL
+from dbo_cli.logs.formats.matlab import MATLAB
+from dbo_cli.logs.formats.npy import NUMPY
+from dbo_cli.logs.formats.stored import FileFormat, TableReader
+from dbo_cli.logs.formats.tdms import TDMS
+from dbo_cli.logs.formats.zipped import ZIP
 from dbo_cli.logs.table import Reading, Table
 
 
 def _read_hdf5(path: str, inner: str, reading: Reading) -> Table:
     """Read an HDF5 file; its library is imported here (InputError)."""
-    from dbo_cli.logs.hdf5 import read
+    from dbo_cli.logs.hdf5 import open_hdf5
 
-    return read(path, inner, reading)
+    return open_hdf5(path, inner, reading)
 
 
-HDF5 = Format("HDF5", (b"\x89HDF\r\n\x1a\n",), (), _read_hdf5, offsets=(0, 512))
-FORMATS = (
-    HDF5, npy.FORMAT, zipped.FORMAT, matlab.FORMAT, arrow.FORMAT, excel.FORMAT, tdms.FORMAT,
-)  # fmt: skip
+_HDF5 = FileFormat("HDF5", (b"\x89HDF\r\n\x1a\n",), (), _read_hdf5, offsets=(0, 512))
+_FORMATS = (_HDF5, NUMPY, ZIP, MATLAB, ARROW, EXCEL, TDMS)
 """In the order in which they are asked."""
 
 _TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".lvm", ".gz", "")
@@ -42,7 +45,7 @@ _REFUSED = {
 """By suffix, what to do with a file of a format that is not read."""
 
 
-def reader_of(path: str, start: bytes) -> Reader | None:
+def reader_of(path: str, start: bytes) -> TableReader | None:
     """Return what reads a file; None for text.
 
     Parameters
@@ -62,14 +65,14 @@ def reader_of(path: str, start: bytes) -> Reader | None:
         from importlib.metadata import entry_points
 
         for point in entry_points(group="dbo_cli.readers", name=suffix):
-            foreign: Reader = point.load()
+            foreign: TableReader = point.load()
             return foreign
-    for file_format in FORMATS:
+    for file_format in _FORMATS:
         if file_format.has_magic(start):
             return file_format.read
     if suffix in _REFUSED or start[:2] in _PICKLES:
         raise InputError(f"{path}: {_REFUSED.get(suffix, _PICKLED)}")
-    for file_format in FORMATS:
+    for file_format in _FORMATS:
         if suffix in file_format.suffixes:
             return file_format.read
     return None

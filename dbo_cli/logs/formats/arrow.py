@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.logs.formats.stored import Format, fenced, refuse_part
+from dbo_cli.logs.formats.stored import FileFormat, fenced, refuse_part
 from dbo_cli.logs.table import NOT_A_TIME, Column, Reading, Table
 
-STRETCH = 1 << 19  # rows that polars hands out at once
+_STRETCH = 1 << 19  # rows that polars hands out at once
 _KIND = "Parquet or Feather"
 
 
@@ -41,13 +41,10 @@ class ArrowTable(Table):
     def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of some columns; see ``Table``."""
         names = [self._names[column.number - 1] for column in columns]
-        for start in range(0, self._rows, STRETCH):
+        for start in range(0, self._rows, _STRETCH):
             with fenced(self.name, _KIND):
-                frame = self._scan.select(names).slice(start, STRETCH).collect()
+                frame = self._scan.select(names).slice(start, _STRETCH).collect()
                 arrays = [_array_of(frame[name]) for name in names]
-            self.first_row = start + 1
-            for column, array in zip(columns, arrays, strict=True):
-                self.last_block[column.number] = array
             yield arrays
 
 
@@ -63,10 +60,10 @@ def _array_of(series: Any) -> NDArray[Any]:
     return np.asarray(series.cast(pl.Float64).to_numpy())
 
 
-def read(path: str, inner: str, reading: Reading) -> Table:
+def _read(path: str, inner: str, reading: Reading) -> Table:
     """Read a Parquet or Feather file (InputError)."""
     refuse_part(path, inner)
     return ArrowTable(path)
 
 
-FORMAT = Format(_KIND, (b"PAR1", b"ARROW1"), (), read)
+ARROW = FileFormat(_KIND, (b"PAR1", b"ARROW1"), (), _read)

@@ -1,4 +1,4 @@
-"""Workbooks: a sheet becomes text with tabs, which is read as any text."""
+"""Workbooks: a sheet becomes text with tabs, which is open_workbook as any text."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from dataclasses import replace
 from typing import Any
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.formats.stored import Format, fenced, import_extra
+from dbo_cli.logs.formats.stored import FileFormat, fenced, import_extra
 from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import Reading, Table
 from dbo_cli.logs.text import TextTable
 
 
-def read(path: str, inner: str, reading: Reading) -> Table:
+def open_workbook(path: str, inner: str, reading: Reading) -> Table:
     """Read the only sheet of a workbook, or ``FILE::SHEET`` (InputError)."""
     fastexcel = import_extra("fastexcel", "excel", path)
     with fenced(path, "a workbook"):
@@ -47,4 +47,4 @@ def _sheet_as_text(book: Any, name: str) -> bytes:
     return written.encode()
 
 
-FORMAT = Format("Excel before 2007", (b"\xd0\xcf\x11\xe0",), (), read)
+EXCEL = FileFormat("Excel before 2007", (b"\xd0\xcf\x11\xe0",), (), open_workbook)

@@ -16,21 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.logs.formats.stored import (
-    Format,
+    FileFormat,
+    arrays_as_table,
     fenced,
     no_columns,
     refuse_part,
-    table_of,
 )
 from dbo_cli.logs.table import Reading, Table
 
-HEADER = 128  # bytes of text, version and byte order
-MATRIX, COMPRESSED = 14, 15  # types of elements
-TYPES = {
+_HEADER = 128  # bytes of text, version and byte order
+_MATRIX, _COMPRESSED = 14, 15  # types of elements
+_TYPES = {
     1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8",
 }  # fmt: skip
 """NumPy's names of the types of elements that hold numbers."""
-CLASSES = {
+_CLASSES = {
     1: "cell",
     2: "struct",
     3: "object",
@@ -40,8 +40,8 @@ CLASSES = {
     17: "table",
 }
 """Classes of matrices that hold no plain numbers; tables are objects without a public form."""
-NUMBERS = range(6, 16)  # classes: double, single, and integers
-IS_COMPLEX = 0x0800
+_NUMBERS = range(6, 16)  # classes: double, single, and integers
+_IS_COMPLEX = 0x0800
 
 
 @dataclass
@@ -92,7 +92,7 @@ class Elements:
         if kind >> 16:  # four bytes at most stand in the tag
             kind, size, begin = kind & 0xFFFF, kind >> 16, start + 4
             self.position = start + 8
-        elif kind != COMPRESSED:
+        elif kind != _COMPRESSED:
             self.position += -size % 8
         if begin + size > len(self.data) or (begin == start + 4 and size > 4):
             raise ValueError("it ends early")
@@ -108,9 +108,9 @@ class Elements:
     def numbers(self) -> NDArray[Any]:
         """Return the numbers of the next element."""
         kind, data = self.next()
-        if kind not in TYPES:
+        if kind not in _TYPES:
             raise ValueError(f"{kind} is no type of numbers")
-        return np.frombuffer(data, self.order + TYPES[kind])
+        return np.frombuffer(data, self.order + _TYPES[kind])
 
     def text(self) -> str:
         """Return the text of the next element."""
@@ -119,15 +119,15 @@ class Elements:
 
 def variables_of(data: bytes) -> Iterator[Variable]:
     """Walk through the variables of a file of version 5 (ValueError where it is damaged)."""
-    order = {b"IM": "<", b"MI": ">"}.get(data[HEADER - 2 : HEADER])
+    order = {b"IM": "<", b"MI": ">"}.get(data[_HEADER - 2 : _HEADER])
     if order is None:
         raise ValueError("it states no byte order")
-    elements = Elements(data[HEADER:], order)
+    elements = Elements(data[_HEADER:], order)
     while elements.position < len(elements.data):
         kind, content = elements.next()
-        if kind == COMPRESSED:
+        if kind == _COMPRESSED:
             kind, content = Elements(zlib.decompress(content), order).next()
-        if kind != MATRIX:
+        if kind != _MATRIX:
             raise ValueError(f"{kind} is no variable")
         yield _variable_of(Elements(content, order))
 
@@ -137,11 +137,11 @@ def _variable_of(elements: Elements) -> Variable:
     flags = elements.numbers()
     number = int(flags[0]) & 0xFF if len(flags) else 0
     if number == 17:
-        return Variable(elements.text(), CLASSES[17], ())
+        return Variable(elements.text(), _CLASSES[17], ())
     shape = tuple(int(length) for length in elements.numbers())
     name = elements.text()
-    if number not in NUMBERS or int(flags[0]) & IS_COMPLEX:
-        kind = CLASSES.get(number, "complex")
+    if number not in _NUMBERS or int(flags[0]) & _IS_COMPLEX:
+        kind = _CLASSES.get(number, "complex")
         return Variable(name, kind, shape, _fields_of(elements, kind))
     values = elements.numbers()
     if min(shape, default=0) < 0 or np.prod(shape, dtype=object) != len(values):
@@ -160,13 +160,13 @@ def _fields_of(elements: Elements, kind: str) -> tuple[str, ...]:
     return tuple(cell.partition(b"\0")[0].decode("utf-8", "replace") for cell in cells)
 
 
-def read(path: str, inner: str, reading: Reading) -> Table:
+def _read(path: str, inner: str, reading: Reading) -> Table:
     """Read the vectors and matrices of a file before version 7.3 (InputError)."""
     refuse_part(path, inner)
     with open(path, "rb") as file, fenced(path, "MATLAB"):
         data = file.read()
         if 0 in data[:4]:
-            return table_of(path, _version_4(path))
+            return arrays_as_table(path, _version_4(path))
         variables = [variable for variable in variables_of(data) if variable.name]
     arrays = {v.name: np.squeeze(v.values) for v in variables if v.values is not None}
     lines = [variable.advice() for variable in variables if variable.advice()]
@@ -174,7 +174,7 @@ def read(path: str, inner: str, reading: Reading) -> Table:
     if all(array.size < 2 for array in arrays.values()):
         contents = [variable.describe() for variable in variables]
         raise no_columns(path, contents, hint)
-    return table_of(path, arrays, hint)
+    return arrays_as_table(path, arrays, hint)
 
 
 def _version_4(path: str) -> dict[str, Any]:
@@ -188,4 +188,4 @@ def _version_4(path: str) -> dict[str, Any]:
     return {name: array for name, array in contents.items() if name[:2] != "__"}
 
 
-FORMAT = Format("MATLAB", (b"MATLAB",), (".mat",), read)
+MATLAB = FileFormat("MATLAB", (b"MATLAB",), (".mat",), _read)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dbo_cli.logs.formats.stored import (
-    Format,
+    FileFormat,
     StoredTable,
     array_columns,
     fenced,
@@ -15,7 +15,7 @@ from dbo_cli.logs.formats.stored import (
 from dbo_cli.logs.table import Reading, Table
 
 
-def read(path: str, inner: str, reading: Reading) -> Table:
+def _read(path: str, inner: str, reading: Reading) -> Table:
     """Read an array in memory of the system (InputError)."""
     refuse_part(path, inner)
     with fenced(path, "NumPy"):
@@ -26,4 +26,4 @@ def read(path: str, inner: str, reading: Reading) -> Table:
     return StoredTable(path, columns)
 
 
-FORMAT = Format("NumPy", (b"\x93NUMPY",), (), read)
+NUMPY = FileFormat("NumPy", (b"\x93NUMPY",), (), _read)

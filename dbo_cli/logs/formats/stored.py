@@ -15,14 +15,14 @@ from dbo_cli.errors import DboError, InputError
 from dbo_cli.logs.settings import Statement, is_clock_setting, stated_clock
 from dbo_cli.logs.table import BLOCK_ROWS, Column, Reading, Table
 
-Reader = Callable[[str, str, Reading], Table]
+TableReader = Callable[[str, str, Reading], Table]
 """Takes a path, the part behind ``::`` and how to read."""
 Fetch = Callable[[int, int], Any]
 """Returns rows from a start to a stop, counted from 0."""
 
 
 @dataclass(frozen=True)
-class Format:
+class FileFormat:
     """A format: its name, how its files are known, and what reads them.
 
     Attributes
@@ -36,7 +36,7 @@ class Format:
     name: str
     magics: tuple[bytes, ...]
     suffixes: tuple[str, ...]
-    read: Reader
+    read: TableReader
     offsets: tuple[int, ...] = (0,)
 
     def has_magic(self, start: bytes) -> bool:
@@ -101,9 +101,15 @@ class StoredTable(Table):
         What it states beside them of the sample rate and the first row's time.
     close
         Called at the end.
+
+    Attributes
+    ----------
+    doubt
+        What is remarked behind the last row.
     """
 
     has_paths = True
+    doubt = ""
 
     def __init__(
         self,
@@ -138,12 +144,11 @@ class StoredTable(Table):
             raise InputError(f"{self.name}: the columns are of unequal length: {text}")
         for start in range(0, lengths[0], BLOCK_ROWS):
             stop = min(lengths[0], start + BLOCK_ROWS)
-            self.first_row = start + 1
-            for column in columns:
-                self.last_block[column.number] = self._read(column, start, stop)
-            yield [self.last_block[column.number] for column in columns]
+            yield [self._rows(column, start, stop) for column in columns]
+        if self.doubt:
+            self.remarks.append(self.doubt)
 
-    def _read(self, column: Column, start: int, stop: int) -> NDArray[Any]:
+    def _rows(self, column: Column, start: int, stop: int) -> NDArray[Any]:
         """Read rows of one column as float64, or dates as int64 nanoseconds."""
         fetch = self._stored[column.number - 1].fetch
         if fetch is None:
@@ -191,7 +196,7 @@ def rows_of(stored: Any) -> Fetch:
     return lambda start, stop: stored[start:stop]
 
 
-def table_of(path: str, arrays: Mapping[str, Any], hint: str = "") -> Table:
+def arrays_as_table(path: str, arrays: Mapping[str, Any], hint: str = "") -> Table:
     """Return a table of arrays by name; a single value beside longer ones is a statement.
 
     Parameters

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.logs.formats.stored import (
-    Format,
+    FileFormat,
     StoredColumn,
     StoredTable,
     fenced,
@@ -19,28 +18,14 @@ from dbo_cli.logs.formats.stored import (
     rows_of,
 )
 from dbo_cli.logs.settings import Statement
-from dbo_cli.logs.table import Column, Reading, Table
+from dbo_cli.logs.table import Reading, Table
 
-LEAD_IN = (
+_LEAD_IN = (
     28  # bytes: mark, contents, version, bytes to the next segment, bytes to the data
 )
 
 
-class TdmsTable(StoredTable):
-    """The channels of a TDMS file; says so where the record ends within a segment."""
-
-    is_cut = False
-
-    def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
-        """Return all rows of some columns; see ``Table``."""
-        yield from super().blocks(columns)
-        if self.is_cut:
-            self.remarks.append(
-                "the file ends within a segment: was the record cut there?"
-            )
-
-
-def read(path: str, inner: str, reading: Reading) -> Table:
+def _read(path: str, inner: str, reading: Reading) -> Table:
     """Read a TDMS file, or one group of it (``FILE::GROUP``) (InputError)."""
     nptdms = import_extra("nptdms", "tdms", path)
     stream = open(path, "rb")
@@ -54,8 +39,9 @@ def read(path: str, inner: str, reading: Reading) -> Table:
     except BaseException:
         stream.close()
         raise
-    table = TdmsTable(path, columns, statements, stream.close)
-    table.is_cut = _is_cut(path)
+    table = StoredTable(path, columns, statements, stream.close)
+    if _is_cut(path):
+        table.doubt = "the file ends within a segment: was the record cut there?"
     if len(groups) > 1:
         table.hint = f" (or one group alone: {path}::{groups[0].name})"
     return table
@@ -67,8 +53,8 @@ def _is_cut(path: str) -> bool:
     with open(path, "rb") as file:
         while position < size:
             file.seek(position)
-            lead_in = file.read(LEAD_IN)
-            position += LEAD_IN + int.from_bytes(lead_in[12:20], "little")
+            lead_in = file.read(_LEAD_IN)
+            position += _LEAD_IN + int.from_bytes(lead_in[12:20], "little")
     return position > size
 
 
@@ -105,4 +91,4 @@ def _statements(properties: Any) -> list[Statement]:
     return statements
 
 
-FORMAT = Format("TDMS", (b"TDSm",), (), read)
+TDMS = FileFormat("TDMS", (b"TDSm",), (), _read)
