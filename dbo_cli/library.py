@@ -833,10 +833,12 @@ def report(
     else:
         drive = desired if model is not None else voltage
         if drive is not None:
-            own = stated_unit(drive, "voltage")
-            unit_of = own if model is None else model.input.unit
-            drive = in_unit(drive, "voltage", voltage_unit or unit_of, voltage_unit)
-            voltage_unit = unit_of or voltage_unit or own
+            drive_unit = None if model is None else model.input.unit
+            drive_unit = drive_unit or voltage_unit
+            if model is None and drive_unit is None:
+                drive_unit = stated_unit(drive, "voltage")
+            drive = in_unit(drive, "voltage", drive_unit, voltage_unit)
+            voltage_unit = drive_unit
         if model is not None:
             moved = in_unit(measured, "displacement", model.output.unit, unit)
             unit = model.output.unit
