@@ -31,7 +31,6 @@ from dbo_cli import model as room
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs import (
-    FrameTable,
     Reading,
     frame_table,
     is_frame,
@@ -43,6 +42,7 @@ from dbo_cli.recordings import (
     RECORDING_COLUMNS,
     arrays_table,
     clock_of,
+    common_unit,
     floats,
     in_unit,
     model_of,
@@ -52,7 +52,7 @@ from dbo_cli.recordings import (
     signal_of,
     tracked_of,
 )
-from dbo_cli.units import parse_quantity, to_model_unit
+from dbo_cli.units import parse_quantity
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -723,7 +723,7 @@ def identify(
     columns: Mapping[str, str | None] = RECORDING_COLUMNS
     if displacement is not None:
         signals = {"voltage": data, "displacement": displacement}
-        source, columns = _arrays(signals, given, units, time, reading)
+        source, columns = arrays_table(signals, given, units, time, reading.sample_rate)
         sources = [source]
     elif voltage_unit or displacement_unit:
         raise UsageError(
@@ -759,25 +759,6 @@ def _listed(data: Logs | None) -> list[Any]:
     if data is None:
         return []
     return list(data) if isinstance(data, (list, tuple)) else [data]
-
-
-def _arrays(
-    signals: Mapping[str, Any],
-    given: Mapping[str, str | None],
-    units: Mapping[str, str | None],
-    time: Signal | None,
-    reading: Reading,
-) -> tuple[FrameTable, Mapping[str, str | None]]:
-    """Return the arrays of a recording as a table, and which column has which role."""
-    stated = {}
-    for role, values in signals.items():
-        unit = stated_unit(values, role)
-        to_model_unit(role, unit, given[role], units.get(role, given[role]))
-        stated[role] = given[role] or unit
-    rate = reading.sample_rate
-    clock = clock_of(signals["voltage"], time, rate, len(signals["voltage"]))
-    stamps = clock if isinstance(clock, np.ndarray) else None
-    return arrays_table("the arrays", signals, stated, stamps)
 
 
 @with_known_words
@@ -852,10 +833,12 @@ def report(
     else:
         drive = desired if model is not None else voltage
         if drive is not None:
-            own = stated_unit(drive, "voltage")
-            unit_of = own if model is None else model.input.unit
-            drive = in_unit(drive, "voltage", voltage_unit or unit_of, voltage_unit)
-            voltage_unit = unit_of or voltage_unit or own
+            drive_unit = None if model is None else model.input.unit
+            drive_unit = drive_unit or voltage_unit
+            if model is None and drive_unit is None:
+                drive_unit = stated_unit(drive, "voltage")
+            drive = in_unit(drive, "voltage", drive_unit, voltage_unit)
+            voltage_unit = drive_unit
         if model is not None:
             moved = in_unit(measured, "displacement", model.output.unit, unit)
             unit = model.output.unit
@@ -912,7 +895,7 @@ def _common_unit(desired: Any, measured: Any, given: str | None) -> str | None:
             f"measured is in {second}, desired in {first}: convert one of them, and pass "
             "`unit` of both"
         )
-    return given or first or second
+    return given or common_unit("report", first, second)
 
 
 # --- typed numbers ---

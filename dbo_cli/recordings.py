@@ -162,31 +162,38 @@ def _refuse_other_units(first: Log, other: Log) -> None:
 
 
 def arrays_table(
-    name: str, signals: Mapping[str, Any], units: Units, time: Any = None
+    signals: Mapping[str, Any],
+    unit_options: Units,
+    units: Units,
+    time: Any = None,
+    sample_rate: float | None = None,
 ) -> tuple[FrameTable, dict[str, str | None]]:
     """Return arrays as a table, and which of its columns has which role.
 
     Parameters
     ----------
-    name : str
-        How messages call it.
     signals : mapping
         By role, the values; the name of a Series is that of its column.
+    unit_options : mapping
+        By role, the unit that the user gives.
     units : mapping
-        By role, their unit.
-    time : array_like, optional
-        The time of each row (s).
+        By role, the unit of a model that they are for.
+    time, sample_rate
+        As of ``clock_of``.
     """
     entries: list[tuple[str, Any, str | None]] = []
     columns: dict[str, str | None] = {"time": None}
     for role, values in signals.items():
-        title = getattr(values, "name", None)
-        entries.append((str(title or role), values, units.get(role)))
+        unit, unit_option = stated_unit(values, role), unit_options[role]
+        to_model_unit(role, unit, unit_option, units.get(role, unit_option))
+        name = str(getattr(values, "name", None) or role)
+        entries.append((name, values, unit_option or unit))
         columns[role] = f"number={len(entries)}"
-    if time is not None:
-        entries.append(("time", time, "s"))
+    clock = clock_of(signals["voltage"], time, sample_rate, len(signals["voltage"]))
+    if isinstance(clock, np.ndarray):
+        entries.append(("time", clock, "s"))
         columns["time"] = f"number={len(entries)}"
-    return FrameTable(name, entries), columns
+    return FrameTable("the arrays", entries), columns
 
 
 def pair_of(
@@ -221,7 +228,7 @@ def pair_of(
     measured, drive = table["measured"], table.values.get("voltage")
     if "desired" not in columns:
         return Pair(log.name, measured, measured, table.time, drive), stated, log
-    unit = stated.get("desired", stated.get("measured"))
+    unit = common_unit(log.name, stated.get("desired"), stated.get("measured"))
     try:
         measured = multiplied(measured, ratio(stated.get("measured"), unit))
     except InputError as problem:
@@ -231,6 +238,17 @@ def pair_of(
     if unit is not None:
         stated["measured"] = unit
     return Pair(log.name, table["desired"], measured, table.time, drive), stated, log
+
+
+def common_unit(
+    label: str, desired_unit: str | None, measured_unit: str | None
+) -> str | None:
+    """Return the unit of two displacements, that of the first; warn where one states none."""
+    unit = desired_unit or measured_unit
+    if unit and not (desired_unit and measured_unit):
+        bare = "measured" if desired_unit else "desired"
+        warn(f"{label}: {bare} states no unit: both are taken in {unit}")
+    return unit
 
 
 def tracked_of(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -179,6 +180,31 @@ def test_report_takes_two_signals_in_one_unit(nanometers: pd.DataFrame) -> None:
     assert dbo.report(MOVE, MOVE, time=TIME).unit is None
     with pytest.raises(dbo.UsageError, match=PLAIN):
         dbo.report(MOVE, MOVE, time=TIME, max_rmse="10nm")
+
+
+def test_a_unit_that_one_of_two_signals_states_is_said() -> None:
+    """Desired in nm beside a bare array: both are taken in nm, which may be wrong."""
+    wished = pd.Series(MOVE, name="wished (nm)")
+    for pair in ((wished, MOVE), (MOVE, wished)):
+        with pytest.warns(dbo.DboWarning, match="states no unit: both are taken in nm"):
+            assert dbo.report(*pair, time=TIME).unit == "nm"
+    write("log.csv", "time_s,desired_nm,measured", TIME, MOVE, MOVE)
+    assert "measured states no unit" in shell("report", "log.csv").err
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        dbo.report(wished, MOVE, time=TIME, unit="nm")
+
+
+def test_a_drive_of_a_report_is_taken_in_the_unit_that_is_given(
+    creep: dbo.Model,
+) -> None:
+    volts = 50.0 - 50.0 * np.cos(30.0 * TIME)
+    expected = dbo.report(volts, MOVE, time=TIME, model=creep).rmse
+    again = dbo.report(1e3 * volts, MOVE, time=TIME, model=creep, voltage_unit="mV")
+    assert again.rmse == pytest.approx(expected, rel=1e-12)
+    drive = pd.Series(volts, name="U (V)")
+    found = dbo.report(MOVE, MOVE, time=TIME, voltage=drive, voltage_unit="mV")
+    assert found.voltage_unit == "mV"
 
 
 def masked(values: Any) -> Any:
