@@ -264,13 +264,18 @@ def naming(channel: str) -> Iterator[None]:
 # --- files of all channels ---
 
 
+def plural(kind: str) -> str:
+    """Return the key under which a set holds files of a kind."""
+    return kind[:-1] + "ies" if kind.endswith("y") else f"{kind}s"
+
+
 def dumps_files(kind: str, texts: Mapping[str, str]) -> str:
     """Return the files of channels as one: a set of states, summaries or histories (of a ``kind``)."""
     if tuple(texts) == ALONE:
         return texts[""]
-    plural = {"history": "histories", "summary": "summaries"}.get(kind, f"{kind}s")
     members = {name: json.loads(text) for name, text in texts.items()}
-    content = {"format": f"dbo-{kind}-set", "version": fields.VERSION, plural: members}
+    content: dict[str, Any] = {"format": f"dbo-{kind}-set", "version": fields.VERSION}
+    content[plural(kind)] = members
     return json.dumps(content, indent=2) + "\n"
 
 
@@ -305,15 +310,15 @@ def read_files(path: str, kind: str, channels: Iterable[str]) -> dict[str, Any]:
     ModelError
         It is no such set, or lacks a channel.
     """
-    plural = {"history": "histories", "summary": "summaries"}.get(kind, f"{kind}s")
+    key = plural(kind)
     name, values = fields.load(path, kind)
     try:
-        content = fields.contents(values, "", f"dbo-{kind}-set", f"a set of {plural}")
-        read = {plural: fields.notes}
-        members: dict[str, Any] = fields.build(dict, content, "", **read)[plural]
+        content = fields.contents(values, "", f"dbo-{kind}-set", f"a set of {key}")
+        read = {key: fields.notes}
+        members: dict[str, Any] = fields.build(dict, content, "", **read)[key]
         for channel in channels:
             if channel not in members:
-                raise ModelError(f'{plural}: has no channel "{channel}"')
+                raise ModelError(f'{key}: has no channel "{channel}"')
     except ModelError as problem:
         raise ModelError(f"{name}: {problem}") from None
     return members

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 Numbers = NDArray[np.int64]  # of rows, from 1
 Arrays = list[NDArray[Any]]
 
+TWINS = ("voltage", "input")  # roles of a drive, which two recorders may both hold
 _FIRST_BYTES = 1024  # MATLAB 7.3 has the mark of HDF5 at byte 512
 
 
@@ -111,8 +112,9 @@ class Log:
     @property
     def has_found_offset(self) -> bool:
         """Whether a clock offset was found from the signals, so that the actuator's delay is in it."""
-        is_found = self.clock_offset is not None and self.clock_offset.auto
-        return is_found or self._source.has_found_offset
+        offset = self.clock_offset
+        holds_delay = offset is not None and offset.holds_delay
+        return holds_delay or self._source.has_found_offset
 
     def blocks(self, rows: int = BLOCK_ROWS) -> Iterator[Block]:
         """Return the log once, in blocks of at most so many rows.
@@ -340,11 +342,15 @@ def open_log(
     for role in reading.scale:
         if role not in roles:
             raise UsageError(f"`scale` {role}=...: give one of {', '.join(roles)}")
-    roles = {role: text for role, text in roles.items() if role not in elsewhere}
+    own = {role: text for role, text in roles.items() if role not in elsewhere}
+    if elsewhere and reading.clock_offset == "auto":  # by a drive that both may hold
+        twins = [role for role in TWINS if role in elsewhere]
+        own.update(dict.fromkeys(twins))
+        optional = (*optional, *twins)
     opened = path if isinstance(path, Table) else os.fspath(path)
-    log = _open_file(opened, roles, reading, stated, optional)
+    log = _open_file(opened, own, reading, stated, optional)
     if elsewhere:
-        log = _with_columns_of(log, elsewhere, reading, stated)
+        log = _with_columns_of(log, elsewhere, own, reading, stated)
     if reading.resample is not None:
         from dbo_cli.logs.resample import resampled
 
@@ -353,7 +359,11 @@ def open_log(
 
 
 def _with_columns_of(
-    log: Log, elsewhere: Mapping[str, str], reading: Reading, units: Mapping[str, str]
+    log: Log,
+    elsewhere: Mapping[str, str],
+    own: Mapping[str, str | None],
+    reading: Reading,
+    units: Mapping[str, str],
 ) -> Log:
     """Join columns ``FILE::COLUMN`` of a second file to a log."""
     from dbo_cli.logs.join import joined
@@ -365,10 +375,16 @@ def _with_columns_of(
             raise UsageError(
                 f"{log.name}: one more file, not {listing}: join them first"
             )
-        roles = {role: text.rpartition("::")[2] for role, text in elsewhere.items()}
+        roles: dict[str, str | None] = {}
+        for role, text in elsewhere.items():
+            roles[role] = text.rpartition("::")[2]
+        twins = []
+        if reading.clock_offset == "auto":
+            twins = [role for role in TWINS if role in own and role not in roles]
+            roles.update(dict.fromkeys(twins))
         uncut = replace(reading, rows=None)
-        with _open_file(files.pop(), roles, uncut, units, ()) as second:
-            return joined(log, second, reading.clock_offset)
+        with _open_file(files.pop(), roles, uncut, units, twins) as second:
+            return joined(log, second, list(elsewhere), reading.clock_offset)
 
 
 def _open_file(

@@ -35,12 +35,15 @@ class Expected:
         First and last time (s) of the move in its drive; None where they are not known.
     footer
         What the page says of the drive.
+    sensor_delay
+        Seconds by which the sensor is late, which is no error.
     """
 
     rmse: float | None
     move: Ends | None = None
     move_time: Ends | None = None
     footer: str = ""
+    sensor_delay: float = 0.0
 
     def is_of(self, low: float, high: float) -> bool:
         """Return whether it is stated for a move of this range."""
@@ -77,7 +80,7 @@ def expected_of_drive(
         error = expected_error(model, voltage, dt)
         rmse = None if error is None else error.rms(known, known)
     footer = f"Model {name} ({model.digest[:12]})"
-    return Expected(rmse, footer=footer)
+    return Expected(rmse, footer=footer, sensor_delay=model.sensor_delay)
 
 
 def expected_in(source: str | Mapping[str, Any], unit: str | None = None) -> Expected:
@@ -110,6 +113,7 @@ def expected_in(source: str | Mapping[str, Any], unit: str | None = None) -> Exp
         rmse = _value(content, "expected_rmse", fields.magnitude)
         move = _value(content, "move_range", fields.interval)
         move_time = _value(content, "move_time", fields.interval)
+        delay = _value(content, "sensor_delay", fields.magnitude)
         limits = _value(content, "limits", fields.notes)
         footer = ""
         if limits is not None:
@@ -119,7 +123,7 @@ def expected_in(source: str | Mapping[str, Any], unit: str | None = None) -> Exp
     if own_unit and unit and own_unit != unit:
         raise InputError(f"{name}: is in {own_unit}, the comparison in {unit}")
     # an error of exactly 0 was never measured: it states nothing
-    return Expected(rmse or None, move, move_time, footer)
+    return Expected(rmse or None, move, move_time, footer, delay or 0.0)
 
 
 def _read(path: str) -> tuple[str, Mapping[str, Any]]:
