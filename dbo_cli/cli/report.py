@@ -175,18 +175,12 @@ def matched(
     by: str,
 ) -> tuple[list[Pair], Units]:
     """Return what a trajectory of a file of its own desires beside what was measured, and the units."""
-    from dbo_cli.logs import Reading, columns_of
+    from dbo_cli.logs import Reading
     from dbo_cli.recordings import read_table
     from dbo_cli.reports import match
 
-    named_drive = None
-    if (
-        column is not None and "desired" in column
-    ):  # of a channel, as compensate names it
-        typed = column.replace("desired", "voltage", 1)
-        names = [each.quantity for each in columns_of(trajectory)]
-        named_drive = next((name for name in names if typed.startswith(name)), None)
-    columns = {"time": None, "trajectory": column, "voltage": named_drive}
+    drive_name = drive_column(trajectory, column)
+    columns = {"time": None, "trajectory": column, "voltage": drive_name}
     optional = ("time", "voltage")
     log, table = read_table(trajectory, columns, Reading(), optional=optional)
     trajectory_units = {"measured": log.columns["trajectory"].unit}
@@ -226,6 +220,17 @@ def publish(
             warn(f"channel {name}: {text}" if name else text)
     for result in results.values():
         result.require_passed()
+
+
+def drive_column(trajectory: str, column: str | None) -> str | None:
+    """Return the drive's column beside the desired one of a channel, as compensate names it."""
+    from dbo_cli.logs import columns_of
+
+    if column is None or "desired" not in column:
+        return None
+    name = column.replace("desired", "voltage", 1)
+    quantities = [each.quantity for each in columns_of(trajectory)]
+    return next((each for each in quantities if name.startswith(each)), None)
 
 
 def short_names(logs: list[str]) -> list[str]:

@@ -78,7 +78,8 @@ def test_percent_of_range_is_of_what_the_log_moved(log: Path) -> None:
     [line] = [line for line in outcome.said if "% of range" in line]
     expected, percent = re.findall(r"error (\S+) um \((\S+) % of range", line)[0]
     moved = float(np.ptp(table(log)["displacement_um"]))
-    assert float(percent) == pytest.approx(100.0 * float(expected) / moved, rel=0.02)
+    # two digits: half a unit of the second is a twentieth at most
+    assert float(percent) == pytest.approx(100.0 * float(expected) / moved, rel=0.05)
 
 
 # --- names ---
