@@ -5,7 +5,8 @@
 Models, moves, limits, clocks and options at random: starts inside and outside, ways in,
 leads, sweeps, returns, loops, states of an earlier drive. Most drives are whole arrays,
 every tenth comes in blocks; there, rows that left before a refusal count as well. Every
-tenth is the drive of an inverse model, which `outside` has to hold or refuse. What
+tenth is the drive of an inverse model, which `outside` has to hold or refuse, and every
+tenth those of two channels, of which the shorter one holds. What
 is written is looked at row by row, on its own terms: nothing here knows the program's
 gate. Exit 1 where a row is beyond a limit, or anything but a refusal ends a drive.
 """
@@ -28,7 +29,8 @@ from random_actuators import (
     random_move,
 )
 
-from dbo_cli.drive import Driver, Lead, Limits
+from dbo_cli.channels import together
+from dbo_cli.drive import Drive, Driver, Lead, Limits
 from dbo_cli.drive.limits import GateError
 from dbo_cli.drive.simulate import Simulator
 from dbo_cli.errors import DboError, LimitError
@@ -127,7 +129,9 @@ def whole(
     return wrong, drive.state
 
 
-def driver_of(model: Cascade, limits: Limits, options: dict[str, Any]) -> Driver:
+def driver_of(
+    model: Cascade, limits: Limits, options: dict[str, Any], hold: int = 0
+) -> Driver:
     """Return a driver by its options."""
     lead = Lead(
         options.get("state", "auto"),
@@ -137,7 +141,7 @@ def driver_of(model: Cascade, limits: Limits, options: dict[str, Any]) -> Driver
         options.get("lead"),
     )
     on_limit, end = options.get("on_limit", "auto"), options.get("return_to")
-    return Driver(model, limits, lead, on_limit, end)
+    return Driver(model, limits, lead, on_limit, end, "move", hold)
 
 
 def in_blocks(
@@ -175,6 +179,34 @@ def in_blocks(
     return broken(voltage, slice(0, 0), limits, DT, before)
 
 
+def side_by_side(
+    rng: Random,
+    models: list[Cascade],
+    limits: list[Limits],
+    options: list[dict[str, Any]],
+) -> str:
+    """Drive the channels of a set, of which the shorter ones hold; return what is wrong with one."""
+    count = int(rng.integers(1, 100))
+    moves = [random_move(rng, model, count) for model in models]
+
+    def drive_of(name: str, hold: int, after: int) -> Drive:
+        channel = int(name)
+        driver = driver_of(models[channel], limits[channel], options[channel], hold)
+        return driver.whole(moves[channel], DT, return_rows=after)
+
+    drives = together(drive_of, [str(channel) for channel in range(len(models))])
+    rows = {(drive.voltage.size, drive.move.start) for drive in drives.values()}
+    if len(rows) != 1:
+        return "the channels are not equally long"
+    for name, drive in drives.items():
+        before = options[int(name)]["start"]
+        channel_limits = limits[int(name)]
+        wrong = broken(drive.voltage, drive.move, channel_limits, DT, before)
+        if wrong:
+            return f"channel {name}: {wrong}"
+    return ""
+
+
 def by_inverse(rng: Random, model: Cascade, desired: Floats) -> str:
     """Run the inverse model over a move; return what is wrong with its drive."""
     outside: Any = ["hold", "error", "extend"][int(rng.integers(3))]
@@ -202,6 +234,11 @@ def trial(
     rng: Random, number: int, model: Cascade, last: State | None
 ) -> tuple[str, State | None]:
     """Make one drive; return what is wrong with it, and the state after it."""
+    if number % 10 == 3:
+        models = [model, random_actuator(rng, DT)]
+        bounds = [Limits.within(m.input, **random_limits(rng, m.input)) for m in models]  # type: ignore[arg-type]
+        chosen = [random_options(rng, m, None) for m in models]
+        return side_by_side(rng, models, bounds, chosen), None
     limits = Limits.within(model.input, **random_limits(rng, model.input))  # type: ignore[arg-type]
     desired = random_move(rng, model, int(rng.integers(1, 300)))
     options = random_options(rng, model, last)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import ModelError
 from dbo_cli.model import (
+    Amplifier,
     Cascade,
     Delay,
     Dynamics,
@@ -28,11 +29,14 @@ MOVES = ("sine", "walk", "jumps", "rest", "beyond", "ramp")
 
 
 def random_actuator(rng: Random, dt: float) -> Cascade:
-    """Return a random model, perhaps with dynamics and a delay; ``dt`` (s) is its step."""
+    """Return a random model, perhaps with an amplifier, dynamics and a delay; ``dt`` (s) is its step."""
     while True:
         try:
             static = random_model(rng, delays=False)
             stages = list(static.stages)
+            if rng.random() < 0.2:
+                lag = dt * float(10.0 ** rng.uniform(-1.0, 1.0))
+                stages.insert(0, Amplifier(lag))
             if rng.random() < 0.3:
                 stages.append(Dynamics(random_sections(rng, dt)))
             if rng.random() < 0.3:

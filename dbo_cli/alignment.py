@@ -18,12 +18,22 @@ LONGEST = 1 << 17
 """Rows of the longer recording in the search; a longer one is looked at in coarser steps."""
 SAME_STEP = 1e-6
 """Part of a step by which two clocks of one step may differ."""
-RATE_SHOWS = 0.1
-"""Rows that two rates must bring apart over a recording before they count as different."""
-WHOLE_BY_DRIVE, WHOLE_BY_DISPLACEMENT = 0.02, 0.5
-"""Rows off a whole one, up to which one card is taken to have played and recorded, at one step.
-
-A displacement does not tell parts of a row: what is left of creep is a phase, too."""
+RATE_SHOWS = 0.98
+"""Part of what one rate leaves that two rates must leave at most before they count as different."""
+LARGEST_RATE = 1e-3
+"""Part by which two clocks may differ; quartz does by some 1e-4."""
+WHOLE_BY_DRIVE = 0.02
+"""Rows off a whole one, up to which one card is taken to have played and recorded, at one step."""
+PLAYS = np.geomspace(0.01, 0.7, 24)
+"""Half widths, in parts of the range, of the plays that explain a loop beside a lag."""
+NEAR_END = 0.005
+"""Part of the range: nearer to an end, the past of a loop is gone."""
+SMALL_LOOP = 1e-3
+"""Part of the measured variance below which no loop is looked for: 3 % of the move."""
+LOOP_SHOWS = 0.25
+"""Part of the unexplained variance that plays must leave at most for a loop to be there."""
+ACTUATOR_LAG = 0.05
+"""Seconds that an actuator, its amplifier and its sensor may be late; more is a recorder's start."""
 SAME_DRIVE = 0.05
 """Part of the variance that a recorded drive may differ by, apart from its gain."""
 
@@ -57,6 +67,11 @@ class Alignment:
         """One standard deviation of it in rows of the slower clock."""
         return self.lag.deviation / self.step
 
+    def late_time(self, early_time: Floats) -> Floats:
+        """Return stamps of the other recording on the clock of the late one (s)."""
+        times: Floats = early_time - self.early_start + self.lag.seconds
+        return self.late_start + times / (1.0 - self.lag.rate)
+
     def early_time(self, late_time: Floats) -> Floats:
         """Return stamps of the late recording on the clock of the other (s)."""
         return self.early_start + self.lag.early_time(late_time - self.late_start)
@@ -81,27 +96,44 @@ def align_drives(
         Those of the other.
     """
     found = aligned(late_time, late, early_time, early, rate=True)
-    if found is None:
-        return None
-    if abs(found.lag.rate) * np.ptp(late_time) < RATE_SHOWS * found.step:
-        found = aligned(late_time, late, early_time, early)
     if found is None or found.lag.residual > SAME_DRIVE:
         return None
-    return _on_whole_rows(found, late_time, early_time, WHOLE_BY_DRIVE)
+    return on_whole_rows(found, late_time, early_time, WHOLE_BY_DRIVE)
 
 
 def align_displacements(
-    late_time: Floats, late: Floats, early_time: Floats, early: Floats
+    late_time: Floats,
+    late: Floats,
+    early_time: Floats,
+    early: Floats,
+    *,
+    rate: bool = False,
+    inverted: bool = False,
 ) -> Alignment | None:
-    """Lay a measured displacement over an expected one; None where the two do not tell.
+    """Lay a measured displacement over what it follows; None where the two do not tell.
 
-    Parameters are those of ``align_drives``; ``early`` may have further columns of what
-    the displacement may be made of.
+    A loop is a phase, too, and so is creep: where the displacement is no straight line
+    of what it follows, plays of that, its square and a drift stand beside it (a
+    Prandtl-Ishlinskii sum, linear in its weights).
+
+    Parameters
+    ----------
+    late_time, late : array of shape (rows,)
+        Stamps (s) and displacement.
+    early_time, early : array of shape (other rows,)
+        Those of the expected displacement, or of the drive.
+    rate, inverted
+        As in ``signals.lag``.
     """
-    found = aligned(late_time, late, early_time, early)
-    if found is None:
-        return None
-    return _on_whole_rows(found, late_time, early_time, WHOLE_BY_DISPLACEMENT)
+    found = aligned(late_time, late, early_time, early, inverted=inverted)
+    if found is None or found.lag.residual < SMALL_LOOP:
+        return found
+    loop = aligned(
+        late_time, late, early_time, early, rate=rate, inverted=inverted, loops=True
+    )
+    if loop is None or loop.lag.residual > LOOP_SHOWS * found.lag.residual:
+        return found
+    return loop
 
 
 def aligned(
@@ -112,37 +144,65 @@ def aligned(
     *,
     rate: bool = False,
     inverted: bool = False,
+    loops: bool = False,
 ) -> Alignment | None:
-    """Return how two recordings lie over each other, by ``signals.lag``; see there for the options."""
-    if min(len(late_time), len(early_time)) < 2:
+    """Return how two recordings lie over each other, by ``signals.lag``; see there for the options.
+
+    ``loops``: the late one may be made of plays of the early one, too. A rate counts
+    where it shows, and where two clocks may differ by it.
+    """
+    if min(len(late_time), len(early_time)) < 2 or np.ptp(early) == 0.0:
         return None
     longest = max(float(np.ptp(late_time)), float(np.ptp(early_time)))
     step = max(mean_step(late_time), mean_step(early_time), longest / LONGEST)
     if not step > 0.0:
         return None
-    found = lag(
-        _sampled(late_time, late, step),
-        _sampled(early_time, early, step),
-        step,
-        rate=rate,
-        inverted=inverted,
-    )
+    late = _sampled(late_time, late, step)
+    columns = _sampled(early_time, early, step)
+    begin = 0
+    if loops:
+        begin, columns = loop_columns(columns)
+    found = lag(late, columns, step, inverted=inverted)
     if found is None:
         return None
-    return Alignment(float(late_time[0]), float(early_time[0]), found, step)
+    if rate:
+        running = lag(late, columns, step, rate=True, inverted=inverted)
+        if running is not None and running.residual < RATE_SHOWS * found.residual:
+            found = running if abs(running.rate) <= LARGEST_RATE else found
+    start = float(early_time[0]) + begin * step
+    return Alignment(float(late_time[0]), start, found, step)
+
+
+def loop_columns(signal: Floats) -> tuple[int, Floats]:
+    """Return what follows a signal with loops (itself, its square, a drift, plays), and their first row.
+
+    There the signal has been at both ends of its range, if more than half of it follows,
+    else at one: the plays no longer depend on what was before.
+    """
+    level = (signal - signal.min()) / np.ptp(signal)
+    ends = int(np.argmax(level <= NEAR_END)), int(np.argmax(level >= 1.0 - NEAR_END))
+    begin = max(ends) if max(ends) < 0.5 * len(level) else min(ends)
+    level = level[begin:]
+    half = np.minimum(PLAYS, 0.5)
+    state = np.clip(level[0], half, 1.0 - half)
+    plays = np.empty((len(level), len(PLAYS)))
+    for row, value in enumerate(level.tolist()):
+        state = np.minimum(np.maximum(state, value - PLAYS), value + PLAYS)
+        plays[row] = state
+    drift = np.linspace(0.0, 1.0, len(level))
+    return begin, np.column_stack([level, level**2, drift, plays])
 
 
 def _sampled(time: Floats, values: Floats, step: float) -> Floats:
-    """Return signals on an even grid of a step (s) from their first stamp on."""
+    """Return a signal on an even grid of a step (s) from its first stamp on."""
     own = even(time)
     if own is not None and abs(own / step - 1.0) < SAME_STEP:
         return values
     grid = np.arange(time[0], time[-1] + 1e-6 * step, step)
-    columns = [np.interp(grid, time, column) for column in np.atleast_2d(values.T)]
-    return np.column_stack(columns) if values.ndim > 1 else columns[0]
+    return np.interp(grid, time, values)
 
 
-def _on_whole_rows(
+def on_whole_rows(
     found: Alignment, late_time: Floats, early_time: Floats, slack: float
 ) -> Alignment:
     """Return the alignment by whole rows where one card may have played and recorded."""

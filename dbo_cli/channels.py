@@ -50,14 +50,16 @@ LIMIT_SLACK = 0.1
 
 def is_pattern(columns: Mapping[str, str | None]) -> bool:
     """Return whether the name of a column stands for many."""
-    return any(typed is not None and PLACE in typed for typed in columns.values())
+    return any(pattern is not None and PLACE in pattern for pattern in columns.values())
 
 
 def columns_for(columns: Mapping[str, str | None], name: str) -> dict[str, str | None]:
     """Return the columns of one channel."""
     columns_of_channel = {}
-    for role, typed in columns.items():
-        columns_of_channel[role] = None if typed is None else typed.replace(PLACE, name)
+    for role, pattern in columns.items():
+        columns_of_channel[role] = (
+            None if pattern is None else pattern.replace(PLACE, name)
+        )
     return columns_of_channel
 
 
@@ -82,16 +84,16 @@ def names(
         raise UsageError("-: channels need a file, not a pipe")
     headers = [column.name for column in columns_of(path, reading)]
     channels: list[str] = []
-    for role, typed in columns.items():
-        if typed is None or PLACE not in typed:
+    for role, pattern in columns.items():
+        if pattern is None or PLACE not in pattern:
             continue
-        matches = _matches(typed, headers)
+        matches = _matches(pattern, headers)
         channels = channels or matches
         mismatched = sorted(set(channels) ^ set(matches))
         if mismatched or not matches:
             lacking = f"not for channel {mismatched[0]}" if mismatched else "no column"
             raise InputError(
-                f"{path}: `{role}` {typed}: {lacking}; columns: {', '.join(headers)}"
+                f"{path}: `{role}` {pattern}: {lacking}; columns: {', '.join(headers)}"
             )
     return channels
 
@@ -121,7 +123,7 @@ def models_of(path: str, channels: Sequence[str]) -> dict[str, Cascade]:
 
 
 def value_for(
-    name: str, typed: Sequence[str] | None, channel: str, channels: Sequence[str]
+    name: str, texts: Sequence[str] | None, channel: str, channels: Sequence[str]
 ) -> str | None:
     """Return what was typed for a channel: ``x=120V`` for one of them, ``120V`` for all.
 
@@ -129,7 +131,7 @@ def value_for(
     ----------
     name
         Of the option.
-    typed
+    texts
         Its values.
     channel, channels
         The channel, and all there are.
@@ -140,7 +142,7 @@ def value_for(
         A value is of no channel, or two values are of one.
     """
     values: dict[str | None, str] = {}
-    for text in typed or ():
+    for text in texts or ():
         name_of_channel, mark, value = text.rpartition("=")
         owner = name_of_channel if mark else None
         if mark and (not owner or owner not in channels):
@@ -153,24 +155,24 @@ def value_for(
 
 
 def values_for(
-    typed: Mapping[str, Sequence[str] | None], channel: str, channels: Sequence[str]
+    texts: Mapping[str, Sequence[str] | None], channel: str, channels: Sequence[str]
 ) -> dict[str, str | None]:
     """Return what was typed of several options for a channel, by option."""
     values = {}
-    for name, texts in typed.items():
-        values[name] = value_for(name, texts, channel, channels)
+    for name, values_of_option in texts.items():
+        values[name] = value_for(name, values_of_option, channel, channels)
     return values
 
 
 def require_own_limit(
     name: str,
-    typed: Sequence[str] | None,
+    texts: Sequence[str] | None,
     channel: str,
     value: float | None,
     model: Cascade,
 ) -> None:
     """Refuse a limit for all channels that is far beyond the range of one of them (UsageError)."""
-    is_own = any(text.startswith(f"{channel}=") for text in typed or ())
+    is_own = any(text.startswith(f"{channel}=") for text in texts or ())
     if value is None or not channel or is_own:
         return
     drive = model.input
@@ -262,13 +264,18 @@ def naming(channel: str) -> Iterator[None]:
 # --- files of all channels ---
 
 
+def plural(kind: str) -> str:
+    """Return the key under which a set holds files of a kind."""
+    return kind[:-1] + "ies" if kind.endswith("y") else f"{kind}s"
+
+
 def dumps_files(kind: str, texts: Mapping[str, str]) -> str:
     """Return the files of channels as one: a set of states, summaries or histories (of a ``kind``)."""
     if tuple(texts) == ALONE:
         return texts[""]
-    plural = {"history": "histories", "summary": "summaries"}.get(kind, f"{kind}s")
     members = {name: json.loads(text) for name, text in texts.items()}
-    content = {"format": f"dbo-{kind}-set", "version": fields.VERSION, plural: members}
+    content: dict[str, Any] = {"format": f"dbo-{kind}-set", "version": fields.VERSION}
+    content[plural(kind)] = members
     return json.dumps(content, indent=2) + "\n"
 
 
@@ -303,15 +310,15 @@ def read_files(path: str, kind: str, channels: Iterable[str]) -> dict[str, Any]:
     ModelError
         It is no such set, or lacks a channel.
     """
-    plural = {"history": "histories", "summary": "summaries"}.get(kind, f"{kind}s")
+    key = plural(kind)
     name, values = fields.load(path, kind)
     try:
-        content = fields.contents(values, "", f"dbo-{kind}-set", f"a set of {plural}")
-        read = {plural: fields.notes}
-        members: dict[str, Any] = fields.build(dict, content, "", **read)[plural]
+        content = fields.contents(values, "", f"dbo-{kind}-set", f"a set of {key}")
+        read = {key: fields.notes}
+        members: dict[str, Any] = fields.build(dict, content, "", **read)[key]
         for channel in channels:
             if channel not in members:
-                raise ModelError(f'{plural}: has no channel "{channel}"')
+                raise ModelError(f'{key}: has no channel "{channel}"')
     except ModelError as problem:
         raise ModelError(f"{name}: {problem}") from None
     return members

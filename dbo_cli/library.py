@@ -39,13 +39,13 @@ from dbo_cli.logs import (
 )
 from dbo_cli.model import Quantity
 from dbo_cli.recordings import (
-    COLUMNS,
+    RECORDING_COLUMNS,
     arrays_table,
     clock_of,
     common_unit,
-    fitted,
     floats,
     in_unit,
+    model_of,
     pair_of,
     recordings_of,
     seconds_of,
@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dbo_cli.drive import Drive
+    from dbo_cli.drive.compensate import OnLimit
     from dbo_cli.drive.learning import PassRecord
     from dbo_cli.drive.live import Controller
     from dbo_cli.reports import Pair, Report
@@ -75,7 +76,6 @@ Seconds = float | str | None
 """A number of s, a text with a unit, or ``auto``."""
 StateLike = str | Path | room.State
 """``auto``, ``empty``, ``full``, ``settled``, a state that was returned, or a state file."""
-OnLimit = Literal["auto", "clip", "error"]
 
 
 class Fit(TypedDict, total=False):
@@ -720,7 +720,7 @@ def identify(
         units = {"voltage": shape.input.unit, "displacement": shape.output.unit}
     given = {"voltage": voltage_unit, "displacement": displacement_unit}
     reading = Reading(sample_rate=_rate(sample_rate))
-    columns: Mapping[str, str | None] = COLUMNS
+    columns: Mapping[str, str | None] = RECORDING_COLUMNS
     if displacement is not None:
         signals = {"voltage": data, "displacement": displacement}
         source, columns = arrays_table(signals, given, units, time, reading.sample_rate)
@@ -750,8 +750,8 @@ def identify(
         force=force,
     )
     units = {"voltage": recordings[0].input[1], "displacement": recordings[0].output[1]}
-    tests, _ = recordings_of(_listed(validate), COLUMNS, Reading(), units)
-    return Model(fitted(recordings, logs, options, tests))
+    tests, _ = recordings_of(_listed(validate), RECORDING_COLUMNS, Reading(), units)
+    return Model(model_of(recordings, logs, options, tests))
 
 
 def _listed(data: Logs | None) -> list[Any]:
@@ -820,7 +820,7 @@ def report(
     InputError
         Lengths or units differ, or there is nothing to compare.
     """
-    from dbo_cli.reports import Pair, Report, expected_of, predict
+    from dbo_cli.reports import Pair, Report, expected_in, predict
 
     rate = _rate(sample_rate)
     if is_frame(desired):
@@ -859,7 +859,7 @@ def report(
         unit=unit,
         lag=lag,
         remove_offset=remove_offset,
-        expected=None if expected is None else expected_of(expected, unit),
+        expected=None if expected is None else expected_in(expected, unit),
         max_rmse=None
         if max_rmse is None
         else parse_quantity(max_rmse, unit, "max_rmse"),

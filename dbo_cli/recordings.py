@@ -43,13 +43,13 @@ if TYPE_CHECKING:
     from dbo_cli.logs import Log
     from dbo_cli.reports import Pair
 
-ROLES = ("voltage", "displacement")
+RECORDING_ROLES = ("voltage", "displacement")
 """The columns of a recording, beside its time; files, frames and arrays bring these."""
-Clock = float | Floats | None
+TimeOrStep = float | Floats | None
 """Seconds a sample, or the time of each sample (s)."""
 Columns = Mapping[str, str | None]
 """What was typed for each role; None: found by name and unit."""
-COLUMNS: Columns = dict.fromkeys(("time", *ROLES))
+RECORDING_COLUMNS: Columns = dict.fromkeys(("time", *RECORDING_ROLES))
 """Nothing typed for the roles of a recording."""
 Units = Mapping[str, str | None]
 """The unit of each role; None: not known."""
@@ -132,7 +132,7 @@ def recordings_of(
         log, table = read_table(source, columns, reading, units)
         if logs:
             _refuse_other_units(logs[0], log)
-        stated = {role: log.columns[role].unit for role in ROLES}
+        stated = {role: log.columns[role].unit for role in RECORDING_ROLES}
         units = {role: unit for role, unit in stated.items() if unit}
         quantities = {
             role: (quantity_name(role, unit), unit) for role, unit in stated.items()
@@ -152,7 +152,7 @@ def recordings_of(
 
 def _refuse_other_units(first: Log, other: Log) -> None:
     """Refuse (InputError) a log that states a unit where the first one states none."""
-    for role in ROLES:
+    for role in RECORDING_ROLES:
         unit = other.columns[role].unit
         if unit is not None and first.columns[role].unit is None:
             raise InputError(
@@ -281,7 +281,7 @@ def short_name(name: str) -> str:
     return os.path.basename(file) + mark + inside
 
 
-def fitted(
+def model_of(
     recordings: Sequence[Recording],
     logs: Sequence[Log],
     options: Options,
@@ -390,7 +390,7 @@ def floats(values: Any, name: str) -> Floats:
     return array
 
 
-def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Clock:
+def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> TimeOrStep:
     """Return the seconds between samples, or the time of each in s; None where neither is known.
 
     The time index of a pandas object counts where neither is given: seconds if it

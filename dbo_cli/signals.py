@@ -153,7 +153,7 @@ class Lag:
     seconds
         In the unit of the step that was given.
     deviation
-        One standard deviation of it; infinite where it is known to a row only.
+        One standard deviation of it, in the middle; infinite where it is known to a row only.
     rate
         Part by which the late signal's clock runs fast; 0 where it was not looked for.
     residual
@@ -290,7 +290,7 @@ def _refined(
     fewest = min(FEWEST_ROWS, len(rows))
     moves = [np.ones(len(rows))]
     if rate:
-        moves.append(rows)
+        moves.append(rows - 0.5 * rows[-1])  # about the middle, where it is known best
     unknown = np.zeros(len(moves))
     unknown[0] = start
     farthest = 2.0 + LONGEST_STEP * len(late)
@@ -323,7 +323,8 @@ def _refined(
     residual = float(np.mean(left**2)) / max(float(np.var(target)), 1e-300)
     evidence = float(_evidence(len(target), residual))
     slope_of_clocks = float(unknown[1]) if rate else 0.0
-    return _Fit(float(unknown[0]), deviation, slope_of_clocks, residual, evidence)
+    shift = float(unknown[0]) - 0.5 * rows[-1] * slope_of_clocks
+    return _Fit(shift, deviation, slope_of_clocks, residual, evidence)
 
 
 def _whole(late: Floats, columns: Floats, start: int) -> _Fit:
@@ -353,16 +354,6 @@ def _unit(column: Floats) -> Floats:
     """Return a column of length 1."""
     unit: Floats = column / max(math.sqrt(float(np.sum(column**2))), 1e-300)
     return unit
-
-
-def play(values: Floats, radius: float) -> Floats:
-    """Return the play of a signal: it follows at a distance of ``radius``, and rests in between."""
-    output = np.empty_like(values)
-    state = float(values[0])
-    for row, value in enumerate(values.tolist()):
-        state = min(max(state, value - radius), value + radius)
-        output[row] = state
-    return output
 
 
 def between(values: Floats, places: Floats) -> Floats:

@@ -4,8 +4,7 @@
     python draw_demo.py uncompensated.csv compensated.csv picture.png
 
 Above, what was desired and what came out; below, the error of both. The logs are the
-virtual actuator's. The errors stand in the file's description, too, so that a test can
-hold them.
+virtual actuator's. The errors stand in the file's description, too.
 """
 
 from __future__ import annotations
@@ -25,7 +24,9 @@ def draw(uncompensated: str, compensated: str, picture: str) -> None:
     logs = []
     for path in (uncompensated, compensated):
         with open(path, encoding="utf-8") as file:
-            logs.append(read_drive(file))
+            log = read_drive(file)
+        move = log["time"] >= 0.0  # without the way to its first row
+        logs.append({name: column[move] for name, column in log.items()})
     time, desired = logs[0]["time"], logs[0]["desired"]
     labels = []
     looks = [("straight-line drive", DASHED), ("compensated by dbo", SOLID)]

@@ -205,8 +205,10 @@ RECORDED = {
     "played.csv": "drive.csv",
     "tracked.csv": "drive.csv",
     "tracked1.csv": "pass1.csv",
+    "seen1.csv": "scan1.csv",
+    "seen2.csv": "scan2.csv",
 }
-WITH_COMMANDS = "files index limits moves live batches comparison".split()
+WITH_COMMANDS = "files index limits moves live batches comparison scanner".split()
 
 
 @pytest.fixture
@@ -222,6 +224,9 @@ def logs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write("drive.csv", "time_s,CH1_V", time, volts)
     columns = (time, volts, moved, volts, 0.8 * moved)
     write("axes.csv", "time_s,Vx_V,Dx_um,Vy_V,Dy_um", *columns)
+    phase = 2.0 * np.pi * np.arange(250) / 250.0
+    figure = 6.0 - 2.0 * np.cos(phase), 6.0 - 2.0 * np.sin(2.0 * phase)
+    write("figure.csv", "time_s,x_um,y_um", time[:250], *figure)
     wanted = np.interp(time[:200], time[[0, 100, 199]], (2.0, 6.0, 3.0))
     write("frames.csv", "time_s,Rx_um,Ry_um", time[:200], wanted, wanted)
 
@@ -231,9 +236,16 @@ def record(name: str, gain: float) -> None:
     from virtual_actuator import VirtualActuator
 
     drive = table(RECORDED[name])
-    time, volts = drive["time_s"], drive["voltage_V"]
-    moved = VirtualActuator().play(time, volts, 3)
-    write(name, "time_s,voltage_V,displacement_um", time, volts / gain, moved)
+    time, columns = drive["time_s"], {}
+    for key, volts in drive.items():
+        if key.startswith("voltage"):
+            axis = key.removeprefix("voltage").removesuffix("_V")
+            columns[f"voltage{axis}_V"] = volts / gain
+            moved = VirtualActuator().play(time, volts, 3)
+            columns[f"displacement{axis}_um"] = moved * (0.8 if axis == "_y" else 1.0)
+    if len(columns) > 2:  # a recorder of its own
+        time = time - time[0]
+    write(name, ",".join(["time_s", *columns]), time, *columns.values())
 
 
 @pytest.mark.usefixtures("logs")

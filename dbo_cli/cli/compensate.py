@@ -197,8 +197,8 @@ class MoveOptions:
         drive = actuator.input
         for name in ("v_min", "v_max"):
             bound = voltage_in(name, texts[name], drive)
-            typed = self.voltages[name]
-            channels.require_own_limit(name, typed, channel, bound, actuator)
+            values = self.voltages[name]
+            channels.require_own_limit(name, values, channel, bound, actuator)
         ranges = texts["v_min"], texts["v_max"], texts["max_slew"]
         limits = Limits.within(drive, *ranges, self.extrapolate)
         begin = voltage_in("from", texts["from"], drive)

@@ -19,6 +19,7 @@ def excite(
     duration: Text = option(
         "SECONDS", "Of the swings; 30 s, longer where slew is limited."
     ),
+    rest: Text = option("SECONDS", "At rest behind the swings: as long as moves hold."),
     sweep_to: Text = option("HZ", "Append a small sweep up to this frequency."),
     sweep_amplitude: Text = option(
         "VOLT", "Amplitude of the sweep; default 1 % of the range."
@@ -43,6 +44,7 @@ def excite(
         high,
         sample_rate=opt.quantity("sample_rate", sample_rate, "Hz"),
         duration=opt.quantity("duration", duration, "s"),
+        rest=opt.quantity("rest", rest, "s"),
         max_slew=opt.quantity("max_slew", max_slew, f"{unit}/s"),
         sweep_to=opt.quantity("sweep_to", sweep_to, "Hz"),
         sweep_amplitude=opt.quantity("sweep_amplitude", sweep_amplitude, unit),

@@ -135,7 +135,7 @@ def read_and_fit(
     options: Options,
 ) -> tuple[Cascade, list[Recording], list[Log]]:
     """Return the model of one actuator, and the recordings and logs that it was identified from."""
-    from dbo_cli.recordings import fitted, recordings_of
+    from dbo_cli.recordings import model_of, recordings_of
 
     units = {}
     if options.prior is not None:
@@ -144,7 +144,7 @@ def read_and_fit(
     recordings, logs = recordings_of([*paths, *validate], columns, reading, units)
     count = len(paths)
     working("identifying")
-    model = fitted(recordings[:count], logs[:count], options, recordings[count:])
+    model = model_of(recordings[:count], logs[:count], options, recordings[count:])
     return model, recordings[:count], logs[:count]
 
 

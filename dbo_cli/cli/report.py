@@ -67,7 +67,7 @@ def report(
     """
     from dbo_cli import channels
     from dbo_cli.logs import parse_rows
-    from dbo_cli.reports import Report, expected_in, expected_of
+    from dbo_cli.reports import Report, expected_in
 
     if model is not None and trajectory is not None:
         raise UsageError("give either `model` or `trajectory`")
@@ -100,10 +100,6 @@ def report(
             else:
                 pairs, units = read_pairs(logs, reading, roles, {}, False)
             unit, summary = units.get("measured"), summaries[channel]
-            if isinstance(summary, str):
-                summary = expected_in(summary, unit)
-            elif summary is not None:
-                summary = expected_of(summary, unit)
             results[channel] = Report.of(
                 [
                     dataclasses.replace(pair, rows=rows, name=name)
@@ -112,7 +108,7 @@ def report(
                 unit=unit,
                 lag=lag,
                 remove_offset=remove_offset,
-                expected=summary,
+                expected=None if summary is None else expected_in(summary, unit),
                 max_rmse=opt.quantity("max_rmse", max_rmse, unit),
                 max_nrmse_percent=percent_bound,
                 voltage_unit=units.get("voltage"),
@@ -137,17 +133,17 @@ def read_pairs(
     logs: Sequence[str],
     reading: Reading,
     roles: Columns,
-    wanted: Units,
+    required_units: Units,
     needs_drive: bool,
 ) -> tuple[list[Pair], Units]:
-    """Return what was measured in each log, in the units wanted or else of the first, and the units."""
+    """Return what was measured in each log, in these units or else those of the first, and the units."""
     from dbo_cli.recordings import pair_of
 
-    pairs, units = [], dict(wanted)
+    pairs, units = [], dict(required_units)
     for path in logs:
-        pair, stated, log = pair_of(path, roles, reading, units, needs_drive)
+        pair, log_units, log = pair_of(path, roles, reading, units, needs_drive)
         detail(*log.remarks)
-        for role, unit in stated.items():
+        for role, unit in log_units.items():
             units[role] = units.get(role) or unit
         pairs.append(pair)
     return pairs, units
@@ -165,8 +161,8 @@ def predictions(
     from dbo_cli.reports import predict
 
     model.require("forward", name)
-    wanted = {"voltage": model.input.unit, "measured": model.output.unit}
-    pairs, units = read_pairs(logs, reading, roles, wanted, True)
+    model_units = {"voltage": model.input.unit, "measured": model.output.unit}
+    pairs, units = read_pairs(logs, reading, roles, model_units, True)
     return [predict(pair, model, state, name) for pair in pairs], units
 
 
@@ -179,15 +175,22 @@ def matched(
     by: str,
 ) -> tuple[list[Pair], Units]:
     """Return what a trajectory of a file of its own desires beside what was measured, and the units."""
-    from dbo_cli.logs import Reading
+    from dbo_cli.logs import Reading, columns_of
     from dbo_cli.recordings import read_table
     from dbo_cli.reports import match
 
-    columns = {"time": None, "trajectory": column, "voltage": None}
+    drive = None
+    if (
+        column is not None and "desired" in column
+    ):  # of a channel, as compensate names it
+        typed = column.replace("desired", "voltage", 1)
+        names = [each.quantity for each in columns_of(trajectory)]
+        named_drive = next((name for name in names if typed.startswith(name)), None)
+    columns = {"time": None, "trajectory": column, "voltage": named_drive}
     optional = ("time", "voltage")
     log, table = read_table(trajectory, columns, Reading(), optional=optional)
-    wanted = {"measured": log.columns["trajectory"].unit}
-    pairs, units = read_pairs(logs, reading, roles, wanted, False)
+    trajectory_units = {"measured": log.columns["trajectory"].unit}
+    pairs, units = read_pairs(logs, reading, roles, trajectory_units, False)
     desired, clock, drive = table["trajectory"], table.time, table.values.get("voltage")
     return [match(p, desired, clock, by, trajectory, drive) for p in pairs], units
 

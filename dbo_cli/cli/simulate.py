@@ -84,7 +84,7 @@ def simulate_set(
 ) -> None:
     """Run the model of each channel over its input, and write all side by side."""
     from dbo_cli import channels
-    from dbo_cli.drive.simulate import Simulator, joined
+    from dbo_cli.drive.simulate import Simulator, stacked
     from dbo_cli.files import Outputs
     from dbo_cli.logs import add_table
     from dbo_cli.model import State, dumps_state
@@ -105,7 +105,7 @@ def simulate_set(
         with channels.naming(name):
             parts = [simulator.rows(table["input"], table.dt, table.time)]
             parts.append(simulator.finish())
-        results += channels.columns_of_run(name, actuator, joined(parts))
+        results += channels.columns_of_run(name, actuator, stacked(parts))
         if isinstance(simulator.state, State):
             texts[name] = dumps_state(simulator.state, actuator)
     with Outputs() as outputs:

@@ -1,5 +1,5 @@
 """The DBO beside the operators of the paper's references [6] to [9]."""
 
-from dbo_cli.compare.compare import Comparison, Row, compare
+from dbo_cli.compare.compare import OperatorTable, Row, compare
 
-__all__ = ["Comparison", "Row", "compare"]
+__all__ = ["OperatorTable", "Row", "compare"]

@@ -13,10 +13,10 @@ from dbo_cli.compare.fitting import (
     RIVALS,
     Design,
     PlayModel,
-    Problem,
+    RivalProblem,
     counted,
     fit,
-    prepare,
+    prepare_logs,
 )
 from dbo_cli.errors import DboError
 from dbo_cli.identification import Options, Recording, identify
@@ -24,7 +24,7 @@ from dbo_cli.model import Cascade, Points
 from dbo_cli.reports.words import digits, json_text, text_table
 
 JSON_VERSION = 1  # of the form dbo-compare
-HEAD = "operator,fit,expected,validated,numbers,ns forward,ns inverse".split(",")
+HEADINGS = "operator,fit,expected,validated,numbers,ns forward,ns inverse".split(",")
 TIMED_SAMPLES = 100_000  # milliseconds, which a clock resolves
 TIMED_RUNS = 5  # the fastest counts: what else the machine does can only add
 
@@ -112,7 +112,7 @@ class DboModel:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class OperatorTable:
     """Several operators, a row each, and what they were fitted to."""
 
     rows: tuple[Row, ...]
@@ -150,13 +150,13 @@ class Comparison:
             numbers += [digits(cost, 3) for cost in costs]
             cells.append([row.name, *numbers])
             about.append(f"{row.name}: {row.words}")
-        lines = [heading, "", text_table(HEAD, cells), "", *about, *notes]
+        lines = [heading, "", text_table(HEADINGS, cells), "", *about, *notes]
         return "\n".join(lines) + "\n"
 
 
 def compare(
     logs: Sequence[Recording], validation: Sequence[Recording] = (), skip: float = 0.0
-) -> Comparison:
+) -> OperatorTable:
     """Fit the DBO and its relatives to the same logs, and judge them alike.
 
     Parameters
@@ -171,7 +171,7 @@ def compare(
     FitError
         Nothing can be fitted to such logs.
     """
-    problem = prepare(logs, skip)
+    problem = prepare_logs(logs, skip)
     rows = []
     for rival in (Design("dbo", "Discrete Backlash Operator"), *RIVALS):
         model: PlayModel | DboModel
@@ -199,10 +199,10 @@ def compare(
         )
     names = tuple(log.name for log in logs)
     tests = tuple(log.name for log in validation)
-    return Comparison(tuple(rows), logs[0].output[1] or None, names, tests)
+    return OperatorTable(tuple(rows), logs[0].output[1] or None, names, tests)
 
 
-def fitted_error(model: PlayModel | DboModel, problem: Problem) -> float:
+def fitted_error(model: PlayModel | DboModel, problem: RivalProblem) -> float:
     """Return the error on the fitted rows, each log's offset and drift taken off."""
     errors = []
     for log, rows in zip(problem.logs, problem.rows, strict=True):

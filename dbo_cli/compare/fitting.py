@@ -18,15 +18,15 @@ from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
 from dbo_cli.arrays import Booleans, Floats, Integers
-from dbo_cli.compare.plays import NOTHING, Plays, places
+from dbo_cli.compare.plays import EMPTY, Plays, places
 from dbo_cli.errors import FitError
 from dbo_cli.identification.recording import Recording, Swings
 from dbo_cli.model import Points, Scale
 from dbo_cli.model.points import Curves, through
 
 FIT_ROWS = 3000  # of all logs together; 7,000 changed no error by more than 1 %
-PLAYS = (12, 25, 50)  # to choose from; 25 is what the paper takes
-SEGMENTS = (1, 2, 4, 8)  # of the dead zones' curve, to choose from; 1: none
+PLAY_COUNTS = (12, 25, 50)  # to choose from; 25 is what the paper takes
+SEGMENT_COUNTS = (1, 2, 4, 8)  # of the dead zones' curve, to choose from; 1: none
 FOLDS = 6  # blocks of time that are left out in turn
 SWINGS_FOR_DRIFT = 4  # of a log: fewer tell no drift from creep
 SLOPE_FLOOR = 0.03  # of the mean slope: what a slope is at least
@@ -34,9 +34,9 @@ STEEPEST = 10.0  # times the mean slope: the steepest piece of the dead zones' c
 NORMALISING = 1e3  # times all rows: weight of the row that fixes the curve's mean slope
 RESTING = 1e-9  # of a column's length: what is left of one that rests, by rounding
 WORTH = 0.02  # by which more plays or segments must lower the error on what is left out
-DELAYS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # rows, to choose from
+DELAY_ROWS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # rows, to choose from
 FINEST_DELAY = 0.125  # of a row
-LONGEST_DELAY = 0.1  # of a swing
+DELAY_OF_SWING = 0.1  # of a swing
 FASTEST_SHARE = 0.999  # of the rows are slower than the second set of weights of [7]
 
 
@@ -61,7 +61,7 @@ class Design:
 
     name: str
     words: str
-    plays: int = PLAYS[1]
+    plays: int = PLAY_COUNTS[1]
     segments: int = 1
     delay: float = 0.0
     falling: bool = False
@@ -93,7 +93,7 @@ RIVALS = (
 
 
 @dataclass(frozen=True)
-class Problem:
+class RivalProblem:
     """All logs in units of the fit.
 
     Attributes
@@ -156,7 +156,7 @@ def rates_of(drive: Floats, time: Floats) -> Floats:
     return np.concatenate([[0.0], rates])
 
 
-def prepare(logs: Sequence[Recording], skip: float = 0.0) -> Problem:
+def prepare_logs(logs: Sequence[Recording], skip: float = 0.0) -> RivalProblem:
     """Return recordings in units of the fit; ``skip`` seconds of each are not fitted."""
     low = min(float(log.voltage.min()) for log in logs)
     high = max(float(log.voltage.max()) for log in logs)
@@ -169,7 +169,7 @@ def prepare(logs: Sequence[Recording], skip: float = 0.0) -> Problem:
         covariance = np.cov(log.voltage, log.displacement)[0, 1]
         together += float(covariance) * len(log.voltage)
         swings = Swings.of(log.voltage)
-        longest = min(longest, LONGEST_DELAY * swings.usual_rows)
+        longest = min(longest, DELAY_OF_SWING * swings.usual_rows)
         fitted = np.flatnonzero(counted(log, skip))[::stride]
         if len(fitted) < FOLDS:
             raise FitError(f"{log.name}: only {len(fitted)} rows left: reduce `skip`")
@@ -190,7 +190,7 @@ def prepare(logs: Sequence[Recording], skip: float = 0.0) -> Problem:
     fastest = 0.0
     if all(log.time is not None for log in logs):
         fastest = float(np.quantile(np.concatenate(rates), FASTEST_SHARE))
-    return Problem(
+    return RivalProblem(
         logs,
         rows,
         np.concatenate(outputs),
@@ -205,7 +205,7 @@ def prepare(logs: Sequence[Recording], skip: float = 0.0) -> Problem:
 
 
 @dataclass(frozen=True)
-class Equations:
+class RivalEquations:
     """The least-squares problem of one design.
 
     Attributes
@@ -217,11 +217,11 @@ class Equations:
     """
 
     design: Design
-    problem: Problem
+    problem: RivalProblem
     columns: Floats
 
     @classmethod
-    def of(cls, design: Design, problem: Problem) -> Equations:
+    def of(cls, design: Design, problem: RivalProblem) -> RivalEquations:
         """Return the rows of all logs."""
         tables = []
         for log, rows in zip(problem.logs, problem.rows, strict=True):
@@ -347,13 +347,13 @@ class PlayModel:
         Dead zones and scale, from there to the displacement.
     """
 
-    equations: Equations
+    equations: RivalEquations
     plays: Plays
     offset: float
     curves: Curves
 
     @classmethod
-    def of(cls, equations: Equations) -> PlayModel:
+    def of(cls, equations: RivalEquations) -> PlayModel:
         """Return the fitted model; its offset is the first log's."""
         design, solution = equations.design, equations.solve()
         curves: Curves = (equations.problem.scale,)
@@ -365,7 +365,7 @@ class PlayModel:
     def shares(self, drive: Floats, time: Floats | None) -> Floats:
         """Return how much of the second set of weights counts, a sample; of [7] alone."""
         if not self.plays.by_rate.size:
-            return NOTHING
+            return EMPTY
         return shares(drive, time, self.equations.problem.fastest)
 
     def simulate(self, voltage: Floats, time: Floats | None = None) -> Floats:
@@ -430,13 +430,13 @@ def operator_of(design: Design, weights: Floats) -> Plays:
     sets = np.split(weights, 1 + design.by_rate)
     if design.falling:
         sets = [np.append(members.sum(), -members[1:]) for members in sets]
-    by_rate = NOTHING
+    by_rate = EMPTY
     if design.by_rate:
         by_rate = sets[1] - sets[0]
     return Plays(design.radii, sets[0], by_rate=by_rate)
 
 
-def fit(rival: Design, problem: Problem) -> PlayModel:
+def fit(rival: Design, problem: RivalProblem) -> PlayModel:
     """Return the model of a rival with the best delay, and with no more plays and dead zones than help.
 
     Raises
@@ -453,23 +453,25 @@ def fit(rival: Design, problem: Problem) -> PlayModel:
             rows = falling
     design = rows.design
     if rival.segments > 1:
-        design = simplest([replace(design, segments=m) for m in SEGMENTS], problem)
+        design = simplest(
+            [replace(design, segments=m) for m in SEGMENT_COUNTS], problem
+        )
     if rival.plays > 1:
-        design = simplest([replace(design, plays=n) for n in PLAYS], problem)
-    return PlayModel.of(Equations.of(design, problem))
+        design = simplest([replace(design, plays=n) for n in PLAY_COUNTS], problem)
+    return PlayModel.of(RivalEquations.of(design, problem))
 
 
-def with_delay(design: Design, problem: Problem) -> Equations:
+def with_delay(design: Design, problem: RivalProblem) -> RivalEquations:
     """Return the equations of a design with the delay of least error."""
 
     @functools.cache
-    def delayed(delay: float) -> Equations:
-        return Equations.of(replace(design, delay=delay), problem)
+    def delayed(delay: float) -> RivalEquations:
+        return RivalEquations.of(replace(design, delay=delay), problem)
 
     def error(delay: float) -> float:
         return delayed(delay).fit_error
 
-    best = min((d for d in DELAYS if d <= problem.longest_delay), key=error)
+    best = min((d for d in DELAY_ROWS if d <= problem.longest_delay), key=error)
     step = 1.0 if problem.longest_delay >= 1.0 else 0.0
     while step >= FINEST_DELAY:
         closest = min((best, max(best - step, 0.0), best + step), key=error)
@@ -479,8 +481,8 @@ def with_delay(design: Design, problem: Problem) -> Equations:
     return delayed(best)
 
 
-def simplest(designs: Sequence[Design], problem: Problem) -> Design:
+def simplest(designs: Sequence[Design], problem: RivalProblem) -> Design:
     """Return the first design, simplest first, that none of the later ones betters by much."""
-    errors = [Equations.of(design, problem).left_out_error for design in designs]
+    errors = [RivalEquations.of(design, problem).left_out_error for design in designs]
     worth = [error <= (1.0 + WORTH) * min(errors) for error in errors]
     return designs[worth.index(True)]

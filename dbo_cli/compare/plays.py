@@ -27,9 +27,9 @@ import numpy as np
 from dbo_cli.arrays import Floats, Integers
 from dbo_cli.model import kernel
 
-NOTHING: Floats = np.empty(0)
-LANES = 8  # plays that the kernel adds up side by side: tables are padded to it
-BLOCK_ROWS = 16_384  # of plays in memory at a time
+EMPTY: Floats = np.empty(0)
+PLAY_LANES = 8  # plays that the kernel adds up side by side: tables are padded to it
+PLAY_ROWS = 16_384  # of plays in memory at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,8 @@ class Plays:
     radii: Floats
     weights: Floats
     one_sided: bool = False
-    by_rate: Floats = field(default_factory=lambda: NOTHING)
-    curve: Floats = field(default_factory=lambda: NOTHING)
+    by_rate: Floats = field(default_factory=lambda: EMPTY)
+    curve: Floats = field(default_factory=lambda: EMPTY)
 
     @cached_property
     def table(self) -> Floats:
@@ -65,7 +65,7 @@ class Plays:
         rows = [self.radii, down, self.weights]
         if self.by_rate.size:
             rows.append(self.by_rate)
-        return np.pad(rows, ((0, 0), (0, -self.radii.size % LANES)))
+        return np.pad(rows, ((0, 0), (0, -self.radii.size % PLAY_LANES)))
 
     def start(self, x: float) -> Floats:
         """Return the plays of the table at the first drive: come from the other end at an end, else settled.
@@ -80,18 +80,18 @@ class Plays:
             settled = x - up
         return settled
 
-    def run(self, x: Floats, share: Floats = NOTHING) -> Floats:
+    def run(self, x: Floats, share: Floats = EMPTY) -> Floats:
         """Return the output for a scaled drive from its start; ``share`` of ``by_rate`` a sample."""
         z, y = self.start(float(x[0])), np.empty_like(x)
         extension = kernel.extension
         extension.plays_run(self.radii.size, self.table, self.curve, z, x, y, share)
         return y
 
-    def solve(self, y: Floats, first: float, share: Floats = NOTHING) -> Floats:
+    def solve(self, y: Floats, first: float, share: Floats = EMPTY) -> Floats:
         """Return the scaled drive whose output is ``y``; it stands at ``first`` before."""
         z, x = self.start(first), np.empty_like(y)
         extension = kernel.extension
-        no_limits = (False, 0.0, 0.0, 0.0, NOTHING, np.nan)
+        no_limits = (False, 0.0, 0.0, 0.0, EMPTY, np.nan)
         size = self.radii.size
         extension.plays_solve(size, self.table, self.curve, z, y, x, share, *no_limits)
         return x
@@ -109,7 +109,7 @@ class Plays:
         table, state = np.stack([reach, reach, weights]), sums * z + outer
         x = np.empty_like(y)
         extension = kernel.extension
-        extension.plays_run(self.radii.size, table, NOTHING, state, y, x, NOTHING)
+        extension.plays_run(self.radii.size, table, EMPTY, state, y, x, EMPTY)
         return x
 
 
@@ -119,8 +119,8 @@ def places(radii: Floats, one_sided: bool, x: Floats, rows: Integers) -> Floats:
     z = plays.start(float(x[0]))
     extension = kernel.extension
     tables = []
-    for begin in range(0, len(x), BLOCK_ROWS):
-        block = x[begin : begin + BLOCK_ROWS]
+    for begin in range(0, len(x), PLAY_ROWS):
+        block = x[begin : begin + PLAY_ROWS]
         table = np.empty((len(block), radii.size))
         extension.plays_rows(radii.size, plays.table, z, block, table)
         inside = rows[(rows >= begin) & (rows < begin + len(block))]

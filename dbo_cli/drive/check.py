@@ -22,13 +22,13 @@ GAP = 1.5
 """Usual steps, from which on a step is a gap; usual is the median of the steps around it."""
 NEIGHBOURS = 16  # steps on either side that say what is usual
 FEWEST_NEIGHBOURS = 4  # of them on one side at least: fewer say nothing
-EVEN = 0.1
+EVEN_STEPS = 0.1
 """Of a step: the steps around a gap differ by less, but for one in ``NEIGHBOURS``. On an uneven clock
 nothing says when the next row is due. Stamps of so even a clock may be rounded, to a twentieth of a step.
 """
 OPEN_SEAM = 3.0  # times the largest step inside, from which on a loop does not close
 ANOTHER = 0.5  # correlation below which a recording is of another drive
-SAME_RATE = 1e-6  # relative difference of two rates that are one
+ONE_RATE = 1e-6  # relative difference of two rates that are one
 
 
 @dataclass
@@ -228,7 +228,7 @@ def _steps(time: Floats) -> Floats:
     padded = np.pad(steps, NEIGHBOURS, mode="edge")
     around = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1)
     longest = around.max(axis=1)
-    is_even = longest - around.min(axis=1) <= EVEN * steps
+    is_even = longest - around.min(axis=1) <= EVEN_STEPS * steps
     steps = np.where(is_even, longest, steps)
     steps += 2.0 * np.spacing(np.maximum(np.abs(time[1:]), np.abs(time[:-1])))
     # as ``compensate`` counts the step before the first row
@@ -267,14 +267,14 @@ def gaps(steps: Floats) -> Booleans:
 
 def _is_even(steps: Floats, usual: float) -> bool:
     """Return whether the steps on one side of a step are even, but for one in ``NEIGHBOURS``."""
-    odd = np.count_nonzero(np.abs(steps - usual) > EVEN * usual)
+    odd = np.count_nonzero(np.abs(steps - usual) > EVEN_STEPS * usual)
     return bool(odd <= steps.size // NEIGHBOURS)
 
 
 def _long_among_even(steps: Floats) -> NDArray[np.intp]:
     """Return the steps that may be gaps: longer than the shortest, and few changes of step around them."""
     pairs = np.minimum(steps[1:], steps[:-1])
-    changes = np.cumsum(np.abs(np.diff(steps)) > EVEN * pairs)
+    changes = np.cumsum(np.abs(np.diff(steps)) > EVEN_STEPS * pairs)
     changes = np.concatenate([[0], changes])
     index = np.arange(steps.size)
     first = np.maximum(index - NEIGHBOURS, 0)
@@ -336,7 +336,7 @@ def check_played(
     """
     allowed = tolerance_of(drive, played, tolerance)
     step, played_step = steps
-    if step and played_step and abs(played_step / step - 1.0) > SAME_RATE:
+    if step and played_step and abs(played_step / step - 1.0) > ONE_RATE:
         times = np.arange(0.0, (drive.size - 1) * step, played_step)
         drive = np.interp(times, step * np.arange(drive.size), drive)
     found = lag(played, drive)

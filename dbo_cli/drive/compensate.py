@@ -18,7 +18,7 @@ from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.judge import Judge
 from dbo_cli.drive.lead import Lead, plan_lead, ramp, standing_at
 from dbo_cli.drive.limits import Gate, Limits
-from dbo_cli.drive.simulate import NO_ROWS, Ahead, Rows, joined
+from dbo_cli.drive.simulate import NO_ROWS, Ahead, Rows, stacked
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import Cascade, State, Steps
 
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 OnLimit = Literal["auto", "clip", "error"]
 
-BLOCK_ROWS = 65_536  # that are driven at once: what they take stays in caches
-LARGEST = 1e60  # of a displacement, as of the numbers of a model
-PAUSE = 1e-6
+DRIVEN_ROWS = 65_536  # that are driven at once: what they take stays in caches
+LARGEST_DISPLACEMENT = 1e60  # of a displacement, as of the numbers of a model
+HELD_STEPS = 1e-6
 """Of a step: so much later than a step behind a state, its voltage was held."""
 
 
@@ -132,7 +132,7 @@ class Driver:
         assert self._ahead is not None
         for block in self._ahead.take(dt, target, desired, time):
             blocks.append(self._driven(dt, *block))
-        return joined(blocks)
+        return stacked(blocks)
 
     def finish(self, return_rows: int = 0) -> tuple[Rows, Drive]:
         """Return the rows that were held back and the way back, and the figures of the whole drive.
@@ -162,7 +162,7 @@ class Driver:
             count = np.arange(1.0, voltage.size + 1.0)
             stamps = (begin or 0.0) + self._step * count
             blocks.append(self._played(stamps, voltage, "return", begin is not None))
-        return joined(blocks), self._judge.concluded(self._state)
+        return stacked(blocks), self._judge.concluded(self._state)
 
     def _way_back(self, count: int) -> Floats:
         """Return the voltages from the last row to where the amplifier goes, ``count`` at least."""
@@ -289,10 +289,9 @@ class Driver:
         if tracked:
             from dbo_cli.drive.learning import RepeatedMove
 
-            state = self.lead.state
-            swept = self.limits.move if self.lead.condition else None
+            sweep, state = self._sweep(float(desired[0]), dt), self.lead.state
             move = RepeatedMove(
-                self.model, desired, time, dt, state, periodic, absolute, swept
+                self.model, desired, time, dt, state, periodic, absolute, sweep
             )
             lesson = move.lesson(tracked, history, bandwidth)
             target = lesson.request
@@ -327,13 +326,13 @@ class Driver:
     ) -> Drive:
         """Return the drive of a whole trajectory, driven in blocks."""
         blocks = []
-        for begin in range(0, desired.size, BLOCK_ROWS):
-            rows = slice(begin, begin + BLOCK_ROWS)
+        for begin in range(0, desired.size, DRIVEN_ROWS):
+            rows = slice(begin, begin + DRIVEN_ROWS)
             stamps = None if time is None else time[rows]
             steps = dt[rows] if isinstance(dt, np.ndarray) else dt
             blocks.append(self.rows(desired[rows], steps, stamps, target[rows]))
         last, drive = self.finish(return_rows)
-        all_rows = joined([*blocks, last])
+        all_rows = stacked([*blocks, last])
         return replace(
             drive,
             time=all_rows.time,
@@ -373,7 +372,13 @@ class Driver:
             at_rest = None if time is None else stamps[voltage.size :]
             for block in self._ahead.take(step, still, still, at_rest):
                 blocks.append(self._driven(step, *block))
-        return dt, joined(blocks)
+        return dt, stacked(blocks)
+
+    def _sweep(self, first: float, dt: float) -> Floats:
+        """Return the voltages before a move that begins with a sweep; none where it does not."""
+        if not self.lead.condition:
+            return np.empty(0)
+        return plan_lead(self.model, first, dt, self.limits, self.lead, self.hold)[1]
 
     def _usual_step(self, dt: Steps) -> float:
         """Return the seconds a row at the beginning; 0 without a clock.
@@ -473,7 +478,7 @@ class Driver:
 
     def _require_numbers(self, values: Floats) -> None:
         """Refuse a row that is no displacement (InputError)."""
-        bad = ~(np.abs(values) <= LARGEST)
+        bad = ~(np.abs(values) <= LARGEST_DISPLACEMENT)
         if not bad.any():
             return
         row = int(np.argmax(bad))
@@ -490,6 +495,6 @@ def _aged(model: Cascade, state: State, time: Floats | None, step: float) -> Sta
     if state.time is None or state.drive is None or time is None:
         return state
     pause = float(time[0]) - state.time - step
-    if pause <= PAUSE * step:
+    if pause <= HELD_STEPS * step:
         return state
     return model.run(np.array([state.drive]), state, pause).state

@@ -15,8 +15,6 @@ from dbo_cli.model import Cascade, State
 if TYPE_CHECKING:
     from dbo_cli.drive.learning import PassRecord
 
-NOTHING = np.zeros(0)
-
 
 @dataclass(frozen=True)
 class Drive:
@@ -67,8 +65,8 @@ class Drive:
     limits: Limits
     name: str = "trajectory"
     time: Floats | None = field(default=None, repr=False)
-    desired: Floats = field(default_factory=lambda: NOTHING, repr=False)
-    voltage: Floats = field(default_factory=lambda: NOTHING, repr=False)
+    desired: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
+    voltage: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
     move: slice = field(default_factory=lambda: slice(0))
     rows: int = 0
     lead_rows: int = 0
@@ -145,6 +143,7 @@ class Drive:
             "clipped": self.clipped,
             "lost_rms": self.lost_rms,
             "lost_most": self.lost_most,
+            "sensor_delay": self.model.sensor_delay or None,
             "expected_rmse": self.expected_error,
             "expected_rmse_past_known": self.expected_known,
             "past_known": self.past_known,

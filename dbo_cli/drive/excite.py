@@ -35,12 +35,12 @@ FEWEST_CYCLES = 6
 """Two swings over the range, the return and the rest leave four for the turns."""
 ROWS_A_CYCLE = 20
 """With fewer, interpolation between rows no longer shows where a swing turns."""
-MOST_ROWS = 100_000_000
+MOST_EXCITED_ROWS = 100_000_000
 FASTEST, SLOWEST = -0.9, 0.6
-"""log10 of a swing's time in that of a swing over the range."""
+"""log10 of a swing's time in that of a swing over the range; slower in longer drives."""
 AT_AN_END = 0.12  # chance that a turn lies at an end of the range
 HOLD_CHANCE, HOLD = 0.15, 0.4  # chance that a turn is held, and for how many periods
-REST = 0.5  # periods at rest at the end
+REST_PERIODS = 0.5  # periods at rest at the end; all three longer in longer drives
 SEED = 1
 SWEEP_FASTER = 10.0  # a sweep's highest frequency over that of the swings, at least
 SWEEP_SECONDS, SWEEP_PERIODS = 2.0, 120.0  # a sweep lasts the longer of both
@@ -58,6 +58,7 @@ def excite(
     *,
     sample_rate: float = SAMPLE_RATE,
     duration: float | None = None,
+    rest: float | None = None,
     max_slew: float | None = None,
     sweep_to: float | None = None,
     sweep_amplitude: float | None = None,
@@ -72,6 +73,8 @@ def excite(
         Rows a second.
     duration : float, optional
         Seconds of the swings; 30 periods where not given.
+    rest : float, optional
+        Seconds at rest behind the swings: as long as a move may hold a position.
     max_slew : float, optional
         Fastest change, per second.
     sweep_to : float, optional
@@ -96,6 +99,7 @@ def excite(
     for name, value in (
         ("sample_rate", sample_rate),
         ("duration", duration),
+        ("rest", rest),
         ("max_slew", max_slew),
     ):
         if value is not None and not 0.0 < value < math.inf:
@@ -111,7 +115,10 @@ def excite(
         frequency = min(frequency, max_slew / (math.pi * span))
         slew = max_slew / span
     rows = _rows(duration or CYCLES / frequency, frequency, sample_rate)
-    legs = _legs(rows, 1.0 / sample_rate, 1.0 / frequency, slew)
+    longer = max((duration or 0.0) * frequency / CYCLES, 1.0)
+    legs = _legs(rows, 1.0 / sample_rate, 1.0 / frequency, slew, longer)
+    if rest is not None:
+        legs.append((0.0, round(rest * sample_rate)))
     level_of_row = swings(
         [0.0, *(turn for turn, _ in legs)], [rows for _, rows in legs]
     )
@@ -134,17 +141,20 @@ def _rows(duration: float, frequency: float, sample_rate: float) -> int:
             f"`duration` {duration:g}: too short for {FEWEST_CYCLES} swings over the range; give "
             f"{shortest} or more"
         )
-    if duration * sample_rate > MOST_ROWS:
+    if duration * sample_rate > MOST_EXCITED_ROWS:
         raise UsageError(
-            f"`duration` {duration:g} at `sample_rate` {sample_rate:g}: more than {MOST_ROWS:,} rows"
+            f"`duration` {duration:g} at `sample_rate` {sample_rate:g}: more than {MOST_EXCITED_ROWS:,} rows"
         )
     return round(duration * sample_rate) - 1
 
 
-def _legs(rows: int, step: float, period: float, slew: float | None) -> list[Leg]:
+def _legs(
+    rows: int, step: float, period: float, slew: float | None, longer: float
+) -> list[Leg]:
     """Return two swings over the range, random turns and holds, the return and the rest: ``rows`` in all.
 
-    ``step`` and ``period`` in s, ``slew`` in ranges a second.
+    ``step`` and ``period`` in s, ``slew`` in ranges a second; ``longer``: times the usual
+    drive, in which rests and the slowest swings are longer, too.
     """
     # the one generator whose numbers Python never changes
     chance = random.Random(SEED).random
@@ -153,15 +163,16 @@ def _legs(rows: int, step: float, period: float, slew: float | None) -> list[Leg
         count = swing_rows(distance, step, 0.5 * period * distance * slowness, slew)
         return max(count, ROWS_A_CYCLE // 2)
 
-    first, still = swing(1.0), round(REST * period / step)
+    first, still = swing(1.0), round(longer * REST_PERIODS * period / step)
+    slowest = SLOWEST + math.log10(longer)
     turns: list[Leg] = []
     level, used = 0.0, 0
     while True:
         turn = float(chance() < 0.5) if chance() < AT_AN_END else chance()
-        slowness = 10.0 ** (FASTEST + (SLOWEST - FASTEST) * chance())
+        slowness = 10.0 ** (FASTEST + (slowest - FASTEST) * chance())
         legs = [(turn, swing(abs(turn - level), slowness))]
         if chance() < HOLD_CHANCE:
-            legs.append((turn, round(HOLD * period / step)))
+            legs.append((turn, round(longer * HOLD * period / step)))
         used += sum(count for _, count in legs)
         if turns and used + swing(turn) > rows - 2 * first - still:
             break

@@ -17,7 +17,7 @@ from dbo_cli.model import Cascade, Run, State, Steps, expect
 ALLOWED_PART = 0.01
 """Of the move: so much of it (RMS) may be cut off unasked; the order of a good model's error; chosen."""
 # of the range: a trajectory this little outside is clipped like any other
-REACH_SLACK = 0.01
+BEYOND_REACH = 0.01
 FIRST_ROWS = 131_072  # of a move, that expectations and refusals look at again
 OFF_AT_FIRST = 1e-3  # of the range: so far off its first value may a drive begin unsaid
 JUMP = 0.01  # of the range: a first step that is said
@@ -100,7 +100,7 @@ class Judge:
             self._first_clipped = before + run.first_clipped + 1
         self._move_rows += desired.size
         self._clipped += run.clipped
-        slack = REACH_SLACK * model.output.span
+        slack = BEYOND_REACH * model.output.span
         low, high = model.output.min - slack, model.output.max + slack
         self._unreachable += int(np.count_nonzero((desired < low) | (desired > high)))
         self._low = min(self._low, float(desired.min()))

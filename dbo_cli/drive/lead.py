@@ -32,10 +32,10 @@ QUIET = 14.0  # time constants: what rings is down to a millionth
 LONGEST_REST = 10.0
 SLEW_SPARE = 0.9
 """Of the slew limit: what the digits of time stamps take away (since 1970, 0.2 us each)."""
-HALVINGS = 40  # of the move's range, to find where a move goes on: to 1e-12 of it
+WAY_HALVINGS = 40  # of the move's range, to find where a move goes on: to 1e-12 of it
 LONGEST_CHOSEN = 60.0  # s that the program may put before a move; a user may type more
-MOST_ROWS = 100_000_000
-NOTHING = np.zeros(0)
+MOST_LEAD_ROWS = 100_000_000
+NO_VOLTAGES = np.zeros(0)
 
 
 @dataclass
@@ -129,7 +129,7 @@ def plan_lead(
     last, state = standing_at(limits, lead), lead.state
     moves = lead.condition or lead.approach is not None
     still, untyped = _still_rows(model, dt, lead, moves)
-    before = NOTHING
+    before = NO_VOLTAGES
     if isinstance(state, State):
         state = replace(state, drive=last)
     elif last is not None:
@@ -142,8 +142,8 @@ def plan_lead(
         return begin, voltage, still
     _require_short(untyped, "lead", untyped)
     if not isinstance(state, State):
-        return None, NOTHING, still + hold
-    return _state_after(model, before, dt, state), NOTHING, still + hold
+        return None, NO_VOLTAGES, still + hold
+    return _state_after(model, before, dt, state), NO_VOLTAGES, still + hold
 
 
 def _way_in(
@@ -162,7 +162,7 @@ def _way_in(
     ``before`` is where the amplifier stands, if a row of it is to be written; ``chosen``
     are seconds that nobody typed so far.
     """
-    last, swept = standing_at(limits, lead), NOTHING
+    last, swept = standing_at(limits, lead), NO_VOLTAGES
     if lead.condition:
         swept = _conditioning(model, last, first, dt, limits, lead)
     elif last is None:
@@ -301,7 +301,7 @@ def _swing(
 ) -> Floats:
     """Return the voltages after ``begin`` of a swing to ``end``, as slow as the slew limit needs."""
     if begin == end:
-        return NOTHING
+        return NO_VOLTAGES
     shortest = SHORTEST_SWING
     if isinstance(seconds, float):
         shortest = float(seconds)
@@ -369,7 +369,7 @@ def way(
     if model.gears.relaxation is None:
         return way_to(goes_on(state))
     low, high = limits.move
-    for _ in range(HALVINGS):
+    for _ in range(WAY_HALVINGS):
         end = 0.5 * (low + high)
         if goes_on(static.run(way_to(end), state, dt).state) > end:
             low = end
@@ -400,9 +400,9 @@ def _rows(distance: float, dt: float, seconds: float, limits: Limits) -> int:
 
 def _checked_rows(rows: int) -> int:
     """Return a number of rows (UsageError: more than any memory holds)."""
-    if rows > MOST_ROWS:
+    if rows > MOST_LEAD_ROWS:
         raise UsageError(
-            f"{rows:.4g} rows before the move, at most {MOST_ROWS:,}: raise `max_slew`, or lower the "
+            f"{rows:.4g} rows before the move, at most {MOST_LEAD_ROWS:,}: raise `max_slew`, or lower the "
             "sample rate"
         )
     return rows

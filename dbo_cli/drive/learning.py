@@ -14,19 +14,19 @@ import json
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.alignment import align_displacements, mean_step
+from dbo_cli.alignment import ACTUATOR_LAG, align_displacements, align_drives, mean_step
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.smooth import low_pass, soft_rise
 from dbo_cli.errors import InputError, ModelError, warn
 from dbo_cli.model import Cascade, Resonance, State, fields
-from dbo_cli.signals import noise, turns
+from dbo_cli.signals import between, noise, turns
 
 FORMAT = "dbo-history"
 
@@ -118,8 +118,8 @@ class RepeatedMove:
         In which the drives began.
     periodic, absolute
         Whether recordings are of whole periods, and whether the mean is learned.
-    swept
-        Least and greatest voltage of the sweep before the next drive; None: none.
+    sweep
+        Voltages of the sweep before the next drive; empty: none.
     """
 
     model: Cascade
@@ -129,7 +129,7 @@ class RepeatedMove:
     state: str | State = "auto"
     periodic: bool = False
     absolute: bool = False
-    swept: tuple[float, float] | None = None
+    sweep: Floats = field(default_factory=lambda: np.empty(0))
 
     def lesson(
         self,
@@ -162,8 +162,8 @@ class RepeatedMove:
         error = error - zero
         passed = PassRecord(_digest(voltage), rms(error))
         before = _passes_before(history, passed)
-        cutoff = bandwidth or self._trusted(name, believed, self.desired - error)
-        self._require_no_growth(name, passed, before, cutoff)
+        cutoff = bandwidth or self._trusted(name, measured - believed)
+        self._require_no_growth(name, passed, before, cutoff, measured)
         change = believed - self.desired + error
         learned = low_pass(change, cutoff, self.step, self.periodic, ORDER)
         if not self.absolute:
@@ -215,7 +215,7 @@ class RepeatedMove:
                 f"{recording.name}: {rows:,} rows from the start of the move, the trajectory has "
                 f"{count:,}{whole}: record each row of it"
             )
-        voltage, measured = recording.voltage, recording.measured
+        voltage, measured = recording.voltage, self._without_delay(recording.measured)
         if self.periodic:
             if rows > count:
                 begin += count  # not settled yet
@@ -230,6 +230,13 @@ class RepeatedMove:
         believed = self.model.run(voltage, begun, self.step).y
         rows_of_move = slice(begin, begin + count)
         return voltage[rows_of_move], believed[rows_of_move], measured[rows_of_move]
+
+    def _without_delay(self, measured: Floats) -> Floats:
+        """Return what a sensor without delay would have measured; the last value holds behind it."""
+        delay = self.model.sensor_delay / self.step
+        if not delay:
+            return measured
+        return between(measured, np.arange(float(measured.size)) + delay)
 
     def _first_row(self, recording: Tracked) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead.
@@ -248,35 +255,58 @@ class RepeatedMove:
         by_stamps = int(np.searchsorted(time, self.time[0] - 0.5 * self.step))
         if self.periodic:
             return by_stamps
+        begin = self._behind_sweep(recording.voltage)
+        if begin is not None:
+            return begin
         start = self.model.start(float(recording.voltage[0]), "auto")
         believed = self.model.run(recording.voltage, start, self.step).y
+        count = self.desired.size
         rows = self.step * np.arange(float(believed.size))
-        found = align_displacements(
-            rows, believed, rows[: self.desired.size], self.desired
-        )
+        found = align_displacements(rows, believed, rows[:count], self.desired)
         if found is None:
             return by_stamps
-        by_signal = max(round(found.ahead / self.step), 0)
+        last = max(believed.size - count, 0)
+        by_signal = min(max(round(found.ahead / self.step), 0), last)
+        if abs(by_signal - by_stamps) * self.step <= ACTUATOR_LAG:
+            return by_stamps  # what was learned may be as early
         left = self._mismatch(believed, by_signal)
         if left < CLEARLY_BETTER * self._mismatch(believed, by_stamps):
             return by_signal
         return by_stamps
+
+    def _behind_sweep(self, voltage: Floats) -> int | None:
+        """Return the first row behind the next drive's sweep in a recorded one; None: it is not there."""
+        count = self.sweep.size
+        if not count:
+            return None
+        rows = self.step * np.arange(float(max(voltage.size, count)))
+        found = align_drives(rows[: voltage.size], voltage, rows[:count], self.sweep)
+        if found is None:
+            return None
+        shift = round(found.ahead / self.step)
+        recorded = voltage[max(shift, 0) : shift + count]
+        sweep = self.sweep[
+            max(-shift, 0) :
+        ]  # with as many rows at rest as another axis needs
+        span = float(np.ptp(self.sweep))
+        if recorded.size != sweep.size or rms(recorded - sweep) > SAME_DRIVE * span:
+            return None
+        return shift + count
 
     def _require_same_past(self, recording: Tracked, begin: int) -> None:
         """Refuse a pass with a sweep before it for a drive without, or the other way round (InputError)."""
         if begin < 2 or isinstance(self.state, State):
             return
         lead = recording.voltage[:begin]
-        low, high = self.swept or (self.model.input.min, self.model.input.max)
-        extremes = lead[turns(lead, 0.1 * (high - low))]
-        travelled = float(np.abs(np.diff(extremes)).sum())
-        was_swept = travelled > SWEPT * (high - low)
-        if was_swept and self.swept is None:
+        span = float(np.ptp(self.sweep)) if self.sweep.size else self.model.input.span
+        extremes = lead[turns(lead, 0.1 * span)]
+        was_swept = float(np.abs(np.diff(extremes)).sum()) > SWEPT * span
+        if was_swept and not self.sweep.size:
             raise InputError(
                 f"{recording.name}: recorded with a sweep before the move, which makes another past: "
                 "add `condition`"
             )
-        if not was_swept and self.swept is not None:
+        if not was_swept and self.sweep.size:
             raise InputError(
                 f"{recording.name}: recorded without the sweep of `condition`, which makes another past: "
                 "leave `condition` out, or record a pass with it"
@@ -314,18 +344,37 @@ class RepeatedMove:
         passed: PassRecord,
         before: Sequence[PassRecord],
         cutoff: float,
+        measured: Floats,
     ) -> None:
         """Refuse to go on when the error grew (InputError)."""
         errors = [record.rmse for record in before]
         if not errors:
             return
         best = min(errors)
-        if passed.rmse <= min(GROWTH * errors[-1], FROM_BEST * best):
+        allowed = min(GROWTH * errors[-1], FROM_BEST * best)
+        if passed.rmse <= allowed:
             return
+        self._require_same_sensor(name, measured, allowed)
         number, unit = 1 + errors.index(best), self.model.output.suffix
         raise InputError(
             f"{name}: the error grew from {errors[-1]:.3g} to {passed.rmse:.3g}{unit} RMS: learn from "
             f"pass {number} ({best:.3g}) with `bandwidth` {0.5 * cutoff:.3g} (it was {cutoff:.3g} Hz)"
+        )
+
+    def _require_same_sensor(
+        self, name: str, measured: Floats, explained: float
+    ) -> None:
+        """Refuse a sensor of another scale or zero, without which the error did not grow (InputError)."""
+        move = self.desired - self.desired.mean()
+        mean = float(measured.mean())
+        scale = float(move @ measured) / max(float(move @ move), 1e-300)
+        if rms(measured - mean - scale * move) > explained:
+            return
+        off = mean - float(self.desired.mean()) if self.absolute else 0.0
+        zero = f" and {off:.3g}{self.model.output.suffix} off" if off else ""
+        raise InputError(
+            f"{name}: the error grew because the sensor shows {scale:.4g} times the move{zero}: restore the "
+            "sensor, or learn anew with another `history`"
         )
 
     def _start_warnings(self, name: str, zero: float) -> tuple[str, ...]:
@@ -334,21 +383,25 @@ class RepeatedMove:
         if not isinstance(expected, float) or abs(zero) <= START_PROBLEM * expected:
             return ()
         unit = self.model.output.suffix
+        known_by = "state" if self.periodic else "condition"
         text = (
             f"{name}: the mean error, {zero:.3g}{unit}, is {abs(zero) / expected:.2g} times "
-            "the expected error: the drive assumes another start (`condition`, or `absolute` learns it)"
+            f"the expected error: the drive assumes another start (`{known_by}`, or `absolute` learns it)"
         )
         warn(text)
         return (text,)
 
-    def _trusted(self, name: str, believed: Floats, measured: Floats) -> float:
-        """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows."""
+    def _trusted(self, name: str, residual: Floats) -> float:
+        """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows.
+
+        ``residual``: measured less what the model makes of the drive.
+        """
         dynamics = self.model.dynamics
         resonances = () if dynamics is None else dynamics.resonances
         if resonances:
             frequency = resonances[0].frequency / RESONANCE_PART
         else:
-            frequency = _trusted_by_bands(name, believed, measured, self.step)
+            frequency = _trusted_by_bands(name, self.desired, residual, self.step)
         return min(frequency, 0.45 / self.step, _safe(resonances))
 
 
@@ -404,20 +457,21 @@ def _safe(resonances: Sequence[Resonance]) -> float:
 
 
 def _trusted_by_bands(
-    name: str, believed: Floats, measured: Floats, step: float
+    name: str, desired: Floats, residual: Floats, step: float
 ) -> float:
-    """Return the upper end (Hz) of the last third of an octave in which the measured follows the believed.
+    """Return the upper end (Hz) of the last third of an octave in which the residual is small.
 
     From the strongest one on: in those below, what a wrong loop makes of it exceeds the
-    little that was asked there.
+    little that was asked there. Between harmonics, where the trajectory asks for nothing,
+    there is only what was learned against such a loop.
     """
-    window = np.hanning(believed.size)
-    asked = np.fft.rfft((believed - believed.mean()) * window)[1:]
-    came = np.fft.rfft((measured - measured.mean()) * window)[1:]
-    frequency = np.fft.rfftfreq(believed.size, step)[1:]
+    window = np.hanning(desired.size)
+    asked = np.fft.rfft((desired - desired.mean()) * window)[1:]
+    left = np.fft.rfft((residual - residual.mean()) * window)[1:]
+    frequency = np.fft.rfftfreq(desired.size, step)[1:]
     band = np.floor(3.0 * np.log2(frequency / frequency[0])).astype(int)
     energy = np.sqrt(np.bincount(band, np.abs(asked) ** 2))
-    off = np.sqrt(np.bincount(band, np.abs(came - asked) ** 2))
+    off = np.sqrt(np.bincount(band, np.abs(left) ** 2))
     strongest = int(np.argmax(energy))
     good = -1
     for k in range(strongest, energy.size):

@@ -30,7 +30,7 @@ Figure = float | str | None
 SAME_VOLTAGE = 1e-9
 """Of the rating: a typed voltage and that of a state are one up to rounding."""
 
-ROUNDING = 8.0 * 2.0**-52
+STEP_ROUNDING = 8.0 * 2.0**-52
 """Of the larger of two voltages: the last digits of a step, each voltage being rounded once or twice on its
 way through points and scales. A slew limit is kept to that, a range exactly.
 """
@@ -310,7 +310,7 @@ class Gate:
         largest = self.limits.largest_step(dt)
         if largest is not None:
             before = self._before(voltage)
-            digits = ROUNDING * np.maximum(np.abs(voltage), np.abs(before))
+            digits = STEP_ROUNDING * np.maximum(np.abs(voltage), np.abs(before))
             slow = np.abs(voltage - before) <= largest + digits
             if self.last is None:
                 slow[0] = True

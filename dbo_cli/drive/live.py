@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.limits import ROUNDING, Figure, GateError, Limits, voltage_in
+from dbo_cli.drive.limits import STEP_ROUNDING, Figure, GateError, Limits, voltage_in
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.model import Cascade, State, Undoing, state_of
 from dbo_cli.model.amplifier import AmplifiedGears
@@ -299,7 +299,7 @@ class Controller:
         last = self.last
         inside, slow = low <= voltage <= high, True
         if last is not None:
-            digits = ROUNDING * max(abs(voltage), abs(last))
+            digits = STEP_ROUNDING * max(abs(voltage), abs(last))
             slow = abs(voltage - last) <= self._step + digits
             inside = inside or high <= voltage < last or last < voltage <= low
         if not (inside and slow):

@@ -20,25 +20,23 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.judge import ALLOWED_PART
-from dbo_cli.drive.lead import MOST_ROWS, Lead, ramp, standing_at
+from dbo_cli.drive.lead import MOST_LEAD_ROWS, Lead, ramp, standing_at
 from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.smooth import soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 from dbo_cli.model import Cascade, Run, State
-
-NOTHING = np.zeros(0)
 
 # relaxation settles within 60; limits that bind now and then take longer
 MOST_PASSES = 200
 # of the drive's range, by which a settled drive changes from pass to pass
 SETTLED = 1e-12
 # of the drive's range: drives that agree to this are one; far above rounding
-SAME_DRIVE = 1e-9
+ONE_LOOP = 1e-9
 # tries for a start or a run-in that leads to the loop it ends on; two are usual
 MOST_STARTS = 20
 # of the move: a loop that the model repeats further off than this is not settled
 LOOP_ERROR = 1e-6
-FEWEST_ROWS = 4  # of a period: fewer have no shape
+FEWEST_PERIOD_ROWS = 4  # of a period: fewer have no shape
 # times the largest step inside a period, from which on its last row does not meet its first
 SEAM = 3.0
 
@@ -104,8 +102,10 @@ class Loop:
         passes = self.passes
         if not isinstance(passes, int | np.integer) or passes < 0:
             raise UsageError(f"`passes` {passes}: give a whole number of passes")
-        if passes * self.target.size > MOST_ROWS:
-            raise UsageError(f"`passes` {passes}: at most {MOST_ROWS:,} rows in all")
+        if passes * self.target.size > MOST_LEAD_ROWS:
+            raise UsageError(
+                f"`passes` {passes}: at most {MOST_LEAD_ROWS:,} rows in all"
+            )
         require_closed(self.name, self.target)
 
     @cached_property
@@ -121,7 +121,7 @@ class Loop:
         state = static.run(plan.lead_voltage, plan.begin, dt).state
         looped = looped_state(model, period, dt, state)
         aim = static.run(period, plan.settled.before, dt).y
-        residual = apart(static.run(period, looped, dt).y, aim)
+        residual = largest_difference(static.run(period, looped, dt).y, aim)
         if plan.settled.converged and residual <= LOOP_ERROR * size:
             return ()
         text = (
@@ -173,7 +173,10 @@ class Loop:
             )
             state = model.run(before, begin_state, self.dt).state
             settled = settled_drive(model, target, self.dt, state, limits)
-            if apart(settled.run.y, last.run.y) <= SAME_DRIVE * model.input.span:
+            if (
+                largest_difference(settled.run.y, last.run.y)
+                <= ONE_LOOP * model.input.span
+            ):
                 break
         return LoopPlan(begin_state, before, voltage, last)
 
@@ -189,7 +192,7 @@ class Loop:
             still = np.full(1 + self.hold, begin)
             return np.concatenate([still, ascent, np.tile(period, passes)])
         if not passes:
-            return NOTHING
+            return np.empty(0)
         rise = soft_rise(np.linspace(0.0, 1.0, period.size))
         growing = begin + rise * (period - begin)
         growing = np.clip(growing, *limits.rating)  # rounding
@@ -214,9 +217,13 @@ class Loop:
         closed = self._within_slew(voltage, float(voltage[-1]))
         largest_step = self.limits.largest_step(self.dt)
         jumps = (
-            largest_step is not None and apart(closed[:1], closed[-1:]) > largest_step
+            largest_step is not None
+            and largest_difference(closed[:1], closed[-1:]) > largest_step
         )
-        if jumps or apart(closed, voltage) > SAME_DRIVE * self.model.input.span:
+        if (
+            jumps
+            or largest_difference(closed, voltage) > ONE_LOOP * self.model.input.span
+        ):
             raise LimitError(
                 f"{self.name}: `max_slew` forbids the step from the last row, {voltage[-1]:.6g}, to "
                 f"the first, {voltage[0]:.6g}"
@@ -240,12 +247,12 @@ class Loop:
 
 def require_closed(name: str, period: Floats) -> None:
     """Refuse a period that is too short, or jumps from its last row to its first (InputError)."""
-    if period.size < FEWEST_ROWS:
+    if period.size < FEWEST_PERIOD_ROWS:
         raise InputError(
-            f"{name}: {period.size} rows are too few for a loop; give {FEWEST_ROWS} or more"
+            f"{name}: {period.size} rows are too few for a loop; give {FEWEST_PERIOD_ROWS} or more"
         )
-    seam = apart(period[:1], period[-1:])
-    inside = apart(period[1:], period[:-1])
+    seam = largest_difference(period[:1], period[-1:])
+    inside = largest_difference(period[1:], period[:-1])
     if seam > SEAM * inside:
         raise InputError(
             f"{name}: the loop is open: its seam is a step of {seam:.3g}, the largest inside "
@@ -287,14 +294,14 @@ def settled_drive(
     for _ in range(MOST_PASSES):
         before = looped_state(model, run.y, dt, state)
         again = static.drive(target, before, dt, move, slew)
-        change = apart(again.y, run.y)
+        change = largest_difference(again.y, run.y)
         run = again
         if change <= SETTLED * model.input.span:
             return Settled(run, before, True)
     return Settled(run, before, False)
 
 
-def apart(values: Floats, others: Floats) -> float:
+def largest_difference(values: Floats, others: Floats) -> float:
     """Return the largest difference between two signals."""
     return float(np.abs(values - others).max())
 

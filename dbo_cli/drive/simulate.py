@@ -18,13 +18,13 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import LimitError, warn
 from dbo_cli.model import Cascade, Outside, State, Steps, steps_behind
 
-Column = Floats | None
+MaybeFloats = Floats | None
 
 
 class Rows(NamedTuple):
     """Rows that are ready: seconds (None without a clock), what was asked for, and what came of it."""
 
-    time: Column
+    time: MaybeFloats
     x: Floats
     y: Floats
 
@@ -37,7 +37,7 @@ class Rows(NamedTuple):
 NO_ROWS = Rows(None, np.empty(0), np.empty(0))
 
 
-def joined(blocks: list[Rows]) -> Rows:
+def stacked(blocks: list[Rows]) -> Rows:
     """Return rows one behind the other; blocks without rows do not count."""
     blocks = [rows for rows in blocks if rows.x.size]
     if len(blocks) < 2:
@@ -65,12 +65,12 @@ class Ahead:
         inverter = model.inverter(dt)
         self._count = inverter.ahead
         self._undoing = inverter.behind(state) if isinstance(state, State) else None
-        self._waiting: deque[tuple[Column, ...]] = deque()
+        self._waiting: deque[tuple[MaybeFloats, ...]] = deque()
         self._desired = np.empty(0)  # of the blocks that wait, and of those after
 
     def take(
-        self, dt: Steps, desired: Floats, *columns: Column
-    ) -> Iterator[tuple[tuple[Column, ...], Floats, Floats]]:
+        self, dt: Steps, desired: Floats, *columns: MaybeFloats
+    ) -> Iterator[tuple[tuple[MaybeFloats, ...], Floats, Floats]]:
         """Take a block; yield those that are ready.
 
         Yields
@@ -86,13 +86,13 @@ class Ahead:
         self._desired = desired
         yield from self._ready()
 
-    def remaining(self) -> Iterator[tuple[tuple[Column, ...], Floats, Floats]]:
+    def remaining(self) -> Iterator[tuple[tuple[MaybeFloats, ...], Floats, Floats]]:
         """Yield the blocks that are left: the last value goes on for ever."""
         after = np.repeat(self._desired[-1:], self._count)
         self._desired = np.concatenate([self._desired, after])
         yield from self._ready()
 
-    def _ready(self) -> Iterator[tuple[tuple[Column, ...], Floats, Floats]]:
+    def _ready(self) -> Iterator[tuple[tuple[MaybeFloats, ...], Floats, Floats]]:
         """Yield each block of which enough is known behind it."""
         while self._waiting:
             first = self._waiting[0][0]
@@ -178,14 +178,14 @@ class Simulator:
         if self._ahead is None:
             return self._counted(x, self._displacement(x, dt), time)
         blocks = self._ahead.take(dt, x, time)
-        return joined([self._driven(*block) for block in blocks])
+        return stacked([self._driven(*block) for block in blocks])
 
     def finish(self) -> Rows:
         """Return what was held back, as if the last value went on for ever; warn of rows outside."""
         rows = NO_ROWS
         if self._ahead is not None:
             blocks = self._ahead.remaining()
-            rows = joined([self._driven(*block) for block in blocks])
+            rows = stacked([self._driven(*block) for block in blocks])
         if isinstance(self.state, State):
             self.state = replace(self.state, model=self.model.digest)
         if self.outside_count:
@@ -200,7 +200,7 @@ class Simulator:
             )
         return rows
 
-    def _counted(self, x: Floats, y: Floats, time: Column) -> Rows:
+    def _counted(self, x: Floats, y: Floats, time: MaybeFloats) -> Rows:
         """Count rows that are ready, and return them."""
         self.row_count += x.size
         if time is not None:
@@ -219,7 +219,7 @@ class Simulator:
         return run.y
 
     def _driven(
-        self, columns: tuple[Column, ...], target: Floats, ahead: Floats
+        self, columns: tuple[MaybeFloats, ...], target: Floats, ahead: Floats
     ) -> Rows:
         """Return rows with the drive that an inverse model makes, within its range where it is held."""
         desired, time = columns

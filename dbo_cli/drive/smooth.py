@@ -12,7 +12,7 @@ from dbo_cli.errors import UsageError
 
 REACH = 10.0
 """Periods of the cut-off, over which what a sample does to others dies away."""
-MOST_ROWS = 100_000_000  # that the ends of a signal are held for
+MOST_PADDED_ROWS = 100_000_000  # that the ends of a signal are held for
 
 ROUNDED = 1e-9  # of a row: what rounding may add to a number of rows
 
@@ -78,7 +78,7 @@ def low_pass(
             f"`bandwidth` {cutoff:g}: must be above 0 and at most half the sample rate, {0.5 * rate:.6g}"
         )
     reach = 0 if loop else math.ceil(REACH * rate / cutoff)
-    if reach > MOST_ROWS:
+    if reach > MOST_PADDED_ROWS:
         raise UsageError(
             f"`bandwidth` {cutoff:g}: too low for a sample rate of {rate:.6g} Hz"
         )

@@ -7,7 +7,6 @@ so that an output belongs to the input of so many samples ago.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -20,21 +19,8 @@ from dbo_cli.model.widths import kernel_table
 
 MOST_LOOKUP_GEARS = 12
 """2^12 states are 70 kB of table; one gear more doubles it."""
-SPACING = 64  # turns that share a checkpoint, as in dbo_kernel.h
 IGNORED_BEYOND = 1e6
 """Ranges: an input so far away counts as no number; what it leads to is not finite."""
-
-
-@dataclass
-class _Parts:
-    """Tables, members of the state and statements, as the stages of a plan add them."""
-
-    kernel: list[str] = field(default_factory=lambda: ["dbo_kernel.h", "dbo_kernel.c"])
-    members: list[str] = field(default_factory=list)
-    tables: list[str] = field(default_factory=list)
-    init: list[str] = field(default_factory=list)
-    reset: list[str] = field(default_factory=list)
-    step: list[str] = field(default_factory=list)
 
 
 def double_sources(plan: Plan, lookup: bool) -> c.Sources:
@@ -45,7 +31,7 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
     ModelError
         There are too many gears for such a table, or a memory beside them.
     """
-    parts = _Parts()
+    parts = c.Sources(["dbo_kernel.h", "dbo_kernel.c"])
     low, high = plan.limits.move
     _undo_delay(plan, parts)
     _undo_dynamics(plan, parts)
@@ -66,7 +52,7 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
         parts.step.append(
             f"x = x < {lowest} ? {lowest} : x > {highest} ? {highest} : x;"
         )
-    values = {
+    parts.values = {
         "TABLES": "".join(parts.tables),
         "INIT": _statements(parts.init),
         "RESET": _statements(parts.reset),
@@ -77,8 +63,8 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
         "REACH": repr(_ignored_beyond(plan.forward.output)),
         "DRIVE_REACH": repr(_ignored_beyond(plan.forward.input)),
     }
-    runs = [_run(plan, None, 1), _run(plan, plan.trimmed, 2)]
-    return c.Sources(values, parts.members, parts.kernel, runs)
+    parts.runs = [_run(plan, None, 1), _run(plan, plan.trimmed, 2)]
+    return parts
 
 
 def _statements(lines: list[str]) -> str:
@@ -92,24 +78,26 @@ def _ignored_beyond(quantity: Quantity) -> float:
     return float(2.0 ** math.ceil(math.log2(IGNORED_BEYOND * largest)))
 
 
-def _run(plan: Plan, reset: float | None, seed: int) -> c.Run:
+def _run(plan: Plan, reset: float | None, seed: int) -> c.SelfTestRun:
     """Return a run of the self-test, as the library computes it."""
     moves = trial_moves(plan.forward.output.min, plan.forward.output.max, seed)
     state, start = plan.empty, None
     if reset is not None:
         state, start = plan.settled(reset), c.real(reset)
     outputs = plan.played(moves, state)
-    return c.Run(start, [c.real(x) for x in moves], [c.real(y) for y in outputs])
+    return c.SelfTestRun(
+        start, [c.real(x) for x in moves], [c.real(y) for y in outputs]
+    )
 
 
 # ---- the gears
 
 
-def _operator(plan: Plan, parts: _Parts, run: int) -> None:
+def _operator(plan: Plan, parts: c.Sources, run: int) -> None:
     """Add the table of the gears, the operator, and the limits."""
     gears, terms = plan.gears, plan.gain.size
     table, _ = kernel_table(gears.exchanged, run)
-    parts.tables.append(c.array("dbo_gear", "gears", c.real_structs(table)))
+    parts.tables.append(c.array("dbo_gear", "gears", c.structs(table, c.real)))
     gain = "0"
     if terms:
         gain = "gain"
@@ -130,7 +118,7 @@ def _operator(plan: Plan, parts: _Parts, run: int) -> None:
         )
 
 
-def _fixed_step(plan: Plan, parts: _Parts, run: int) -> None:
+def _fixed_step(plan: Plan, parts: c.Sources, run: int) -> None:
     """Add what the time step makes constant, as dbo_prepare_fixed_step computes it."""
     rows = kernel_table(plan.gears.exchanged, run)[0][:-1]
     wide = rows[:, 0] + plan.kappa * rows[:, 1]
@@ -138,7 +126,9 @@ def _fixed_step(plan: Plan, parts: _Parts, run: int) -> None:
     steps = np.column_stack(
         [wide * rows[:, 3], rows[:, 1] / wide, rows[:, 1] * rows[:, 3], begins]
     )
-    parts.tables.append(c.array("dbo_fixed_gear", "fixed_gears", c.real_structs(steps)))
+    parts.tables.append(
+        c.array("dbo_fixed_gear", "fixed_gears", c.structs(steps, c.real))
+    )
     decay = complement = "0"
     if plan.gain.size:
         decay, complement = "decay", "rest"
@@ -150,7 +140,7 @@ def _fixed_step(plan: Plan, parts: _Parts, run: int) -> None:
     )
 
 
-def _gears(plan: Plan, parts: _Parts) -> None:
+def _gears(plan: Plan, parts: c.Sources) -> None:
     """Add the gears, run by the package's kernel."""
     n, run, terms = plan.gears.n, plan.gears.equal_run, plan.gain.size
     _operator(plan, parts, run)
@@ -161,9 +151,9 @@ def _gears(plan: Plan, parts: _Parts) -> None:
         words = "spare"
         parts.tables.append(c.array("uint64_t", "spare", spare))
     checkpoints, memory = "0", "0"
-    if n > SPACING:
+    if plan.checkpoints:
         checkpoints = "state->checkpoints"
-        parts.members.append(f"dbo_checkpoint checkpoints[{(n - 1) // SPACING}];")
+        parts.members.append(f"dbo_checkpoint checkpoints[{plan.checkpoints}];")
     parts.members += ["dbo_backlash_state gears;", f"dbo_place turns[{n}];"]
     step = "x = dbo_backlash_step_fixed(&op, &fixed, &state->gears, x, &limits, 0);"
     if terms:
@@ -194,7 +184,7 @@ def _gears(plan: Plan, parts: _Parts) -> None:
     parts.step += [*pointers, step]
 
 
-def _lookup_gears(plan: Plan, parts: _Parts) -> None:
+def _lookup_gears(plan: Plan, parts: c.Sources) -> None:
     """Add the gears as a table of all their states.
 
     Raises
@@ -221,7 +211,7 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
     lowest = [str(n)]
     for state in range(1, 2**n):
         lowest.append(str((state & -state).bit_length() - 1))
-    parts.tables.append(c.array("dbo_corner", "corners", c.real_structs(corners)))
+    parts.tables.append(c.array("dbo_corner", "corners", c.structs(corners, c.real)))
     parts.tables.append(c.array("uint8_t", "lowest", lowest))
     parts.tables.append("static const dbo_lookup lookup = {&op, corners, lowest};\n")
     parts.kernel += ["dbo_lookup.h", "dbo_lookup.c"]
@@ -239,7 +229,7 @@ def _lookup_gears(plan: Plan, parts: _Parts) -> None:
 # ---- the stages around them
 
 
-def _curves(curves: Curves, label: str, parts: _Parts) -> list[str]:
+def _curves(curves: Curves, label: str, parts: c.Sources) -> list[str]:
     """Add the tables of points; return the statements of points and scales on ``x``."""
     steps = []
     for number, stage in enumerate(curves):
@@ -248,7 +238,7 @@ def _curves(curves: Curves, label: str, parts: _Parts) -> list[str]:
             continue
         assert isinstance(stage, Points)
         name = f"{label}_{number}"
-        rows = c.real_structs(stage.segments)
+        rows = c.structs(stage.segments, c.real)
         parts.tables.append(c.array("dbo_segment", name, rows))
         parts.members.append(f"size_t {name}_segment;")
         parts.init.append(f"state->{name}_segment = 0;")
@@ -257,7 +247,7 @@ def _curves(curves: Curves, label: str, parts: _Parts) -> list[str]:
     return steps
 
 
-def _limit_amplifier(plan: Plan, parts: _Parts) -> None:
+def _limit_amplifier(plan: Plan, parts: c.Sources) -> None:
     """Add the window that the limits of the drive leave of the voltage at the gears."""
     amplifier = plan.forward.amplifier
     assert amplifier is not None and plan.dt is not None
@@ -265,8 +255,9 @@ def _limit_amplifier(plan: Plan, parts: _Parts) -> None:
     parts.init += ["state->amplifier = 0.0;", "state->begun = 0;"]
     low, high = plan.limits.move
     slew = ""
-    if plan.drive_step is not None:
-        step = c.real(plan.drive_step)
+    largest = plan.limits.largest_step(plan.dt)
+    if largest is not None:
+        step = c.real(float(largest))
         slew = c.fill("amplifier_slew.c", {"STEP": step}).rstrip("\n")
     values = {
         "LEAST": c.real(low),
@@ -279,7 +270,7 @@ def _limit_amplifier(plan: Plan, parts: _Parts) -> None:
     parts.step.append(c.fill("amplifier_limits.c", values).rstrip("\n"))
 
 
-def _undo_delay(plan: Plan, parts: _Parts) -> None:
+def _undo_delay(plan: Plan, parts: c.Sources) -> None:
     """Read ahead by the part of a sample that a delay has beyond whole ones."""
     fraction = plan.delay_samples[1]
     if not fraction:
@@ -290,7 +281,7 @@ def _undo_delay(plan: Plan, parts: _Parts) -> None:
     parts.step.append(c.fill("delay.c", {"PART": c.real(fraction)}).rstrip("\n"))
 
 
-def _undo_dynamics(plan: Plan, parts: _Parts) -> None:
+def _undo_dynamics(plan: Plan, parts: c.Sources) -> None:
     """Undo the dynamics, the last section first, each with its window ahead."""
     if not plan.undone:
         return

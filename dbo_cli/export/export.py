@@ -13,7 +13,7 @@ from dbo_cli.export.plan import Loss, Plan, plan_of, with_fewer_gears
 from dbo_cli.export.q31 import q31_sources
 from dbo_cli.model import Cascade, Quantity
 
-NUMBERS = {"double": "double", "q31": "int32_t"}
+NUMBER_TYPES = {"double": "double", "q31": "int32_t"}
 """The arithmetics, and the type of what goes in and comes out."""
 
 
@@ -74,8 +74,10 @@ def export_model(
         The rate does not resolve the dynamics.
     """
     c.check_name(name)
-    if arithmetic not in NUMBERS:
-        raise UsageError(f"`arithmetic` {arithmetic}: give one of {', '.join(NUMBERS)}")
+    if arithmetic not in NUMBER_TYPES:
+        raise UsageError(
+            f"`arithmetic` {arithmetic}: give one of {', '.join(NUMBER_TYPES)}"
+        )
     if lookup and arithmetic != "double":
         raise UsageError("`lookup` needs `arithmetic` double")
     forward, loss = model.forward(), None
@@ -91,7 +93,7 @@ def export_model(
         "ahead": plan.ahead,
     }
     if loss is not None:
-        figures["loss"] = {"max": loss.largest, "rms": loss.rms}
+        figures["loss"] = loss
     if arithmetic == "double":
         sources = double_sources(plan, lookup)
     else:
@@ -100,12 +102,12 @@ def export_model(
     values = {
         "NAME": name,
         "GUARD": name.upper(),
-        "NUMBER": NUMBERS[arithmetic],
+        "NUMBER": NUMBER_TYPES[arithmetic],
         "ARITHMETIC": arithmetic,
         "ORIGIN": f"Written by dbo export from the model {model.digest[:16]}.",
         **_about_model(plan),
         **_duties(plan, name.upper(), sample_rate, loss),
-        **_self_test(name, NUMBERS[arithmetic], sources),
+        **_self_test(name, NUMBER_TYPES[arithmetic], sources),
         **sources.values,
     }
     return Export(_files(values, sources), figures)
@@ -179,9 +181,9 @@ def _duties(
     if loss is not None:
         span, suffix = plan.forward.output.span, c.plain(plan.forward.output.suffix)
         lost = (
-            f"{plan.gears.n} gears instead of the model's: {loss.largest:.3g}{suffix}"
-            f" ({100.0 * loss.largest / span:.2g} % of the range) at most, {loss.rms:.3g}{suffix} RMS on test"
-            " moves."
+            f"{plan.gears.n} gears instead of the model's: {loss['max']:.3g}{suffix}"
+            f" ({100.0 * loss['max'] / span:.2g} % of the range) at most, {loss['rms']:.3g}{suffix} RMS on"
+            " test moves."
         )
     return {
         "CONSTANTS": constants,

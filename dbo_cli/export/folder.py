@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import tempfile
@@ -49,23 +50,15 @@ def write_folder(
 
 def _require_export(target: Path, names: list[str]) -> None:
     """Refuse to replace a folder that holds more than ``names``, an export's and object files."""
-    names = names + _written_before(target)
+    with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
+        manifest = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
+        if manifest["format"] == "dbo-export":
+            names = [*names, *manifest["files"], f"{manifest['name']}_test"]
     for name in sorted(os.listdir(target)):
         if name not in names and not name.endswith(".o"):
             raise OutputError(
                 f"{target}: holds '{name}', which is not of an export: choose another folder"
             )
-
-
-def _written_before(target: Path) -> list[str]:
-    """Return the files of the export in a folder; none where it holds no export."""
-    try:
-        manifest = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
-        if manifest["format"] != "dbo-export":
-            return []
-        return [*map(str, manifest["files"]), f"{manifest['name']}_test"]
-    except (OSError, ValueError, TypeError, KeyError):
-        return []
 
 
 def _replace(fresh: Path, target: Path, old: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +17,9 @@ from dbo_cli.model.gears import Window, largest_step
 from dbo_cli.model.points import Curves, through
 from dbo_cli.model.undoing import SectionInverse, section_inverse
 
+SPACING = 64  # turns that share a checkpoint
+Loss = dict[str, float]
+"""What fewer gears change, over test moves: the largest (max) and the RMS difference (rms) of the output."""
 TRIALS = 20  # test moves over which the loss of fewer gears is taken: 5,000 samples
 MORE_REST = 5  # samples before a move, from which on a delay knows its past
 
@@ -73,10 +75,9 @@ class Plan:
         return None if step is None else float(step)
 
     @property
-    def drive_step(self) -> float | None:
-        """The largest change of the drive in a step."""
-        step = largest_step(self.limits.slew, self.dt)
-        return None if step is None else float(step)
+    def checkpoints(self) -> int:
+        """How many checkpoints a state keeps of its turns, as dbo_kernel.h and dbo_q31.h have it."""
+        return (self.gears.n - 1) // SPACING
 
     @property
     def gain(self) -> Floats:
@@ -179,8 +180,8 @@ class Plan:
         return static.drive(target[MORE_REST:], state, self.dt, move, slew).y
 
 
-def plan_of(model: Cascade, sample_rate: float | None, limits: Limits) -> Plan:
-    """Return the plan of a model.
+def plan_of(forward: Cascade, sample_rate: float | None, limits: Limits) -> Plan:
+    """Return the plan of a forward model.
 
     Raises
     ------
@@ -191,7 +192,6 @@ def plan_of(model: Cascade, sample_rate: float | None, limits: Limits) -> Plan:
     """
     if sample_rate is not None and not 0.0 < sample_rate < math.inf:
         raise UsageError(f"`sample_rate` {sample_rate:g}: give a number of Hz above 0")
-    forward = model.forward()
     timed = forward.needs_time or limits.slew is not None
     if timed and sample_rate is None:
         raise UsageError("the drive depends on time: add `sample_rate` HZ")
@@ -223,14 +223,7 @@ def trial_moves(low: float, high: float, seed: int = 1) -> Floats:
     return low + (high - low) * np.concatenate(parts)
 
 
-class Loss(NamedTuple):
-    """What fewer gears change, over test moves: the largest and the RMS difference of the output."""
-
-    largest: float
-    rms: float
-
-
-def with_fewer_gears(model: Cascade, gears: int) -> tuple[Cascade, Loss | None]:
+def with_fewer_gears(forward: Cascade, gears: int) -> tuple[Cascade, Loss | None]:
     """Return a forward model with ``gears`` even gears on the same loading curve, and what is lost.
 
     The loading curve keeps its value at every new breakpoint; turns between them are
@@ -241,7 +234,6 @@ def with_fewer_gears(model: Cascade, gears: int) -> tuple[Cascade, Loss | None]:
     UsageError
         ``gears`` is not between 1 and the number that the model has.
     """
-    forward = model.forward()
     full = forward.gears
     if not 1 <= gears <= full.n:
         raise UsageError(f"`gears` {gears}: give 1 to {full.n}")
@@ -273,4 +265,4 @@ def _loss(full: Cascade, fewer: Cascade) -> Loss:
     exact, _ = full.static.simulate(x, dt=step)
     coarse, _ = fewer.static.simulate(x, dt=step)
     error = coarse - exact
-    return Loss(float(np.abs(error).max()), float(np.sqrt(np.mean(error**2))))
+    return {"max": float(np.abs(error).max()), "rms": float(np.sqrt(np.mean(error**2)))}

@@ -24,12 +24,11 @@ from dbo_cli.export.q31_tables import (
 )
 from dbo_cli.model import Quantity
 
-PARTS = 2**26  # of a step, as dbo_q31_interpolation.h counts them
+STEP_PARTS = 2**26  # of a step, as dbo_q31_interpolation.h counts them
 MOST_GEARS = 46_340
 """Up to here n gears find their row with a product of 32 bits, whatever the run."""
 SLOWEST_REST = 2.0**-34
 """A memory that follows by less a step would stand still below 2^10 counts, 1e-6 of the range."""
-SPACING = 64  # turns that share a checkpoint, as in dbo_q31.h
 
 
 def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
@@ -65,13 +64,11 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
     tables = _gear_tables(plan, x_axis, y_axis, memory, bounds)
     values = _values(plan, y_axis, limits)
     for name, segments in functions.items():
-        rows = c.whole_structs(segments.rows)
+        rows = c.structs(segments.rows, c.whole)
         tables += c.array("dboq_segment", f"{name.lower()}_segments", rows)
         values[f"{name}_ROWS"] = str(len(segments.rows))
         values[f"{name}_SHIFT"] = str(segments.shift)
-    tables += (
-        f"static const dboq_limits limits = {c.whole_structs([limits.positions])[0]};\n"
-    )
+    tables += f"static const dboq_limits limits = {c.structs([limits.positions], c.whole)[0]};\n"
     spare = c.words_of(plan.forward.starts.empty, gears.n, 32)
     if spare:
         tables += c.array("uint32_t", "spare", spare)
@@ -81,7 +78,7 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
     kernel = ["dbo_q31.h", "dbo_q31.c"]
     if plan.delay_samples[1]:
         kernel.append("dbo_q31_interpolation.h")
-    return c.Sources(values, _members(plan), kernel, runs), bounds
+    return c.Sources(kernel, _members(plan), values=values, runs=runs), bounds
 
 
 def _check(plan: Plan) -> None:
@@ -114,8 +111,8 @@ def _members(plan: Plan) -> list[str]:
     """Return the members of the state."""
     n, terms = plan.gears.n, plan.gain.size
     members = ["dboq_backlash_state gears;", f"dboq_place turns[{n}];"]
-    if n > SPACING:
-        members.insert(0, f"dboq_checkpoint checkpoints[{(n - 1) // SPACING}];")
+    if plan.checkpoints:
+        members.insert(0, f"dboq_checkpoint checkpoints[{plan.checkpoints}];")
     if terms:
         members.append(f"dboq_memory memory[{terms}];")
     members.append("uint32_t segments[3];")
@@ -133,14 +130,14 @@ def _values(plan: Plan, y_axis: Axis, limits: CountLimits) -> dict[str, str]:
     fraction = plan.delay_samples[1]
     if fraction:
         init = "    state->waiting = 1;"
-        delay = c.fill("delay_q31.c", {"PART": str(round(fraction * PARTS))})
+        delay = c.fill("delay_q31.c", {"PART": str(round(fraction * STEP_PARTS))})
     if limits.change is not None:
         slew = c.fill("slew_q31.c", {"MOST_CHANGE": c.whole(limits.change)})
     return {
         "INIT": init,
         "STEP": delay.rstrip("\n"),
         "SLEW": slew.rstrip("\n"),
-        "CHECKPOINTS": "state->checkpoints" if plan.gears.n > SPACING else "0",
+        "CHECKPOINTS": "state->checkpoints" if plan.checkpoints else "0",
         "MEMORY": "state->memory" if plan.gain.size else "0",
         "COVERED": str(plan.forward.starts.inside.n),
         "FIRST_DRIVE": c.whole(position),
@@ -195,15 +192,15 @@ def _gear_tables(
     ends = np.cumsum(rows[:, :2] * counts[:, None], axis=0)
     begins = np.vstack([[0, 0], ends])
     part_shift, guide = _guide(begins[:, 0])
-    text = c.array("dboq_gear", "gears", c.whole_structs(rows.tolist()))
-    text += c.array("dboq_begin", "begins", c.whole_structs(begins.tolist()))
+    text = c.array("dboq_gear", "gears", c.structs(rows.tolist(), c.whole))
+    text += c.array("dboq_begin", "begins", c.structs(begins.tolist(), c.whole))
     text += c.array("dboq_place", "guide", [str(row) for row in guide])
     terms, memory_numbers = "0, 0", "0, 0, 0"
     if memory is not None:
         terms = f"terms, {len(memory.terms)}"
         offset = c.whole(round(memory.offset / memory.unit))
         memory_numbers = f"{memory.carried_shift}, {offset}, {memory.shift}"
-        text += c.array("dboq_term", "terms", c.whole_structs(memory.terms))
+        text += c.array("dboq_term", "terms", c.structs(memory.terms, c.whole))
     # i * factor >> shift is i // run for all i <= n, in 32 bits
     shift = 0 if run == 1 else (n * run - 1).bit_length()
     factor = (2**shift + run - 1) // run
@@ -226,7 +223,7 @@ def _guide(starts: np.ndarray) -> tuple[int, list[int]]:
     return shift, np.minimum(first, rows - 1).tolist()
 
 
-def _run(plan: Plan, reset: float | None, seed: int) -> c.Run:
+def _run(plan: Plan, reset: float | None, seed: int) -> c.SelfTestRun:
     """Return a run of the self-test: inputs in counts, and the library's output for them."""
     source, drive = plan.forward.output, plan.forward.input
     middle, unit = counts_of_range(source)
@@ -242,4 +239,4 @@ def _run(plan: Plan, reset: float | None, seed: int) -> c.Run:
         state = plan.settled(start * drive_unit + drive_middle)
     outputs = plan.played(np.array(inputs) * unit + middle, state)
     expected = [c.whole(to_counts(y, drive)) for y in outputs.tolist()]
-    return c.Run(reset_counts, [c.whole(x) for x in inputs], expected)
+    return c.SelfTestRun(reset_counts, [c.whole(x) for x in inputs], expected)

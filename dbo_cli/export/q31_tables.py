@@ -21,7 +21,7 @@ from dbo_cli.model.points import Curves, through
 COUNTS = 2.0**30
 MOST_FINE_BITS = 12
 """Positions are finer than counts by so many bits at most: slopes keep the 16 bits that far inputs lose."""
-APART = 1e-9  # of a range: nodes that are closer are one
+SAME_NODE = 1e-9  # of a range: nodes that are closer are one
 
 
 class Segments(NamedTuple):
@@ -103,7 +103,7 @@ def fold(curves: Curves, low: float, high: float) -> Folded:
     span = high - low
     begins: list[float] = []
     for node in sorted(nodes):
-        if not begins or node - begins[-1] > APART * span:
+        if not begins or node - begins[-1] > SAME_NODE * span:
             begins.append(node)
     x = np.array([*begins, max(begins[-1] + span, high)])
     y = through(curves, x.copy())

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from importlib import resources
 from string import Template
+from typing import Any
 
 from dbo_cli.errors import UsageError
 
@@ -23,7 +24,7 @@ _LINE = 108  # characters of a line of numbers
 
 
 @dataclass(frozen=True)
-class Run:
+class SelfTestRun:
     """One run of the self-test as C constants: the drive given to reset (None: init), inputs, outputs."""
 
     reset: str | None
@@ -31,26 +32,30 @@ class Run:
     outputs: Sequence[str]
 
 
-@dataclass(frozen=True)
+@dataclass
 class Sources:
     """What a model puts into its sources, in one arithmetic.
 
     Attributes
     ----------
-    values : dict
-        What the templates are filled with.
-    members : list of str
-        Members of the state.
     kernel : list of str
         The kernel's files that are used.
-    runs : list of Run
+    members, tables, init, reset, step : list of str
+        Members of the state, tables, and the statements of three functions.
+    values : dict
+        What the templates are filled with.
+    runs : list of SelfTestRun
         The self-test.
     """
 
-    values: dict[str, str]
-    members: list[str]
     kernel: list[str]
-    runs: list[Run]
+    members: list[str] = field(default_factory=list)
+    tables: list[str] = field(default_factory=list)
+    init: list[str] = field(default_factory=list)
+    reset: list[str] = field(default_factory=list)
+    step: list[str] = field(default_factory=list)
+    values: dict[str, str] = field(default_factory=dict)
+    runs: list[SelfTestRun] = field(default_factory=list)
 
 
 def kernel_file(name: str) -> str:
@@ -123,19 +128,11 @@ def reals(name: str, values: Iterable[float]) -> str:
     return array("double", name, [real(value) for value in values])
 
 
-def structs(rows: Iterable[Iterable[str]]) -> list[str]:
-    """Return initialisers of structures."""
-    return ["{" + ", ".join(row) + "}" for row in rows]
-
-
-def real_structs(rows: Iterable[Iterable[float]]) -> list[str]:
-    """Return initialisers of structures of float64."""
-    return structs([real(value) for value in row] for row in rows)
-
-
-def whole_structs(rows: Iterable[Iterable[int]]) -> list[str]:
-    """Return initialisers of structures of whole numbers."""
-    return structs([whole(value) for value in row] for row in rows)
+def structs(
+    rows: Iterable[Iterable[Any]], constant: Callable[[Any], str] = str
+) -> list[str]:
+    """Return initialisers of structures, each value written as a ``constant``."""
+    return ["{" + ", ".join(map(constant, row)) + "}" for row in rows]
 
 
 def words_of(bits: int, gears: int, width: int) -> list[str]:

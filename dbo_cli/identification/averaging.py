@@ -122,7 +122,7 @@ def average_model(problem: Problem, average: Average) -> Fit:
         misfit = math.sqrt(float(weights @ fit.error**2))
         if misfit < least:
             least, nearest = misfit, fit
-    return best if least > MOST_MISFIT * error_left_out(problem, best.left) else nearest
+    return best if least > MOST_MISFIT * error_left_out(best.left) else nearest
 
 
 def _table(problem: Problem, invented: PreparedLog, structure: Structure) -> Floats:

@@ -9,12 +9,8 @@ import numpy as np
 
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.errors import FitError, UsageError
-from dbo_cli.identification.recording import (
-    FEWEST_ROWS,
-    Options,
-    Recording,
-    turning_points,
-)
+from dbo_cli.identification.recording import FEWEST_ROWS, Options, Recording
+from dbo_cli.signals import turns
 
 SPIKE_WINDOW = 7  # rows: longer ones have turns of the drive in them
 SPIKE_SIGMAS = 8.0
@@ -39,7 +35,7 @@ def clean(
     notes: list[str] = []
     logs = []
     for log in recordings:
-        log = without_sensor_delay(log, options.sensor_delay)
+        log = without_sensor_delay(log, options.known_sensor_delay)
         good = log.usable & not_skipped(log, options.skip)
         good &= ~faulty_rows(log, notes)
         if int(good.sum()) < FEWEST_ROWS:
@@ -47,11 +43,11 @@ def clean(
                 f"{log.name}: {int(good.sum())} usable rows are too few; record longer, or skip less"
             )
         logs.append(replace(log, good=good))
-    turns = []
+    counts = []
     for log in logs:
         noise = TURNS_BACK * float(np.ptp(log.voltage))
-        turns.append(len(turning_points(log.voltage, noise)))
-    if max(turns) <= 2:
+        counts.append(len(turns(log.voltage, noise)))
+    if max(counts) <= 2:
         raise FitError(
             f"{logs[0].name}: the voltage never turns back; record a drive that goes up and down"
         )

@@ -24,23 +24,20 @@ curve are fitted by one another."""
 def cross_validate(problem: Problem, fit: Fit, equations: Equations) -> Fit:
     """Return the fit with what it leaves of each part left out, and its score.
 
-    A fit without a part is one step from the fit to all rows. Rows in which an unknown
-    past may show are left out by their weight only. ``equations`` are the fit's.
+    A fit without a part is one step from the fit to all rows. ``equations`` are the fit's.
     """
     rows = equations.rows
     table = equations.table(fit)
-    shown = table * np.sqrt(problem.known)[:, None]
     groups, of_row = problem.groups
-    grams = np.stack([products(shown[of_row == place]) for place in range(len(groups))])
-    total = products(table)
+    grams = np.stack([products(table[of_row == place]) for place in range(len(groups))])
+    total = np.add.reduce(grams)
     left = []
     for number, mask in enumerate(problem.parts):
         rest = total - np.add.reduce(grams[groups[:, number]])
-        share = float(rows.weights[mask] @ problem.known[mask])
         error = fit.error
         try:
-            step = equations.step(rest / (1.0 - share), fit)
-            error = equations.fit_of(step).error
+            share = float(rows.weights[mask].sum())
+            error = equations.fit_of(equations.step(rest / (1.0 - share), fit)).error
         except FitError:
             pass
         left.append(without_lost_offsets(error, mask, problem)[mask])
@@ -57,18 +54,9 @@ def without_lost_offsets(error: Floats, mask: Booleans, problem: Problem) -> Flo
     return error
 
 
-def rms_of_parts(problem: Problem, left: Sequence[Floats]) -> list[float]:
-    """Return the RMS of what is left of each part, rows weighted by how well their past is known."""
-    errors = []
-    for mask, error in zip(problem.parts, left, strict=True):
-        square = np.average(error**2, weights=problem.known[mask])
-        errors.append(math.sqrt(float(square)))
-    return errors
-
-
-def error_left_out(problem: Problem, left: Sequence[Floats]) -> float:
+def error_left_out(left: Sequence[Floats]) -> float:
     """Return the RMS over all parts, each as heavy as another, of what was left of them."""
-    return float(np.sqrt(np.mean(np.square(rms_of_parts(problem, left)))))
+    return math.sqrt(float(np.mean([np.mean(error**2) for error in left])))
 
 
 def score(problem: Problem, fit: Fit, left: Sequence[Floats]) -> float:
@@ -77,8 +65,8 @@ def score(problem: Problem, fit: Fit, left: Sequence[Floats]) -> float:
     Not the mean of their squares, since a part that nothing predicts must not decide alone.
     """
     floor = FLOOR * float(problem.output.std())
-    error = float(np.mean(rms_of_parts(problem, left)))
-    return math.log(max(error, floor)) + price(problem, fit)
+    errors = [math.sqrt(float(np.mean(error**2))) for error in left]
+    return math.log(max(float(np.mean(errors)), floor)) + price(problem, fit)
 
 
 def least_score(problem: Problem, fit: Fit) -> float:

@@ -7,16 +7,18 @@ a fit without resonances would take for hysteresis.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.identification.recording import Recording, turning_points
+from dbo_cli.identification.recording import Recording
+from dbo_cli.signals import turns
 
 FEWEST_ROWS = 40  # of a slow part
 NOTICEABLE = 3e-4  # of the range: a smaller reversal of the drive is no turn
 SMALL_SWING = 0.35  # of the range: a sweep's largest swing
+FEWEST_TURNS = 6  # of slow rows, to tell how fast they are
 FEWEST_SWINGS = 40  # in a sweep
 SWEPT = 5.0  # highest over lowest frequency of a sweep, at least
 SMOOTH = 0.7  # of the logarithms of neighbouring half periods: a sweep is gradual
@@ -48,13 +50,14 @@ class FastPart:
 
 
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPart]]:
-    """Return the logs without their fast parts, and these."""
+    """Return the logs with only their slow rows usable, and their fast parts."""
     span = max(float(np.ptp(log.voltage)) for log in recordings)
     sweeps = [_sweep(log, span) for log in recordings]
-    rests = []
+    rests, halves = [], []
     for log, sweep in zip(recordings, sweeps, strict=True):
-        rests.append(log if sweep is None else _without(log, sweep.rows))
-    halves = [_median_half_period(rest, span) for rest in rests]
+        fast_rows = slice(0, 0) if sweep is None else sweep.rows
+        rests.append(log if sweep is None else _without(log, fast_rows))
+        halves.append(_median_half_period(log, span, fast_rows))
     slowest = max((half for half in halves if half is not None), default=0.0)
     slow: list[Recording] = []
     fast: list[FastPart] = []
@@ -83,17 +86,18 @@ def even_step(log: Recording) -> float | None:
     return step if float(away.max()) <= 0.5 * step else None
 
 
-def _median_half_period(log: Recording, span: float) -> float | None:
-    """Return the median time between turns (s), None where there are too few."""
-    rows = turning_points(log.voltage, NOTICEABLE * span)
-    if log.time is None or rows.size < 6:
+def _median_half_period(log: Recording, span: float, fast_rows: slice) -> float | None:
+    """Return the median time between turns outside fast rows (s), None where there are too few."""
+    rows = turns(log.voltage, NOTICEABLE * span)
+    slow = (rows < fast_rows.start) | (rows >= fast_rows.stop)
+    if log.time is None or np.count_nonzero(slow) < FEWEST_TURNS:
         return None
-    return float(np.median(np.diff(log.time[rows])))
+    return float(np.median(np.diff(log.time[rows[slow]])))
 
 
 def _band(log: Recording, span: float, step: float) -> tuple[float, float]:
     """Return the lowest and highest frequency of a fast log's drive (Hz), by its turns."""
-    halves = step * np.diff(turning_points(log.voltage, NOTICEABLE * span))[1:-1]
+    halves = step * np.diff(turns(log.voltage, NOTICEABLE * span))[1:-1]
     shortest, longest = np.quantile(halves[halves > 0.0], (0.02, 0.98))
     return 0.5 / float(longest), 0.5 / max(float(shortest), step)
 
@@ -103,7 +107,7 @@ def _sweep(log: Recording, span: float) -> FastPart | None:
     step = even_step(log)
     if step is None:
         return None
-    rows = turning_points(log.voltage, NOTICEABLE * span)
+    rows = turns(log.voltage, NOTICEABLE * span)
     halves = np.diff(rows).astype(np.float64)
     small = np.abs(np.diff(log.voltage[rows])) <= SMALL_SWING * span
     gradual = np.abs(np.diff(np.log(np.maximum(halves, 1.0)))) <= SMOOTH
@@ -118,7 +122,7 @@ def _sweep(log: Recording, span: float) -> FastPart | None:
     wider = round(WIDER * slowest / step)
     begin = max(int(rows[first]) - wider, 0)
     end = min(int(rows[last + 1]) + wider, len(log.voltage))
-    if max(begin, len(log.voltage) - end) < FEWEST_ROWS:
+    if begin + len(log.voltage) - end < FEWEST_ROWS:
         return None  # nothing else is left to tell the gears from
     band = 1.0 / slowest, 1.0 / float(periods.min())
     return FastPart(log, slice(begin, end), step, band)
@@ -135,8 +139,7 @@ def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
 
 
 def _without(log: Recording, rows: slice) -> Recording:
-    """Return a log up to its fast rows, or from behind them where that is the longer part."""
-    kept = slice(0, rows.start)
-    if rows.start < len(log.voltage) - rows.stop:
-        kept = slice(rows.stop, len(log.voltage))
-    return log.part(kept)
+    """Return a log in which these rows are driven through and do not count."""
+    usable = log.usable.copy()
+    usable[rows] = False
+    return replace(log, good=usable)

@@ -97,7 +97,7 @@ def stated(
 def left_out_rmse(problem: Problem, average: Average) -> float:
     """Return the RMS over parts left out of what the mean prediction leaves of them, in the output's unit."""
     left = [average.left(number) for number in range(len(problem.parts))]
-    return abs(problem.scale) * error_left_out(problem, left)
+    return abs(problem.scale) * error_left_out(left)
 
 
 def line_left_out(problem: Problem, average: Average) -> float:
@@ -116,7 +116,7 @@ def line_left_out(problem: Problem, average: Average) -> float:
             weights = np.linalg.lstsq(table[kept], problem.output[kept], rcond=None)[0]
             error = problem.output - table @ weights
             left.append(without_lost_offsets(error, mask, problem)[mask])
-        errors.append(error_left_out(problem, left))
+        errors.append(error_left_out(left))
     return abs(problem.scale) * min(errors)
 
 
@@ -203,6 +203,8 @@ def measured(
         "logs": residuals,
         "notes": list(notes),
     }
+    if options.known_sensor_delay:
+        figures["sensor_delay"] = options.known_sensor_delay
     found = [*figures.get("warnings", []), *_warnings(model, figures)]
     return replace(model, fit={**figures, "warnings": found})
 

@@ -86,8 +86,11 @@ class Problem:
 
     @property
     def swing_count(self) -> int:
-        """How many swings there are."""
-        return sum(len(swings.sizes) for swings in self.swings)
+        """How many swings there are in fitted rows: those of a fast part tell nothing of loops."""
+        count = 0
+        for log, swings in zip(self.logs, self.swings, strict=True):
+            count += len(np.unique(swings.number[log.rows]))
+        return count
 
     @cached_property
     def different_swings(self) -> int:
@@ -139,23 +142,18 @@ class Problem:
         return np.hstack(columns)
 
     @cached_property
-    def known(self) -> Floats:
-        """The weight of each row among those left out: the less, the more of an unknown past may show."""
-        return known_weights(np.sqrt(np.sum(self.past**2, axis=1)))
-
-    @cached_property
     def parts(self) -> list[Booleans]:
         """What is left out in turn, masks over the fitted rows: blocks of time, and the smaller loops.
 
         Smaller loops stay where the rest would show no way up and down.
         """
-        before = np.cumsum(self.known) - self.known
-        block = (before * BLOCKS / self.known.sum()).astype(np.int64)
+        count = len(self.output)
+        block = np.arange(count) * BLOCKS // count
         parts = [block == number for number in range(BLOCKS)]
         many = LEAST_PART < self.smaller_share < MOST_PART
         if many and self.swing_count > BOTH_WAYS:
             parts.append(self.smaller)
-        return [part for part in parts if part.any()]
+        return parts
 
     @cached_property
     def groups(self) -> tuple[Booleans, Integers]:
@@ -227,7 +225,7 @@ def known_weights(past: Floats) -> Floats:
 
 def prepare(recordings: Sequence[Recording], options: Options) -> Problem:
     """Return the logs in units of the fit, with the rows of the search."""
-    ranges = [drive_range(log.voltage) for log in recordings]
+    ranges = [drive_range(log.voltage[log.usable]) for log in recordings]
     low, high = min(low for low, _ in ranges), max(high for _, high in ranges)
     scale, offset = output_scale(recordings)
     recordings = thinned(recordings)

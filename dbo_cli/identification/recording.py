@@ -11,6 +11,7 @@ import numpy as np
 from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.errors import FitError, InputError, UsageError
 from dbo_cli.model import Cascade
+from dbo_cli.signals import turns
 
 FEWEST_ROWS = 20  # fewer tell nothing of a loop
 SMALLEST_SWING = 0.05  # of the drive's range
@@ -148,6 +149,13 @@ class Options:
             raise UsageError("`relaxation`: give time constants in seconds, 0 or auto")
 
     @property
+    def known_sensor_delay(self) -> float:
+        """Seconds by which the sensor is late: as given, else as the prior has it."""
+        if self.sensor_delay or self.prior is None:
+            return self.sensor_delay
+        return self.prior.sensor_delay
+
+    @property
     def taus(self) -> tuple[float, ...] | None:
         """The time constants that the user gave, () for none, None where they are looked for."""
         if self.relaxation == "auto":
@@ -159,27 +167,6 @@ def white_noise(signals: Sequence[Floats]) -> float:
     """Return the mean square of what is white in signals, by their second differences."""
     bends = [np.diff(signal, 2) for signal in signals]
     return float(np.mean(np.concatenate(bends) ** 2)) / 6.0
-
-
-def turning_points(drive: Floats, least: float) -> Integers:
-    """Return the rows where the drive turns by more than ``least``, the first and the last row included."""
-    steps = np.diff(drive)
-    moving = np.flatnonzero(steps)
-    rising = steps[moving] > 0.0
-    extremes = [*moving[1:][rising[1:] != rising[:-1]].tolist(), len(drive) - 1]
-    turns = [0]
-    level, direction = float(drive[0]), 0
-    turn = 0
-    for row, value in zip(extremes, drive[extremes].tolist(), strict=True):
-        change = value - level
-        if direction and change * direction >= 0.0:
-            turn, level = row, value
-        elif abs(change) > least:
-            if direction:
-                turns.append(turn)
-            direction = 1 if change > 0.0 else -1
-            turn, level = row, value
-    return np.asarray([*turns, len(drive) - 1], dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -200,10 +187,10 @@ class Swings:
     @staticmethod
     def of(drive: Floats) -> Swings:
         """Return the swings of a drive, those below 5 % of its range passed over."""
-        turns = turning_points(drive, SMALLEST_SWING * float(np.ptp(drive)))
-        sizes = np.abs(np.diff(drive[turns]))
-        number = np.searchsorted(turns[1:-1], np.arange(len(drive)), side="right")
-        return Swings(turns, sizes, number.astype(np.int64))
+        rows = turns(drive, SMALLEST_SWING * float(np.ptp(drive)))
+        sizes = np.abs(np.diff(drive[rows]))
+        number = np.searchsorted(rows[1:-1], np.arange(len(drive)), side="right")
+        return Swings(rows, sizes, number.astype(np.int64))
 
     @property
     def loops(self) -> Floats:

@@ -3,39 +3,56 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from dbo_cli.alignment import ACTUATOR_LAG, Alignment, align_displacements, align_drives
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs.clock import Clock
-from dbo_cli.logs.clock_offset import RecordPair, clocks_apart, find_offset
 from dbo_cli.logs.table import Block
 
 SENSORS = ("displacement", "measured")  # the rows are those of their file
 _DRIVES = ("voltage", "desired", "input")
+BY_DRIVE, WITH_DELAY = "by the drive", "delay included"
+_EXPLAINED = 0.09  # of the displacement's variance may be left unexplained
+_KNOWN_TO = 0.5  # samples of the slower clock, two standard deviations, or
+_TOLERABLE = 0.005  # of the drive (RMS), by which it changes in that time
+_CLEARLY_APART = 5.0  # standard deviations from which on two clocks count as apart
 _GAP_STEPS = 2.5  # usual steps; in a longer one at least a row is missing
 _MOST_ROWS = 100_000_000  # of a log at an even rate: some gigabytes
 
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """What is added to the clock of a file (s), and two standard deviations of it (s).
+    """What is added to the clock of a file (s), and how it was found.
 
-    ``auto``: it was found from the signals, so a delay of the actuator is part of it.
+    Attributes
+    ----------
+    name
+        The file.
+    seconds
+        At its beginning.
+    found
+        By what: ``BY_DRIVE``, which both hold, or ``WITH_DELAY`` of the actuator in it; "":
+        it was typed.
     """
 
     name: str
     seconds: float
-    uncertainty: float = 0.0
-    auto: bool = False
+    found: str = ""
+
+    @property
+    def holds_delay(self) -> bool:
+        """Whether a delay of the actuator is part of it."""
+        return self.found == WITH_DELAY
 
     def describe(self) -> str:
         """Return what was done, as the line on what was read has it."""
-        within = f" ± {self.uncertainty:.1g}" if self.auto else ""
-        name = os.path.basename(self.name)
-        return f"{name} moved by {self.seconds:.4g}{within} s"
+        text = f"{os.path.basename(self.name)} moved by {self.seconds:.4g} s"
+        return f"{text}, {self.found}" if self.found else text
 
 
 def joined(
@@ -43,6 +60,7 @@ def joined(
     clock: Clock,
     guest: Block,
     guest_clock: Clock,
+    taken: Sequence[str],
     clock_offset: float | str | None,
 ) -> tuple[Block, ClockOffset | None]:
     """Put the signals of a second log beside the rows of a first, by time.
@@ -55,7 +73,9 @@ def joined(
     rows, clock
         The log whose rows stay: that of the displacement, or of what was measured.
     guest, guest_clock
-        The other one.
+        The other one; a drive in both may lay them over each other.
+    taken
+        The roles that are taken from it.
     clock_offset
         Seconds, or ``auto``, added to the clock of the drive's file.
 
@@ -69,11 +89,20 @@ def joined(
     offset = None
     if clock_offset is None:
         _warn_if_apart(names, rows, time, guest)
+    elif clock_offset == "auto":
+        alignment, kind = _found(names, rows, time, guest)
+        offset = ClockOffset(guest_clock.name, alignment.ahead, kind)
+        time = alignment.late_time(time)
+        clock.remarks.append(
+            f"{clock.name}: its clock is {alignment.ahead:.6g} ± {2.0 * alignment.lag.deviation:.1g} s "
+            f"ahead of that of {guest_clock.name} and {1e6 * alignment.lag.rate:.2g} ppm fast, {kind}"
+        )
     else:
-        seconds, deviation = _offset(names, rows, time, guest, clock_offset)
-        is_auto = clock_offset == "auto"
-        offset = ClockOffset(guest_clock.name, seconds, deviation, is_auto)
-        time = time + seconds
+        offset = ClockOffset(guest_clock.name, float(clock_offset))
+        time = time + offset.seconds
+    for role in taken:
+        rows.values.pop(role, None)
+    guest.values = {role: guest.values[role] for role in taken}
     matched = _side_by_side(rows, time, guest, names)
     assert matched.time is not None
     clock.first, clock.last = float(matched.time[0]), float(matched.time[-1])
@@ -141,49 +170,71 @@ def _side_by_side(rows: Block, time: Floats, table: Block, pair_name: str) -> Bl
     return Block(times, values, dt=dt)
 
 
-def _pair(rows: Block, time: Floats, table: Block) -> RecordPair | None:
-    """Return drive and displacement of two logs, if one has each (InputError)."""
+def _beside_drive(rows: Block, time: Floats, table: Block) -> Alignment | None:
+    """Return how the displacement of one log lies over the drive of another; None where it does not tell."""
     drives = [table.values[role] for role in _DRIVES if role in table.values]
     sensors = [rows.values[role] for role in SENSORS if role in rows.values]
     if not drives or not sensors or rows.time is None:
         return None
-    return RecordPair.of(time, drives[0], rows.time, sensors[0])
+    return align_displacements(
+        rows.time, sensors[0], time, drives[0], rate=True, inverted=True
+    )
 
 
-def _offset(
-    pair_name: str, rows: Block, time: Floats, table: Block, clock_offset: float | str
-) -> tuple[float, float]:
-    """Return the offset (s) that is typed, or that the signals show, and two standard deviations of it.
+def _found(
+    pair_name: str, rows: Block, time: Floats, table: Block
+) -> tuple[Alignment, str]:
+    """Return how two logs lie over each other, and by what.
 
     Raises
     ------
     InputError
-        The signals do not show it.
+        The signals do not show it to half a row of the slower clock.
     """
-    if clock_offset != "auto":
-        return float(clock_offset), 0.0
-    try:
-        pair = _pair(rows, time, table)
-        if pair is None:
-            raise InputError("a drive and a displacement are needed")
-        fit = find_offset(pair)
-    except InputError as problem:
-        raise InputError(
-            f"{pair_name}: `clock_offset` auto: {problem} (give SECONDS)"
-        ) from None
-    return fit.offset, 2.0 * fit.deviation
+    assert rows.time is not None
+    for role in _DRIVES:
+        if role in rows.values and role in table.values:
+            by_drive = align_drives(rows.time, rows[role], time, table[role])
+            if by_drive is not None:
+                return by_drive, BY_DRIVE
+    found = _beside_drive(rows, time, table)
+    problem = ""
+    if found is None:
+        problem = "a drive and a displacement are needed that both move, over a time that both hold"
+    elif found.lag.residual > _EXPLAINED:
+        share = 100.0 * (1.0 - found.lag.residual)
+        problem = f"the drive explains at most {share:.0f} % of the displacement"
+    elif found.lag.rival is not None:
+        other = found.ahead + found.lag.rival - found.lag.seconds
+        problem = (
+            f"{found.ahead:.6g} s and {other:.6g} s fit equally: the drive repeats"
+        )
+    elif 2.0 * found.lag.deviation > _tolerable(found, time, table):
+        problem = (
+            f"{found.ahead:.6g} s is uncertain by {2.0 * found.lag.deviation:.2g} s"
+        )
+    if problem or found is None:
+        raise InputError(f"{pair_name}: `clock_offset` auto: {problem} (give SECONDS)")
+    return found, WITH_DELAY
+
+
+def _tolerable(found: Alignment, time: Floats, table: Block) -> float:
+    """Return the seconds by which clocks may be apart."""
+    drive = next(table[role] for role in _DRIVES if role in table.values)
+    path = float(np.abs(np.diff(drive)).sum())
+    seconds = _TOLERABLE * float(np.std(drive)) / path * float(np.ptp(time))
+    return max(_KNOWN_TO * found.step, seconds)
 
 
 def _warn_if_apart(pair_name: str, rows: Block, time: Floats, table: Block) -> None:
     """Warn where the drive explains the displacement much better when its clock is moved."""
-    try:
-        pair = _pair(rows, time, table)
-    except InputError:
+    found = _beside_drive(rows, time, table)
+    if found is None or found.lag.residual > _EXPLAINED:
         return
-    offset = 0.0 if pair is None else clocks_apart(pair)
-    if offset:
+    clearly = found.step + _CLEARLY_APART * found.lag.deviation
+    if not -clearly <= found.ahead <= clearly + ACTUATOR_LAG:
         warn(
-            f"{pair_name}: drive and sensor do not line up in time (by {offset:+.3g} s): try "
+            f"{pair_name}: drive and sensor do not line up in time (by {found.ahead:+.3g} s): try "
             "`clock_offset` auto"
         )
 

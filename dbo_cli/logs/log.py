@@ -7,7 +7,7 @@ roles are chosen; blocks come as arrays by role, in seconds and in the units ask
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -37,6 +37,7 @@ from dbo_cli.units import multiplied
 _Numbers = NDArray[np.int64]  # of rows, from 1
 _Arrays = list[NDArray[Any]]
 
+_TWINS = ("voltage", "input")  # roles of a drive, which two recorders may both hold
 _FIRST_BYTES = 1024  # MATLAB 7.3 has the mark of HDF5 at byte 512
 
 
@@ -84,8 +85,10 @@ class Log:
         self._count = 0
         self._rows: Block | None = None
 
-    def join(self, second: Log, clock_offset: float | str | None) -> None:
-        """Take the columns of a second log; the rows are those of the log with the sensor, else the first's.
+    def join(
+        self, second: Log, roles: Collection[str], clock_offset: float | str | None
+    ) -> None:
+        """Take roles of a second log; the rows are those of the log with the sensor, else the first's.
 
         Raises
         ------
@@ -95,13 +98,16 @@ class Log:
         base, guest = self, second
         if any(role in second.columns for role in SENSORS):
             base, guest = second, self
+        taken = [r for r in guest.columns if (r in roles) == (guest is second)]
         rows, others = base.read(), guest.read()
+        noted = len(base.clock.remarks)
         self._rows, self.clock_offset = joined(
-            rows, base.clock, others, guest.clock, clock_offset
+            rows, base.clock, others, guest.clock, taken, clock_offset
         )
         self.clock = base.clock
-        self.columns = {**base.columns, **guest.columns}
-        self.remarks = [*base.remarks, *guest.remarks]
+        kept = {r: base.columns[r] for r in base.columns if r not in taken}
+        self.columns = kept | {role: guest.columns[role] for role in taken}
+        self.remarks = [*base.remarks, *guest.remarks, *self.clock.remarks[noted:]]
         self.doubtful = [*base.doubtful, *guest.doubtful]
         left_out = len(rows) - len(self._rows)
         if left_out:
@@ -123,8 +129,9 @@ class Log:
     @property
     def has_found_offset(self) -> bool:
         """Whether a clock offset was found from the signals, so that the actuator's delay is in it."""
-        is_found = self.clock_offset is not None and self.clock_offset.auto
-        return is_found or self._source.has_found_offset
+        offset = self.clock_offset
+        holds_delay = offset is not None and offset.holds_delay
+        return holds_delay or self._source.has_found_offset
 
     def blocks(self, rows: int = BLOCK_ROWS) -> Iterator[Block]:
         """Return the log once, in blocks of at most so many rows.
@@ -320,14 +327,19 @@ def open_log(
         if role not in roles:
             raise UsageError(f"`scale` {role}=...: give one of {', '.join(roles)}")
     roles = {role: text for role, text in roles.items() if role not in elsewhere}
+    twins: list[str] = []
+    if elsewhere and reading.clock_offset == "auto":  # a drive that both may hold
+        twins = [role for role in _TWINS if role in roles or role in elsewhere]
+        roles = {**dict.fromkeys(twins), **roles}
+        optional = (*optional, *(role for role in twins if role in elsewhere))
     opened = path if isinstance(path, Table) else os.fspath(path)
     log = _open_file(opened, roles, reading, units, optional)
     if not elsewhere and reading.resample is None:
         return log
     with log:
         if elsewhere:
-            with _open_second(log.name, elsewhere, reading, units) as second:
-                log.join(second, reading.clock_offset)
+            with _open_second(log.name, elsewhere, twins, reading, units) as second:
+                log.join(second, elsewhere, reading.clock_offset)
         if reading.resample is not None:
             log.resample(reading.resample)
     return log
@@ -336,6 +348,7 @@ def open_log(
 def _open_second(
     name: str,
     elsewhere: Mapping[str, str],
+    twins: Sequence[str],
     reading: Reading,
     units: Mapping[str, str | None],
 ) -> Log:
@@ -344,8 +357,10 @@ def _open_second(
     if len(files) > 1:
         listing = ", ".join(sorted(files))
         raise UsageError(f"{name}: one more file, not {listing}: join them first")
-    roles = {role: text.rpartition("::")[2] for role, text in elsewhere.items()}
-    return _open_file(files.pop(), roles, replace(reading, rows=None), units, ())
+    roles: dict[str, str | None] = dict.fromkeys(twins)
+    for role, text in elsewhere.items():
+        roles[role] = text.rpartition("::")[2]
+    return _open_file(files.pop(), roles, replace(reading, rows=None), units, twins)
 
 
 def _open_file(

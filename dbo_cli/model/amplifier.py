@@ -29,7 +29,7 @@ from dbo_cli.model.points import (
 from dbo_cli.model.relaxation import checked_steps
 from dbo_cli.model.state import Run, State
 
-Limits = tuple[Floats, Floats, Window]
+RowLimits = tuple[Floats, Floats, Window]
 """Of a block: 1 - a and the largest change of the drive for each row, and the range of the drive."""
 AT_REST = 0.0, 1.0
 """Output before, and share, of the first sample of a record: u is v."""
@@ -199,7 +199,7 @@ class AmplifiedGears:
         output: Floats,
         state: State,
         dt: float | Floats,
-        limits: Limits,
+        limits: RowLimits,
         extend: bool,
     ) -> Run:
         """Return the drive of one row within its window, or of the rows before the first that is held."""

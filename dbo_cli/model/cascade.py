@@ -44,7 +44,7 @@ Stage = Amplifier | Gears | Curve | Dynamics | Delay
 Direction = Literal["forward", "inverse"]
 Outside = Literal["extend", "hold", "error"]
 Sign = Literal["rising", "falling"]
-Kind = TypeVar("Kind")
+StageKind = TypeVar("StageKind")
 
 MOST_CANDIDATES = 5
 _EVEN = 0.01  # of a step: what the steps of an even clock differ by at most
@@ -87,7 +87,7 @@ def require_order(stages: Sequence[Stage], direction: Direction = "forward") -> 
             )
 
 
-def _only(kind: type[Kind], stages: Sequence[Stage]) -> Kind | None:
+def _only(kind: type[StageKind], stages: Sequence[Stage]) -> StageKind | None:
     """Return the stage of a kind that occurs once at most."""
     return next((stage for stage in stages if isinstance(stage, kind)), None)
 
@@ -207,6 +207,11 @@ class Cascade:
     def delay_seconds(self) -> float:
         """Seconds by which the displacement lags."""
         return 0.0 if self.delay is None else self.delay.seconds
+
+    @property
+    def sensor_delay(self) -> float:
+        """Seconds by which the logs' sensor is late; no stage has them."""
+        return float(self.fit.get("sensor_delay") or 0.0)
 
     @property
     def needs_time(self) -> bool:

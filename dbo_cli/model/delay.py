@@ -29,16 +29,16 @@ AFTER = 3
 """Samples of the window that come after the time wanted, where they are known."""
 BEFORE = WINDOW - 1 - AFTER
 """Samples of the window before the one that comes just before the time wanted."""
-WHOLE = 1e-9
+WHOLE_STEP = 1e-9
 """Steps: a time this close to a sample's is that sample's; rounding leaves less."""
 MOST_DELAYED = 10_000_000  # samples: 80 MB; a delay of 100 s at 100 kHz
 
 
 def whole_and_part(samples: float) -> tuple[int, float]:
     """Return whole samples and the part beyond; within a billionth of a whole number there is none."""
-    count_before = math.floor(samples + WHOLE)
+    count_before = math.floor(samples + WHOLE_STEP)
     fraction = samples - count_before
-    if fraction <= WHOLE:
+    if fraction <= WHOLE_STEP:
         fraction = 0.0
     return count_before, fraction
 
@@ -114,7 +114,7 @@ class Delay:
         sought = np.ascontiguousarray(times[-count:] - self.seconds)
         y = np.empty(count)
         newest = values.size - count
-        before = kernel.extension.between(times, values, sought, y, newest, WHOLE)
+        before = kernel.extension.between(times, values, sought, y, newest, WHOLE_STEP)
         begin = max(before - (WINDOW - 1), 0)
         return y, (tuple(times[begin:].tolist()), tuple(values[begin:].tolist()))
 

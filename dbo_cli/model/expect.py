@@ -137,7 +137,7 @@ def move_warnings(
     if rest is not None and hold > UNLIKE * slowest:
         texts.append(
             f"holds for {hold:.3g} s, the logs take at most {slowest:.3g} for a rest or a swing: the error "
-            "may be larger; identify with a longer hold"
+            f"may be larger; identify with a longer hold (excite `rest` {hold:.2g})"
         )
     return texts
 

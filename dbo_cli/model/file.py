@@ -31,13 +31,13 @@ from dbo_cli.model.state import START_NAMES, Held, Quantity, State
 MODEL_FORMAT = "dbo-model"
 SET_FORMAT = "dbo-model-set"
 STATE_FORMAT = "dbo-state"
-TYPES = ("amplifier", "backlash", "point", "scale", "dynamics", "delay")
+STAGE_TYPES = ("amplifier", "backlash", "point", "scale", "dynamics", "delay")
 # equal widths in a row are written once from this many on: two are shorter as they are
 SHORTEST_RUN = 3
 
 FIGURES = (
     "rmse expected_rmse line_rmse left_out_rmse left_out_line_rmse unknown_past_rmse "
-    "fastest longest_rest longest_swing swings"
+    "fastest longest_rest longest_swing swings sensor_delay"
 ).split()
 """Keys of ``fit`` that commands compute with: null or numbers of at least 0."""
 
@@ -164,7 +164,7 @@ def _stages(
 def _stage(values: Any, path: str, direction: Direction) -> Any:
     """Return the stage that an object describes; in an inverse model it describes what undoes the stage."""
     content = dict(fields.notes(values, path))
-    kind = fields.choice(content.pop("type", None), f"{path}.type", TYPES)
+    kind = fields.choice(content.pop("type", None), f"{path}.type", STAGE_TYPES)
     is_inverse = direction == "inverse"
     if kind == "scale":
         scale = build(Scale, content, path, gain=number, offset=number)

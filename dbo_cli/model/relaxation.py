@@ -15,7 +15,7 @@ from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.fields import Json
 
-LEAST_SLOPE = 0.03
+LEAST_SLOPE_LEFT = 0.03
 """Of the mean slope: what the negative gains must leave of every slope. At 0.1 % a wish with 1e-4 um of noise
 becomes 0.8 V of it; round trips do not show that.
 """
@@ -103,10 +103,10 @@ class Relaxation:
             return
         gear = int(np.argmin(slopes))
         slope = float(slopes[gear]) + negative
-        if slope < LEAST_SLOPE * mean:
+        if slope < LEAST_SLOPE_LEFT * mean:
             raise ModelError(
                 f"relaxation.gain: negative gains leave gear {gear} a slope of {slope:.6g}, less than 3 % "
-                f"of the mean, {LEAST_SLOPE * mean:.6g}"
+                f"of the mean, {LEAST_SLOPE_LEFT * mean:.6g}"
             )
 
     def decay(self, dt: float | ArrayLike) -> Floats:

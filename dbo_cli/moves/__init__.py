@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dbo_cli.moves.shapes import SHAPES, Trajectory, trajectory
+from dbo_cli.moves.shapes import trajectory
 from dbo_cli.moves.trust import check_reach, trusted_frequency
-from dbo_cli.moves.waveform import Waveform, side_by_side, waveform
+from dbo_cli.moves.waveform import side_by_side, waveform
 
 __all__ = [
-    "SHAPES",
-    "Trajectory",
-    "Waveform",
     "check_reach",
     "side_by_side",
     "trajectory",

@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import wave
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +24,7 @@ BUNCH = 10  # points a command, as in PI's own example: every controller takes s
 WHOLE_RATE = 1e-6  # of a rate: closer to a whole number, it is that
 
 
-class Signal(NamedTuple):
+class Samples(NamedTuple):
     """What is written: volts or codes, points a second, and the volts of the lowest and highest code.
 
     Channels stand side by side: the values are of shape (points, channels).
@@ -34,7 +35,7 @@ class Signal(NamedTuple):
     volts: Span
 
 
-class Format(NamedTuple):
+class Generator(NamedTuple):
     """A kind of file.
 
     Attributes
@@ -49,7 +50,7 @@ class Format(NamedTuple):
         Whether one file holds several channels.
     """
 
-    write: Callable[[Signal], bytes]
+    write: Callable[[Samples], bytes]
     codes: tuple[int, int] | None = None
     volts_needed: bool = False
     holds_channels: bool = False
@@ -86,13 +87,13 @@ def _positional(value: float) -> str:
     return str(np.format_float_positional(value, trim="-"))
 
 
-def _npy(signal: Signal) -> bytes:
+def _npy(signal: Samples) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, signal.values)
     return buffer.getvalue()
 
 
-def _wav(signal: Signal) -> bytes:
+def _wav(signal: Samples) -> bytes:
     rate = round(signal.rate)
     if rate < 1 or abs(signal.rate - rate) > WHOLE_RATE * rate:
         raise UsageError(
@@ -107,15 +108,11 @@ def _wav(signal: Signal) -> bytes:
     return buffer.getvalue()
 
 
-def _int16(signal: Signal) -> bytes:
-    return signal.values.astype("<i2").tobytes()
+def _words(kind: str, signal: Samples) -> bytes:
+    return signal.values.astype(kind).tobytes()
 
 
-def _uint16(signal: Signal) -> bytes:
-    return signal.values.astype("<u2").tobytes()
-
-
-def _pi_gcs(signal: Signal) -> bytes:
+def _pi_gcs(signal: Samples) -> bytes:
     """Return one command for every ten points: WAV 1 X|& PNT first count values."""
     lines = []
     for first in range(0, signal.values.size, BUNCH):
@@ -126,7 +123,7 @@ def _pi_gcs(signal: Signal) -> bytes:
     return "".join(lines).encode()
 
 
-def _keysight(signal: Signal) -> bytes:
+def _keysight(signal: Samples) -> bytes:
     low, high = signal.volts
     lines = [
         "File Format:1.10", "Channel Count:1", "Column Char:TAB", f"Sample Rate:{_positional(signal.rate)}",
@@ -137,12 +134,12 @@ def _keysight(signal: Signal) -> bytes:
     return "".join(f"{line}\r\n" for line in lines).encode()
 
 
-FORMATS = {
-    "npy": Format(_npy, holds_channels=True),
-    "wav": Format(_wav, (-32767, 32767), holds_channels=True),
-    "int16": Format(_int16, (-32768, 32767), True),
-    "uint16": Format(_uint16, (0, 65535), True),
-    "keysight-arb": Format(_keysight, (-32767, 32767)),
-    "pi-gcs": Format(_pi_gcs),
+GENERATORS = {
+    "npy": Generator(_npy, holds_channels=True),
+    "wav": Generator(_wav, (-32767, 32767), holds_channels=True),
+    "int16": Generator(partial(_words, "<i2"), (-32768, 32767), True),
+    "uint16": Generator(partial(_words, "<u2"), (0, 65535), True),
+    "keysight-arb": Generator(_keysight, (-32767, 32767)),
+    "pi-gcs": Generator(_pi_gcs),
 }
 """By the name that ``to`` takes; the codes are all of a word, or those of the maker's description."""

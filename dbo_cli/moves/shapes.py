@@ -36,7 +36,9 @@ SHAPES = tuple(NEEDS)
 
 START = 2.0 / math.pi
 """Of a turn's rows: a start of so many reaches as far outside a line as a turn does, more gently than it."""
-FEWEST_ROWS = 4  # of a line or cycle: a triangle of fewer has no rows between its turns
+FEWEST_CYCLE_ROWS = (
+    4  # of a line or cycle: a triangle of fewer has no rows between its turns
+)
 
 
 class Trajectory(NamedTuple):
@@ -124,8 +126,8 @@ def trajectory(
     if shape == "staircase":
         assert steps is not None
         assert dwell is not None
-        axes, note = _staircase(range, steps, round(dwell * rate), max(turn, 1), rate)
-        return _clocked(axes, rate, note)
+        rows = round(dwell * rate)
+        return _clocked(rate, *_staircase(range, steps, rows, max(turn, 1), rate))
     assert frequency is not None
     count = lines or max(round((duration or 0.0) * frequency), 1)
     if bandwidth is not None and frequency >= bandwidth:
@@ -134,17 +136,16 @@ def trajectory(
             "`bandwidth`"
         )
     period = round(rate / frequency)
-    if period < FEWEST_ROWS:
+    if period < FEWEST_CYCLE_ROWS:
         raise UsageError(
             f"`frequency` {frequency:g}: {period} rows each at `rate` {rate:g}; give at most "
-            f"{rate / FEWEST_ROWS:g}"
+            f"{rate / FEWEST_CYCLE_ROWS:g}"
         )
     plan = _Plan(range, period, turn, count, loop, rate)
-    axes, note = _MAKERS[shape](plan)
-    return _clocked(axes, rate, note)
+    return _clocked(rate, *_MAKERS[shape](plan))
 
 
-def _clocked(axes: tuple[Floats, ...], rate: float, note: str) -> Trajectory:
+def _clocked(rate: float, axes: tuple[Floats, ...], note: str) -> Trajectory:
     return Trajectory(np.arange(axes[0].size) / rate, axes, note)
 
 

@@ -8,9 +8,9 @@ from dbo_cli.errors import UsageError
 from dbo_cli.model import Cascade
 from dbo_cli.moves.shapes import Trajectory
 
-RESONANCE_PART = 3.0
+RESONANCE_SHARE = 3.0
 """A model is trusted to its lowest resonance over this. Measured on invented benches."""
-REACH_SLACK = 1e-8  # of the range: rounding reaches no further
+RANGE_ROUNDING = 1e-8  # of the range: rounding reaches no further
 
 
 def trusted_frequency(models: Sequence[Cascade]) -> float | None:
@@ -18,7 +18,7 @@ def trusted_frequency(models: Sequence[Cascade]) -> float | None:
     lowest = []
     for model in models:
         if model.dynamics is not None and model.dynamics.resonances:
-            lowest.append(model.dynamics.resonances[0].frequency / RESONANCE_PART)
+            lowest.append(model.dynamics.resonances[0].frequency / RESONANCE_SHARE)
     return min(lowest, default=None)
 
 
@@ -39,7 +39,7 @@ def check_reach(move: Trajectory, models: Sequence[Cascade]) -> None:
     """
     for number, axis in enumerate(move.axes):
         output = models[min(number, len(models) - 1)].output
-        slack = REACH_SLACK * output.span
+        slack = RANGE_ROUNDING * output.span
         lowest, highest = float(axis.min()), float(axis.max())
         if lowest < output.min - slack or highest > output.max + slack:
             raise UsageError(

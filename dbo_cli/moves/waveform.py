@@ -14,7 +14,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.check import check_drive
 from dbo_cli.drive.limits import Gate, Limits
 from dbo_cli.errors import LimitError, UsageError
-from dbo_cli.moves.generators import FORMATS, Coding, Format, Signal, Span
+from dbo_cli.moves.generators import GENERATORS, Coding, Generator, Samples, Span
 
 
 class Waveform(NamedTuple):
@@ -67,7 +67,7 @@ def waveform(
     drive_rate : float
         Its rows a second.
     to : str
-        A key of ``FORMATS``.
+        A key of ``GENERATORS``.
     limits : Limits
         Of the drive; its rating counts.
     name : str
@@ -98,9 +98,9 @@ def waveform(
     GateError
         What is written breaks a limit: this program's fault.
     """
-    form = FORMATS.get(to)
+    form = GENERATORS.get(to)
     if form is None:
-        raise UsageError(f"`to` {to}: give one of {', '.join(FORMATS)}")
+        raise UsageError(f"`to` {to}: give one of {', '.join(GENERATORS)}")
     _check_codes(form, to, codes, volts)
     _check_numbers(gain, points, rate, max_rounding)
     time = np.arange(voltage.size) / drive_rate
@@ -116,14 +116,7 @@ def waveform(
             f"{allowance:.3g} V: raise `points`, `rate` or `max_rounding`"
         )
     exact = resampled / gain
-    ends = volts or (float(exact.min()), float(exact.max()))
-    if form.codes is not None and not -math.inf < ends[0] < ends[1] < math.inf:
-        raise UsageError(f"`volts` {ends[0]:g}:{ends[1]:g}: give LOW:HIGH")
-    if exact.min() < ends[0] or exact.max() > ends[1]:
-        raise LimitError(
-            f"{name}: needs {exact.min():.6g} to {exact.max():.6g} V of the generator, `volts` is "
-            f"{ends[0]:.6g}:{ends[1]:.6g}: widen it, or check `gain` {gain:g}"
-        )
+    ends = _ends(form, exact, volts, gain, name)
     allowed = _at_generator(limits, gain)
     values: NDArray[np.float64 | np.int64] = exact
     heard, meaning = exact, ""
@@ -138,27 +131,45 @@ def waveform(
                 f"{name}: codes change the drive by up to {rounding:.3g} V, more than {allowance:.3g} V: "
                 "narrow `volts`, or raise `max_rounding`"
             )
-        if allowed.slew is not None:  # codes stand a step beside
-            allowed = replace(allowed, slew=allowed.slew + coding.step * rate)
         meaning = (
             f"codes {coding.codes[0]} to {coding.codes[1]} mean {ends[0]:.6g} to {ends[1]:.6g} V; "
             f"rounding changes the drive by {rounding:.3g} V"
         )
+        if allowed.slew is not None:  # codes stand a step beside
+            allowed = replace(allowed, slew=allowed.slew + coding.step * rate)
     Gate(allowed).admit(heard, 1.0 / rate, "return")
-    data = form.write(Signal(values, rate, ends))
+    data = form.write(Samples(values, rate, ends))
     line = _line(heard, rate, gain, shift)
     return Waveform(data, heard, rate, line, meaning, values)
 
 
+def _ends(
+    form: Generator, exact: Floats, volts: Span | None, gain: float, name: str
+) -> Span:
+    """Return the volts of the lowest and highest code, which the drive must not leave."""
+    low, high = float(exact.min()), float(exact.max())
+    ends = volts or (low, high)
+    if form.codes is not None and not -math.inf < ends[0] < ends[1] < math.inf:
+        raise UsageError(f"`volts` {ends[0]:g}:{ends[1]:g}: give LOW:HIGH")
+    if low < ends[0] or high > ends[1]:
+        raise LimitError(
+            f"{name}: needs {low:.6g} to {high:.6g} V of the generator, `volts` is "
+            f"{ends[0]:.6g}:{ends[1]:.6g}: widen it, or check `gain` {gain:g}"
+        )
+    return ends
+
+
 def side_by_side(channels: Sequence[Waveform], to: str) -> bytes | None:
     """Return the file of several channels; None where the format ``to`` holds one."""
-    if not FORMATS[to].holds_channels:
+    if not GENERATORS[to].holds_channels:
         return None
     values = np.column_stack([channel.values for channel in channels])
-    return FORMATS[to].write(Signal(values, channels[0].rate, (0.0, 0.0)))
+    return GENERATORS[to].write(Samples(values, channels[0].rate, (0.0, 0.0)))
 
 
-def _check_codes(form: Format, to: str, codes: Span | None, volts: Span | None) -> None:
+def _check_codes(
+    form: Generator, to: str, codes: Span | None, volts: Span | None
+) -> None:
     """Refuse codes and volts that a format does not have, or that cannot be meant."""
     if form.codes is None:
         if codes or volts:

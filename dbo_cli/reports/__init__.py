@@ -1,6 +1,6 @@
 """Reports: how well what was measured follows what was desired, or what a model predicts."""
 
-from dbo_cli.reports.expected import Expected, expected_in, expected_of
+from dbo_cli.reports.expected import Expected, expected_in
 from dbo_cli.reports.matching import match
 from dbo_cli.reports.pair import Pair, predict
 from dbo_cli.reports.report import Report
@@ -12,7 +12,6 @@ __all__ = [
     "Report",
     "ShownModel",
     "expected_in",
-    "expected_of",
     "match",
     "predict",
 ]

@@ -18,8 +18,6 @@ SAME_MOVE = 0.01
 SLACK = 1e-9
 """Part of the range that rounding may add to a drive which ends at its limit."""
 
-SUMMARY = "dbo-summary"
-
 Ends = tuple[float, float]
 
 
@@ -37,12 +35,15 @@ class Expected:
         First and last time (s) of the move in its drive; None where they are not known.
     footer
         What the page says of the drive.
+    sensor_delay
+        Seconds by which the sensor is late, which is no error.
     """
 
     rmse: float | None
     move: Ends | None = None
     move_time: Ends | None = None
     footer: str = ""
+    sensor_delay: float = 0.0
 
     def is_of(self, low: float, high: float) -> bool:
         """Return whether it is stated for a move of this range."""
@@ -79,50 +80,30 @@ def expected_of_drive(
         error = expected_error(model, voltage, dt)
         rmse = None if error is None else error.rms(known, known)
     footer = f"Model {name} ({model.digest[:12]})"
-    return Expected(rmse, footer=footer)
+    return Expected(rmse, footer=footer, sensor_delay=model.sensor_delay)
 
 
-def expected_in(path: str, unit: str | None = None) -> Expected:
-    """Return the expected error that a summary of ``compensate`` or a model file states.
+def expected_in(source: str | Mapping[str, Any], unit: str | None = None) -> Expected:
+    """Return the expected error that a summary of ``compensate`` or a model states.
 
     Parameters
     ----------
-    path
-        The file; ``-`` is standard input.
+    source
+        The file, ``-`` is standard input; or ``Drive.summary()``.
     unit
         Of what is compared.
-
-    Raises
-    ------
-    InputError, ModelError
-        It is neither, or it is in another unit.
-    """
-    from dbo_cli.model.file import parse_model
-
-    name, values = fields.load(path, "summary")
-    if isinstance(values, dict) and values.get("format") == "dbo-model":
-        model = parse_model(values, name).forward()
-        values = {**model.fit, "unit": model.output.unit}
-    else:
-        try:
-            fields.contents(values, "", SUMMARY, "a summary")
-        except ModelError as problem:
-            raise ModelError(f"{name}: {problem}") from None
-    return expected_of(values, unit, name)
-
-
-def expected_of(
-    content: Mapping[str, Any], unit: str | None = None, name: str = "the summary"
-) -> Expected:
-    """Return the expected error of a summary: ``Drive.summary()``, or what a file of it holds.
 
     Raises
     ------
     InputError
         It is in another unit than what is compared.
     ModelError
-        It is no summary, or states no expected error.
+        It is neither, or states no expected error.
     """
+    if isinstance(source, str):
+        name, content = _read(source)
+    else:
+        name, content = "the summary", source
     try:
         if "expected_rmse" not in content:
             raise ModelError(
@@ -132,6 +113,7 @@ def expected_of(
         rmse = _value(content, "expected_rmse", fields.magnitude)
         move = _value(content, "move_range", fields.interval)
         move_time = _value(content, "move_time", fields.interval)
+        delay = _value(content, "sensor_delay", fields.magnitude)
         limits = _value(content, "limits", fields.notes)
         footer = ""
         if limits is not None:
@@ -141,7 +123,21 @@ def expected_of(
     if own_unit and unit and own_unit != unit:
         raise InputError(f"{name}: is in {own_unit}, the comparison in {unit}")
     # an error of exactly 0 was never measured: it states nothing
-    return Expected(rmse or None, move, move_time, footer)
+    return Expected(rmse or None, move, move_time, footer, delay or 0.0)
+
+
+def _read(path: str) -> tuple[str, Mapping[str, Any]]:
+    """Return the name of a file, and its figures: those of a summary, or of a model's fit (ModelError)."""
+    from dbo_cli.model.file import parse_model
+
+    name, values = fields.load(path, "summary")
+    if isinstance(values, dict) and values.get("format") == "dbo-model":
+        model = parse_model(values, name).forward()
+        return name, {**model.fit, "unit": model.output.unit}
+    try:
+        return name, fields.contents(values, "", "dbo-summary", "a summary")
+    except ModelError as problem:
+        raise ModelError(f"{name}: {problem}") from None
 
 
 def _value(values: Mapping[str, Any], key: str, read: fields.Reader) -> Any:

@@ -6,24 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from dbo_cli.alignment import Alignment, align_displacements, align_drives
+from dbo_cli.alignment import (
+    ACTUATOR_LAG,
+    Alignment,
+    align_displacements,
+    align_drives,
+    on_whole_rows,
+)
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.reports.pair import Pair, mean_step, rows_text, stretch
-from dbo_cli.signals import play
 
 SAME_RATE = 1e-3
 """Part by which two rates may differ: clocks of two recorders do, by some 1e-4."""
-ACTUATOR_LAG = 0.05
-"""Seconds that an actuator, its amplifier and its sensor may be late; more is a recorder's start."""
 CLEARLY_BETTER = 0.5
 """Part of the error that must be left at most for another start of the clock to be believed."""
-PLAYS = (0.02, 0.05, 0.1, 0.2, 0.4)
-"""Half widths, in parts of the range, of the plays that explain a loop beside a lag."""
-SMALL_LOOP = 1e-3
-"""Part of the measured variance below which no loop is looked for: 3 % of the move."""
-LOOP_SHOWS = 0.25
-"""Part of the unexplained variance that plays must leave at most for a loop to be there."""
+WHOLE_BY_DISPLACEMENT = 0.5
+"""Rows: a displacement does not tell parts of one, since what is left of creep is a phase, too."""
 
 
 def match(
@@ -135,14 +134,26 @@ def _on_one_clock(
     shifted = _shifted(recording, found, f"that of {name}")
     before = _scatter(_by_time(recording, desired, clock))
     after = _scatter(_by_time(shifted, desired, clock))
-    if found.lag.rival is None and after <= CLEARLY_BETTER * before:
-        return shifted
+    is_sure = not _rival_holds(found, recording, clock)
+    if is_sure and after <= CLEARLY_BETTER * before:
+        return replace(shifted, delay_removed=True)
     if after >= before:
         return recording
-    return recording.noted(
-        f"its clock may be {found.ahead:.4g} s ahead of that of {name}, which is not sure:"
+    doubt = (
+        f"{recording.name}: its clock may be {found.ahead:.4g} s ahead of that of {name}, which is not sure:"
         " its stamps are taken; record the drive, too, or try `match` rows"
     )
+    return replace(recording, warnings=(*recording.warnings, doubt))
+
+
+def _rival_holds(found: Alignment, recording: Pair, clock: Floats) -> bool:
+    """Return whether another lag explains the move, and the recording would hold all of it there, too."""
+    if found.lag.rival is None or recording.time is None:
+        return False
+    later = found.lag.rival - found.lag.seconds
+    first, last = found.late_time(clock[[0, -1]]) + later
+    slack = ACTUATOR_LAG
+    return bool(first > recording.time[0] - slack and last < recording.time[-1] + slack)
 
 
 def _shifted(recording: Pair, found: Alignment, other: str) -> Pair:
@@ -168,9 +179,10 @@ def _scatter(pair: Pair) -> float:
 def _by_displacement(
     recording: Pair, desired: Floats, clock: Floats
 ) -> Alignment | None:
-    """Return how the measured displacement lies over the move, with plays where a loop is in it.
+    """Return how the measured displacement lies over the move, on whole rows where clocks have one step.
 
-    What stands before the move is left out: there the displacement is less well known.
+    What stands before the move is left out, where it is not needed: there the displacement
+    is less well known. A ramp that is late looks like one that is lower.
     """
     assert recording.time is not None
     move = clock >= 0.0
@@ -179,13 +191,8 @@ def _by_displacement(
     found = align_displacements(
         recording.time, recording.measured, clock[move], desired[move]
     )
-    if found is None or found.lag.residual < SMALL_LOOP:
-        return found
-    span = float(np.ptp(desired))
-    columns = [desired, *(play(desired, 0.5 * part * span) for part in PLAYS)]
-    loop = align_displacements(
-        recording.time, recording.measured, clock, np.column_stack(columns)
-    )
-    if loop is None or loop.lag.residual > LOOP_SHOWS * found.lag.residual:
-        return found
-    return loop
+    if found is None or found.lag.rival is not None:
+        found = align_displacements(recording.time, recording.measured, clock, desired)
+    if found is None:
+        return None
+    return on_whole_rows(found, recording.time, clock, WHOLE_BY_DISPLACEMENT)

@@ -48,6 +48,8 @@ class Pair:
         Seconds that the recorder's clock was found to be ahead, and that were taken off.
     on_drive_clock
         Whether the times are those of the drive.
+    delay_removed
+        Whether the sensor's delay was taken off, as a part of the clock's offset.
     notes, warnings : tuple of str
         What a reader of the figures must know.
     """
@@ -62,6 +64,7 @@ class Pair:
     expected: Expected | None = None
     clock_offset: float | None = None
     on_drive_clock: bool = False
+    delay_removed: bool = False
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -144,6 +147,17 @@ def scored(pair: Pair, lag: int) -> Pair:
     if not len(chosen):
         raise InputError(f"{pair.name}: no row from {first} on: choose other `rows`")
     return chosen
+
+
+def without_sensor_delay(pair: Pair) -> Pair:
+    """Return a log as a sensor without delay would have made it; its last rows are cut off."""
+    delay = 0.0 if pair.expected is None else pair.expected.sensor_delay
+    if not delay or pair.delay_removed or pair.time is None:
+        return pair
+    measured = np.interp(pair.time + delay, pair.time, pair.measured)
+    in_time = replace(pair, measured=measured, delay_removed=True)
+    in_time = in_time.taken(stretch(pair.time <= pair.time[-1] - delay))
+    return in_time.noted(f"the sensor's delay, {1e3 * delay:.3g} ms, is taken off")
 
 
 def _move_of(pair: Pair) -> Pair:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dbo_cli.model import Cascade, Quantity
-    from dbo_cli.reports.comparison import Comparison, LogReport
+    from dbo_cli.reports.comparison import LogReport, Scores
 
 SCHEME = {
     "#1b1d22": "ink",
@@ -182,7 +182,7 @@ def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:
 # --- a report ---
 
 
-def sections_of_report(report: Comparison) -> list[tuple[str, list[Plot]]]:
+def sections_of_report(report: Scores) -> list[tuple[str, list[Plot]]]:
     """Return the figures of a report with their headings: each log's, then the model's."""
     sections = []
     stems = file_stems([log.name for log in report.logs])
@@ -193,7 +193,7 @@ def sections_of_report(report: Comparison) -> list[tuple[str, list[Plot]]]:
     return sections
 
 
-def plots_of_report(report: Comparison) -> list[Plot]:
+def plots_of_report(report: Scores) -> list[Plot]:
     """Return all figures of a report."""
     plots = []
     for _, section in sections_of_report(report):
@@ -201,7 +201,7 @@ def plots_of_report(report: Comparison) -> list[Plot]:
     return plots
 
 
-def plots_of_log(report: Comparison, log: LogReport, stem: str) -> list[Plot]:
+def plots_of_log(report: Scores, log: LogReport, stem: str) -> list[Plot]:
     """Return the figures of one log: both signals, the error, the loop and the spectrum."""
     first, second = report.labels
     error = "Residual of the model" if first == "model" else "Error"
@@ -256,7 +256,7 @@ def envelope(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return np.repeat(x[edges], 2), heights
 
 
-def _paint_follow(report: Comparison, log: LogReport, axes: Axes) -> None:
+def _paint_follow(report: Scores, log: LogReport, axes: Axes) -> None:
     first, second = report.labels
     time, clock = _clock_of(log)
     measured = log.pair.measured - log.merits.offset
@@ -270,7 +270,7 @@ def _error_of(log: LogReport) -> Floats:
     return log.pair.measured - log.pair.desired - log.merits.offset
 
 
-def _paint_error(report: Comparison, log: LogReport, axes: Axes) -> None:
+def _paint_error(report: Scores, log: LogReport, axes: Axes) -> None:
     time, clock = _clock_of(log)
     rmse = log.merits.rmse
     band = f"± RMSE, {digits(rmse, 3)} {shown_unit(report.unit)}".rstrip()
@@ -280,7 +280,7 @@ def _paint_error(report: Comparison, log: LogReport, axes: Axes) -> None:
     axes.set(xlabel=clock, ylabel=axis_label(name, report.unit))
 
 
-def _paint_loop(report: Comparison, log: LogReport, axes: Axes) -> None:
+def _paint_loop(report: Scores, log: LogReport, axes: Axes) -> None:
     """Paint measured over the drive; over the desired signal, its own line, where no drive is known."""
     first, second = report.labels
     measured = log.pair.measured - log.merits.offset
@@ -318,7 +318,7 @@ def spectrum_of(log: LogReport) -> tuple[Floats, Floats] | None:
     return frequency[1:], np.sqrt(power[1:])
 
 
-def _paint_spectrum(report: Comparison, log: LogReport, axes: Axes) -> None:
+def _paint_spectrum(report: Scores, log: LogReport, axes: Axes) -> None:
     curve = spectrum_of(log)
     assert curve is not None
     axes.loglog(*curve, **THIN)

@@ -10,7 +10,7 @@ from html import escape
 from importlib import resources
 from string import Template
 
-from dbo_cli.reports.comparison import Comparison
+from dbo_cli.reports.comparison import Scores
 from dbo_cli.reports.plots import Plot, draw, sections_of_report
 from dbo_cli.reports.words import (
     digits,
@@ -25,7 +25,7 @@ REPORT_VERSION = 1  # of the form dbo-report
 LENGTHS = ("RMSE", "expected", "largest", "mean", "offset", "loop")
 
 
-def to_json(report: Comparison) -> str:
+def to_json(report: Scores) -> str:
     """Return the report as JSON text, ``dbo-report`` version 1; numbers read back exactly.
 
     The keys are always all there, in this order: ``format``, ``version``, ``unit``,
@@ -49,7 +49,7 @@ def to_json(report: Comparison) -> str:
     return json_text(content)
 
 
-def to_csv(report: Comparison) -> str:
+def to_csv(report: Scores) -> str:
     """Return a line a log: the keys of the JSON form and the unit; what is undefined is empty."""
     rows = [{**log.record(), "unit": report.unit} for log in report.logs]
     out = io.StringIO()
@@ -59,7 +59,7 @@ def to_csv(report: Comparison) -> str:
     return out.getvalue()
 
 
-def report_table(report: Comparison) -> tuple[list[str], list[list[str]]]:
+def report_table(report: Scores) -> tuple[list[str], list[list[str]]]:
     """Return the headings of the table and a row a log; what is not known of any is left out."""
     clocked = any(log.pair.step() for log in report.logs)
     expected = any(log.expected_rmse for log in report.logs)
@@ -91,7 +91,7 @@ def report_table(report: Comparison) -> tuple[list[str], list[list[str]]]:
     return list(rows[0]), [list(cells.values()) for cells in rows]
 
 
-def to_text(report: Comparison) -> str:
+def to_text(report: Scores) -> str:
     """Return the verdict, an aligned table and at most a few lines."""
     lines = [verdict.words() for verdict in report.verdicts]
     if lines:
@@ -104,7 +104,7 @@ def to_text(report: Comparison) -> str:
     return "\n".join(lines) + "\n"
 
 
-def settings_line(report: Comparison) -> str:
+def settings_line(report: Scores) -> str:
     """Return what was compared, and what the figures mean."""
     first, second = report.labels
     line = f"error = {second} - {first}"
@@ -122,7 +122,7 @@ def settings_line(report: Comparison) -> str:
 # --- the page: no script, no network, the figures inside it ---
 
 
-def to_html(report: Comparison) -> str:
+def to_html(report: Scores) -> str:
     """Return a page that needs no other file: verdict, table, figures, footer."""
     unit = shown_unit(report.unit)
     verdicts = []
@@ -149,7 +149,7 @@ def to_html(report: Comparison) -> str:
     return frame.substitute(style=style, body="\n".join(filter(None, parts)))
 
 
-def _verdict(report: Comparison) -> str:
+def _verdict(report: Scores) -> str:
     """Return whether the limits are kept; nothing where none was set."""
     if report.passed is None:
         return ""
@@ -159,7 +159,7 @@ def _verdict(report: Comparison) -> str:
     return f'<p class="verdict {word}">{"<br>".join(lines)}</p>'
 
 
-def footer_lines(report: Comparison) -> list[str]:
+def footer_lines(report: Scores) -> list[str]:
     """Return who made the page, from what: version, command, model, limits; no time of day."""
     lines = [f"dbo {__version__}"]
     if report.command:
@@ -197,7 +197,7 @@ def html_figures(plots: Sequence[Plot]) -> str:
     return '<div class="figures">' + "\n".join(drawn) + "</div>"
 
 
-FORMS: dict[str, Callable[[Comparison], str]] = {
+FORMS: dict[str, Callable[[Scores], str]] = {
     "text": to_text,
     "json": to_json,
     "csv": to_csv,

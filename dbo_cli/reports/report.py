@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dbo_cli.reports.comparison import Comparison
+from dbo_cli.reports.comparison import Scores
 from dbo_cli.reports.plots import plots_of_report, save
 from dbo_cli.reports.render import FORMS
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Report(Comparison):
+class Report(Scores):
     """A comparison that is written as text, JSON, CSV, a page or figures."""
 
     def render(self, form: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dbo_cli.compare import Comparison, Row, compare
+from dbo_cli.compare import OperatorTable, Row, compare
 from dbo_cli.compare.compare import DboModel
 from dbo_cli.identification import Recording
 from dbo_cli.model import (
@@ -75,5 +75,5 @@ def test_the_numbers_of_the_dbo_are_counted():
 
 
 def test_a_table_of_refusals_is_a_table():
-    text = Comparison((Row("pi", "plays", refused="no"),), None, ("a",)).text()
+    text = OperatorTable((Row("pi", "plays", refused="no"),), None, ("a",)).text()
     assert "note: pi: no" in text

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -40,7 +42,7 @@ def recording(operator=GROWING, bend=0.0, delay=0.0, noise=0.0, scale=0.2, offse
 
 
 def fitted(name, *logs, skip=0.0):
-    return fitting.fit(RIVAL[name], fitting.prepare(logs, skip))
+    return fitting.fit(RIVAL[name], fitting.prepare_logs(logs, skip))
 
 
 def error(model, log):
@@ -72,11 +74,19 @@ def test_operators_find_their_own_kind(name, plant, scale):
     np.testing.assert_allclose(slopes[0], scale * slopes[1], atol=0.05 * scale)
 
 
+BENT = recording(bend=0.4, noise=1e-4)
+
+
+@functools.cache
+def bent(name):
+    """Return a rival fitted to a bent plant."""
+    return fitted(name, BENT)
+
+
 def test_a_bent_plant_needs_dead_zones():
-    log = recording(bend=0.4, noise=1e-4)
-    modified = fitted("modified", log)
+    modified = bent("modified")
     assert modified.design.segments > 1
-    assert error(modified, log) < 0.3 * error(fitted("pi", log), log)
+    assert error(modified, BENT) < 0.3 * error(bent("pi"), BENT)
     assert modified.parameters == modified.design.plays + modified.design.segments
 
 
@@ -89,11 +99,10 @@ def test_a_delay_is_found(delay):
 
 @pytest.mark.parametrize("name", RIVAL)
 def test_inverse_after_forward(name):
-    log = recording(bend=0.3, noise=1e-4)
-    model = fitted(name, log)
-    wanted = model.simulate(log.voltage, log.time)
-    drive = model.invert(wanted, float(log.voltage[0]), log.time)
-    off = (model.simulate(drive, log.time) - wanted) / np.ptp(wanted)
+    model = bent(name)
+    wanted = model.simulate(BENT.voltage, BENT.time)
+    drive = model.invert(wanted, float(BENT.voltage[0]), BENT.time)
+    off = (model.simulate(drive, BENT.time) - wanted) / np.ptp(wanted)
     # of [7] the rate is that of what is wanted
     assert np.sqrt(np.mean(off**2)) < (0.01 if name == "rate" else 1e-10)
 
@@ -125,7 +134,7 @@ def test_rows_that_are_skipped_do_not_count():
     spoilt = Recording("log.csv", log.voltage, wrong, log.time)
     assert fitted("pi", spoilt, skip=1.0).equations.fit_error < 1e-3
     with pytest.raises(FitError, match="`skip`"):
-        fitting.prepare([log], 7.995)
+        fitting.prepare_logs([log], 7.995)
 
 
 def test_bounds_are_kept():

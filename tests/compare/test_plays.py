@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dbo_cli.compare.plays import NOTHING, Plays, places
+from dbo_cli.compare.plays import EMPTY, Plays, places
 
 KINDS = ("plays", "falling", "rate", "singular", "one-sided")
 
@@ -36,7 +36,7 @@ def drive(rows=1500):
 
 def share_of(op, x):
     if not op.by_rate.size:
-        return NOTHING
+        return EMPTY
     return np.minimum(np.abs(np.diff(x, prepend=x[0])) * 20.0, 1.0)
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import dbo_cli
 
-from .program import Floats, dbo, done, model, refused, table, write
+from .program import Floats, dbo, done, model, refused, table, values_of, write
 
 TIME = np.arange(400) / 1000.0
 
@@ -143,26 +143,23 @@ def test_the_line_says_which_limits_were_kept_and_where_a_drive_starts() -> None
 
 # --- the drive of an inverse model ---
 
-RELAXATION = {"on": "input", "reference": 0.0, "tau": [1.0], "gain": [0.03]}
+
+def inverse_of(name: str, count: int, gain: float, top: float) -> Path:
+    """Write a model of even gears, 0 to 100 V and 10 um, with one relaxation term, and its inverse."""
+    values = values_of("creep")
+    widths = {"dx": [100.0 / count] * count, "dy": [10.0 / count] * count}
+    term = {"on": "input", "reference": 0.0, "tau": [1.0], "gain": [gain]}
+    gears = {"type": "backlash", "x0": 0.0, "y0": 0.0, **widths, "relaxation": term}
+    values["output"] |= {"min": 0.0, "max": top}
+    Path(f"{name}.json").write_text(json.dumps(values | {"stages": [gears]}))
+    done("invert", f"{name}.json", "-o", "inverse.json")
+    return Path("inverse.json")
 
 
 @pytest.fixture
 def creeping() -> Path:
-    """Return gears of 0 to 100 V with one relaxation term; at rest 100 V reaches 13 um, at once 10 um."""
-    stages = [
-        {"type": "backlash", "x0": 0.0, "y0": 0.0,
-         "dx": [{"repeat": 50, "value": 2.0}], "dy": [{"repeat": 50, "value": 0.2}],
-         "relaxation": RELAXATION},
-    ]  # fmt: skip
-    quantities: dict[str, Any] = {
-        "input": {"quantity": "voltage", "unit": "V", "min": 0.0, "max": 100.0},
-        "output": {"quantity": "displacement", "unit": "um", "min": 0.0, "max": 13.0},
-    }
-    content = {"format": "dbo-model", "version": 1, "direction": "forward"}
-    content |= {**quantities, "stages": stages, "fit": {}, "provenance": {}}
-    Path("creeping.json").write_text(json.dumps(content))
-    done("invert", "creeping.json", "-o", "inverse.json")
-    return Path("inverse.json")
+    """Return an inverse whose gears reach 13 um by 100 V at rest, and 10 um at once."""
+    return inverse_of("creeping", 50, 0.03, 13.0)
 
 
 def step(top: float) -> Path:
@@ -194,18 +191,7 @@ def test_an_inverse_model_refuses_a_drive_outside_the_range(creeping: Path) -> N
 
 def test_a_displacement_that_the_model_does_not_reach_is_refused() -> None:
     """What creeps back is reached for a moment only, by a voltage inside the range."""
-    terms = {"on": "input", "reference": 0.0, "tau": [1.0], "gain": [-0.03]}
-    widths = {"dx": [25.0] * 4, "dy": [2.5] * 4}
-    gears = {"type": "backlash", "x0": 0.0, "y0": 0.0, **widths, "relaxation": terms}
-    content: dict[str, Any] = {"format": "dbo-model", "version": 1}
-    content |= {
-        "direction": "forward",
-        "input": {"quantity": "voltage", "unit": "V", "min": 0.0, "max": 100.0},
-        "output": {"quantity": "displacement", "unit": "um", "min": 0.0, "max": 7.0},
-        "stages": [gears],
-    }
-    Path("soft.json").write_text(json.dumps(content))
-    done("invert", "soft.json", "-o", "inverse.json")
+    inverse_of("soft", 4, -0.03, 7.0)
     words = ("simulate", "inverse.json", step(8.0), "--outside", "error")
     error = refused(3, *words, "-o", "out.csv")
     assert "row 51" in error and "8 um" in error and "7" in error

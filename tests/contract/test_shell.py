@@ -19,7 +19,7 @@ COMMANDS = (
 ).split()
 
 OPTIONS = {
-    "excite": "--v-min --v-max --max-slew --sample-rate --duration --sweep-to --sweep-amplitude",
+    "excite": "--v-min --v-max --max-slew --sample-rate --duration --rest --sweep-to --sweep-amplitude",
     "identify": "--validate --prior --sign --skip --zero --sensor-delay --gears --points --relaxation "
     "--delay --dynamics --slopes --method --force --summary --time --voltage --displacement",
     "show": "--format --figures",

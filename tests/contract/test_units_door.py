@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import dbo_cli as dbo
-from dbo_cli.recordings import ROLES
+from dbo_cli.recordings import RECORDING_ROLES
 from dbo_cli.units import spell
 
 from .program import dbo as shell
@@ -556,7 +556,7 @@ def test_a_role_is_known_to_shell_and_library() -> None:
     """Who adds a role to recordings adds it to the functions that read them."""
     from dbo_cli.cli import compare, identify
 
-    for role in ROLES:
+    for role in RECORDING_ROLES:
         for call in (dbo.read_log, compare.compare, identify.identify):
             assert role in inspect.signature(call).parameters
 

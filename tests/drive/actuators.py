@@ -11,7 +11,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from dbo_cli.drive import Drive, Driver, Lead, Limits
-from dbo_cli.drive.simulate import Rows, joined
+from dbo_cli.drive.simulate import Rows, stacked
 from dbo_cli.model import (
     Cascade,
     Delay,
@@ -147,30 +147,21 @@ def actuators(draw: st.DrawFn, static: bool = False) -> Cascade:
     )
 
 
-def driver_of(model: Cascade, limits: Limits, options: dict[str, Any]) -> Driver:
-    """Return a driver by the options of ``plan``."""
-    lead = Lead(
-        options.get("state", "auto"),
-        options.get("start"),
-        options.get("approach"),
-        options.get("condition", False),
-        options.get("lead"),
-    )
-    on_limit, end = options.get("on_limit", "auto"), options.get("return_to")
-    return Driver(model, limits, lead, on_limit, end)
-
-
 def plan(
-    model: Cascade, desired: Any, clock: Any, limits: Limits, **options: Any
+    model: Cascade,
+    desired: Any,
+    clock: Any,
+    limits: Limits,
+    *,
+    on_limit: Any = "auto",
+    return_to: float | None = None,
+    **options: Any,
 ) -> Drive:
     """Return the drive of a whole trajectory; ``clock`` is a step, the time of each row, or None."""
-    driver = driver_of(model, limits, options)
-    around = ("state", "start", "approach", "condition", "lead", "on_limit")
-    options = {
-        name: value
-        for name, value in options.items()
-        if name not in (*around, "return_to")
-    }
+    names = ("state", "start", "approach", "condition")
+    around = {name: options.pop(name) for name in names if name in options}
+    lead = Lead(rest=options.pop("lead", None), **around)
+    driver = Driver(model, limits, lead, on_limit, return_to)
     dt, time = clock, None
     if np.ndim(clock):
         time = np.asarray(clock, dtype=np.float64)
@@ -189,5 +180,5 @@ def driven_in_blocks(driver: Driver, blocks: Iterable[Any]) -> Drive:
     """Return the drive of a trajectory that comes in blocks, with its rows."""
     parts = [driver.rows(desired, dt, time) for time, dt, desired in blocks]
     rest, drive = driver.finish()
-    rows = joined([*parts, rest])
+    rows = stacked([*parts, rest])
     return replace(drive, time=rows.time, desired=rows.x, voltage=rows.y)

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import math
 import tracemalloc
-import warnings
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.drive import Driver, Lead, Limits
-from dbo_cli.errors import DboWarning, InputError, LimitError, UsageError
-from dbo_cli.model import Cascade, Lag, Resonance
+from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.model import Cascade, Lag
 
 from .actuators import (
     actuator,
@@ -63,14 +62,6 @@ def test_compensate_then_simulate_is_the_identity(model: Cascade, state: str) ->
         assert drive.lost_most == pytest.approx(np.abs(y - wanted).max(), rel=1e-6)
 
 
-def test_dynamics_and_delay_are_undone() -> None:
-    model = actuator(sections=(Lag(4e-4), Resonance(60.0, 0.02)), delay=0.003)
-    wanted = gentle(model, 2000)
-    drive = plan(model, wanted, DT, limits_of(model), state="empty")
-    y = played(model, drive.voltage, state="empty")
-    assert np.abs(y - wanted)[10:].max() <= 2e-3 * np.ptp(wanted)
-
-
 @given(actuators(), st.sampled_from([1, 7, 60, 333]), st.booleans())
 @settings(max_examples=40, deadline=None, derandomize=True)
 def test_values_do_not_depend_on_blocks(model: Cascade, rows: int, slow: bool) -> None:
@@ -84,22 +75,6 @@ def test_values_do_not_depend_on_blocks(model: Cascade, rows: int, slow: bool) -
     assert drive.clipped == whole.clipped
     assert drive.first_clipped == whole.first_clipped
     assert drive.lost_rms == pytest.approx(whole.lost_rms, rel=1e-9, abs=1e-15)
-
-
-def test_a_state_goes_on() -> None:
-    model = actuator(
-        tau=(0.05, 2.0), gain=(0.01, 0.01), sections=(Lag(1e-3), Resonance(80.0, 0.05))
-    )
-    wanted = gentle(model, 2000)
-    limits = limits_of(model)
-    whole = plan(model, wanted, DT, limits)
-    cut = 1900  # at rest again
-    first = plan(model, wanted[:cut], np.arange(cut) * DT, limits)
-    second = plan(
-        model, wanted[cut:], np.arange(cut, 2000) * DT, limits, state=first.state
-    )
-    assert np.abs(second.voltage - whole.voltage[cut:]).max() < 1e-6 * model.input.span
-    assert second.past_known
 
 
 def test_a_state_without_a_voltage_starts_where_the_amplifier_stands() -> None:
@@ -126,29 +101,6 @@ def test_a_pause_lets_memory_go_on() -> None:
 
 
 # --- limits ---
-
-
-def test_auto_clips_little_and_refuses_much() -> None:
-    model = actuator()
-    little = ripple(model, 1000, 0.9)
-    top = float(model.run(np.array([91.0]), model.start(91.0, "empty")).y[0])
-    little = little - little.max() + top
-    limits = limits_of(model, 0, 90)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        drive = plan(model, little, DT, limits)
-    assert 0 < drive.clipped < 200
-    assert 0.0 < drive.lost_rms < 0.01 * np.ptp(little)
-    assert any("clipped" in str(warning.message) for warning in caught)
-    assert drive.voltage.max() == 90.0
-    with pytest.raises(LimitError, match="60 V reaches"):
-        plan(model, little, DT, limits_of(model, 0, 60))
-    assert (
-        plan(model, little, DT, limits_of(model, 0, 60), on_limit="clip").voltage.max()
-        == 60.0
-    )
-    with pytest.raises(LimitError, match="row"):
-        plan(model, little, DT, limits, on_limit="error")
 
 
 def test_the_number_that_would_fit_fits() -> None:
@@ -205,16 +157,6 @@ def test_a_stream_takes_constant_memory() -> None:
     assert peak(40) < 1.1 * peak(10)
 
 
-def test_extrapolation() -> None:
-    model = actuator()
-    wanted = ripple(model, 500, 1.1)
-    with pytest.raises(LimitError):
-        plan(model, wanted, DT, limits_of(model, -20, 120))
-    drive = plan(model, wanted, DT, limits_of(model, -20, 120, extrapolate=True))
-    assert drive.voltage.max() > 100.0
-    assert any("identified" in text for text in drive.warnings)
-
-
 def test_what_cannot_be_driven() -> None:
     model = actuator()
     limits = limits_of(model)
@@ -240,72 +182,6 @@ def test_what_cannot_be_driven() -> None:
         plan(late, ripple(late, 5, 0.1), uneven, limits)
 
 
-def test_uneven_clocks_of_static_models() -> None:
-    model = actuator(tau=(0.02,), gain=(0.02,))
-    time = np.cumsum(np.random.default_rng(1).uniform(5e-4, 5e-3, 400))
-    wanted = ripple(model, 400, 0.7)
-    drive = plan(model, wanted, time, limits_of(model, max_slew=5000))
-    y = model.simulate(drive.voltage, time=time)[0]
-    assert np.abs(y - wanted)[1:].max() < 1e-10
-    slow = plan(model, wanted, time, limits_of(model, max_slew=500), on_limit="clip")
-    assert (np.abs(np.diff(slow.voltage)) / np.diff(time)).max() <= 500 * (1 + 1e-12)
-
-
-def test_bandwidth_rounds_corners() -> None:
-    model = actuator(sections=(Resonance(60.0, 0.02),))
-    t = np.arange(2000) * DT
-    wanted = model.output.min + 0.5 * model.output.span * np.abs((t * 2.0) % 2.0 - 1.0)
-    drive = plan(model, wanted, DT, limits_of(model), bandwidth=15.0, on_limit="clip")
-    assert np.array_equal(drive.desired, wanted)
-    sharp = plan(model, wanted, DT, limits_of(model), on_limit="clip")
-    assert np.ptp(np.diff(drive.voltage)) < 0.5 * np.ptp(np.diff(sharp.voltage))
-    with pytest.raises(UsageError):
-        plan(model, wanted, DT, limits_of(model), bandwidth=600.0)
-
-
-def test_first_row_from_where_the_amplifier_stands() -> None:
-    model = actuator()
-    wanted = ripple(model, 500, 0.5)
-    limits = limits_of(model, max_slew=500)
-    drive = plan(model, wanted, DT, limits, start=0.0, on_limit="clip")
-    assert drive.voltage[0] <= 0.5 * (1 + 1e-12)
-    with pytest.raises(LimitError, match="approach"):
-        plan(model, wanted, DT, limits_of(model, -20, 120, 500), start=-10.0)
-    with pytest.raises(LimitError, match="outside"):
-        plan(model, wanted, DT, limits, start=1000.0)
-    with pytest.raises(LimitError, match="state"):
-        outside = plan(
-            model, wanted, DT, limits_of(model, -20, 120), return_to=-10.0
-        ).state
-        plan(model, wanted, DT, limits, state=outside)
-
-
-def test_summary_is_complete() -> None:
-    import json
-
-    model = actuator(fit={"expected_rmse": 0.01})
-    drive = plan(
-        model,
-        ripple(model, 500),
-        DT,
-        limits_of(model, 0, 120, 5000),
-        start=0.0,
-        approach="auto",
-    )
-    summary = json.loads(json.dumps(drive.summary()))
-    assert (summary["format"], summary["version"]) == ("dbo-summary", 1)
-    assert summary["model"] == model.digest
-    assert summary["limits"]["rating"] == [0.0, 120.0]
-    assert summary["limits"]["move"] == [0.0, 100.0]
-    assert summary["limits"]["max_slew"] == 5000.0
-    assert summary["rows"] == drive.voltage.size == 500 + summary["lead"]["rows"]
-    assert summary["unit"] == "um"
-    assert summary["move_range"] == pytest.approx(
-        [drive.desired[drive.move].min(), drive.desired[drive.move].max()]
-    )
-    assert drive.line().startswith(f"{drive.rows:,} rows")
-
-
 def test_holding_with_negative_gains_is_looked_at() -> None:
     model = actuator(tau=(1.0,), gain=(-0.015,))
     top = model.static.run(np.array([95.0]), model.start(95.0, "full"), 1.0).y[0]
@@ -321,12 +197,6 @@ def test_holding_with_negative_gains_is_looked_at() -> None:
     )
     warned = any("holding" in text for text in drive.warnings)
     assert warned == (held.clipped > 0)
-
-
-def test_warnings_are_dbo_warnings() -> None:
-    model = actuator()
-    with pytest.warns(DboWarning, match="clipped"):
-        plan(model, ripple(model, 500), DT, limits_of(model, 0, 60), on_limit="clip")
 
 
 @pytest.mark.parametrize("value", [1e308, -1e61, math.inf, math.nan])

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 from dbo_cli.drive.excite import excite
 from dbo_cli.errors import LimitError, UsageError
+from dbo_cli.identification.recording import Swings
+from dbo_cli.model.expect import longest_rest
 
 
 @settings(max_examples=60, derandomize=True, deadline=None)
@@ -35,6 +37,20 @@ def test_the_same_words_give_the_same_drive():
     assert np.array_equal(excite(0, 100)[1], excite(0, 100)[1])
 
 
+def test_rests_and_slow_swings_grow_with_the_drive():
+    """A move that holds for long, or goes slowly, is unlike a log of fast swings."""
+
+    def longest(**words):
+        time, voltage = excite(0, 100, **words)
+        turns = Swings.of(voltage).turns
+        rest = longest_rest(voltage, np.diff(time))
+        return len(time) / 1000, rest, np.diff(time[turns]).max()
+
+    assert longest() == pytest.approx((30.0, 0.5, 1.8), rel=0.05)
+    assert longest(duration=600) == pytest.approx((600.0, 10.0, 28.0), rel=0.05)
+    assert longest(rest=20)[:2] == pytest.approx((50.0, 20.5), rel=0.01)
+
+
 def test_a_sweep_follows_in_the_middle():
     _, plain = excite(0, 100, sample_rate=20000)
     _, voltage = excite(0, 100, sample_rate=20000, sweep_to=1000, max_slew=1e6)
@@ -50,6 +66,7 @@ def test_a_sweep_follows_in_the_middle():
         {"v_max": -1.0},
         {"sample_rate": 0.0},
         {"duration": 1.0},
+        {"rest": -1.0},
         {"duration": math.nan},
         {"max_slew": -5.0},
         {"sweep_to": 500.0},

@@ -30,68 +30,6 @@ def played(
     return np.asarray(model.run(voltage, model.start(float(voltage[0]), start), dt).y)
 
 
-def test_way_begins_where_the_amplifier_stands() -> None:
-    model = actuator(tau=(0.05,), gain=(0.01,))
-    wanted = ripple(model, 3000, 0.6)
-    drive = plan(
-        model,
-        wanted,
-        DT,
-        limits_of(model, max_slew=2000.0),
-        start=20.0,
-        approach="auto",
-    )
-    assert drive.voltage[0] == 20.0
-    assert drive.time is not None
-    assert drive.time[drive.move.start] == 0.0
-    assert (drive.time[: drive.move.start] < 0.0).all()
-    assert np.allclose(np.diff(drive.time), DT)
-    assert drive.lead_seconds >= 0.1
-    assert np.abs(np.diff(drive.voltage)).max() <= 2000.0 * DT * (1 + 1e-12)
-    y = played(model, drive.voltage)
-    assert np.abs(y - drive.desired).max() < 1e-10
-
-
-def test_way_in_uses_the_rating() -> None:
-    model = actuator(low=0.236, high=3.424)
-    wanted = ripple(model, 500, 0.5)
-    drive = plan(
-        model,
-        wanted,
-        DT,
-        limits_of(model, 0, 5),
-        start=0.0,
-        approach="auto",
-        return_to=4.5,
-    )
-    assert drive.voltage[0] == 0.0
-    move = drive.voltage[drive.move]
-    assert 0.236 <= move.min() and move.max() <= 3.424
-    assert drive.voltage[-1] == 4.5
-    assert drive.rows == drive.voltage.size == drive.desired.size
-    with pytest.raises(LimitError):
-        plan(model, wanted, DT, limits_of(model, 0, 5), return_to=5.1)
-    with pytest.raises(LimitError):
-        plan(model, wanted, DT, limits_of(model), start=0.0, approach="auto")
-
-
-@pytest.mark.parametrize("periodic", [False, True])
-@pytest.mark.parametrize("slew", [None, 2000.0, 1e6])
-def test_auto_takes_a_tenth_of_a_second(periodic: bool, slew: float | None) -> None:
-    model = actuator()
-    wanted = ripple(model, 1000, 0.6, cycles=1.0)
-    drive = plan(
-        model,
-        wanted,
-        DT,
-        limits_of(model, max_slew=slew),
-        start=0.0,
-        approach="auto",
-        periodic=periodic,
-    )
-    assert drive.lead_seconds >= 0.1
-
-
 def test_typed_seconds() -> None:
     model = actuator()
     wanted = ripple(model, 1000, 0.6)
@@ -118,22 +56,6 @@ def test_lead_auto_is_what_is_read_ahead() -> None:
         on_limit="clip",
     )
     assert drive.move.start == model.inverter(DT).ahead
-
-
-def test_sweep_makes_the_past_known() -> None:
-    model = actuator(tau=(0.02, 0.5), gain=(0.004, 0.004))
-    wanted = ripple(model, 2000, 0.3)
-    drive = plan(model, wanted, DT, limits_of(model), condition=True)
-    assert drive.past_known
-    assert drive.voltage[: drive.move.start].max() == 100.0
-    move = drive.move
-    errors = []
-    for past in ("empty", "full", "settled"):
-        y = played(model, drive.voltage, start=past)
-        errors.append(np.abs(y[move] - wanted).max())
-    # gears forget; relaxation as far as its time constants are over
-    assert max(errors) < 0.03
-    assert np.abs(played(model, drive.voltage)[move] - wanted).max() < 1e-9
 
 
 def test_sweep_stays_in_the_moves_range() -> None:

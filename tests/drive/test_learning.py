@@ -102,8 +102,12 @@ def test_growth_is_refused() -> None:
     y = plant.run(first.voltage, plant.start(0.0, "empty"), DT).y
     tracked = [Tracked("pass.csv", first.voltage, y)]
     small = [PassRecord("earlier", 1e-6)]
-    with pytest.raises(InputError, match="grew"):
+    with pytest.raises(InputError, match=r"grew.*`bandwidth` .* \(it was"):
         plan(model, wanted, DT, limits, state="empty", tracked=tracked, history=small)
+    scaled = [Tracked("pass.csv", first.voltage, 1.3 * y + 0.4)]
+    before = [PassRecord("earlier", float(np.std(y - wanted)))]
+    with pytest.raises(InputError, match=r"sensor shows 1\.\d+ times the move"):
+        plan(model, wanted, DT, limits, state="empty", tracked=scaled, history=before)
     lesson = plan(model, wanted, DT, limits, state="empty", tracked=tracked)
     again = [*lesson.history, PassRecord("what came of it", 9.0)]
     repeated = plan(

@@ -61,12 +61,6 @@ def test_units_of_limits() -> None:
     assert Limits.within(bar, 0, 5, 2).slew == 2.0
 
 
-@pytest.mark.parametrize("voltage", [1000.0, -0.001, 5.001, math.nan, math.inf])
-def test_start_outside_the_rating(voltage: float) -> None:
-    with pytest.raises(LimitError):
-        Limits.within(RANGE, 0, 5).require_start(voltage)
-
-
 def test_limits_made_by_hand_are_looked_at() -> None:
     for move, slew in (((-1.0, 3.0), None), ((2.0, 1.0), None), ((0.0, 1.0), math.nan)):
         with pytest.raises(UsageError):

@@ -110,9 +110,9 @@ def test_fewer_gears_keep_the_loading_curve_and_say_what_is_lost():
     full, _ = model.static.simulate(up, dt=1e9, state="empty")
     coarse, _ = fewer.static.simulate(up, dt=1e9, state="empty")
     np.testing.assert_allclose(coarse, full, atol=1e-12)
-    assert 0.0 < loss.rms < loss.largest < 0.05 * model.output.span
+    assert 0.0 < loss["rms"] < loss["max"] < 0.05 * model.output.span
     worse = with_fewer_gears(model, 4)[1]
-    assert worse.rms > 2.0 * loss.rms
+    assert worse["rms"] > 2.0 * loss["rms"]
     assert with_fewer_gears(model, 64) == (model, None)
 
 

@@ -19,7 +19,7 @@ from dbo_cli.identification.basis import (
     time_constants,
 )
 from dbo_cli.identification.problem import groups_of, prepare
-from dbo_cli.identification.recording import Options, Recording, Swings, turning_points
+from dbo_cli.identification.recording import Options, Recording, Swings
 from dbo_cli.identification.solve import (
     Equations,
     minimum,
@@ -158,9 +158,8 @@ def test_slopes_keep_their_floor() -> None:
     assert fit.curve.min() >= 0.03 - 1e-12
 
 
-def test_turning_points_and_swings() -> None:
+def test_swings() -> None:
     drive = np.asarray([0.0, 1.0, 2.0, 1.9, 2.1, 0.0, 0.0, 1.0])
-    assert turning_points(drive, 0.5).tolist() == [0, 4, 6, 7]
     swings = Swings.of(drive)
     assert swings.sizes.tolist() == [2.1, 2.1, 1.0]
     assert swings.loops.tolist() == [2.1, 2.1, 2.1]  # the last one is broken off

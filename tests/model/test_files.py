@@ -181,36 +181,6 @@ def test_what_is_wrong_is_named(change: Change, place: str, in_schema: bool) -> 
     assert SCHEMA.is_valid(values) is not in_schema
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("", "not a model file"),
-        ("time,voltage\n0,1\n", "identify makes a model"),
-        ('{"format": "dbo-model", "format": "dbo-model"}', "format: occurs twice"),
-        ('{"format": "dbo-model",}', "line 1: not valid JSON"),
-        ('{"format": "dbo-state", "version": 1}', "dbo-model"),
-        ('{"format": "dbo-model", "version": 1, "x": NaN}', "NaN is not"),
-        ("[" * 100_000, "readable"),
-        ("[1, 2]", "not an object"),
-    ],
-)
-def test_no_model_files(text: str, said: str, tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match=said):
-        read_model(written(tmp_path, text))
-
-
-def test_an_incomplete_file_says_where_it_ends(tmp_path: Path) -> None:
-    text = dumps_model(full_model())
-    for end in (40, 300, 777, 1500, len(text) - 3):
-        part = text[:end]
-        with pytest.raises(ModelError) as problem:
-            read_model(written(tmp_path, part))
-        lines = [f": line {len(part.splitlines()) + k}: " for k in (-1, 0, 1)]
-        assert any(line in str(problem.value) for line in lines)
-    with pytest.raises(InputError, match="cannot be read"):
-        read_model(str(tmp_path / "nothing.json"))
-
-
 def test_mutated_files_are_refused_or_read(tmp_path: Path) -> None:
     """No mutation of a byte ends in anything but a model or a DboError."""
     rng = np.random.default_rng(0)

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, ModelError
@@ -205,40 +204,6 @@ def test_a_model_of_many_gears_runs() -> None:
 moves = st.lists(st.floats(-50.0, 80.0), min_size=1, max_size=60)
 
 
-@settings(max_examples=300, derandomize=True, deadline=None)
-@given(
-    moves,
-    st.floats(0.0, 9.0),
-    st.floats(0.01, 5.0),
-    st.floats(0.1, 1e5),
-    st.integers(0, 3),
-)
-def test_no_voltage_leaves_the_window(
-    wanted: list[float], low: float, width: float, slew: float, kind: int
-) -> None:
-    model = plant()
-    if kind == 1:
-        model = plant(relaxation=None)
-    if kind == 2:
-        bend = Points([4.0, 6.0], [6.0, 4.0])
-        model = model.with_stages((bend, *model.stages))
-    if kind == 3:
-        model = model.with_stages((Scale(-1.0, 10.0), *model.stages))
-    high = low + width
-    state = model.start_drive(wanted[0], "auto", low, high)
-    done = model.drive(wanted, state, DT, (low, high), slew)
-    assert (done.y >= low).all()
-    assert (done.y <= high).all()
-    steps = np.abs(np.diff(done.y))
-    rounding = 8 * 2.0**-52 * np.abs(done.y).max()
-    assert (steps <= slew * DT + rounding).all()
-    # the state is that of the actuator driven by what was left
-    begun = replace(state, first=None)
-    driven = model.run(done.y, begun, DT)
-    assert driven.state.bits == done.state.bits
-    assert driven.state.memory == pytest.approx(done.state.memory, abs=1e-12)
-
-
 def test_a_drive_without_clipping_reaches_what_is_wanted() -> None:
     model = plant(relaxation=None)
     wanted = 9.0 + 6.0 * np.sin(np.arange(500) * 0.05)
@@ -288,16 +253,6 @@ def test_a_drive_starts_as_the_model_driven_by_it(wanted: float) -> None:
         assert abs(reached[0] - wanted) < 0.4
 
 
-def test_a_state_goes_on_where_it_was_left() -> None:
-    model = plant(Dynamics((Resonance(60.0, 0.02),)), Delay(2e-3))
-    drive = random_drive(np.random.default_rng(1), 0.0, 10.0, 400)
-    whole, _ = model.simulate(drive, dt=DT)
-    _, middle = model.simulate(drive[:150], dt=DT)
-    assert middle.drive == drive[149]
-    rest, _ = model.simulate(drive[150:], dt=DT, state=middle)
-    assert np.array_equal(rest, whole[150:])
-
-
 def test_undoing_goes_on_behind_played_voltages() -> None:
     """What undoing remembers follows from the state of the forward dynamics."""
     model = plant(Dynamics((Resonance(60.0, 0.05, Mode(80.0, 0.1)), Lag(3e-3))))
@@ -312,34 +267,6 @@ def test_undoing_goes_on_behind_played_voltages() -> None:
 
 
 # ---- what is outside, and what is refused ----
-
-
-def test_outside() -> None:
-    model = plant(relaxation=None)
-    done = model.run([1.0, 11.0, 12.0, -1.0], model.start(1.0))
-    outside = model.outside(np.array([1.0, 11.0, 12.0, -1.0]))
-    assert outside.tolist() == [False, True, True, True]
-    slope = 0.3 * (done.y[2] - done.y[1]) / (done.y[2] - done.y[1])
-    assert done.y[2] > done.y[1] and slope == pytest.approx(0.3)
-    held = model.run([1.0, 11.0, 12.0, -1.0], model.start(1.0), outside="hold")
-    assert held.y[1] == held.y[2]
-    with pytest.raises(InputError, match="row 2: 11"):
-        model.simulate([1.0, 11.0], outside="error")
-
-
-def test_time_is_asked_for() -> None:
-    with pytest.raises(ModelError, match="sample_rate"):
-        plant().simulate([1.0, 2.0])
-    model = plant(relaxation=None)
-    model.simulate([1.0, 2.0])
-    with pytest.raises(ModelError, match="sample_rate"):
-        model.drive([1.0], State(0), None, (0.0, 1.0), 1.0)
-    uneven = np.array([0.0, 1e-3, 3e-3])
-    with pytest.raises(InputError, match="resample"):
-        plant(Delay(1e-3)).inverse().simulate([1.0, 2.0, 3.0], time=uneven)
-    pause = np.array([0.7, DT, DT, DT])  # behind a state
-    with pytest.raises(InputError, match=r"0\.7 s after the state"):
-        plant(Delay(1e-3)).inverse().simulate(np.ones(4), dt=pause, state=State(0))
 
 
 def test_clocks() -> None:

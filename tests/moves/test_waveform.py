@@ -10,7 +10,7 @@ import pytest
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.moves import waveform
-from dbo_cli.moves.generators import FORMATS
+from dbo_cli.moves.generators import GENERATORS
 
 RATE = 1000.0
 TIME = np.arange(1000) / RATE
@@ -22,7 +22,7 @@ def within(low=-math.inf, high=math.inf, slew=None):
 
 
 def made(to, drive=DRIVE, limits=None, **options):
-    if FORMATS[to].volts_needed:
+    if GENERATORS[to].volts_needed:
         options.setdefault("volts", (0.0, 5.0))
     return waveform(drive, RATE, to, limits or within(), **options)
 
