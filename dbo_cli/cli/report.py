@@ -179,7 +179,7 @@ def matched(
     from dbo_cli.recordings import read_table
     from dbo_cli.reports import match
 
-    drive = None
+    named_drive = None
     if (
         column is not None and "desired" in column
     ):  # of a channel, as compensate names it
