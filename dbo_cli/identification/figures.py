@@ -59,7 +59,8 @@ def left_out_figures(
         _refuse_unrelated(unexplained, logs)
     return {
         "method": "least-squares",
-        "left_out_rmse": left,
+        "left_out_rmse": left_out_rmse(problem, average, past_known=True),
+        "unknown_past_rmse": left,
         "left_out_line_rmse": line,
         "unexplained": unexplained,
     }
@@ -75,11 +76,10 @@ def stated(
     from the first row on. ``figures`` are those of the parts left out.
     """
     sensor = noise_rms(model, logs)
-    left = float(figures["left_out_rmse"])
     for key, is_known in (("left_out_rmse", True), ("unknown_past_rmse", False)):
         residuals = [residual_of(model, log, is_known) for log in logs]
         actuator = math.sqrt(max(pooled(residuals) ** 2 - sensor**2, 0.0))
-        figures = {**figures, key: max(left, actuator)}
+        figures = {**figures, key: max(float(figures[key]), actuator)}
     model = replace(model, fit={**figures, **model.fit, "noise_rms": sensor})
     invented = invented_log(problem)
     inside = np.clip(invented.drive, 0.0, 1.0)
@@ -94,10 +94,23 @@ def stated(
     return replace(model, fit=figures)
 
 
-def left_out_rmse(problem: Problem, average: Average) -> float:
-    """Return the RMS over parts left out of what the mean prediction leaves of them, in the output's unit."""
+def left_out_rmse(
+    problem: Problem, average: Average, past_known: bool = False
+) -> float:
+    """Return the RMS over parts left out of what the mean prediction leaves of them, in the output's unit.
+
+    With ``past_known`` rows weigh the less, the more another past of the gears would
+    change them.
+    """
     left = [average.left(number) for number in range(len(problem.parts))]
-    return abs(problem.scale) * error_left_out(left)
+    if not past_known:
+        return abs(problem.scale) * error_left_out(left)
+    weights = known_weights(np.sqrt(np.sum(problem.past**2, axis=1)))
+    squares = total = 0.0
+    for mask, error in zip(problem.parts, left, strict=True):
+        squares += float(weights[mask] @ error**2)
+        total += float(weights[mask].sum())
+    return abs(problem.scale) * math.sqrt(squares / total)
 
 
 def line_left_out(problem: Problem, average: Average) -> float:
