@@ -42,7 +42,6 @@ from dbo_cli.recordings import (
     RECORDING_COLUMNS,
     arrays_table,
     clock_of,
-    common_unit,
     floats,
     in_unit,
     model_of,
@@ -887,15 +886,15 @@ def _frame_pair(
 
 
 def _common_unit(desired: Any, measured: Any, given: str | None) -> str | None:
-    """Return the unit of two displacements; InputError where they state two."""
+    """Return the unit of two displacements; InputError where they do not state the same one."""
     first = stated_unit(desired, "displacement")
     second = stated_unit(measured, "displacement")
-    if given is None and first and second and first != second:
+    if given is None and first != second:
+        texts = [f"in {unit}" if unit else "without a unit" for unit in (first, second)]
         raise InputError(
-            f"measured is in {second}, desired in {first}: convert one of them, and pass "
-            "`unit` of both"
+            f"measured is {texts[1]}, desired {texts[0]}: convert one of them, and pass `unit` of both"
         )
-    return given or common_unit("report", first, second)
+    return given or first
 
 
 # --- typed numbers ---

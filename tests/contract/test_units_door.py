@@ -182,12 +182,12 @@ def test_report_takes_two_signals_in_one_unit(nanometers: pd.DataFrame) -> None:
         dbo.report(MOVE, MOVE, time=TIME, max_rmse="10nm")
 
 
-def test_a_unit_that_one_of_two_signals_states_is_said() -> None:
-    """Desired in nm beside a bare array: both are taken in nm, which may be wrong."""
+def test_a_unit_that_one_of_two_signals_states_is_no_unit_of_both() -> None:
+    """Desired in nm beside a bare array is refused; a column beside one with a unit is said."""
     wished = pd.Series(MOVE, name="wished (nm)")
     for pair in ((wished, MOVE), (MOVE, wished)):
-        with pytest.warns(dbo.DboWarning, match="states no unit: both are taken in nm"):
-            assert dbo.report(*pair, time=TIME).unit == "nm"
+        with pytest.raises(dbo.InputError, match="without a unit"):
+            dbo.report(*pair, time=TIME)
     write("log.csv", "time_s,desired_nm,measured", TIME, MOVE, MOVE)
     assert "measured states no unit" in shell("report", "log.csv").err
     with warnings.catch_warnings():
