@@ -285,9 +285,8 @@ class RepeatedMove:
             return None
         shift = round(found.ahead / self.step)
         recorded = voltage[max(shift, 0) : shift + count]
-        sweep = self.sweep[
-            max(-shift, 0) :
-        ]  # with as many rows at rest as another axis needs
+        # the recording may lack rows at rest that another axis needs
+        sweep = self.sweep[max(-shift, 0) :]
         span = float(np.ptp(self.sweep))
         if recorded.size != sweep.size or rms(recorded - sweep) > SAME_DRIVE * span:
             return None

@@ -15,7 +15,7 @@ from dbo_cli.alignment import (
 )
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
-from dbo_cli.reports.pair import Pair, mean_step, rows_text, stretch
+from dbo_cli.reports.pair import Pair, rows_text, step_of, stretch
 
 SAME_RATE = 1e-3
 """Part by which two rates may differ: clocks of two recorders do, by some 1e-4."""
@@ -86,7 +86,7 @@ def _by_rows(
     recording: Pair, wanted: Floats, clock: Floats | None, trajectory: str
 ) -> Pair:
     """Match row by row; the time is the trajectory's."""
-    step, wanted_step = recording.step(), mean_step(clock)
+    step, wanted_step = recording.step(), step_of(clock)
     if step is not None and wanted_step is not None:
         if abs(step / wanted_step - 1.0) > SAME_RATE:
             raise InputError(
@@ -107,7 +107,7 @@ def _by_rows(
 def _by_time(recording: Pair, wanted: Floats, clock: Floats) -> Pair:
     """Match by time: the desired signal is interpolated at the recording's times."""
     assert recording.time is not None
-    slack = 1e-6 * (mean_step(clock) or 0.0)
+    slack = 1e-6 * (step_of(clock) or 0.0)
     begin, end = clock[0] - slack, clock[-1] + slack
     pair = recording.taken(stretch((recording.time >= begin) & (recording.time <= end)))
     assert pair.time is not None

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.alignment import mean_step
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.reports.expected import Expected, expected_of_drive
@@ -98,7 +99,7 @@ class Pair:
 
     def step(self) -> float | None:
         """Return the seconds from row to row; None where no clock is known."""
-        return mean_step(self.time)
+        return step_of(self.time)
 
 
 def rows_text(count: int) -> str:
@@ -106,11 +107,11 @@ def rows_text(count: int) -> str:
     return "1 row" if count == 1 else f"{count:,} rows"
 
 
-def mean_step(time: Floats | None) -> float | None:
+def step_of(time: Floats | None) -> float | None:
     """Return the seconds from row to row of a clock; None without one."""
     if time is None or len(time) < 2:
         return None
-    step = float(np.median(np.diff(time)))
+    step = mean_step(time)
     return step if 0.0 < step < math.inf else None
 
 
