@@ -25,6 +25,7 @@ GENERATED = {"commands.md", "reference.md"}  # made by ``make site``
 PAGES = sorted(path for path in DOCS.glob("*.md") if path.name not in GENERATED)
 TEXTS = [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 OPTION = re.compile(r"(?<![\w`-])--[a-z][a-z-]+")
+INLINE = re.compile(r"`(?:dbo )?([a-z]+) ([^`]*)`")  # a command within a sentence
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 NUMBER = re.compile(r"-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?")
@@ -77,6 +78,9 @@ def test_options_of_the_pages_exist() -> None:
             assert words[1] in COMMANDS, line
             typed = {word.split("=")[0] for word in words if word.startswith("--")}
             assert typed <= options_of(words[1]), line
+        for command, rest in INLINE.findall(path.read_text()):
+            if command in COMMANDS:
+                assert set(OPTION.findall(rest)) <= options_of(command), (command, rest)
 
 
 def test_every_option_is_explained_on_some_page() -> None:
