@@ -21,8 +21,8 @@ from __future__ import annotations
 
 import argparse
 import csv
-import re
 import dataclasses
+import re
 import sys
 from typing import IO
 
