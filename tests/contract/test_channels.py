@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import wave
 from pathlib import Path
 from typing import Any
@@ -93,9 +94,20 @@ def test_simulate_and_compensate_write_all_channels_side_by_side(
         np.testing.assert_allclose(ours, table("one.csv")["voltage_V"], atol=1e-12)
 
 
-def test_what_is_wrong_with_a_channel_names_it(channels: Path) -> None:
+def test_a_pattern_that_finds_nothing_is_refused(channels: Path) -> None:
     error = refused(1, "simulate", "set.json", channels, "--input", "Q{}")
     assert "mirror.csv" in error and "Q{}" in error
+
+
+def test_a_channel_that_the_set_lacks_is_named(channels: Path) -> None:
+    held = json.loads(Path("set.json").read_text())
+    del held["models"]["b"]
+    Path("set.json").write_text(json.dumps(held))
+    error = refused(1, "simulate", "set.json", channels, "--input", "V{}_V")
+    assert "b" in error and "set.json" in error
+
+
+def test_an_error_and_a_warning_of_one_channel_name_it(channels: Path) -> None:
     words = ("--displacement", "D{}_um", "--v-max", "7", "--on-limit", "clip")
     warned = dbo("compensate", "set.json", channels, *words, "-o", "x.csv").err
     for name in NAMES:
@@ -104,14 +116,9 @@ def test_what_is_wrong_with_a_channel_names_it(channels: Path) -> None:
     cells = lines[50].split(",")
     cells[3] = "OVLD"  # the drive of channel b
     lines[50] = ",".join(cells)
-    Path("bad.csv").write_text("\n".join(lines) + "\n")
-    error = refused(1, "simulate", "set.json", "bad.csv", "--input", "V{}_V")
-    assert "Vb" in error and "OVLD" in error
-    held = load("set.json")
-    del held["models"]["b"]
-    store("set.json", held)
+    channels.write_text("\n".join(lines) + "\n")
     error = refused(1, "simulate", "set.json", channels, "--input", "V{}_V")
-    assert "b" in error and "set.json" in error
+    assert "Vb" in error and "OVLD" in error
 
 
 def test_channels_keep_an_uneven_clock(channels: Path) -> None:
