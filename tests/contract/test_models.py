@@ -177,9 +177,3 @@ def test_show_tells_gears_sign_and_error_and_each_of_a_set() -> None:
     assert (told["format"], told["version"]) == ("dbo-show", 1)
     assert told["gears"] == 40 and told["output"]["unit"] == "um"
     assert told["delay_seconds"] == pytest.approx(0.0025)
-
-
-def test_show_draws_figures() -> None:
-    done("show", model("creep"), "--figures", "figures", "-q")
-    drawn = {path.suffix for path in Path("figures").iterdir()}
-    assert drawn == {".png", ".svg"}
