@@ -244,6 +244,24 @@ def test_a_periodic_drive_closes(name: str) -> None:
     assert rms(last - last.mean() - (wanted - wanted.mean())) < 2e-3 * top
 
 
+@pytest.mark.parametrize(
+    ("name", "slew", "code"), [("small", 30, 3), ("small", 100, 0), ("creep", 300, 0)]
+)
+def test_a_loop_keeps_the_slew_over_its_seam(name: str, slew: float, code: int) -> None:
+    """Too fast for the limit, it is clipped in every pass alike, or refused where it does not close."""
+    top = values_of(name)["output"]["max"]
+    move(0.5 * top + 0.4 * top * np.sin(PHASE + 1.0))
+    words = ("--periodic", "--max-slew", slew, "-o", "drive.csv")
+    line = ("compensate", model(name), "wish.csv", *words, "--on-limit")
+    refused(3, *line, "error")
+    outcome = dbo(*line, "clip")
+    assert outcome.code == code, outcome.err
+    if code == 0:
+        loop = table("drive.csv")["voltage_V"]
+        steps = np.abs(np.diff(np.append(loop, loop[0])))
+        assert steps.max() <= slew / 1000.0 * (1.0 + 1e-9)
+
+
 def test_passes_come_before_the_settled_one() -> None:
     move(2.5 + np.sin(PHASE))
     rows = [

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import dbo_cli
@@ -100,6 +100,13 @@ MOVES = st.fixed_dictionaries(
 )
 
 
+UNSETTLED = {
+    "name": "soft", "v_min": 20.0, "v_max": 95.0, "slew": None, "extrapolate": True, "start": None,
+    "approach": None, "condition": False, "return_": None, "periodic": True, "seed": 58, "size": 0.1,
+}  # fmt: skip
+"""A loop that its limits keep from settling."""
+
+
 def wanted_of(actuator: Any, seed: int, size: float, periodic: bool) -> Floats:
     """Return a move of 120 rows that may leave the range by far."""
     random = np.random.default_rng(seed)
@@ -115,6 +122,7 @@ def wanted_of(actuator: Any, seed: int, size: float, periodic: bool) -> Floats:
 @pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 @settings(max_examples=100)
 @given(case=MOVES)
+@example(case=UNSETTLED)
 def test_no_row_leaves_the_limits(case: dict[str, Any]) -> None:
     """Whatever is asked: no row beyond the rating, no step faster than the slew, or a refusal."""
     actuator = dbo_cli.read_model(model(case["name"]))
