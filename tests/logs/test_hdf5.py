@@ -114,7 +114,8 @@ def test_columns_names_units_and_values(
     tmp_path: Path, fill: Callable[[Any], None]
 ) -> None:
     source = opened(tmp_path, fill)
-    by_name = {column.name: column.unit for column in source.columns}
+    read = [column for column in source.columns if column.kind == "number"]
+    by_name = {column.name: column.unit for column in read}
     assert by_name == {"time": "s", "voltage": "V", "displacement": "um"}
     np.testing.assert_array_equal(values(source, "time"), T)
     np.testing.assert_allclose(values(source, "voltage"), V, atol=1e-7)
@@ -308,7 +309,7 @@ def test_no_other_file_is_read(
 
     path = made(tmp_path / "run.h5", both)
     os.truncate(other, 0)  # whoever opens it fails otherwise than by a refusal
-    with pytest.raises(InputError, match="other file"):
+    with pytest.raises(InputError, match="other file|is a link"):
         source = open_hdf5(str(path), "", Reading())
         assert len(names(source)) <= 3
         for name in ("voltage", "run/voltage"):

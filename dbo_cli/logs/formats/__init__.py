@@ -14,10 +14,9 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.formats.arrow import ARROW
 from dbo_cli.logs.formats.excel import EXCEL
 from dbo_cli.logs.formats.matlab import MATLAB
-from dbo_cli.logs.formats.npy import NUMPY
+from dbo_cli.logs.formats.npy import NUMPY, ZIP
 from dbo_cli.logs.formats.stored import FileFormat, TableReader
 from dbo_cli.logs.formats.tdms import TDMS
-from dbo_cli.logs.formats.zipped import ZIP
 from dbo_cli.logs.table import Reading, Table
 
 

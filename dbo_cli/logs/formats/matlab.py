@@ -15,13 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.logs.formats.stored import (
-    FileFormat,
-    arrays_as_table,
-    fenced,
-    no_columns,
-    refuse_part,
-)
+from dbo_cli.logs.formats.stored import FileFormat, StoredTable, fenced, refuse_part
 from dbo_cli.logs.table import Reading, Table
 
 _HEADER = 128  # bytes of text, version and byte order
@@ -163,18 +157,22 @@ def _fields_of(elements: Elements, kind: str) -> tuple[str, ...]:
 def _read(path: str, inner: str, reading: Reading) -> Table:
     """Read the vectors and matrices of a file before version 7.3 (InputError)."""
     refuse_part(path, inner)
+    table = StoredTable(path)
+    arrays: dict[str, Any] = {}
     with open(path, "rb") as file, fenced(path, "MATLAB"):
         data = file.read()
         if 0 in data[:4]:
-            return arrays_as_table(path, _version_4(path))
+            arrays = _version_4(path)
+            table.add_arrays(arrays)
+            return table.require_numbers(arrays)
         variables = [variable for variable in variables_of(data) if variable.name]
-    arrays = {v.name: np.squeeze(v.values) for v in variables if v.values is not None}
     lines = [variable.advice() for variable in variables if variable.advice()]
-    hint = f": in MATLAB, {lines[0]}" if lines else ""
-    if all(array.size < 2 for array in arrays.values()):
-        contents = [variable.describe() for variable in variables]
-        raise no_columns(path, contents, hint)
-    return arrays_as_table(path, arrays, hint)
+    table.hint = f": in MATLAB, {lines[0]}" if lines else ""
+    for variable in variables:
+        if variable.values is not None:
+            arrays[variable.name] = np.squeeze(variable.values)
+    table.add_arrays(arrays)
+    return table.require_numbers(variable.describe() for variable in variables)
 
 
 def _version_4(path: str) -> dict[str, Any]:
