@@ -249,6 +249,8 @@ class Clock:
         if self.rows < 2:
             return "one time"
         step = self.step or (self.last - self.first) / (self.rows - 1)
+        if self.gaps:
+            step = self.usual_step
         if step <= 0.0:
             return "no span of time"
         about = "" if self.step else "about "
@@ -258,6 +260,7 @@ class Clock:
 
 def hertz(rate: float) -> str:
     """Return a rate with its unit: ``2 kHz``."""
+    rate = float(f"{rate:.5g}")  # 999.9999999 Hz is 1 kHz
     for size, unit in ((1e6, "MHz"), (1e3, "kHz")):
         if rate >= size:
             return f"{rate / size:.5g} {unit}"

@@ -15,7 +15,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.table import Column, Table
-from dbo_cli.units import DRIVING_KINDS, MOVED_KINDS, kind_of
+from dbo_cli.units import DRIVING_KINDS, MOVED_KINDS, kind_of, time_unit
 
 _LISTED = 20  # names of columns that a message holds at most
 _BESIDE = (
@@ -371,6 +371,16 @@ def _typed(column: Column, columns: Sequence[Column]) -> str:
         is_name = any(twin.name == number != column.name for twin in columns)
         return f"number={number}" if is_name else number
     return shlex.quote(column.name)
+
+
+def fitting(columns: Sequence[Column], role: str) -> list[Column]:
+    """Return the columns that may have a role and are no time."""
+    free = []
+    for column in columns:
+        is_time = words(column.quantity) & TIME_NAMES or time_unit(column.unit)
+        if not is_time:
+            free.append(column)
+    return _candidates(free, role_of(role, None))
 
 
 def _candidates(columns: Sequence[Column], role: Role) -> list[Column]:

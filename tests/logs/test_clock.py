@@ -48,6 +48,13 @@ def test_uneven_time_gives_each_step(tmp_path: Path) -> None:
     assert "2 gaps" in texts[1] and "row 3" in texts[1] and "0.016 s" in texts[1]
 
 
+def test_a_gap_does_not_change_the_rate_that_is_told(tmp_path: Path) -> None:
+    times = [f"{0.001 * n:.3f}" for n in range(600) if not 300 <= n < 340]
+    with pytest.warns(DboWarning, match="1 gap in time"):
+        _, log = read(write(tmp_path, times))
+    assert "560 rows, 0.6 s at about 1 kHz" in log.line()
+
+
 @pytest.mark.parametrize(
     ("header", "factor"),
     [("t_ms", 1e-3), ("Time (us)", 1e-6), ("time [min]", 60.0), ("Zeit/Sekunden", 1.0), ("millis", 1e-3)],

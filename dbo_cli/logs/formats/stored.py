@@ -153,7 +153,7 @@ class StoredTable(Table):
         lengths = [self._lengths[column.number - 1] for column in columns]
         if len(set(lengths)) > 1:
             pairs = zip(columns, lengths, strict=True)
-            text = ", ".join(f"{column.label} {rows:,}" for column, rows in pairs)
+            text = ", ".join(f"{column.label} {rows:,} rows" for column, rows in pairs)
             raise InputError(f"{self.name}: the columns are of unequal length: {text}")
         for start in range(0, lengths[0], self.block_rows):
             stop = min(lengths[0], start + self.block_rows)
