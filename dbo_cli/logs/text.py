@@ -2,7 +2,7 @@
 
 Most files have known names in the first line and numbers below: ``plain_layout`` takes
 them. How others are written is found by ``dialect.py``. polars reads a block at once
-(``fast_text.py``); a block that is not regular is open_text line by line, and so is a small
+(``fast_text.py``); a block that is not regular is read line by line, and so is a small
 file, which does without polars.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.cells import NUMBER, Layout, Marks, split_cells, to_number
+from dbo_cli.logs.cells import Layout, Marks, split_cells, to_number
 from dbo_cli.logs.columns import KNOWN_NAMES, words
 from dbo_cli.logs.dialect import find_layout, is_no_row
 from dbo_cli.logs.names import begins_run, describe_columns
@@ -27,8 +27,9 @@ from dbo_cli.logs.table import LONGEST_CELL, Column, Reading, Table
 from dbo_cli.units import parse_unit, split_header, time_unit
 
 _LONGEST_LINE = 1 << 24  # bytes; what is longer has no line ends
-_SMALL = 1 << 18  # bytes that are open_text faster in Python than polars is imported
-_TINY = 1 << 12  # bytes that are open_text faster in Python than by polars
+_SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
+_TINY = 1 << 12  # bytes that are read faster in Python than by polars
+_FIGURES = re.compile(r"[-+.,;\t 0-9eE\r]*", re.ASCII)
 _COMMENT = re.compile(rb"(?m)^[ \t]*[#%].*\n?")
 
 
@@ -38,7 +39,7 @@ def open_text(path: str, inner: str, reading: Reading) -> Table:
     Raises
     ------
     InputError
-        It cannot be open_text, or it is not clear how it is written.
+        It cannot be read, or it is not clear how it is written.
     """
     if inner:
         raise UsageError(
@@ -72,22 +73,30 @@ def plain_layout(lines: Sequence[str], reading: Reading) -> Layout | None:
         return None
     if not all(map(_is_known_name, names)):
         return None
-    cell = rf" *{NUMBER} *"
-    row = re.compile(
-        rf"{cell}(?:{delimiters[0]}{cell}){{{len(names) - 1}}}\r?", re.ASCII
-    )
     rows = list(lines[1:])
     while rows and not rows[-1]:
         rows.pop()
-    for line in rows:
-        if len(line) > LONGEST_CELL or not row.fullmatch(line):
-            return None
-    if not rows:
+    if not rows or not _are_numbers(rows, delimiters[0], len(names)):
         return None
     width = len(names)
     layout = Layout(delimiters[0], ".", width, frozenset(range(width)))
     layout.first, layout.names, layout.units = 1, names, [""] * width
     return layout
+
+
+def _are_numbers(rows: Sequence[str], delimiter: str, width: int) -> bool:
+    """Return whether every row has so many plain numbers."""
+    if not _FIGURES.fullmatch("".join(rows)):
+        return False  # float() takes 1_0 and nan, too
+    for row in rows:
+        cells = row.split(delimiter)
+        if len(cells) != width or len(row) > LONGEST_CELL:
+            return False
+        try:
+            list(map(float, cells))
+        except ValueError:
+            return False
+    return True
 
 
 def _is_known_name(name: str) -> bool:

@@ -309,7 +309,7 @@ def test_no_other_file_is_read(
 
     path = made(tmp_path / "run.h5", both)
     os.truncate(other, 0)  # whoever opens it fails otherwise than by a refusal
-    with pytest.raises(InputError, match="other file|is a link"):
+    with pytest.raises(InputError, match=r"other file|is a link"):
         source = open_hdf5(str(path), "", Reading())
         assert len(names(source)) <= 3
         for name in ("voltage", "run/voltage"):

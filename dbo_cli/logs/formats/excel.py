@@ -1,4 +1,4 @@
-"""Workbooks: a sheet becomes text with tabs, which is open_workbook as any text."""
+"""Workbooks: a sheet becomes text with tabs, which is read as any text."""
 
 from __future__ import annotations
 
