@@ -354,8 +354,8 @@ def signal_of(
     values = in_unit(data, roles[0], quantity.unit, unit)
     clock = clock_of(data, time, sample_rate, len(values))
     if isinstance(clock, np.ndarray):
-        return Block(clock, {roles[1]: values}, dt=steps_of(clock))
-    return Block(None, {roles[1]: values}, dt=clock)
+        return Block(clock, {roles[1]: values}, steps_of(clock))
+    return Block(None, {roles[1]: values}, clock)
 
 
 def in_unit(

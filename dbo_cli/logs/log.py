@@ -180,7 +180,7 @@ class Log:
                 values = {}
                 for role, array in zip(self._scales, arrays, strict=False):
                     values[role] = multiplied(array, self._scales[role][0])
-                yield Block(time, values, int(numbers[0]), dt)
+                yield Block(time, values, dt)
             if self._last is not None and row > self._last:
                 break
         self.doubtful += self.remarks[noted:]
@@ -386,16 +386,12 @@ def open_table(name: str, reading: Reading) -> Table:
     """Open a file with the reader that its first bytes ask for (InputError)."""
     path, _, inner = name.partition("::")
     note_input(path, "log")
-    if os.path.isfile(path):
-        try:
-            with open(path, "rb") as file:
-                start = file.read(_FIRST_BYTES)
-        except OSError as problem:
-            reason = problem.strerror
-            raise InputError(f"{path}: cannot be read: {reason}") from None
-        reader = reader_of(path, start)
-        if reader is not None:
-            return reader(path, inner, reading)
+    reader = None
+    if os.path.isfile(path) and os.access(path, os.R_OK):
+        with open(path, "rb") as file:
+            reader = reader_of(path, file.read(_FIRST_BYTES))
+    if reader is not None:
+        return reader(path, inner, reading)
     return open_text(path, inner, reading)
 
 

@@ -154,9 +154,7 @@ def _ways_to_split(
 
 
 def _is_name(word: str) -> bool:
-    """Return whether a word names a column: a known one, a letter, or with a unit, a digit or ``_``."""
-    if len(word) == 1 or re.search(r"[\d_]", word) or split_header(word)[1]:
-        return True
+    """Return whether a word names a column: a known one, or a unit."""
     is_unit = parse_unit(word) is not None or time_unit(word) is not None
     return is_unit or bool(words(word) & KNOWN_NAMES)
 
@@ -295,9 +293,7 @@ def _stated_by_channel(
 
 def _give(cells: list[str], statements: Sequence[str], places: Sequence[int]) -> None:
     """Give what is stated by channel to the columns of numbers; the first may be the time."""
-    if len(statements) == len(cells):
-        cells[:] = statements
-    elif statements and len(statements) in (len(places), len(places) - 1):
+    if statements and len(statements) in (len(places), len(places) - 1):
         for index, text in zip(places[-len(statements) :], statements, strict=True):
             cells[index] = text
 

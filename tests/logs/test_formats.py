@@ -165,15 +165,6 @@ def test_long_tables_come_in_blocks(
         np.testing.assert_array_equal(found["n"], np.arange(330_000.0))
 
 
-def test_missing_values_are_nan(tmp_path: Path) -> None:
-    frame = pl.DataFrame({"x": [1.0, None, 3.0], "n": [1, None, 3]})
-    frame.write_parquet(tmp_path / "a.parquet")
-    found = read(opened(tmp_path / "a.parquet"))
-    assert list(found) == ["x", "n"]
-    for values in found.values():
-        np.testing.assert_array_equal(values, [1.0, np.nan, 3.0])
-
-
 def stamped_parquet(path: Path) -> None:
     pd.DataFrame({"voltage_V": V}, index=pd.DatetimeIndex(STAMPS)).to_parquet(path)
 
@@ -240,27 +231,6 @@ def test_rates_that_files_state(tmp_path: Path) -> None:
         assert source.stated.start == start
         assert len(source.columns) == 1
         source.close()
-
-
-def test_rates_that_disagree_are_no_rate(tmp_path: Path) -> None:
-    import nptdms
-
-    groups = []
-    for group, step in (("Drive", 0.002), ("Sensor", 0.001)):
-        groups.append(
-            nptdms.ChannelObject(group, "x", np.array(V), {"wf_increment": step})
-        )
-    with nptdms.TdmsWriter(tmp_path / "a.tdms") as file:
-        file.write_segment(groups)
-    source = opened(tmp_path / "a.tdms")
-    assert source.stated.rate is None
-    assert "two sample rates" in source.stated.problem
-    assert [column.name for column in source.columns] == ["Drive/x", "Sensor/x"]
-    source.close()
-    source = opened(tmp_path / "a.tdms", "Sensor")
-    assert source.stated.rate == 1000.0
-    assert [column.name for column in source.columns] == ["x"]
-    source.close()
 
 
 def test_parts_are_chosen_or_asked_for(tmp_path: Path) -> None:

@@ -110,25 +110,6 @@ def test_no_row_that_is_no_number_is_written(tmp_path: Path) -> None:
     assert only(tmp_path) == []
 
 
-@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.h5"])
-@pytest.mark.parametrize("old", [None, b"what stood there"])
-@pytest.mark.parametrize("problem", [KeyboardInterrupt])
-def test_a_failure_leaves_everything_as_it_was(
-    tmp_path: Path, name: str, old: bytes | None, problem: type[BaseException]
-) -> None:
-    path = tmp_path / name
-    if old is not None:
-        path.write_bytes(old)
-    with pytest.raises(problem), create(path, COLUMNS) as out:
-        out.write(*rows())
-        raise problem
-    if old is None:
-        assert only(tmp_path) == []
-    else:
-        assert only(tmp_path) == [name]
-        assert path.read_bytes() == old
-
-
 def test_permissions_links_and_inputs(tmp_path: Path) -> None:
     target = tmp_path / "real.csv"
     target.write_text("x\n1\n")
