@@ -39,28 +39,24 @@ def names(source: Table) -> list[str]:
     return [column.name for column in source.columns]
 
 
-def plain(group: Any) -> None:
-    for name, array, unit in (
-        ("time", T, "s"),
-        ("voltage", V, "V"),
-        ("displacement", D, "µm"),
-    ):
-        group[name] = array
+COLUMNS = (("time", T, "s"), ("voltage", V, "V"), ("displacement", D, "µm"))
+NAMES, UNITS = "time,voltage,displacement", ["s", "V", "um"]
+
+
+def plain(group: Any, **options: Any) -> None:
+    for name, array, unit in COLUMNS:
+        group.create_dataset(name, data=array, **options)
         group[name].attrs["units"] = unit
 
 
 def matrix(file: Any) -> None:
     file["data"] = np.column_stack([T, V, D])
-    file["data"].attrs["columns"] = "time,voltage,displacement"
-    file["data"].attrs["units"] = ["s", "V", "um"]
+    file["data"].attrs.update({"columns": NAMES, "units": UNITS})
 
 
 def wide(file: Any) -> None:
-    matrix(file)
-    attributes = dict(file["data"].attrs)
-    del file["data"]
     file["data"] = np.vstack([T, V, D])
-    file["data"].attrs.update(attributes)
+    file["data"].attrs.update({"columns": NAMES, "units": UNITS})
 
 
 def compound(file: Any) -> None:
@@ -68,27 +64,17 @@ def compound(file: Any) -> None:
     rows = np.zeros(T.size, dtype=kind)
     rows["time"], rows["voltage"], rows["displacement"] = T, V.astype("f4"), D
     file["data"] = rows
-    file["data"].attrs["units"] = ["s", "V", "um", ""]
+    file["data"].attrs["units"] = [*UNITS, ""]
 
 
 def column_vectors(file: Any) -> None:
-    for name, array in (("time", T), ("voltage", V), ("displacement", D)):
+    for name, array, unit in COLUMNS:
         file[name] = array[:, None]
-    file["voltage"].attrs["unit"] = "V"
-    file["displacement"].attrs["unit"] = "um"
-    file["time"].attrs["unit"] = "s"
+        file[name].attrs["unit"] = unit
 
 
 def compressed(file: Any) -> None:
-    for name, array, unit in (
-        ("time", T, "s"),
-        ("voltage", V, "V"),
-        ("displacement", D, "um"),
-    ):
-        file.create_dataset(
-            name, data=array, chunks=(7,), compression="gzip", shuffle=True
-        )
-        file[name].attrs["units"] = unit
+    plain(file, chunks=(7,), compression="gzip", shuffle=True)
 
 
 def deeper(file: Any) -> None:
@@ -153,18 +139,6 @@ def test_parts_and_paths(tmp_path: Path) -> None:
         open_hdf5(str(tmp_path / "run.h5"), "x", Reading())
 
 
-def test_several_groups_are_told_apart_by_their_paths(tmp_path: Path) -> None:
-    def fill(file: Any) -> None:
-        plain(file.create_group("run1"))
-        plain(file.create_group("run2"))
-
-    source = opened(tmp_path, fill)
-    assert "run1/voltage" in names(source)
-    assert "run2/voltage" in names(source)
-    assert "run.h5::run1" in source.hint
-    source.close()
-
-
 @pytest.mark.parametrize(
     ("attributes", "rate", "problem"),
     [
@@ -190,14 +164,21 @@ def test_a_rate_that_is_stated(
     source.close()
 
 
-def test_a_single_value_is_a_statement_and_no_column(tmp_path: Path) -> None:
+def test_groups_side_by_side(tmp_path: Path) -> None:
+    """A single value is a statement and no column; unlike lengths are refused."""
+
     def fill(file: Any) -> None:
-        file["voltage"], file["displacement"] = V, D
-        file["fs"], file["count"] = 4000.0, 3
+        plain(file.create_group("run1"))
+        plain(file.create_group("run2"))
+        file["run1/short"], file["run1/fs"], file["run1/count"] = V[:-1], 4000.0, 3
 
     source = opened(tmp_path, fill)
+    assert {"run1/voltage", "run2/voltage", "short"} < set(names(source))
+    assert not {"fs", "count"} & set(names(source))
     assert source.stated.rate == 4000.0
-    assert names(source) == ["displacement", "voltage"]
+    assert "run.h5::run1" in source.hint
+    with pytest.raises(InputError, match=r"unequal length.*199|unequal length"):
+        list(source.blocks(source.columns))
     source.close()
 
 
@@ -249,16 +230,6 @@ def test_clocks_that_differ_by_column_are_no_clock(
 
     source = opened(tmp_path, fill)
     assert key in source.stated.problem
-    source.close()
-
-
-def test_columns_of_unequal_length_are_refused(tmp_path: Path) -> None:
-    def fill(file: Any) -> None:
-        file["voltage"], file["displacement"] = V, D[:-1]
-
-    source = opened(tmp_path, fill)
-    with pytest.raises(InputError, match=r"unequal length.*199.*200|unequal length"):
-        list(source.blocks(source.columns))
     source.close()
 
 
