@@ -29,20 +29,12 @@ _CLOCK = r"\d\d?:\d\d:\d\d(?:[.,]\d{1,9})?"
 _ZONE = r"(?:Z|[+-]\d\d:?\d\d)"
 
 
-def _stamp_patterns() -> dict[str, re.Pattern[str]]:
-    patterns = {}
-    for form, pattern in _DATES.items():
-        for between in "T ":
-            stamp = pattern + between + _CLOCK
-            patterns[f"{form}{between}%H:%M:%S%.f"] = re.compile(stamp, re.ASCII)
-            zoned = stamp + _ZONE
-            patterns[f"{form}{between}%H:%M:%S%.f%z"] = re.compile(zoned, re.ASCII)
-    patterns["%H:%M:%S%.f"] = re.compile(_CLOCK, re.ASCII)
-    return patterns
-
-
-STAMPS = _stamp_patterns()
+STAMPS = {"%H:%M:%S%.f": _CLOCK}
 """The formats of time stamps that are read, as polars writes them, and how their cells look."""
+for _form, _pattern in _DATES.items():
+    for _between in "T ":
+        STAMPS[f"{_form}{_between}%H:%M:%S%.f"] = _pattern + _between + _CLOCK
+        STAMPS[f"{_form}{_between}%H:%M:%S%.f%z"] = _pattern + _between + _CLOCK + _ZONE
 
 
 def split_cells(line: str, delimiter: str) -> list[str]:
@@ -90,11 +82,16 @@ def to_number(cell: str, decimal: str) -> float:
         return float(cell.replace("D", "e").replace("d", "e"))
 
 
+def is_stamp(cell: str, form: str) -> bool:
+    """Return whether a cell is a time stamp of a format."""
+    return re.fullmatch(STAMPS[form], cell, re.ASCII) is not None
+
+
 def stamp_format(cells: Sequence[tuple[str, float]]) -> str | None:
     """Return the format in which most cells, each with its weight, are time stamps; else None."""
     total = sum(weight for cell, weight in cells if cell)
-    for form, pattern in STAMPS.items():
-        fitting = sum(weight for cell, weight in cells if pattern.fullmatch(cell))
+    for form in STAMPS:
+        fitting = sum(weight for cell, weight in cells if is_stamp(cell, form))
         if 2.0 * fitting > total:
             return form
     return None

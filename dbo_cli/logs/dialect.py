@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import (
     MISSING,
-    STAMPS,
     Layout,
     is_number,
+    is_stamp,
     split_cells,
     stamp_format,
 )
@@ -267,7 +267,7 @@ def _is_row(line: str, layout: Layout) -> bool:
         return False
     if not all(is_number(cells[n], layout.decimal) for n in layout.numeric):
         return False
-    return all(STAMPS[form].fullmatch(cells[n]) for n, form in layout.stamps.items())
+    return all(is_stamp(cells[n], form) for n, form in layout.stamps.items())
 
 
 def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int:

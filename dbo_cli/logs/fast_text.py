@@ -164,7 +164,7 @@ def _is_regular(text: bytes, layout: Layout, frame: pl.DataFrame) -> bool:
 
 def read_stamps(cells: pl.Series, form: str) -> NDArray[np.int64]:
     """Read time stamps as nanoseconds since 1970, or since midnight; ``NOT_A_TIME`` for other cells."""
-    is_stamp = cells.str.contains(f"^(?:{STAMPS[form].pattern})$")
+    is_stamp = cells.str.contains(f"^(?:{STAMPS[form]})$")
     text = cells.str.replace(",", ".", literal=True)
     if form == "%H:%M:%S%.f":
         text, form = "1970-01-01 " + text, f"%Y-%m-%d {form}"
