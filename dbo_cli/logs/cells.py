@@ -108,16 +108,8 @@ class Layout:
     ----------
     delimiter, decimal
         The signs.
-    width
-        The number of columns.
-    numeric
-        The columns of numbers (from 0).
-    empty
-        The columns in which hardly a cell is filled.
-    stamps
-        The format of the columns of time stamps.
-    texts
-        A cell of each column that holds neither numbers nor nothing.
+    kinds
+        What each column holds, as ``Column.kind`` and ``Column.sample`` say it.
     first
         The index of the line of the first row.
     first_row, counts
@@ -128,11 +120,7 @@ class Layout:
 
     delimiter: str
     decimal: str
-    width: int = 0
-    numeric: frozenset[int] = frozenset()
-    empty: frozenset[int] = frozenset()
-    stamps: dict[int, str] = field(default_factory=dict)
-    texts: dict[int, str] = field(default_factory=dict)
+    kinds: list[tuple[str, str]] = field(default_factory=list)
     first: int = 0
     first_row: list[str] = field(default_factory=list)
     counts: bool = False
@@ -140,12 +128,23 @@ class Layout:
     units: list[str] = field(default_factory=list)
     clock: StatedClock = field(default_factory=StatedClock)
 
+    @property
+    def width(self) -> int:
+        """The number of columns."""
+        return len(self.kinds)
+
+    @property
+    def numeric(self) -> list[int]:
+        """The columns of numbers (from 0)."""
+        return [n for n, (kind, _) in enumerate(self.kinds) if kind == "number"]
+
     def partly_fits(self, line: str) -> bool:
         """Return whether half of the numbers stand where the rows have theirs."""
         cells = split_cells(line, self.delimiter)
-        places = [n for n in self.numeric if n < len(cells)]
+        numeric = self.numeric
+        places = [n for n in numeric if n < len(cells)]
         numbers = [n for n in places if is_number(cells[n], self.decimal)]
-        return bool(numbers) and 2 * len(numbers) >= len(self.numeric)
+        return bool(numbers) and 2 * len(numbers) >= len(numeric)
 
 
 # --- thousands or decimals ---

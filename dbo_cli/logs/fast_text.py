@@ -128,7 +128,7 @@ def _arrays(
         if series.null_count():
             return None
         if column.kind == "stamp":
-            arrays.append(read_stamps(series, layout.stamps[column.number - 1]))
+            arrays.append(read_stamps(series, column.sample))
         else:
             arrays.append(series.to_numpy())
     return arrays

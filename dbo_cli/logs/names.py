@@ -306,14 +306,7 @@ def describe_columns(table: Table, layout: Layout) -> None:
     InputError
         A column's name and its units line state different units.
     """
-    for n in range(layout.width):
-        kind = "text"
-        if n in layout.numeric:
-            kind = "number"
-        elif n in layout.stamps:
-            kind = "stamp"
-        elif n in layout.empty:
-            kind = "empty"
+    for n, (kind, sample) in enumerate(layout.kinds):
         header, unit = layout.names[n], spell(layout.units[n])
         unit_in_name = split_header(header)[1]
         if (
@@ -326,4 +319,4 @@ def describe_columns(table: Table, layout: Layout) -> None:
                 f"{table.name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
                 f"{layout.first}"
             )
-        table.add_column(header, unit, kind, layout.texts.get(n, ""))
+        table.add_column(header, unit, kind, sample)

@@ -30,7 +30,7 @@ class Column:
     """A column: its number (from 1), and the name and the unit that the file gives it.
 
     ``kind`` is ``number``, ``stamp`` (a date or a clock time), or ``text`` or ``empty``,
-    which cannot be read; ``sample`` is a cell that is no number.
+    which cannot be read; ``sample`` is the format of a text's stamps, or a cell of text.
     """
 
     number: int

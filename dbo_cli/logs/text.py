@@ -79,7 +79,7 @@ def plain_layout(lines: Sequence[str], reading: Reading) -> Layout | None:
     if not rows or not _are_numbers(rows, delimiters[0], len(names)):
         return None
     width = len(names)
-    layout = Layout(delimiters[0], ".", width, frozenset(range(width)))
+    layout = Layout(delimiters[0], ".", width * [("number", "")])
     layout.first, layout.names, layout.units = 1, names, [""] * width
     return layout
 
@@ -251,8 +251,8 @@ class TextTable(Table):
 
                 from dbo_cli.logs.fast_text import read_stamps
 
-                form = self.layout.stamps[column.number - 1]
-                arrays.append(read_stamps(pl.Series(cells, dtype=pl.String), form))
+                stamps = pl.Series(cells, dtype=pl.String)
+                arrays.append(read_stamps(stamps, column.sample))
             else:
                 self._watch(column, cells)
                 sign = self.layout.decimal
