@@ -310,26 +310,3 @@ def test_shapes_that_hold_no_columns(tmp_path: Path) -> None:
 
     with pytest.raises(InputError, match=r"no columns of numbers.*/cube"):
         opened(tmp_path, fill)
-
-
-def test_damaged_files_end_in_one_line(tmp_path: Path) -> None:
-    whole = made(tmp_path / "whole.h5", compressed).read_bytes()
-    rng = np.random.default_rng(5)
-    path = tmp_path / "damaged.h5"
-    refused = 0
-    for number in range(60):
-        data = bytearray(
-            whole[: len(whole) if number % 2 else int(rng.integers(8, len(whole)))]
-        )
-        for place in rng.integers(8, len(data), 8):
-            data[place] = int(rng.integers(256))
-        path.write_bytes(data)
-        try:
-            source = open_hdf5(str(path), "", Reading())
-            for column in source.columns:
-                list(source.blocks([column]))
-            source.close()
-        except InputError as problem:
-            refused += 1
-            assert "\n" not in str(problem)
-    assert refused > 20
