@@ -100,11 +100,10 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
 
 def _refuse_other_delimiter(name: str, layout: Layout) -> None:
     """Refuse a column of texts such as ``500;1`` (InputError)."""
-    texts = [text for kind, text in layout.kinds if kind == "text"]
-    for text in texts:
+    for kind, text in layout.kinds:
         for mark in ("semicolon", "tab", "pipe"):
             sign = re.escape(_DELIMITERS[mark])
-            if re.search(rf"\d{sign}|{sign}\d", text):
+            if kind == "text" and re.search(rf"\d{sign}|{sign}\d", text):
                 raise InputError(
                     f"{name}: {text!r} holds another delimiter: type `delimiter` {mark}"
                 )

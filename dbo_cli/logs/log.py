@@ -188,10 +188,9 @@ class Log:
 
     def _asked(self, numbers: _Numbers, arrays: _Arrays) -> tuple[_Numbers, _Arrays]:
         """Return the rows inside ``rows``."""
-        first, last = int(numbers[0]), int(numbers[-1])
-        if self._first <= first and (self._last is None or last <= self._last):
-            return numbers, arrays
-        stop = None if self._last is None else max(0, self._last - first + 1)
+        first, stop = int(numbers[0]), len(numbers)
+        if self._last is not None:
+            stop = max(0, self._last - first + 1)
         inside = slice(max(0, self._first - first), stop)
         return numbers[inside], [array[inside] for array in arrays]
 
@@ -207,28 +206,28 @@ class Log:
         """
         if all(map(is_good, arrays)):
             return numbers, arrays
-        bad = [bad_cells(array) for array in arrays]
-        good = ~np.logical_or.reduce(bad)
-        at = int(np.argmin(good))
-        index = [bool(marks[at]) for marks in bad].index(True)
+        bad = np.array([bad_cells(array) for array in arrays])
+        is_bad = bad.any(axis=0)
+        at = int(np.argmax(is_bad))
+        index = int(np.argmax(bad[:, at]))
         row, value = int(numbers[at]), arrays[index][at]
         location = self._source.where(row, columns[index], value)
-        count = int(np.count_nonzero(~good))
+        count = int(is_bad.sum())
         if not self._skip_bad:
             more = f", and {count - 1:,} more such rows near it" if count > 1 else ""
             raise InputError(f"{location}{more} ({self._source.cure})")
         self._first_dropped = self._first_dropped or location
         self._dropped += count
-        all_numbers, numbers = numbers, numbers[good]
+        good = numbers[~is_bad]
         torn = list(self._source.torn)
         is_guarded = len(columns) > len(self._picks) + self.clock.is_read
         if is_guarded and columns[-1].kind == "number":
-            torn += all_numbers[bad[-1]].tolist()  # the first column alone shows them
+            torn += numbers[bad[-1]].tolist()  # the first column alone shows them
         for row in torn:
-            is_first = not self._count and (not len(numbers) or row < numbers[0])
+            is_first = not self._count and (not len(good) or row < good[0])
             if self._torn is None and not is_first:
                 self._torn = row, self._source.where(row, columns[-1], "")
-        return numbers, [array[good] for array in arrays]
+        return good, [array[~is_bad] for array in arrays]
 
     def _refuse_torn(self, numbers: _Numbers) -> None:
         """Refuse rows whose time is counted behind a line that may be no sample (InputError)."""

@@ -174,7 +174,7 @@ class TextTable(Table):
         while not self._stream.ended:
             end = _last_row_end(data, data.rfind(b"\n") + 1)
             if end:
-                yield data[:end] if not tail else tail + data[:end]
+                yield tail + data[:end]
                 tail = b""
             tail += data[end:]
             if len(tail) > _LONGEST_LINE:

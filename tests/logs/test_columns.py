@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs import Reading, open_log
+from dbo_cli.logs import Reading, frame_table, open_log
 from dbo_cli.logs.columns import _candidates, role_of
 from dbo_cli.logs.table import Column
 from dbo_cli.units import split_header
@@ -101,3 +102,8 @@ def test_scales(tmp_path: Path) -> None:
         open_log(path, BOTH, Reading(scale={"voltage": "2um/A"}))
     with pytest.raises(InputError, match="cannot be both"):
         open_log(path, {"voltage": "1", "displacement": "1"})
+
+
+def test_a_frame_without_columns_is_refused() -> None:
+    with pytest.raises(InputError, match="which column is the voltage"):
+        open_log(frame_table(pd.DataFrame()), BOTH)
