@@ -10,6 +10,7 @@ import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from os.path import commonprefix
 
 import numpy as np
 
@@ -348,19 +349,12 @@ def _is_monotone(table: Table, column: Column) -> bool:
 def _pattern(columns: Sequence[Column]) -> tuple[str, tuple[str, ...]]:
     """Return a name with ``{}`` for the channels that columns differ in, and these: ``V{}`` for V1, V2."""
     names = [column.name for column in columns]
-    before = _common_start(names)
-    after = _common_start([name[len(before) :][::-1] for name in names])[::-1]
+    before = commonprefix(names)  # noqa: RUF071 (letters are meant)
+    ends = [name[len(before) :][::-1] for name in names]
+    after = commonprefix(ends)[::-1]  # noqa: RUF071
     stop = -len(after) or None
     channels = tuple(name[len(before) : stop] for name in names)
     return f"{before}{{}}{after}", channels if before or after else ("",)
-
-
-def _common_start(names: Sequence[str]) -> str:
-    """Return the letters with which all names begin."""
-    start = min(names, default="")
-    while not all(name.startswith(start) for name in names):
-        start = start[:-1]
-    return start
 
 
 def _typed(column: Column, columns: Sequence[Column]) -> str:

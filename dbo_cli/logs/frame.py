@@ -8,7 +8,7 @@ a missing row.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -103,10 +103,12 @@ def frame_table(frame: Any, time: Any = None) -> FrameTable:
     """
     attrs = getattr(frame, "attrs", {})
     units = attrs.get("units", {})
-    series = frame.items() if hasattr(frame, "items") else _named(frame.iter_columns())
     entries: list[Entry] = []
-    for title, values in series:
-        entries.append((str(title), values, units.get(title)))
+    if hasattr(frame, "items"):
+        for title, values in frame.items():
+            entries.append((str(title), values, units.get(title)))
+    else:  # polars
+        entries += [(values.name, values, None) for values in frame.iter_columns()]
     has_clock = any(map(_is_clock, entries))
     index = getattr(frame, "index", None)
     if time is not None:
@@ -122,12 +124,6 @@ def frame_table(frame: Any, time: Any = None) -> FrameTable:
         if units and title not in units and split_header(title)[1] is None:
             unstated.append(title)
     return FrameTable(name, entries, attrs.get("columns"), has_found_offset, unstated)
-
-
-def _named(columns: Iterable[Any]) -> Iterator[tuple[str, Any]]:
-    """Yield the Series of a polars frame as pandas does."""
-    for values in columns:
-        yield values.name, values
 
 
 def _is_clock(entry: Entry) -> bool:

@@ -73,10 +73,6 @@ def column_vectors(file: Any) -> None:
         file[name].attrs["unit"] = unit
 
 
-def compressed(file: Any) -> None:
-    plain(file, chunks=(7,), compression="gzip", shuffle=True)
-
-
 def deeper(file: Any) -> None:
     plain(file.create_group("entry/run"))
     file["entry/note"] = "first"
@@ -94,7 +90,7 @@ def soft_links(file: Any) -> None:
 
 @pytest.mark.parametrize(
     "fill",
-    [plain, matrix, wide, compound, column_vectors, compressed, deeper, soft_links],
+    [plain, matrix, wide, compound, column_vectors, deeper, soft_links],
 )
 def test_columns_names_units_and_values(
     tmp_path: Path, fill: Callable[[Any], None]
@@ -117,11 +113,7 @@ def test_parts_and_paths(tmp_path: Path) -> None:
         file["b/camera/voltage"] = V[:50]
 
     source = opened(tmp_path, fill)
-    assert names(source) == [
-        "displacement",
-        "time",
-        "voltage",
-    ]  # the shallowest group's
+    assert names(source) == ["displacement", "time", "voltage"]  # the shallowest's
     column = source.find("b/c/voltage")
     assert column is not None
     np.testing.assert_array_equal(values(source, "b/c/voltage"), 2.0 * V)
@@ -182,38 +174,24 @@ def test_groups_side_by_side(tmp_path: Path) -> None:
     source.close()
 
 
-@pytest.mark.parametrize(
-    "attributes",
-    [{"scale_factor": 0.125}, {"conversion": 0.001}],
-)
-def test_attributes_that_are_not_applied_are_refused(
-    tmp_path: Path, attributes: dict[str, float]
-) -> None:
-    def fill(file: Any) -> None:
-        file["packed"] = np.array([0, 100, -1], dtype="i2")
-        file["packed"].attrs.update({**attributes, "_FillValue": -1})
-
-    source = opened(tmp_path, fill)
-    with pytest.raises(InputError, match=f"{next(iter(attributes))}.*`scale`"):
-        values(source, "packed")
-    source.close()
-    scaled = Reading(scale={"voltage": "0.125"})
-    source = open_hdf5(str(tmp_path / "run.h5"), "", scaled)
-    with pytest.warns(DboWarning, match="`scale`"):
-        np.testing.assert_array_equal(values(source, "packed"), [0.0, 100.0, np.nan])
-    source.close()
-
-
 def test_a_scale_beside_a_dataset_is_not_passed_over(tmp_path: Path) -> None:
     def fill(file: Any) -> None:
         file["x"], file["x_scaling_factor"] = np.arange(3.0), 0.001
         file["y"] = np.array([0, -32768, 2], dtype="i2")
         file["y"].attrs["missing_value"] = np.int16(-32768)
+        file["z"] = np.array([0, 100, -1], dtype="i2")
+        file["z"].attrs.update({"conversion": 0.001, "_FillValue": -1})
 
     source = opened(tmp_path, fill)
-    with pytest.raises(InputError, match=r"x_scaling_factor.*`scale`"):
-        values(source, "x")
+    for name, key in (("x", "x_scaling_factor"), ("z", "conversion")):
+        with pytest.raises(InputError, match=f"{key}.*`scale`"):
+            values(source, name)
     np.testing.assert_array_equal(values(source, "y"), [0.0, np.nan, 2.0])
+    source.close()
+    scaled = Reading(scale={"voltage": "0.125"})
+    source = open_hdf5(str(tmp_path / "run.h5"), "", scaled)
+    with pytest.warns(DboWarning, match="`scale`"):
+        np.testing.assert_array_equal(values(source, "z"), [0.0, 100.0, np.nan])
     source.close()
 
 
@@ -244,15 +222,6 @@ def external_link(file: Any, other: Path) -> None:
     file["voltage"] = h5py.ExternalLink(str(other), "/voltage")
 
 
-def external_group(file: Any, other: Path) -> None:
-    file["run"] = h5py.ExternalLink(str(other), "/")
-
-
-def soft_into_external(file: Any, other: Path) -> None:
-    external_group(file, other)
-    file["voltage"] = h5py.SoftLink("/run/voltage")
-
-
 def virtual(file: Any, other: Path) -> None:
     layout = h5py.VirtualLayout(shape=(T.size,), dtype="f8")
     layout[:] = h5py.VirtualSource(str(other), "voltage", shape=(T.size,))
@@ -267,7 +236,7 @@ def external_storage(file: Any, other: Path) -> None:
 
 @pytest.mark.parametrize(
     "fill",
-    [external_link, external_group, soft_into_external, virtual, external_storage],
+    [external_link, virtual, external_storage],
 )
 def test_no_other_file_is_read(
     tmp_path: Path, fill: Callable[[Any, Path], None], monkeypatch: pytest.MonkeyPatch
@@ -280,7 +249,7 @@ def test_no_other_file_is_read(
 
     path = made(tmp_path / "run.h5", both)
     os.truncate(other, 0)  # whoever opens it fails otherwise than by a refusal
-    with pytest.raises(InputError, match=r"other file|is a link"):
+    with pytest.raises(InputError, match="other file"):
         source = open_hdf5(str(path), "", Reading())
         assert len(names(source)) <= 3
         for name in ("voltage", "run/voltage"):
@@ -290,13 +259,14 @@ def test_no_other_file_is_read(
         raise AssertionError("not refused")
 
 
-@pytest.mark.parametrize("part", ["run", "run/voltage", "/run/voltage"])
-def test_a_part_behind_an_external_link_is_refused(tmp_path: Path, part: str) -> None:
-    path = made(
-        tmp_path / "run.h5", lambda file: external_group(file, secret(tmp_path))
-    )
-    with pytest.raises(InputError, match="another file"):
-        open_hdf5(str(path), part, Reading())
+@pytest.mark.parametrize("part", ["run", "/run/voltage", "soft"])
+def test_a_part_behind_a_link_is_refused(tmp_path: Path, part: str) -> None:
+    def fill(file: Any) -> None:
+        file["run"] = h5py.ExternalLink(str(secret(tmp_path)), "/")
+        file["soft"] = h5py.SoftLink("/run/voltage")
+
+    with pytest.raises(InputError, match=r"another file|is a link"):
+        opened(tmp_path, fill, part)
 
 
 def test_shapes_that_hold_no_columns(tmp_path: Path) -> None:
