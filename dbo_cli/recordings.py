@@ -19,9 +19,9 @@ from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs import (
     FrameTable,
     Reading,
+    as_numbers,
     frame_table,
     is_frame,
-    numbers,
     open_log,
     stated_unit,
 )
@@ -377,7 +377,7 @@ def floats(values: Any, name: str) -> Floats:
         It has another shape, or holds what is no number: masked, missing, an overload.
     """
     try:
-        array = numbers(values)
+        array = as_numbers(values)
     except InputError:
         array = np.empty(0)
     if array.ndim != 1 or array.size == 0:

@@ -266,7 +266,7 @@ def choose(
             picks[role] = matches[0]
         elif role not in optional:
             unclear[role] = matches
-    _refuse_shared(table.name, table.columns, picks)
+    _refuse_shared(table, picks)
     if unclear:
         used = [*clock_columns, *picks.values()]
         free = [c for c in table.columns if c.kind == "number" and c not in used]
@@ -290,16 +290,15 @@ def _rivals(
     return rivals
 
 
-def _refuse_shared(
-    name: str, columns: Sequence[Column], picks: Mapping[str, Column]
-) -> None:
+def _refuse_shared(table: Table, picks: Mapping[str, Column]) -> None:
+    """Refuse one column for two roles (InputError)."""
     roles: dict[int, str] = {}
     for role, column in picks.items():
         first = roles.setdefault(column.number, role)
         if first != role:
             raise InputError(
-                f"{name}: {column.label} cannot be both {first} and {role}: {listing_of(columns)} "
-                f"(`{first}` and `{role}` NAME or NUMBER)"
+                f"{table.name}: {column.label} cannot be both {first} and {role}: "
+                f"{listing_of(table.columns)} (`{first}` and `{role}` NAME or NUMBER)"
             )
 
 

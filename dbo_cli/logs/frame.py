@@ -142,7 +142,7 @@ def dtype_kind(values: Any) -> str:
     return str(kind or np.asarray(values).dtype.kind)
 
 
-def numbers(values: Any) -> Floats:
+def as_numbers(values: Any) -> Floats:
     """Return values as numbers, NaN where one is missing or masked.
 
     Raises
@@ -173,7 +173,7 @@ def _cells(values: Any) -> NDArray[Any]:
     if kind == "m":
         return np.asarray(values) / np.timedelta64(1, "s")
     try:
-        return numbers(values)
+        return as_numbers(values)
     except InputError:
         return np.asarray(values, dtype=object)
 

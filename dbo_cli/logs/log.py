@@ -22,7 +22,7 @@ from dbo_cli.logs.formats import reader_of
 from dbo_cli.logs.join import SENSORS, ClockOffset, joined, resampled
 from dbo_cli.logs.scale import ColumnScale, scales_of
 from dbo_cli.logs.table import (
-    BLOCK_ROWS,
+    ROWS_A_BLOCK,
     Block,
     Column,
     Reading,
@@ -133,7 +133,7 @@ class Log:
         holds_delay = offset is not None and offset.holds_delay
         return holds_delay or self._source.has_found_offset
 
-    def blocks(self, rows: int = BLOCK_ROWS) -> Iterator[Block]:
+    def blocks(self, rows: int = ROWS_A_BLOCK) -> Iterator[Block]:
         """Return the log once, in blocks of at most so many rows.
 
         Raises
@@ -373,7 +373,11 @@ def _open_file(
     factors = {role: text for role, text in reading.scale.items() if role in roles}
     source = name if isinstance(name, Table) else open_table(name, reading)
     try:
-        clock, picks = _chosen(source, roles, reading, units, optional)
+        selectors = {role: text for role, text in roles.items() if role != "time"}
+        used = [named(source, text, role) for role, text in selectors.items() if text]
+        clock = find_clock(source, reading, roles.get("time"), used)
+        clock_columns = [] if clock.column is None else [clock.column]
+        picks = choose(source, selectors, clock_columns, units, optional)
         scales = scales_of(source.name, picks, factors, units, source.remarks)
         return Log(source, clock, picks, scales, reading)
     except BaseException:
@@ -392,21 +396,6 @@ def open_table(name: str, reading: Reading) -> Table:
     if reader is not None:
         return reader(path, inner, reading)
     return open_text(path, inner, reading)
-
-
-def _chosen(
-    source: Table,
-    roles: Mapping[str, str | None],
-    reading: Reading,
-    units: Mapping[str, str | None],
-    optional: Sequence[str],
-) -> tuple[Clock, dict[str, Column]]:
-    """Choose the clock and the columns of the roles."""
-    selectors = {role: text for role, text in roles.items() if role != "time"}
-    used = [named(source, text, role) for role, text in selectors.items() if text]
-    clock = find_clock(source, reading, roles.get("time"), used)
-    clock_columns = [] if clock.column is None else [clock.column]
-    return clock, choose(source, selectors, clock_columns, units, optional)
 
 
 def columns_of(

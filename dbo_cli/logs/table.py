@@ -14,7 +14,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import UsageError
 from dbo_cli.units import spell, split_header
 
-BLOCK_ROWS = 65536
+ROWS_A_BLOCK = 65536
 OVERLOAD = 9.9e30
 """Instruments write 9.9E37 and 1E+31, masks 1E+36, for what was not measured."""
 NOT_A_TIME = int(np.iinfo(np.int64).min)

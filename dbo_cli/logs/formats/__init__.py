@@ -27,7 +27,7 @@ def _read_hdf5(path: str, inner: str, reading: Reading) -> Table:
     return open_hdf5(path, inner, reading)
 
 
-_HDF5 = FileFormat("HDF5", (b"\x89HDF\r\n\x1a\n",), (), _read_hdf5, offsets=(0, 512))
+_HDF5 = FileFormat((b"\x89HDF\r\n\x1a\n",), _read_hdf5, offsets=(0, 512))
 _FORMATS = (_HDF5, NUMPY, ZIP, MATLAB, ARROW, EXCEL, TDMS)
 """In the order in which they are asked."""
 

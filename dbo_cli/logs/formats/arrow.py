@@ -60,4 +60,4 @@ def _fetch_of(scan: Any, name: str) -> Fetch:
     return fetch
 
 
-ARROW = FileFormat(_KIND, (b"PAR1", b"ARROW1"), (), _read)
+ARROW = FileFormat((b"PAR1", b"ARROW1"), _read)

@@ -47,4 +47,4 @@ def _sheet_as_text(book: Any, name: str) -> bytes:
     return written.encode()
 
 
-EXCEL = FileFormat("Excel before 2007", (b"\xd0\xcf\x11\xe0",), (), open_workbook)
+EXCEL = FileFormat((b"\xd0\xcf\x11\xe0",), open_workbook)  # before 2007

@@ -80,7 +80,8 @@ class Elements:
     def next(self) -> tuple[int, bytes]:
         """Return the type and the bytes of the next element."""
         start = self.position
-        kind, size = self.integers(start, 2)
+        tag = np.frombuffer(self.data, self.order + "u4", 2, start)
+        kind, size = map(int, tag)
         begin = start + 8
         self.position = begin + size
         if kind >> 16:  # four bytes at most stand in the tag
@@ -91,13 +92,6 @@ class Elements:
         if begin + size > len(self.data) or (begin == start + 4 and size > 4):
             raise ValueError("it ends early")
         return kind, self.data[begin : begin + size]
-
-    def integers(self, start: int, count: int) -> list[int]:
-        """Return unsigned integers of four bytes from a place on."""
-        if start + 4 * count > len(self.data):
-            raise ValueError("it ends early")
-        values = np.frombuffer(self.data, self.order + "u4", count, start)
-        return [int(value) for value in values]
 
     def numbers(self) -> NDArray[Any]:
         """Return the numbers of the next element."""
@@ -138,7 +132,7 @@ def _variable_of(elements: Elements) -> Variable:
         kind = _CLASSES.get(number, "complex")
         return Variable(name, kind, shape, _fields_of(elements, kind))
     values = elements.numbers()
-    if min(shape, default=0) < 0 or np.prod(shape, dtype=object) != len(values):
+    if np.prod(shape, dtype=object) != len(values):
         raise ValueError(f"{name} has another size than its values")
     return Variable(name, "double", shape, (), values.reshape(shape, order="F"))
 
@@ -186,4 +180,4 @@ def _version_4(path: str) -> dict[str, Any]:
     return {name: array for name, array in contents.items() if name[:2] != "__"}
 
 
-MATLAB = FileFormat("MATLAB", (b"MATLAB",), (".mat",), _read)
+MATLAB = FileFormat((b"MATLAB",), _read, (".mat",))

@@ -37,5 +37,5 @@ def _read_archive(path: str, inner: str, reading: Reading) -> Table:
         return table.require_numbers(names)
 
 
-NUMPY = FileFormat("NumPy", (b"\x93NUMPY",), (), _read_array)
-ZIP = FileFormat("zip", (b"PK\x03\x04",), (), _read_archive)
+NUMPY = FileFormat((b"\x93NUMPY",), _read_array)
+ZIP = FileFormat((b"PK\x03\x04",), _read_archive)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, InputError
 from dbo_cli.logs.settings import Statement, is_clock_setting, stated_clock
-from dbo_cli.logs.table import BLOCK_ROWS, Column, Reading, Table
+from dbo_cli.logs.table import ROWS_A_BLOCK, Column, Reading, Table
 
 TableReader = Callable[[str, str, Reading], Table]
 """Takes a path, the part behind ``::`` and how to read."""
@@ -28,7 +28,7 @@ _KINDS = defaultdict(
 
 @dataclass(frozen=True)
 class FileFormat:
-    """A format: its name, how its files are known, and what reads them.
+    """A format: how its files are known, and what reads them.
 
     Attributes
     ----------
@@ -38,10 +38,9 @@ class FileFormat:
         What is enough where the first bytes say nothing.
     """
 
-    name: str
     magics: tuple[bytes, ...]
-    suffixes: tuple[str, ...]
     read: TableReader
+    suffixes: tuple[str, ...] = ()
     offsets: tuple[int, ...] = (0,)
 
     def has_magic(self, start: bytes) -> bool:
@@ -96,7 +95,7 @@ class StoredTable(Table):
     """
 
     has_paths = True
-    block_rows = BLOCK_ROWS
+    block_rows = ROWS_A_BLOCK
     doubt = ""
 
     def __init__(self, path: str, close: Callable[[], object] = lambda: None) -> None:

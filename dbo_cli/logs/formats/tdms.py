@@ -89,4 +89,4 @@ def _statements(properties: Any) -> list[Statement]:
     return statements
 
 
-TDMS = FileFormat("TDMS", (b"TDSm",), (), _read)
+TDMS = FileFormat((b"TDSm",), _read)
