@@ -14,18 +14,6 @@ from dbo_cli.logs.table import Block, Column, Reading, parse_rows
 from dbo_cli.logs.write import add_table, create
 
 __all__ = [
-    "Block",
-    "Column",
-    "FrameTable",
-    "Log",
-    "Reading",
-    "add_table",
-    "as_numbers",
-    "columns_of",
-    "create",
-    "frame_table",
-    "is_frame",
-    "open_log",
-    "parse_rows",
-    "stated_unit",
+    "Block", "Column", "FrameTable", "Log", "Reading", "add_table", "as_numbers", "columns_of",
+    "create", "frame_table", "is_frame", "open_log", "parse_rows", "stated_unit",
 ]  # fmt: skip
