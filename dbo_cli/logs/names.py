@@ -154,7 +154,9 @@ def _ways_to_split(
 
 
 def _is_name(word: str) -> bool:
-    """Return whether a word names a column: a known one, or a unit."""
+    """Return whether a word names a column: a known one, a letter, or with a unit, a digit or ``_``."""
+    if len(word) == 1 or re.search(r"[\d_]", word) or split_header(word)[1]:
+        return True
     is_unit = parse_unit(word) is not None or time_unit(word) is not None
     return is_unit or bool(words(word) & KNOWN_NAMES)
 
