@@ -7,7 +7,7 @@ are HDF5, too.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,15 +91,23 @@ class Hdf5Table(StoredTable):
             self.add(name, column.length, column.fetch, column.unit, column.kind)
         self.require_numbers([_listed(file)])
         groups = list(dict.fromkeys(column.group for column in stored))
+        statements = self._statements(groups, datasets)
+        above = self._statements([""], datasets) or _attributes(file)
+        self.stated = stated_clock(statements or above)
+        if len(groups) > 1:
+            self.hint = f" (or one group alone: {path}::{groups[0]})"
+
+    def _statements(
+        self, groups: Sequence[str], datasets: Mapping[str, Any]
+    ) -> list[Statement]:
+        """Return what groups and the datasets in them state of the sample rate."""
         statements: list[Statement] = []
         for group in groups:
             statements += _attributes(self._node[group] if group else self._node)
         for name, dataset in datasets.items():
             if name.rpartition("/")[0] in groups:
                 statements += _attributes(dataset) + _single_value(dataset, name)
-        self.stated = stated_clock(statements or _attributes(file))
-        if len(groups) > 1:
-            self.hint = f" (or one group alone: {path}::{groups[0]})"
+        return statements
 
     def find(self, name: str) -> Column | None:
         """Return the column that a dataset's path names, from the part that is open or from the top."""
@@ -225,11 +233,13 @@ def _shortest_end(path: str, paths: Sequence[str]) -> str:
 
 
 def _not_applied(dataset: Any) -> str:
-    """Say which factor or offset in a dataset's attributes, or beside it (NeXus), may belong to it."""
+    """Say which factor or offset in or beside a dataset may belong to its values (Keysight, NeXus)."""
     for key in dataset.attrs:
         values, neutral = _attribute(dataset, key), _NOT_APPLIED.get(plain_key(key))
         if neutral is not None and len(values) == 1 and values[0] != neutral:
             return f"has an attribute {key}, {values[0]}, which is not applied: type `scale` ROLE=FACTOR"
+    if _attribute(dataset.parent, "YInc") not in ([], [1.0]):
+        return "has YInc beside it, which is not applied: type `scale` ROLE=FACTOR"
     for sibling in (f"{dataset.name}_scaling_factor", f"{dataset.name}_offset"):
         if sibling in dataset.file:
             return f"has {sibling} beside it, which is not applied: type `scale` ROLE=FACTOR"

@@ -41,6 +41,9 @@ def scales_of(
     UsageError
         A scale is typed for a role that is absent, or it is malformed.
     """
+    for role in factors:
+        if role not in columns:
+            raise UsageError(f"`scale` {role}=...: give one of {', '.join(columns)}")
     scales = {}
     for role, column in columns.items():
         if role in factors:

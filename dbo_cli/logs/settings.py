@@ -87,6 +87,8 @@ def _kind_of(key: str) -> tuple[str, str]:
     """Return ``rate``, ``step`` or nothing for a key, and the unit that it carries."""
     name, unit = split_header(key)
     plain = plain_key(name)
+    if plain.endswith("hz") and plain.removesuffix("hz") in _RATES:
+        return "rate", unit or "Hz"
     if plain in _RATES:
         return "rate", unit or ""
     if plain in _STEPS:

@@ -139,6 +139,7 @@ def test_parts_and_paths(tmp_path: Path) -> None:
         ({"fs": "1 kHz", "dt": "2 ms"}, None, "two sample rates"),
         ({"sample_rate": "10 furlongs"}, None, "unit of a rate"),
         ({}, None, ""),
+        ({"single": 1}, 3000.0, ""),
     ],
 )
 def test_a_rate_that_is_stated(
@@ -147,6 +148,8 @@ def test_a_rate_that_is_stated(
     def fill(file: Any) -> None:
         file.attrs.update(attributes)
         file["run/voltage"], file["run/displacement"] = V, D
+        if "single" in attributes:
+            file["fs"] = 3000.0
 
     source = opened(tmp_path, fill)
     assert source.stated.rate == rate
