@@ -116,8 +116,9 @@ class Hdf5Table(StoredTable):
             if isinstance(dataset, h5py.Dataset):
                 stored = self._columns_of(name, dataset)
                 if len(stored) == 1:
+                    column = stored[0]
                     return self.add(
-                        name, stored[0].length, stored[0].fetch, stored[0].unit
+                        name, column.length, column.fetch, column.unit, column.kind
                     )
         return None
 
@@ -158,24 +159,21 @@ class Hdf5Table(StoredTable):
         columns = []
         parts = list(parts_of(name, dataset))
         for number, (label, length, fetch, kind) in enumerate(parts):
-            above = group
-            if dataset.dtype.names is not None or len(labels) == len(parts) > 1:
-                above = path
-                label = label if dataset.dtype.names is not None else labels[number]
+            name_path = f"{group}/{label}"
+            if dataset.dtype.names is not None:
+                name_path = f"{path}/{label}"
+            elif len(labels) == len(parts) > 1:
+                name_path = f"{path}/{labels[number]}"
             unit = units[0] if len(units) == 1 else "".join(units[number : number + 1])
             fetch = self._checked(dataset, label, fetch)
-            columns.append(
-                _Stored(
-                    f"{above}/{label}".lstrip("/"), group, length, fetch, unit, kind
-                )
-            )
+            name_path = name_path.lstrip("/")
+            columns.append(_Stored(name_path, group, length, fetch, unit, kind))
         return columns
 
     def _checked(self, dataset: Any, label: str, fetch: Fetch) -> Fetch:
         """Make NaN of what stands for a missing number; refuse what may not be what it is taken for."""
-        missing = _attribute(dataset, "_FillValue") + _attribute(
-            dataset, "missing_value"
-        )
+        missing = _attribute(dataset, "_FillValue")
+        missing += _attribute(dataset, "missing_value")
         factor = _not_applied(dataset)
 
         def checked(start: int, stop: int) -> Any:
