@@ -8,7 +8,7 @@ quote. So it reads all columns, and nothing is believed that it does not check.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
 from dbo_cli.logs.cells import STAMPS, Layout
-from dbo_cli.logs.table import LONGEST_CELL, NOT_A_TIME
+from dbo_cli.logs.table import LONGEST_CELL, NOT_A_TIME, Column
 
 _STRETCHES = 1024  # that are looked at at once
 _STRETCH = 96  # bytes; where each stretch holds a line end, no line is longer than LONGEST_CELL
@@ -25,7 +25,7 @@ _COMMENT = re.compile(rb"(?m)^[ \t]*[#%]")
 
 
 def read_frame(
-    text: bytes, layout: Layout, unclear: Collection[int]
+    text: bytes, layout: Layout, columns: Sequence[Column], unclear: Collection[int]
 ) -> pl.DataFrame | None:
     """Read whole lines; None where a line or a cell of them is not regular.
 
@@ -35,6 +35,8 @@ def read_frame(
         The lines.
     layout
         How they are written.
+    columns
+        Those that are wanted.
     unclear
         The numbers of columns whose cells are wanted as texts, as those of stamps are.
 
@@ -62,7 +64,8 @@ def read_frame(
         )
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, ValueError):
         return None
-    return frame if _is_regular(text, layout, frame) else None
+    has_nulls = any(frame[str(column.number)].null_count() for column in columns)
+    return None if has_nulls or not _is_regular(text, layout, frame) else frame
 
 
 def has_long_cell(text: bytes, delimiter: str) -> bool:

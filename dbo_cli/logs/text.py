@@ -123,6 +123,7 @@ class TextTable(Table):
         self._marks: dict[int, Marks] = {}
         self._size = 0  # bytes of rows
         self._first_row = 1  # of the last block
+        self._block_lines = 0  # that it was read from
         try:
             start = stream.head(self._has_layout)
             lines = stream.lines(start)
@@ -165,7 +166,7 @@ class TextTable(Table):
                 self._refuse_doubtful(self._first_row + len(arrays[0]) - 1)
                 yield arrays
             self._first_row += len(arrays[0])
-            self._line += text.count(b"\n")
+            self._line += self._block_lines
         self._refuse_doubtful(self._first_row, limit=0)
 
     def _texts(self) -> Iterator[bytes]:
@@ -212,12 +213,11 @@ class TextTable(Table):
             from dbo_cli.logs.fast_text import read_frame
 
             unclear = [n for n, marks in self._marks.items() if not marks.is_clear]
-            frame = read_frame(text, self.layout, unclear)
-        if frame is not None and not any(
-            frame[str(column.number)].null_count() for column in columns
-        ):
+            frame = read_frame(text, self.layout, columns, unclear)
+        if frame is not None:
+            self._block_lines = len(frame)
             return [self._array_of(c, frame[str(c.number)]) for c in columns]
-        rows = self._rows_of(text)
+        rows, self._block_lines = self._rows_of(text), text.count(b"\n")
         return [self._array_of(c, [row[c.number - 1] for row in rows]) for c in columns]
 
     def _array_of(self, column: Column, cells: Any) -> NDArray[Any]:
