@@ -59,7 +59,7 @@ if TYPE_CHECKING:
 
     from dbo_cli.drive import Drive
     from dbo_cli.drive.compensate import OnLimit
-    from dbo_cli.drive.learning import PassRecord
+    from dbo_cli.drive.drive import PassRecord
     from dbo_cli.drive.live import Controller
     from dbo_cli.reports import Pair, Report
 

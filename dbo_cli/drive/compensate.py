@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.drive import Drive
+from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.judge import Judge
 from dbo_cli.drive.lead import Lead, plan_lead, ramp, standing_at
 from dbo_cli.drive.limits import Gate, Limits
@@ -23,7 +23,8 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import Cascade, State, Steps
 
 if TYPE_CHECKING:
-    from dbo_cli.drive.learning import PassRecord, Tracked
+    from dbo_cli.drive.learning import Tracked
+    from dbo_cli.drive.loops import Loop
 
 OnLimit = Literal["auto", "clip", "error"]
 
@@ -197,12 +198,12 @@ class Driver:
         """
         from dbo_cli.drive import loops
 
-        model, limits, lead = self.model, self.limits, self.lead
+        model, lead = self.model, self.lead
         if self.return_to is not None or lead.condition or lead.rest:
             raise UsageError(
                 "`periodic` excludes `condition`, `lead` and `return`: use `passes` N"
             )
-        loop = loops.Loop(model, limits, target, dt, lead, passes, self.name, self.hold)
+        loop = self._loop_of(target, dt, passes)
         plan = loop.planned()
         run, state = plan.settled.run, plan.settled.before
         self._judge.clip(desired, loop.static_target, run, state, dt)
@@ -232,6 +233,13 @@ class Driver:
             notes=(f"{self.name}: {note}",),
             warnings=(*warnings, *drive.warnings),
         )
+
+    def _loop_of(self, target: Floats, dt: float, passes: int) -> Loop:
+        """Return a loop on its way to the settled drive."""
+        from dbo_cli.drive.loops import Loop
+
+        limits, lead = self.limits, self.lead
+        return Loop(self.model, limits, target, dt, lead, passes, self.name, self.hold)
 
     # --- a whole trajectory ---
 
@@ -289,9 +297,12 @@ class Driver:
         if tracked:
             from dbo_cli.drive.learning import RepeatedMove
 
-            sweep, state = self._sweep(float(desired[0]), dt), self.lead.state
+            state, reference = (
+                self.lead.state,
+                self._reference(desired, dt, periodic, passes),
+            )
             move = RepeatedMove(
-                self.model, desired, time, dt, state, periodic, absolute, sweep
+                self.model, desired, time, dt, state, periodic, absolute, reference
             )
             lesson = move.lesson(tracked, history, bandwidth)
             target = lesson.request
@@ -303,18 +314,7 @@ class Driver:
             drive = self.loop(desired, target, time, dt, passes)
         else:
             drive = self._driven_whole(desired, target, time, dt, return_rows)
-        if lesson is None:
-            return drive
-        return replace(
-            drive,
-            # the model's own error is what was learned
-            expected_error=lesson.rmse,
-            expected_known=None,
-            expected_unrested=None,
-            history=lesson.history,
-            notes=(*lesson.notes, *drive.notes),
-            warnings=(*lesson.warnings, *drive.warnings),
-        )
+        return drive if lesson is None else lesson.learned(drive)
 
     def _driven_whole(
         self,
@@ -374,10 +374,15 @@ class Driver:
                 blocks.append(self._driven(step, *block))
         return dt, stacked(blocks)
 
-    def _sweep(self, first: float, dt: float) -> Floats:
-        """Return the voltages before a move that begins with a sweep; none where it does not."""
+    def _reference(
+        self, desired: Floats, dt: float, periodic: bool, passes: int
+    ) -> Floats:
+        """Return voltages by which a recording is laid over this drive: of the loop, or of the sweep."""
+        if periodic:
+            return self._loop_of(desired, dt, passes).planned().voltage
         if not self.lead.condition:
             return np.empty(0)
+        first = float(desired[0])
         return plan_lead(self.model, first, dt, self.limits, self.lead, self.hold)[1]
 
     def _usual_step(self, dt: Steps) -> float:

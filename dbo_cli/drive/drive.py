@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,8 +12,12 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.limits import Limits
 from dbo_cli.model import Cascade, State
 
-if TYPE_CHECKING:
-    from dbo_cli.drive.learning import PassRecord
+
+class PassRecord(NamedTuple):
+    """A pass of a move that is learned: the digest of its drive, and the RMS of its error."""
+
+    drive_sha256: str
+    rmse: float
 
 
 @dataclass(frozen=True)

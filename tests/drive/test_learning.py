@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from dbo_cli.drive import Limits
+from dbo_cli.drive.drive import PassRecord
 from dbo_cli.drive.learning import (
-    PassRecord,
     Tracked,
     dumps_history,
     read_history,
