@@ -33,9 +33,10 @@ from dbo_cli.model.state import START_NAMES
 from dbo_cli.units import split_header
 
 if TYPE_CHECKING:
-    from dbo_cli.drive import Drive
+    from dbo_cli.drive import Drive, Limits
     from dbo_cli.drive.simulate import Rows
-    from dbo_cli.logs import Block, Reading
+    from dbo_cli.files import Outputs
+    from dbo_cli.logs import Reading
     from dbo_cli.model import Cascade
 
 Result = tuple[str, str | None, Floats]
@@ -165,19 +166,18 @@ def values_for(
 
 
 def require_own_limit(
-    name: str,
-    texts: Sequence[str] | None,
-    channel: str,
-    value: float | None,
-    model: Cascade,
+    name: str, texts: Sequence[str] | None, channel: str, model: Cascade
 ) -> None:
     """Refuse a limit for all channels that is far beyond the range of one of them (UsageError)."""
-    is_own = any(text.startswith(f"{channel}=") for text in texts or ())
-    if value is None or not channel or is_own:
+    from dbo_cli.drive import voltage_in
+
+    common = [text for text in texts or () if "=" not in text]
+    if not channel or not common or any(f"{channel}=" in text for text in texts or ()):
         return
     drive = model.input
+    value = voltage_in(name, common[0], drive)
     slack = LIMIT_SLACK * drive.span
-    if drive.min - slack <= value <= drive.max + slack:
+    if value is None or drive.min - slack <= value <= drive.max + slack:
         return
     raise UsageError(
         f"`{name}` {value:g}{drive.suffix} is beyond channel {channel}, {drive.min:.6g} to {drive.max:.6g}"
@@ -186,29 +186,6 @@ def require_own_limit(
 
 
 # --- tables and drives of all channels ---
-
-
-def read_channels(
-    log_path: str,
-    reading: Reading,
-    columns: Mapping[str, str | None],
-    roles: Mapping[str, Mapping[str, Any]],
-) -> dict[str, Block]:
-    """Return the log of each channel.
-
-    Parameters
-    ----------
-    roles
-        By role: the quantity of each channel, in whose unit its values are wanted.
-    """
-    from dbo_cli.logs import open_log
-
-    tables = {}
-    for name in next(iter(roles.values())):
-        units = {role: quantities[name].unit for role, quantities in roles.items()}
-        with open_log(log_path, columns_for(columns, name), reading, units) as log:
-            tables[name] = log.read()
-    return tables
 
 
 def together(
@@ -349,6 +326,24 @@ def histories_of(path: str | None, channels: Sequence[str]) -> dict[str, Any]:
     return {name: parse_history(members[name], f"{path}: {name}") for name in channels}
 
 
+# --- tables of all channels ---
+
+
+def write_results(
+    outputs: Outputs,
+    output: str,
+    time: Floats | None,
+    results: Sequence[Result],
+    origin: dict[str, str | float] | None = None,
+) -> None:
+    """Write the columns of channels side by side, behind their time."""
+    from dbo_cli.logs import add_table
+
+    columns = [*results] if time is None else [("time", "s", time), *results]
+    names = [(name, unit) for name, unit, _ in columns]
+    add_table(outputs, output, names, origin).write(*(values for *_, values in columns))
+
+
 def columns_of_run(name: str, model: Cascade, rows: Rows) -> list[Result]:
     """Return input and output of a channel's model as columns."""
     into, out = model.input, model.output
@@ -358,11 +353,31 @@ def columns_of_run(name: str, model: Cascade, rows: Rows) -> list[Result]:
     ]
 
 
-def columns_of_drives(drives: Mapping[str, Drive], time: Floats | None) -> list[Result]:
-    """Return the table of drives: the time, then displacement and voltage of each channel."""
-    results: list[Result] = [] if time is None else [("time", "s", time)]
+def heading(
+    model: Cascade, limits: Limits, time: Floats | None
+) -> tuple[list[tuple[str, str | None]], dict[str, str | float]]:
+    """Return names and units of the columns of a drive, and what an HDF5 file says of it."""
+    columns: list[tuple[str, str | None]] = [] if time is None else [("time", "s")]
+    columns.append(("desired", model.output.unit))
+    columns.append((model.input.quantity, model.input.unit))
+    return columns, {"model": model.digest, "limits": json.dumps(limits.as_dict())}
+
+
+def write_drives(outputs: Outputs, output: str, drives: Mapping[str, Drive]) -> None:
+    """Write drives side by side: the time, then displacement and voltage of each channel."""
+    results: list[Result] = []
     for name, drive in drives.items():
-        output, into = drive.model.output, drive.model.input
-        results.append((f"desired_{name}", output.unit, drive.desired))
-        results.append((f"{into.quantity}_{name}", into.unit, drive.voltage))
-    return results
+        into, out, ending = (
+            drive.model.input,
+            drive.model.output,
+            f"_{name}" * bool(name),
+        )
+        results.append((f"desired{ending}", out.unit, drive.desired))
+        results.append((f"{into.quantity}{ending}", into.unit, drive.voltage))
+    first = next(iter(drives.values()))
+    _, origin = heading(first.model, first.limits, None)
+    if tuple(drives) != ALONE:
+        limits = {name: drive.limits.as_dict() for name, drive in drives.items()}
+        digests = {name: drive.model.digest for name, drive in drives.items()}
+        origin = {"model": json.dumps(digests), "limits": json.dumps(limits)}
+    write_results(outputs, output, first.time, results, origin)

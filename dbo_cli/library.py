@@ -399,20 +399,29 @@ class Model:
         LimitError
             A start outside the limits, or a move that they do not allow.
         """
-        from dbo_cli.drive import Driver, Lead, Limits, voltage_in
+        from dbo_cli.drive.compensate import driver_of
 
-        model, role = self.actuator, "displacement"
-        model.require("forward")
         for word, value in (("history", history), ("absolute", absolute)):
             if value and tracked is None:
                 raise UsageError(f"`{word}` needs `tracked` LOG")
-        rate = _rate(sample_rate)
+        self.actuator.require("forward")
+        rate, role = _rate(sample_rate), "displacement"
         signal = signal_of(wanted, (role, role), self.output, time, rate, unit)
-        limits = Limits.within(self.input, v_min, v_max, max_slew, extrapolate)
-        start = voltage_in("from", from_, self.input)
-        before = Lead(room.state_of(state, model), start, approach, condition, lead)
-        end = voltage_in("return", return_, self.input)
-        drive: Drive = Driver(model, limits, before, on_limit, end).whole(
+        driver = driver_of(
+            self.actuator,
+            v_min=v_min,
+            v_max=v_max,
+            max_slew=max_slew,
+            extrapolate=extrapolate,
+            on_limit=on_limit,
+            from_=from_,
+            return_=return_,
+            approach=approach,
+            condition=condition,
+            lead=lead,
+            state=room.state_of(state, self.actuator),
+        )
+        drive: Drive = driver.whole(
             signal[role],
             signal.dt,
             signal.time,

@@ -16,8 +16,8 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.judge import Judge
-from dbo_cli.drive.lead import Lead, plan_lead, ramp, standing_at
-from dbo_cli.drive.limits import Gate, Limits
+from dbo_cli.drive.lead import Lead, Seconds, plan_lead, ramp, standing_at
+from dbo_cli.drive.limits import Figure, Gate, Limits, voltage_in
 from dbo_cli.drive.simulate import NO_ROWS, Ahead, Rows, stacked
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import Cascade, State, Steps
@@ -493,6 +493,38 @@ class Driver:
                 f"{where}: {values[row]:g} is no displacement: check column and unit"
             )
         raise InputError(f"{where} holds no number (`skip_bad` drops such rows)")
+
+
+def driver_of(
+    model: Cascade,
+    name: str = "trajectory",
+    hold: int = 0,
+    *,
+    v_min: Figure = None,
+    v_max: Figure = None,
+    max_slew: Figure = None,
+    extrapolate: bool = False,
+    on_limit: OnLimit = "auto",
+    from_: Figure = None,
+    return_: Figure = None,
+    approach: Seconds = None,
+    condition: bool = False,
+    lead: Seconds = None,
+    state: str | State = "auto",
+) -> Driver:
+    """Return what drives an actuator, by what was typed (``Model.compensate``).
+
+    Raises
+    ------
+    LimitError, ModelError, UsageError
+        As of ``Limits.within``, ``Lead`` and ``Driver``.
+    """
+    model.require("forward")
+    limits = Limits.within(model.input, v_min, v_max, max_slew, extrapolate)
+    start = voltage_in("from", from_, model.input)
+    end = voltage_in("return", return_, model.input)
+    before = Lead(state, start, approach, condition, lead)
+    return Driver(model, limits, before, on_limit, end, name, hold)
 
 
 def _aged(model: Cascade, state: State, time: Floats | None, step: float) -> State:
