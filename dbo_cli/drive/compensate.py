@@ -7,6 +7,7 @@ are one signal through one inverse in one state, and every row passes the gate.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
@@ -19,7 +20,7 @@ from dbo_cli.drive.judge import Judge
 from dbo_cli.drive.lead import Lead, Seconds, plan_lead, ramp, standing_at
 from dbo_cli.drive.limits import Figure, Gate, Limits, voltage_in
 from dbo_cli.drive.simulate import NO_ROWS, Ahead, Rows, stacked
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.model import Cascade, State, Steps
 
 if TYPE_CHECKING:
@@ -208,7 +209,7 @@ class Driver:
         run, state = plan.settled.run, plan.settled.before
         self._judge.clip(desired, loop.static_target, run, state, dt)
         self._judge.require_reached(dt * desired.size)
-        warnings = loop.require_settled(plan, self.on_limit)
+        texts = loop.require_settled(plan, self.on_limit)
         leading, period = plan.lead_voltage, plan.voltage
         first = float(leading[0] if leading.size else period[0])
         self._gate.require_reachable(first, first, dt)
@@ -231,7 +232,7 @@ class Driver:
             voltage=voltage,
             move=slice(count, voltage.size),
             notes=(f"{self.name}: {note}",),
-            warnings=(*warnings, *drive.warnings),
+            warnings=(*texts, *drive.warnings),
         )
 
     def _loop_of(self, target: Floats, dt: float, passes: int) -> Loop:
@@ -297,12 +298,17 @@ class Driver:
         if tracked:
             from dbo_cli.drive.learning import RepeatedMove
 
-            state, reference = (
-                self.lead.state,
-                self._reference(desired, dt, periodic, passes),
-            )
+            reference = self._reference(desired, time, dt, periodic, passes)
             move = RepeatedMove(
-                self.model, desired, time, dt, state, periodic, absolute, reference
+                self.model,
+                desired,
+                time,
+                dt,
+                reference,
+                self.lead.state,
+                periodic,
+                absolute,
+                self.lead.condition,
             )
             lesson = move.lesson(tracked, history, bandwidth)
             target = lesson.request
@@ -375,15 +381,20 @@ class Driver:
         return dt, stacked(blocks)
 
     def _reference(
-        self, desired: Floats, dt: float, periodic: bool, passes: int
+        self, desired: Floats, time: Floats, dt: float, periodic: bool, passes: int
     ) -> Floats:
-        """Return voltages by which a recording is laid over this drive: of the loop, or of the sweep."""
+        """Return the voltages of the sweep, the loop or the move, if nothing is learned."""
+        lead = self.lead
         if periodic:
             return self._loop_of(desired, dt, passes).planned().voltage
-        if not self.lead.condition:
-            return np.empty(0)
-        first = float(desired[0])
-        return plan_lead(self.model, first, dt, self.limits, self.lead, self.hold)[1]
+        if lead.condition:
+            first = float(desired[0])
+            return plan_lead(self.model, first, dt, self.limits, lead, self.hold)[1]
+        driver = Driver(self.model, self.limits, lead, "clip", name=self.name)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DboWarning)
+            drive = driver.whole(desired, dt, time)
+        return drive.voltage[drive.move]
 
     def _usual_step(self, dt: Steps) -> float:
         """Return the seconds a row at the beginning; 0 without a clock.

@@ -14,13 +14,13 @@ import json
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.alignment import ACTUATOR_LAG, align_displacements, align_drives, mean_step
+from dbo_cli.alignment import ACTUATOR_LAG, align_drives, mean_step
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.loops import settled_run
@@ -42,8 +42,6 @@ SAME_RATE = 1e-3  # of a step
 GAP = 1.5  # steps: a longer one lacks rows
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
-# of what differs by the stamps: with less by the signals, the recorder counts from elsewhere
-CLEARLY_BETTER = 0.5
 SWEPT = 1.7  # ranges that the drive travels in a sweep there and back
 # of what was asked, in a third of an octave: a pass takes two thirds off
 TRUSTED_ERROR = 1.0 / 3.0
@@ -122,23 +120,25 @@ class RepeatedMove:
         A forward model.
     desired, time, step
         The trajectory, the time of each row and its even step (s).
+    reference
+        Voltages of a drive that learned nothing, by which a recording is laid over it.
     state
         In which the drives began.
     periodic, absolute
         Whether recordings are of whole periods, and whether the mean is learned.
-    reference
-        Voltages of the next drive by which a recording is laid over it: those of the
-        sweep before it, or one period of the loop. Empty: there are none.
+    is_swept
+        They are those of the sweep before the move, else those of the move or period.
     """
 
     model: Cascade
     desired: Floats
     time: Floats
     step: float
+    reference: Floats
     state: str | State = "auto"
     periodic: bool = False
     absolute: bool = False
-    reference: Floats = field(default_factory=lambda: np.empty(0))
+    is_swept: bool = False
 
     def lesson(
         self,
@@ -228,7 +228,8 @@ class RepeatedMove:
             return self._mean_period(recording.voltage[begin:], measured[begin:])
         self._require_same_past(recording, begin)
         state = self.state if begin == 0 else "auto"
-        modelled = self._modelled(recording.voltage, state)
+        start = self.model.start(float(recording.voltage[0]), state)
+        modelled = self.model.run(recording.voltage, start, self.step).y
         move = slice(begin, begin + count)  # what stands behind is a return
         return recording.voltage[move], modelled[move], measured[move]
 
@@ -249,11 +250,6 @@ class RepeatedMove:
         start = self.model.start(float(drive[0]), self.state)
         return drive, settled_run(self.model, drive, self.step, start), measured
 
-    def _modelled(self, voltage: Floats, state: str | State) -> Floats:
-        """Return what the model makes of a recorded drive."""
-        start = self.model.start(float(voltage[0]), state)
-        return self.model.run(voltage, start, self.step).y
-
     def _without_delay(self, measured: Floats) -> Floats:
         """Return what a sensor without delay would have measured; the last value holds behind it."""
         delay = self.model.sensor_delay / self.step
@@ -264,51 +260,54 @@ class RepeatedMove:
     def _first_row(self, recording: Tracked) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead.
 
-        A recorder may count from elsewhere: then the recorded drive is laid over that of
-        the loop or of the sweep, or what the model makes of it over the trajectory.
+        A recorder may count from elsewhere: the recorded drive is laid over the reference.
         """
         voltage, count = recording.voltage, self.desired.size
         by_stamps = self._row_by_stamps(recording)
         if recording.time is None and voltage.size == count:
             return 0
-        if self.periodic:
-            return self._row_of_period(voltage, by_stamps)
-        begin = self._row_behind_sweep(voltage)
-        if begin is not None:
-            return begin
-        modelled = self._modelled(voltage, "auto")
-        rows = self.step * np.arange(float(max(voltage.size, count)))
-        found = align_displacements(
-            rows[: voltage.size], modelled, rows[:count], self.desired
-        )
-        if found is None:
+        row = self._row_by_drive(voltage)
+        if row is None:
             return by_stamps
-        last = max(voltage.size - count, 0)
-        by_signal = min(max(round(found.ahead / self.step), 0), last)
-        if abs(by_signal - by_stamps) * self.step <= ACTUATOR_LAG:
+        if self.is_swept:
+            return row
+        difference = abs(row - by_stamps)
+        is_near = recording.time is not None
+        if self.periodic:  # which of the periods does not matter
+            row, difference = row % count, difference % count
+            difference = min(difference, count - difference)
+            is_near = is_near and (voltage.size - by_stamps) % count == 0
+        if is_near and difference * self.step <= ACTUATOR_LAG:
             return by_stamps  # what was learned may be as early
-        mismatch = self._mismatch(modelled, by_signal)
-        if mismatch < CLEARLY_BETTER * self._mismatch(modelled, by_stamps):
-            return by_signal
-        return by_stamps
+        return row
 
-    def _row_of_period(self, voltage: Floats, by_stamps: int) -> int:
-        """Return a row of a recording at which the period of a loop begins, by its last two periods."""
-        count = self.desired.size
-        begin = max(voltage.size - 2 * count, 0)
-        loop = np.tile(self.reference, 4)
-        rows = self.step * np.arange(float(loop.size))
-        last = voltage[begin:]
-        found = align_drives(rows[: last.size], last, rows, loop)
+    def _row_by_drive(self, voltage: Floats) -> int | None:
+        """Return the first row of the move in a recorded drive; None where the reference is not there."""
+        reference, begin = self.reference, 0
+        if self.periodic:
+            begin = max(
+                voltage.size - 2 * reference.size, 0
+            )  # what leads to it is over
+            reference = np.tile(reference, 4)
+        late = voltage[begin:]
+        rows = self.step * np.arange(float(max(late.size, reference.size)))
+        times = rows[: late.size], rows[: reference.size]
+        found = align_drives(times[0], late, times[1], reference)
         if found is None:
-            return by_stamps
-        by_drive = (begin + round(found.ahead / self.step)) % count
-        difference = abs(by_drive - by_stamps) % count
-        difference = min(difference, count - difference)
-        is_whole = (voltage.size - by_stamps) % count == 0
-        if is_whole and difference * self.step <= ACTUATOR_LAG:
-            return by_stamps  # what was learned may be as early
-        return by_drive
+            return None
+        shift = begin + round(found.ahead / self.step)
+        if self.periodic:
+            return shift
+        if not self.is_swept:
+            return min(max(shift, 0), max(voltage.size - self.desired.size, 0))
+        # the recording may lack rows at rest that another axis needs
+        sweep = reference[max(-shift, 0) :]
+        end = shift + reference.size
+        recorded = voltage[max(shift, 0) : max(end, 0)]
+        span = float(np.ptp(reference))
+        if recorded.size != sweep.size or rms(recorded - sweep) > SAME_DRIVE * span:
+            return None
+        return end
 
     def _row_by_stamps(self, recording: Tracked) -> int:
         """Return the row at the time of the trajectory's first; the first where there is no clock.
@@ -335,36 +334,17 @@ class RepeatedMove:
             )
         return int(np.searchsorted(time, self.time[0] - 0.5 * self.step))
 
-    def _row_behind_sweep(self, voltage: Floats) -> int | None:
-        """Return the first row behind the next drive's sweep in a recorded one; None: it is not there."""
-        count = self.reference.size
-        if not count:
-            return None
-        rows = self.step * np.arange(float(max(voltage.size, count)))
-        sweep = self.reference
-        found = align_drives(rows[: voltage.size], voltage, rows[:count], sweep)
-        if found is None:
-            return None
-        shift = round(found.ahead / self.step)
-        recorded = voltage[max(shift, 0) : shift + count]
-        # the recording may lack rows at rest that another axis needs
-        sweep = sweep[max(-shift, 0) :]
-        span = float(np.ptp(self.reference))
-        if recorded.size != sweep.size or rms(recorded - sweep) > SAME_DRIVE * span:
-            return None
-        return shift + count
-
     def _require_same_past(self, recording: Tracked, begin: int) -> None:
         """Refuse a pass with a sweep before it for a drive without, or the other way round (InputError)."""
         if begin < 2 or isinstance(self.state, State):
             return
         lead = recording.voltage[:begin]
-        is_swept, span = bool(self.reference.size), self.model.input.span
-        if is_swept:
+        span = self.model.input.span
+        if self.is_swept:
             span = float(np.ptp(self.reference))
         extremes = lead[turns(lead, 0.1 * span)]
         was_swept = float(np.abs(np.diff(extremes)).sum()) > SWEPT * span
-        if was_swept == is_swept:
+        if was_swept == self.is_swept:
             return
         text = "with a sweep before the move, which makes another past: add `condition`"
         if not was_swept:
@@ -373,13 +353,6 @@ class RepeatedMove:
                 "record a pass with it"
             )
         raise InputError(f"{recording.name}: recorded {text}")
-
-    def _mismatch(self, modelled: Floats, begin: int) -> float:
-        """Return the RMS of a displacement less the trajectory from a row on, without its mean."""
-        rows = modelled[begin : begin + self.desired.size]
-        if rows.size < self.desired.size:
-            return math.inf
-        return float(np.std(rows - self.desired))
 
     # --- refusals ---
 
