@@ -42,6 +42,8 @@ SAME_RATE = 1e-3  # of a step
 GAP = 1.5  # steps: a longer one lacks rows
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
+# of what differs by the stamps: with less by the drive, the recorder counts from elsewhere
+CLEARLY_BETTER = 0.5
 SWEPT = 1.7  # ranges that the drive travels in a sweep there and back
 # of what was asked, in a third of an octave: a pass takes two thirds off
 TRUSTED_ERROR = 1.0 / 3.0
@@ -271,15 +273,29 @@ class RepeatedMove:
             return by_stamps
         if self.is_swept:
             return row
-        difference = abs(row - by_stamps)
-        is_near = recording.time is not None
+        difference, is_stamped = abs(row - by_stamps), recording.time is not None
         if self.periodic:  # which of the periods does not matter
             row, difference = row % count, difference % count
             difference = min(difference, count - difference)
-            is_near = is_near and (voltage.size - by_stamps) % count == 0
-        if is_near and difference * self.step <= ACTUATOR_LAG:
+            is_stamped = is_stamped and (voltage.size - by_stamps) % count == 0
+        if not is_stamped:
+            return row
+        if difference * self.step <= ACTUATOR_LAG:
             return by_stamps  # what was learned may be as early
-        return row
+        by_drive = self._mismatch(voltage, row)
+        if by_drive < CLEARLY_BETTER * self._mismatch(voltage, by_stamps):
+            return row
+        return by_stamps
+
+    def _mismatch(self, voltage: Floats, row: int) -> float:
+        """Return how far a recorded move or last period is off the reference (RMS), without the mean."""
+        count = self.reference.size
+        if self.periodic:
+            row += max((voltage.size - row) // count - 1, 0) * count
+        rows = voltage[row : row + count]
+        if rows.size < count:
+            return math.inf
+        return float(np.std(rows - self.reference))
 
     def _row_by_drive(self, voltage: Floats) -> int | None:
         """Return the first row of the move in a recorded drive; None where the reference is not there."""
