@@ -150,8 +150,8 @@ def with_known_words(function: Callable[P, R]) -> Callable[P, R]:
         for word in options:
             if word not in words:
                 similar = get_close_matches(word, words, 2, 0.5) or words
-                listed = " or ".join(f"`{name}`" for name in similar)
-                raise UsageError(f"{function.__name__}: no `{word}`: give {listed}")
+                text = " or ".join(f"`{name}`" for name in similar)
+                raise UsageError(f"{function.__name__}: no `{word}`: give {text}")
         return function(*values, **options)
 
     return call
@@ -889,19 +889,19 @@ def _arrays_pair(
     unit, voltage_unit = units["measured"], units["voltage"]
     if model is None:
         unit = _common_unit(desired, measured, unit)
-        moved = floats(measured, "measured")
+        displacement = floats(measured, "measured")
         if voltage is not None:
             voltage_unit = voltage_unit or stated_unit(voltage, "voltage")
     else:
-        moved = in_unit(measured, "displacement", model.output.unit, unit)
+        displacement = in_unit(measured, "displacement", model.output.unit, unit)
         unit, voltage_unit = model.output.unit, model.input.unit or voltage_unit
     drive = None
     if voltage is not None:
         drive = in_unit(voltage, "voltage", voltage_unit, units["voltage"])
     if isinstance(clock, float):
-        clock = clock * np.arange(float(len(moved)))
-    values = moved if desired is None else floats(desired, "desired")
-    pair = Pair("log", values, moved, clock, drive)
+        clock = clock * np.arange(float(len(displacement)))
+    values = displacement if desired is None else floats(desired, "desired")
+    pair = Pair("log", values, displacement, clock, drive)
     return pair, {"measured": unit, "voltage": voltage_unit}
 
 
@@ -932,8 +932,8 @@ def pairs_of(
         common = {"voltage": model.input.unit, "measured": model.output.unit}
     pairs, logs = [], []
     for source in sources:
-        pair, stated, log = pair_of(source, columns, reading, common, model is not None)
-        for role, unit in stated.items():
+        pair, own, log = pair_of(source, columns, reading, common, model is not None)
+        for role, unit in own.items():
             common[role] = common.get(role) or unit
         if model is not None:
             pair = predict(pair, model, state, model_name)
@@ -1015,27 +1015,27 @@ def _common_unit(desired: Any, measured: Any, given: str | None) -> str | None:
 # --- typed numbers ---
 
 
-def _figure(name: str, typed: Figured | None, unit: str | None) -> Any:
+def _figure(name: str, value: Figured | None, unit: str | None) -> Any:
     """Return a typed figure in a unit; None and ``auto`` as they are."""
-    if typed is None or typed == "auto":
-        return typed
-    return parse_quantity(typed, unit, name)
+    if value is None or value == "auto":
+        return value
+    return parse_quantity(value, unit, name)
 
 
-def _constants(typed: Any) -> Any:
+def _constants(values: Any) -> Any:
     """Return typed time constants in s, or ``auto``."""
-    if isinstance(typed, str):
-        return typed
-    return tuple(parse_quantity(constant, "s", "relaxation") for constant in typed)
+    if isinstance(values, str):
+        return values
+    return tuple(parse_quantity(value, "s", "relaxation") for value in values)
 
 
-def _rate(typed: Figured | None) -> float | None:
+def _rate(value: Figured | None) -> float | None:
     """Return a typed rate in Hz; UsageError where it is not above 0."""
-    if typed is None:
+    if value is None:
         return None
-    rate = parse_quantity(typed, "Hz", "sample_rate")
+    rate = parse_quantity(value, "Hz", "sample_rate")
     if not rate > 0.0:
-        raise UsageError(f"`sample_rate`: {typed!r} is not above 0")
+        raise UsageError(f"`sample_rate`: {value!r} is not above 0")
     return rate
 
 

@@ -122,11 +122,11 @@ class Drive:
             return f"{text} from rest; {unrested} if the actuator moved just before"
         if self.expected_known is None:
             return f"{text} (past unknown)"
-        known = f"{self.expected_known:.2g}"
-        if known == error:
+        from_rest = f"{self.expected_known:.2g}"
+        if from_rest == error:
             return f"{text}, whatever the past"
         way = "from a known `state`" if self.is_loop else "from rest with `condition`"
-        return f"{text} (past unknown; {known} {way})"
+        return f"{text} (past unknown; {from_rest} {way})"
 
     def summary(self) -> dict[str, Any]:
         """Return the drive as plain values, for a summary in JSON."""

@@ -88,14 +88,14 @@ class Lead:
         return self.condition or isinstance(self.state, State) or self.state != "auto"
 
 
-def _seconds(name: str, typed: Seconds) -> Seconds:
+def _seconds(name: str, value: Seconds) -> Seconds:
     """Return typed seconds as a number; UsageError where they are not above 0, None or auto."""
-    if typed is None or typed == "auto":
-        return typed
-    seconds = parse_quantity(typed, "s", name)
+    if value is None or value == "auto":
+        return value
+    seconds = parse_quantity(value, "s", name)
     if 0.0 < seconds < math.inf:
         return seconds
-    raise UsageError(f"`{name}` {typed}: give seconds above 0, or auto")
+    raise UsageError(f"`{name}` {value}: give seconds above 0, or auto")
 
 
 def plan_lead(
