@@ -294,33 +294,33 @@ class Driver:
                 f"{self.name}: `tracked`, `periodic` and `bandwidth` need an even clock (`sample_rate` "
                 "HZ, or `resample` HZ)"
             )
-        target, lesson = desired, None
+
+        def drive_of(target: Floats) -> Drive:
+            if periodic:
+                return self.loop(desired, target, time, dt, passes)
+            return self._driven_whole(desired, target, time, dt, return_rows)
+
         if tracked:
             from dbo_cli.drive.learning import RepeatedMove
 
-            reference = self._reference(desired, time, dt, periodic, passes)
             move = RepeatedMove(
                 self.model,
                 desired,
                 time,
                 dt,
-                reference,
+                self._reference(desired, time, dt, periodic, passes),
                 self.lead.state,
                 periodic,
                 absolute,
                 self.lead.condition,
             )
-            lesson = move.lesson(tracked, history, bandwidth)
-            target = lesson.request
-        elif bandwidth is not None:
+            return move.learned(tracked, history, bandwidth, drive_of)
+        target = desired
+        if bandwidth is not None:
             from dbo_cli.drive.smooth import low_pass
 
             target = low_pass(desired, bandwidth, dt, periodic)
-        if periodic:
-            drive = self.loop(desired, target, time, dt, passes)
-        else:
-            drive = self._driven_whole(desired, target, time, dt, return_rows)
-        return drive if lesson is None else lesson.learned(drive)
+        return drive_of(target)
 
     def _driven_whole(
         self,
@@ -428,56 +428,40 @@ class Driver:
         target: Floats,
         ahead: Floats,
     ) -> Rows:
-        """Return the drive of rows that are ready.
+        """Return the drive of rows that are ready, with which the static part reaches a target.
 
         ``ahead`` is what is asked for them and after them, ``target`` what of it the
         static part is to reach.
         """
         _, desired, time = columns
         assert desired is not None
-        if self._state is None:
-            self._state = self._started(float(target[0]))
+        model, limits, judge = self.model, self.limits, self._judge
+        if self._state is None:  # nothing leads to the move
+            self._state = model.start_drive(
+                float(target[0]), self.lead.state, *limits.move
+            )
+            if self._gate.last is None and limits.slew is not None:
+                self._gate.last = self._state.drive
         if not self._is_moving:
             self._is_moving = True
-            delayed = (
-                round(self.model.delay_seconds / dt) if isinstance(dt, float) else 0
-            )
-            self._judge.transient = float(target[0] - ahead[delayed])
+            delayed = round(model.delay_seconds / dt) if isinstance(dt, float) else 0
+            judge.transient = float(target[0] - ahead[delayed])
         phase = "lead" if self._still_rows else "move"
         self._still_rows = 0
-        return Rows(time, desired, self._inverted(desired, target, time, dt, phase))
-
-    def _started(self, first: float) -> State:
-        """Return the state in which a drive begins that nothing leads to."""
-        begin = self.model.start_drive(first, self.lead.state, *self.limits.move)
-        if self._gate.last is None and self.limits.slew is not None:
-            self._gate.last = begin.drive
-        return begin
-
-    def _inverted(
-        self,
-        desired: Floats,
-        target: Floats,
-        time: Floats | None,
-        dt: Steps,
-        phase: str,
-    ) -> Floats:
-        """Return the voltages with which the static part reaches a target, within the limits."""
-        model, limits, state = self.model, self.limits, self._state
-        assert state is not None
+        state = self._state
         run = model.drive(target, state, dt, limits.move, limits.slew)
         if phase == "move":
-            self._judge.clip(desired, target, run, state, dt)
+            judge.clip(desired, target, run, state, dt)
         clipped_at_once = run.clipped and run.first_clipped == 0
         unreachable = model.inverse().outside(target[:1])[0]
         if state.first is not None and not clipped_at_once and not unreachable:
             reached = model.static.run(run.y[:1], state, 0.0).y
-            self._judge.missed = float(target[0] - reached[0])
+            judge.missed = float(target[0] - reached[0])
         self._admit(run.y, dt, phase)
         self._state = run.state
         if time is not None:
             self._state = replace(run.state, time=float(time[-1]))
-        return run.y
+        return Rows(time, desired, run.y)
 
     def _played(self, time: Floats, voltage: Floats, phase: str, clocked: bool) -> Rows:
         """Return rows that are played as they are, with the displacement that the model expects of them."""

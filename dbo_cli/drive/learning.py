@@ -13,10 +13,9 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -77,41 +76,6 @@ class Tracked:
     time: Floats | None = None
 
 
-class Lesson(NamedTuple):
-    """What was learned of a pass.
-
-    Attributes
-    ----------
-    request : array
-        What to ask of the model for the next pass.
-    rmse : float
-        The error of the last pass, which the next one should stay below.
-    history : tuple of PassRecord
-        The passes so far, this one included.
-    notes, warnings : tuple of str
-        What a user should know.
-    """
-
-    request: Floats
-    rmse: float
-    history: tuple[PassRecord, ...]
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...]
-
-    def learned(self, drive: Drive) -> Drive:
-        """Return a drive that was made of the request, with what was learned."""
-        return replace(
-            drive,
-            # the model's own error is what was learned
-            expected_error=self.rmse,
-            expected_known=None,
-            expected_unrested=None,
-            history=self.history,
-            notes=(*self.notes, *drive.notes),
-            warnings=(*self.warnings, *drive.warnings),
-        )
-
-
 @dataclass(frozen=True)
 class RepeatedMove:
     """A trajectory that is played again and again.
@@ -142,13 +106,16 @@ class RepeatedMove:
     absolute: bool = False
     is_swept: bool = False
 
-    def lesson(
+    def learned(
         self,
         recordings: Sequence[Tracked],
         history: Sequence[PassRecord],
         bandwidth: float | None,
-    ) -> Lesson:
-        """Return what to ask of the model for the next pass, and what to say of the last one.
+        drive_of: Callable[[Floats], Drive],
+    ) -> Drive:
+        """Return the drive of the next pass, with what is to be said of the last one.
+
+        The error to expect is that of the last pass, which the next one should stay below.
 
         Parameters
         ----------
@@ -159,6 +126,8 @@ class RepeatedMove:
             are forgotten.
         bandwidth
             Cut-off of Q (Hz); None: as far as the model can be trusted.
+        drive_of
+            Makes the drive of what is asked of the model.
 
         Raises
         ------
@@ -188,8 +157,17 @@ class RepeatedMove:
             f"{reached:.2g}{unit} of it noise; learned below {cutoff:.4g} Hz"
         )
         warnings = self._start_warnings(name, zero)
-        request = self.desired + learned
-        return Lesson(request, passed.rmse, (*before, passed), (note,), warnings)
+        drive = drive_of(self.desired + learned)
+        return replace(
+            drive,
+            # the model's own error is what was learned
+            expected_error=passed.rmse,
+            expected_known=None,
+            expected_unrested=None,
+            history=(*before, passed),
+            notes=(note, *drive.notes),
+            warnings=(*warnings, *drive.warnings),
+        )
 
     # --- the rows of a recording ---
 
