@@ -28,12 +28,13 @@ from dbo_cli.errors import (
     warn,
 )
 from dbo_cli.model import State, fields
-from dbo_cli.model.file import parse_state, read_state
+from dbo_cli.model.file import parse_state
 from dbo_cli.model.state import START_NAMES
 from dbo_cli.units import split_header
 
 if TYPE_CHECKING:
     from dbo_cli.drive import Drive, Limits
+    from dbo_cli.drive.drive import PassRecord
     from dbo_cli.drive.simulate import Rows
     from dbo_cli.files import Outputs
     from dbo_cli.logs import Reading
@@ -56,12 +57,10 @@ def is_pattern(columns: Mapping[str, str | None]) -> bool:
 
 def columns_for(columns: Mapping[str, str | None], name: str) -> dict[str, str | None]:
     """Return the columns of one channel."""
-    columns_of_channel = {}
-    for role, pattern in columns.items():
-        columns_of_channel[role] = (
-            None if pattern is None else pattern.replace(PLACE, name)
-        )
-    return columns_of_channel
+    return {
+        role: pattern and pattern.replace(PLACE, name)
+        for role, pattern in columns.items()
+    }
 
 
 def names(
@@ -123,17 +122,15 @@ def models_of(path: str, channels: Sequence[str]) -> dict[str, Cascade]:
 # --- what is typed for a channel, or for all ---
 
 
-def value_for(
-    name: str, texts: Sequence[str] | None, channel: str, channels: Sequence[str]
-) -> str | None:
-    """Return what was typed for a channel: ``x=120V`` for one of them, ``120V`` for all.
+def values_for(
+    texts: Mapping[str, Sequence[str] | None], channel: str, channels: Sequence[str]
+) -> dict[str, str | None]:
+    """Return what was typed for a channel, by option: ``x=120V`` for one of them, ``120V`` for all.
 
     Parameters
     ----------
-    name
-        Of the option.
     texts
-        Its values.
+        By option: its values.
     channel, channels
         The channel, and all there are.
 
@@ -142,26 +139,18 @@ def value_for(
     UsageError
         A value is of no channel, or two values are of one.
     """
-    values: dict[str | None, str] = {}
-    for text in texts or ():
-        name_of_channel, mark, value = text.rpartition("=")
-        owner = name_of_channel if mark else None
-        if mark and (not owner or owner not in channels):
-            names = ", ".join(channels) or "this is no set of channels"
-            raise UsageError(f"`{name}` {text}: no channel {owner}: {names}")
-        if owner in values:
-            raise UsageError(f"`{name}` {text}: is given twice")
-        values[owner] = value
-    return values.get(channel, values.get(None))
-
-
-def values_for(
-    texts: Mapping[str, Sequence[str] | None], channel: str, channels: Sequence[str]
-) -> dict[str, str | None]:
-    """Return what was typed of several options for a channel, by option."""
     values = {}
-    for name, values_of_option in texts.items():
-        values[name] = value_for(name, values_of_option, channel, channels)
+    for option, texts_of_option in texts.items():
+        by_owner: dict[str, str] = {}
+        for text in texts_of_option or ():
+            owner, mark, value = text.rpartition("=")
+            if mark and (not owner or owner not in channels):
+                names = ", ".join(channels) or "this is no set of channels"
+                raise UsageError(f"`{option}` {text}: no channel {owner}: {names}")
+            if owner in by_owner:
+                raise UsageError(f"`{option}` {text}: is given twice")
+            by_owner[owner] = value
+        values[option] = by_owner.get(channel, by_owner.get(""))
     return values
 
 
@@ -301,29 +290,38 @@ def read_files(path: str, kind: str, channels: Iterable[str]) -> dict[str, Any]:
     return members
 
 
+def members_of(
+    path: str, kind: str, channels: Collection[str]
+) -> dict[str, tuple[str, Any]]:
+    """Return what messages call the file of each channel, and its values; see ``read_files``."""
+    if tuple(channels) == ALONE:
+        return {"": fields.load(path, kind)}
+    members = read_files(path, kind, channels)
+    return {name: (f"{path}: {name}", members[name]) for name in channels}
+
+
 def states_of(state: str, models: Mapping[str, Cascade]) -> dict[str, State | str]:
     """Return what was before the first row of each channel: the name of a start, or a state of a set."""
     if state in START_NAMES:
         return dict.fromkeys(models, state)
-    if tuple(models) == ALONE:
-        return {"": read_state(state, models[""])}
-    members = read_files(state, "state", models)
     states: dict[str, State | str] = {}
-    for name, model in models.items():
-        states[name] = parse_state(members[name], model, f"{state}: {name}")
+    for name, (label, values) in members_of(state, "state", models).items():
+        states[name] = parse_state(values, models[name], label)
     return states
 
 
-def histories_of(path: str | None, channels: Sequence[str]) -> dict[str, Any]:
+def histories_of(
+    path: str | None, channels: Collection[str] = ALONE
+) -> dict[str, Sequence[PassRecord]]:
     """Return the passes so far of each channel; none where there is no file yet."""
-    from dbo_cli.drive.learning import parse_history, read_history
-
     if path is None or not os.path.exists(path):
         return dict.fromkeys(channels, ())
-    if tuple(channels) == ALONE:
-        return {"": read_history(path)}
-    members = read_files(path, "history", channels)
-    return {name: parse_history(members[name], f"{path}: {name}") for name in channels}
+    from dbo_cli.drive.learning import parse_history
+
+    histories: dict[str, Sequence[PassRecord]] = {}
+    for name, (label, values) in members_of(path, "history", channels).items():
+        histories[name] = parse_history(values, label)
+    return histories
 
 
 # --- tables of all channels ---

@@ -426,6 +426,12 @@ class Model:
             lead=lead,
             state=room.state_of(state, self.actuator),
         )
+        file = None
+        if isinstance(history, (str, Path)):
+            from dbo_cli.drive.learning import read_history
+
+            file = str(history)
+            history = read_history(file)
         drive: Drive = driver.whole(
             signal[role],
             signal.dt,
@@ -434,15 +440,14 @@ class Model:
             periodic=periodic,
             passes=passes,
             tracked=self._tracked(tracked),
-            history=_passes(history),
+            history=history,
             absolute=absolute,
         )
-        file = history if isinstance(history, (str, Path)) else None
         if file is not None:
             from dbo_cli.drive.learning import dumps_history
             from dbo_cli.files import write_text
 
-            write_text(str(file), dumps_history(drive.history))
+            write_text(file, dumps_history(drive.history))
         return drive if details else drive.voltage
 
     def _tracked(self, tracked: Logs | None) -> list[Any]:
@@ -1037,12 +1042,3 @@ def _rate(value: Figured | None) -> float | None:
     if not rate > 0.0:
         raise UsageError(f"`sample_rate`: {value!r} is not above 0")
     return rate
-
-
-def _passes(history: str | Path | Sequence[PassRecord]) -> Sequence[PassRecord]:
-    """Return the passes so far; none where there is no file yet."""
-    if not isinstance(history, (str, Path)):
-        return history
-    from dbo_cli.drive.learning import read_history
-
-    return read_history(str(history))
