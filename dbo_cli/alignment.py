@@ -7,6 +7,7 @@ and sensor is part of the shift, and a loop makes it uncertain.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -183,14 +184,30 @@ def loop_columns(signal: Floats) -> tuple[int, Floats]:
     ends = int(np.argmax(level <= NEAR_END)), int(np.argmax(level >= 1.0 - NEAR_END))
     begin = max(ends) if max(ends) < 0.5 * len(level) else min(ends)
     level = level[begin:]
+    drift = np.linspace(0.0, 1.0, len(level))
+    return begin, np.column_stack([level, level**2, drift, _plays(level)])
+
+
+def _plays(level: Floats) -> Floats:
+    """Return plays of a signal of 0 to 1 in every row, shape (rows, plays).
+
+    A row clips a play to ``level - half, level + half``, and clips in turn are a clip:
+    first those of all rows since the block began, of all blocks at once, then the plays.
+    """
+    rows = math.isqrt(len(level)) + 1
+    blocks = np.pad(level, (0, -len(level) % rows), "edge").reshape(-1, rows, 1)
+    low, high = blocks - PLAYS, blocks + PLAYS
+    for row in range(1, rows):
+        window = low[:, row], high[:, row]
+        low[:, row] = np.clip(low[:, row - 1], *window)
+        high[:, row] = np.clip(high[:, row - 1], *window)
     half = np.minimum(PLAYS, 0.5)
     state = np.clip(level[0], half, 1.0 - half)
-    plays = np.empty((len(level), len(PLAYS)))
-    for row, value in enumerate(level.tolist()):
-        state = np.minimum(np.maximum(state, value - PLAYS), value + PLAYS)
-        plays[row] = state
-    drift = np.linspace(0.0, 1.0, len(level))
-    return begin, np.column_stack([level, level**2, drift, plays])
+    plays = np.empty_like(low)
+    for block, window in enumerate(zip(low, high, strict=True)):
+        plays[block] = np.clip(state, *window)
+        state = plays[block, -1]
+    return plays.reshape(-1, len(PLAYS))[: len(level)]
 
 
 def _sampled(time: Floats, values: Floats, step: float) -> Floats:

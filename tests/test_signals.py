@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dbo_cli.alignment import PLAYS, loop_columns
 from dbo_cli.arrays import Floats
 from dbo_cli.signals import between, even, lag, noise, turns
 
@@ -140,3 +141,16 @@ def test_short_signals_are_laid_over_by_whole_rows() -> None:
     found = lag(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.0, 1.0, 2.0]))
     assert found is not None
     assert found.seconds == -1.0 and np.isinf(found.deviation)
+
+
+@pytest.mark.parametrize("rows", [2, 3, 10, 101, 1000])
+def test_plays_beside_a_lag_are_those_of_walking_row_by_row(rows: int) -> None:
+    rng = np.random.default_rng(rows)
+    signal = np.cumsum(rng.standard_normal(rows))
+    begin, columns = loop_columns(signal)
+    level = ((signal - signal.min()) / np.ptp(signal))[begin:]
+    half = np.minimum(PLAYS, 0.5)
+    state = np.clip(level[0], half, 1.0 - half)
+    for row, value in enumerate(level):
+        state = np.clip(state, value - PLAYS, value + PLAYS)
+        assert np.array_equal(columns[row, 3:], state)
