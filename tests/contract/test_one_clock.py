@@ -174,6 +174,54 @@ def test_both_axes_of_a_raster_are_laid_over_by_their_drives() -> None:
     done("compensate", *words, "--from", 0, "--tracked", "pass.csv", *recorded_as)
 
 
+def test_a_raster_recorded_without_its_drive_repeats_only_as_far_as_the_recording_reaches() -> (
+    None
+):
+    """Late by a line it looks alike, but then lines would be missing: .1 s were left in, 1.8 um."""
+    words = ("--rate", 1000, "--range", "1:5", "--lines", 32, "--frequency", 5)
+    done("trajectory", "raster", *words, "--bandwidth", 50, "-o", "raster.csv")
+    for axis in "xy":
+        words = ("raster.csv", "--displacement", f"{axis}_um", "--from", 0)
+        done("compensate", model("creep"), *words, "--approach", 0.1, "-o", "d.csv")
+        drive = table("d.csv")
+        moved = table(done("simulate", model("creep"), "d.csv"))["displacement_um"]
+        moved = 1.004 * moved + 0.003 * np.random.default_rng(1).standard_normal(
+            len(moved)
+        )
+        write("pass.csv", "time_s,measured_um", STEP * np.arange(len(moved)), moved)
+        asked = ("--trajectory", "raster.csv", "--desired", f"{axis}_um")
+        outcome = done("report", "pass.csv", *asked, "--format", "json")
+        (log,) = outcome.json["logs"]
+        off = rms((moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP])
+        assert log["rmse"] == pytest.approx(off, rel=0.01), axis
+        assert outcome.warnings == []
+
+
+def test_what_was_learned_between_harmonics_ends_no_learning() -> None:
+    """The second pass was learned below 1.3 Hz for 25, and the third was refused: its error grew."""
+    time = STEP * np.arange(4000)
+    fast = 0.05 * np.sin(2.0 * np.pi * 24.0 * time)
+    desired = 3.0 + 1.5 * np.sin(2.0 * np.pi * time) + fast
+    write("sines.csv", "time_s,displacement_um", time, desired)
+    words = ["compensate", model("creep"), "sines.csv", "--from", 0, "--approach", 1]
+    done(*words, "-o", "pass.csv")
+    errors = []
+    for seed in range(3):
+        drive = table("pass.csv")
+        moved = table(done("simulate", model("creep"), "pass.csv"))["displacement_um"]
+        moved += 0.03 * np.sin(moved) + 0.03 * (creep(moved, 0.03) - moved)
+        moved += 1e-3 * np.random.default_rng(seed).standard_normal(len(moved))
+        columns = drive["time_s"], drive["voltage_V"], moved
+        write("seen.csv", "time_s,voltage_V,measured_um", *columns)
+        error = (moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP]
+        errors.append(np.std(error))
+        learned = ("--tracked", "seen.csv", "--history", "passes.json", "--verbose")
+        outcome = done(*words, *learned, "-o", "pass.csv")
+        cutoff = outcome.err.split("learned below")[1].split()[0]
+        assert float(cutoff) == pytest.approx(25.4, rel=0.01)
+    assert errors[2] < 1.05 * errors[1] < 0.1 * errors[0]
+
+
 def test_a_pass_with_another_past_is_refused() -> None:
     drive, moved = recorded(1)
     header = "time_s,voltage_V,measured_um"
