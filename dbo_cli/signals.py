@@ -350,6 +350,19 @@ def _unexplained(target: Floats, columns: Floats, places: Floats) -> Floats:
     return left
 
 
+def residual_at(late: Floats, early: Floats, shift: float) -> float:
+    """Return the part of the late signal's variance that is left at a lag (rows); see ``lag``."""
+    columns = early.reshape(len(early), -1)
+    rows = np.arange(0, len(late), -(-len(late) // TRIED_ROWS))
+    places: Floats = rows - shift
+    inside = (places >= 0.0) & (places <= len(columns) - 1.0)
+    target = late[rows[inside]]
+    if not len(target) or not np.ptp(target) > 0.0:
+        return math.inf
+    left = _unexplained(target, columns, places[inside])
+    return float(np.mean(left**2) / np.var(target))
+
+
 def _unit(column: Floats) -> Floats:
     """Return a column of length 1."""
     unit: Floats = column / max(math.sqrt(float(np.sum(column**2))), 1e-300)

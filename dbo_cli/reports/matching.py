@@ -8,6 +8,7 @@ import numpy as np
 
 from dbo_cli.alignment import (
     ACTUATOR_LAG,
+    USUAL_LAG,
     Alignment,
     align_displacements,
     align_drives,
@@ -128,14 +129,21 @@ def _on_one_clock(
             warnings=(f"{recording.name}: its drive is not that of {name}",),
         )
     found = _by_displacement(recording, desired, clock)
-    step = recording.step() or 0.0
-    if found is None or -0.5 * step <= found.ahead <= ACTUATOR_LAG:
-        return recording  # what an actuator may be late is part of its error
+    if found is None or -0.5 * (recording.step() or 0.0) <= found.ahead <= USUAL_LAG:
+        return recording
     shifted = _shifted(recording, found, f"that of {name}")
     before = _scatter(_by_time(recording, desired, clock))
     after = _scatter(_by_time(shifted, desired, clock))
     is_sure = not _rival_holds(found, recording, clock)
-    if is_sure and after <= CLEARLY_BETTER * before:
+    is_sure = is_sure and after <= CLEARLY_BETTER * before
+    if 0.0 < found.ahead <= ACTUATOR_LAG:
+        if not is_sure:
+            return recording
+        return recording.noted(
+            f"{found.ahead:.3g} s late, which counts as an error: the actuator is, or the clock of {name}"
+            " began late; record the drive, too"
+        )
+    if is_sure:
         return replace(shifted, delay_removed=True)
     if after >= before:
         return recording

@@ -276,6 +276,41 @@ def test_clocks_of_two_recorders_are_found(both: bool) -> None:
     assert any(stage["type"] == "delay" for stage in stages) == both
 
 
+@pytest.mark.parametrize("offset", [0.0, 0.03, -0.03])
+@pytest.mark.parametrize("swings", ["many", "one"])
+def test_a_recorder_that_began_a_little_late_is_told_of_where_it_shows(
+    offset: float, swings: str
+) -> None:
+    """Up to 50 ms were taken in silence; one swing that repeats is as well a wider loop."""
+    done("excite", "--v-max", 100, "--sample-rate", 500, "-o", "drive.csv")
+    if swings == "one":
+        time = np.arange(0.0, 40.0, 2e-3)
+        write("drive.csv", "time_s,voltage_V", time, 100.0 * abs(0.2 * time % 2 - 1))
+    moved = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
+    moved += 1e-3 * np.random.default_rng(0).standard_normal(len(moved))
+    stamps = offset + table("drive.csv")["time_s"]
+    write("sensor.csv", "time_s,displacement_um", stamps, moved)
+    words = ("sensor.csv", "--voltage", "drive.csv::voltage_V")
+    outcome = done("identify", *words, "--gears", 40, "-o", "m.json", "--force")
+    told = [text for text in outcome.warnings if "do not line up" in text]
+    assert len(told) == (offset != 0.0 and swings == "many")
+    for text in told:
+        assert f"{offset:+.2g}"[:4] in text and "--clock-offset auto" in text
+        assert ("or 0 if" in text) == (offset > 0.0)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.03])
+def test_what_a_report_cannot_tell_from_a_late_actuator_is_said(offset: float) -> None:
+    desired = 3.0 + 2.0 * np.sin(2.0 * np.pi * 0.5 * TIME) * np.exp(-0.3 * TIME)
+    rng = np.random.default_rng(4)
+    write("traj.csv", "time_s,displacement_um", TIME, desired)
+    measured = desired + 2e-3 * rng.standard_normal(len(TIME))
+    write("pass.csv", "time_s,measured_um", TIME + offset, measured)
+    outcome = done("report", "pass.csv", "--trajectory", "traj.csv")
+    assert ("0.03 s late" in outcome.out) == (offset > 0.0)
+    assert outcome.warnings == []
+
+
 def test_a_late_sensor_is_no_error() -> None:
     """It stands in the model and in a summary; reports and learning take it off."""
     late = 8e-3
