@@ -54,37 +54,37 @@ class Alignment:
 
     Attributes
     ----------
-    late_start, early_start
+    start, reference_start
         First time stamps (s) of the two.
     lag
-        By how much the late one's signal comes later, from first row to first row (s).
+        By how much the signal comes later, from first row to first row (s).
     step
         Seconds a row of the slower clock.
     """
 
-    late_start: float
-    early_start: float
+    start: float
+    reference_start: float
     lag: Lag
     step: float
 
     @property
     def ahead(self) -> float:
-        """Seconds by which the late recording's stamps are ahead of the other's at its beginning."""
-        return self.late_start - self.early_start + self.lag.seconds
+        """Seconds by which the recording's stamps are ahead of the other's at its beginning."""
+        return self.start - self.reference_start + self.lag.seconds
 
     @property
     def deviation_rows(self) -> float:
         """One standard deviation of it in rows of the slower clock."""
         return self.lag.deviation / self.step
 
-    def late_time(self, early_time: Floats) -> Floats:
-        """Return stamps of the other recording on the clock of the late one (s)."""
-        times: Floats = early_time - self.early_start + self.lag.seconds
-        return self.late_start + times / (1.0 - self.lag.rate)
+    def recorded_time(self, reference_time: Floats) -> Floats:
+        """Return stamps of the other recording on the clock of the recording (s)."""
+        times: Floats = reference_time - self.reference_start + self.lag.seconds
+        return self.start + times / (1.0 - self.lag.rate)
 
-    def early_time(self, late_time: Floats) -> Floats:
-        """Return stamps of the late recording on the clock of the other (s)."""
-        return self.early_start + self.lag.early_time(late_time - self.late_start)
+    def reference_time(self, time: Floats) -> Floats:
+        """Return stamps of the recording on the clock of the other (s)."""
+        return self.reference_start + self.lag.reference_time(time - self.start)
 
 
 def mean_step(time: Floats) -> float:
@@ -94,28 +94,28 @@ def mean_step(time: Floats) -> float:
 
 
 def align_drives(
-    late_time: Floats, late: Floats, early_time: Floats, early: Floats
+    time: Floats, signal: Floats, reference_time: Floats, reference: Floats
 ) -> Alignment | None:
     """Lay two recordings of one drive over each other; None where they are not of one drive.
 
     Parameters
     ----------
-    late_time, late : array of shape (rows,)
+    time, signal : array of shape (rows,)
         Stamps (s) and drive of the one; gain and offset may differ.
-    early_time, early : array of shape (other rows,)
+    reference_time, reference : array of shape (other rows,)
         Those of the other.
     """
-    found = aligned(late_time, late, early_time, early, rate=True)
+    found = aligned(time, signal, reference_time, reference, rate=True)
     if found is None or found.lag.residual > SAME_DRIVE:
         return None
-    return on_whole_rows(found, late_time, early_time, WHOLE_BY_DRIVE)
+    return on_whole_rows(found, time, reference_time, WHOLE_BY_DRIVE)
 
 
 def align_displacements(
-    late_time: Floats,
-    late: Floats,
-    early_time: Floats,
-    early: Floats,
+    time: Floats,
+    signal: Floats,
+    reference_time: Floats,
+    reference: Floats,
     *,
     rate: bool = False,
     inverted: bool = False,
@@ -128,18 +128,24 @@ def align_displacements(
 
     Parameters
     ----------
-    late_time, late : array of shape (rows,)
+    time, signal : array of shape (rows,)
         Stamps (s) and displacement.
-    early_time, early : array of shape (other rows,)
+    reference_time, reference : array of shape (other rows,)
         Those of the expected displacement, or of the drive.
     rate, inverted
         As in ``signals.lag``.
     """
-    found = aligned(late_time, late, early_time, early, inverted=inverted)
+    found = aligned(time, signal, reference_time, reference, inverted=inverted)
     if found is None or found.lag.residual < SMALL_LOOP:
         return found
     loop = aligned(
-        late_time, late, early_time, early, rate=rate, inverted=inverted, loops=True
+        time,
+        signal,
+        reference_time,
+        reference,
+        rate=rate,
+        inverted=inverted,
+        loops=True,
     )
     if loop is None or loop.lag.residual > LOOP_SHOWS * found.lag.residual:
         return found
@@ -147,10 +153,10 @@ def align_displacements(
 
 
 def aligned(
-    late_time: Floats,
-    late: Floats,
-    early_time: Floats,
-    early: Floats,
+    time: Floats,
+    signal: Floats,
+    reference_time: Floats,
+    reference: Floats,
     *,
     rate: bool = False,
     inverted: bool = False,
@@ -158,46 +164,46 @@ def aligned(
 ) -> Alignment | None:
     """Return how two recordings lie over each other, by ``signals.lag``; see there for the options.
 
-    ``loops``: the late one may be made of plays of the early one, too. A rate counts
+    ``loops``: the signal may be made of plays of the reference, too. A rate counts
     where it shows, and where two clocks may differ by it.
     """
-    if min(len(late_time), len(early_time)) < 2 or np.ptp(early) == 0.0:
+    if min(len(time), len(reference_time)) < 2 or np.ptp(reference) == 0.0:
         return None
-    longest = max(float(np.ptp(late_time)), float(np.ptp(early_time)))
-    step = max(mean_step(late_time), mean_step(early_time), longest / LONGEST)
+    longest = max(float(np.ptp(time)), float(np.ptp(reference_time)))
+    step = max(mean_step(time), mean_step(reference_time), longest / LONGEST)
     if not step > 0.0:
         return None
-    late = _sampled(late_time, late, step)
-    columns = _sampled(early_time, early, step)
+    signal = _sampled(time, signal, step)
+    columns = _sampled(reference_time, reference, step)
     begin = 0
     if loops:
         begin, columns = loop_columns(columns)
-    found = lag(late, columns, step, inverted=inverted)
+    found = lag(signal, columns, step, inverted=inverted)
     if found is None:
         return None
     if rate:
-        running = lag(late, columns, step, rate=True, inverted=inverted)
+        running = lag(signal, columns, step, rate=True, inverted=inverted)
         if running is not None and running.residual < RATE_SHOWS * found.residual:
             found = running if abs(running.rate) <= LARGEST_RATE else found
-    start = float(early_time[0]) + begin * step
-    return Alignment(float(late_time[0]), start, found, step)
+    start = float(reference_time[0]) + begin * step
+    return Alignment(float(time[0]), start, found, step)
 
 
 def are_apart(
     found: Alignment,
-    late_time: Floats,
-    late: Floats,
-    early_time: Floats,
-    early: Floats,
+    time: Floats,
+    signal: Floats,
+    reference_time: Floats,
+    reference: Floats,
 ) -> bool:
     """Return whether an alignment explains a displacement clearly better than the stamps do.
 
     A loop is allowed for: of a single swing that repeats, the two do not tell.
     """
-    begin, columns = loop_columns(_sampled(early_time, early, found.step))
-    late = _sampled(late_time, late, found.step)
-    shift = begin - (found.late_start - float(early_time[0])) / found.step
-    residual = residual_at(late, columns, shift)
+    begin, columns = loop_columns(_sampled(reference_time, reference, found.step))
+    signal = _sampled(time, signal, found.step)
+    shift = begin - (found.start - float(reference_time[0])) / found.step
+    residual = residual_at(signal, columns, shift)
     return residual > max(APART_SHOWS, found.lag.residual / CLEARLY_LESS)
 
 
@@ -247,16 +253,16 @@ def _sampled(time: Floats, values: Floats, step: float) -> Floats:
 
 
 def on_whole_rows(
-    found: Alignment, late_time: Floats, early_time: Floats, slack: float
+    found: Alignment, time: Floats, reference_time: Floats, slack: float
 ) -> Alignment:
     """Return the alignment by whole rows where one card may have played and recorded."""
-    steps = even(late_time), even(early_time)
+    steps = even(time), even(reference_time)
     if steps[0] is None or steps[1] is None or found.lag.rate:
         return found
     if abs(steps[0] / steps[1] - 1.0) > SAME_STEP:
         return found
     rows = round(found.lag.seconds / steps[1])
-    off = abs(found.lag.seconds / steps[1] - rows)
-    if off > max(slack, 3.0 * found.deviation_rows):
+    fraction = abs(found.lag.seconds / steps[1] - rows)
+    if fraction > max(slack, 3.0 * found.deviation_rows):
         return found
     return replace(found, lag=replace(found.lag, seconds=rows * steps[1]))

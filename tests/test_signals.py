@@ -105,7 +105,7 @@ def test_clocks_of_different_rates_are_laid_over_each_other() -> None:
     found = lag(late, early, rate=True)
     assert found is not None
     assert found.rate == pytest.approx(5e-5, rel=1e-6)
-    assert found.early_time(rows[[0, -1]]) == pytest.approx(
+    assert found.reference_time(rows[[0, -1]]) == pytest.approx(
         [700.3, 700.3 + 29_999 * (1.0 - 5e-5)], abs=1e-4
     )
 

@@ -99,7 +99,7 @@ def joined(
     elif clock_offset == "auto":
         alignment, kind = _found(names, rows, time, guest)
         offset = ClockOffset(guest_clock.name, alignment.ahead, kind)
-        time = alignment.late_time(time)
+        time = alignment.recorded_time(time)
         clock.remarks.append(
             f"{clock.name}: its clock is {alignment.ahead:.6g} ± {2.0 * alignment.lag.deviation:.1g} s "
             f"ahead of that of {guest_clock.name} and {1e6 * alignment.lag.rate:.2g} ppm fast, {kind}"

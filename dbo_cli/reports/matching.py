@@ -159,7 +159,7 @@ def _rival_holds(found: Alignment, recording: Pair, clock: Floats) -> bool:
     if found.lag.rival is None or recording.time is None:
         return False
     later = found.lag.rival - found.lag.seconds
-    first, last = found.late_time(clock[[0, -1]]) + later
+    first, last = found.recorded_time(clock[[0, -1]]) + later
     slack = ACTUATOR_LAG
     return bool(first > recording.time[0] - slack and last < recording.time[-1] + slack)
 
@@ -167,7 +167,7 @@ def _rival_holds(found: Alignment, recording: Pair, clock: Floats) -> bool:
 def _shifted(recording: Pair, found: Alignment, other: str) -> Pair:
     """Return a recording with the times of another clock, and a note of it where they differ."""
     assert recording.time is not None
-    time = found.early_time(recording.time)
+    time = found.reference_time(recording.time)
     if np.abs(time - recording.time).max() <= 0.01 * found.step:
         return recording
     side = "ahead of" if found.ahead > 0.0 else "behind"
