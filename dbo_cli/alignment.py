@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.signals import Lag, even, lag, residual_at
+from dbo_cli.signals import TimeLag, even, lag, residual_at
 
 LONGEST = 1 << 17
 """Rows of the longer recording in the search; a longer one is looked at in coarser steps."""
@@ -33,8 +33,8 @@ SMALL_LOOP = 1e-3
 """Part of the measured variance below which no loop is looked for: 3 % of the move."""
 LOOP_SHOWS = 0.25
 """Part of the unexplained variance that plays must leave at most for a loop to be there."""
-CLEARLY_LESS = 0.5
-"""Part of what the stamps leave that an alignment must leave at most to be told of."""
+CLEARLY_BETTER = 0.5
+"""Part of what the stamps leave, that another alignment must leave at most to be believed."""
 APART_SHOWS = 5e-4
 """Part of the variance that stamps leave at least where they are wrong: 2 % of the move.
 
@@ -44,7 +44,7 @@ USUAL_LAG = 0.01
 """Seconds that most actuators with amplifier and sensor stay below; what is later is told of."""
 ACTUATOR_LAG = 0.05
 """Seconds that an actuator, its amplifier and its sensor may be late; more is a recorder's start."""
-SAME_DRIVE = 0.05
+DRIVE_RESIDUAL = 0.05
 """Part of the variance that a recorded drive may differ by, apart from its gain."""
 
 
@@ -64,7 +64,7 @@ class Alignment:
 
     start: float
     reference_start: float
-    lag: Lag
+    lag: TimeLag
     step: float
 
     @property
@@ -106,7 +106,7 @@ def align_drives(
         Those of the other.
     """
     found = aligned(time, signal, reference_time, reference, rate=True)
-    if found is None or found.lag.residual > SAME_DRIVE:
+    if found is None or found.lag.residual > DRIVE_RESIDUAL:
         return None
     return on_whole_rows(found, time, reference_time, WHOLE_BY_DRIVE)
 
@@ -204,7 +204,7 @@ def are_apart(
     signal = _sampled(time, signal, found.step)
     shift = begin - (found.start - float(reference_time[0])) / found.step
     residual = residual_at(signal, columns, shift)
-    return residual > max(APART_SHOWS, found.lag.residual / CLEARLY_LESS)
+    return residual > max(APART_SHOWS, found.lag.residual / CLEARLY_BETTER)
 
 
 def loop_columns(signal: Floats) -> tuple[int, Floats]:

@@ -26,7 +26,7 @@ STILL_FALLING = 0.85
 NORMAL_MEDIAN = 0.6745
 """Median of |x| of a normal variable of standard deviation 1."""
 
-FEWEST_ROWS = 16
+FEWEST_SHARED = 16
 """Rows that two signals must have in common for a lag of a part of a row."""
 SHARED = 0.25
 """Part of the shorter signal that must overlap with the other."""
@@ -42,7 +42,7 @@ LONGEST_STEP = 0.01
 """Part of the signal that one Gauss-Newton step may go, beside two rows."""
 TRIED_ROWS, REFINED_ROWS = 3_000, 20_000
 """Rows of the signal, evenly picked, at each of the places and at the best."""
-BLOCKS = 8
+TIME_BLOCKS = 8
 """Blocks of time whose scatter is the uncertainty of a lag."""
 
 
@@ -103,7 +103,7 @@ def noise(values: Floats) -> float:
     estimate = math.inf
     for order in range(1, LAST_ORDER + 1):
         differences = np.diff(differences)
-        if differences.size < FEWEST_ROWS // 2:
+        if differences.size < FEWEST_SHARED // 2:
             return 0.0
         if order < FIRST_ORDER:
             continue
@@ -142,7 +142,7 @@ def turns(values: Floats, smallest: float) -> Integers:
 
 
 @dataclass(frozen=True)
-class Lag:
+class TimeLag:
     """How much later one signal is than another.
 
     A time t of the signal is ``t (1 - rate) - seconds`` of the reference, each
@@ -180,7 +180,7 @@ def lag(
     *,
     rate: bool = False,
     inverted: bool = False,
-) -> Lag | None:
+) -> TimeLag | None:
     """Return how much later a signal is than another; None where nothing shows it.
 
     ``signal(t) = c + sum_k w_k reference_k(t - lag)``, with weights that leave least. The
@@ -224,14 +224,14 @@ def lag(
         if apart and fit.evidence >= RIVAL * first.evidence:
             rival = step * fit.shift
             break
-    return Lag(
+    return TimeLag(
         step * best.shift, step * best.deviation, best.rate, best.residual, rival
     )
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """A lag in rows, as ``Lag``, and how strong the evidence for it is."""
+    """A lag in rows, as ``TimeLag``, and how strong the evidence for it is."""
 
     shift: float
     deviation: float
@@ -287,7 +287,7 @@ def _refined(
     """Return the best lag near a first one; None where too little overlaps."""
     rows = np.arange(0, len(signal), -(-len(signal) // most_rows), dtype=np.float64)
     picked = signal[rows.astype(np.intp)]
-    fewest = min(FEWEST_ROWS, len(rows))
+    fewest = min(FEWEST_SHARED, len(rows))
     moves = [np.ones(len(rows))]
     if rate:
         moves.append(rows - 0.5 * rows[-1])  # about the middle, where it is known best
@@ -301,7 +301,7 @@ def _refined(
         if np.count_nonzero(inside) < fewest:
             return (
                 None
-                if len(rows) >= FEWEST_ROWS
+                if len(rows) >= FEWEST_SHARED
                 else _whole(signal, columns, int(start))
             )
         at, target = places[inside], picked[inside]
@@ -404,9 +404,9 @@ def _deviation(error: Floats, slopes: Floats, size: Floats) -> float:
 
     What is wrong with the description scatters so, and clocks of different rates.
     """
-    blocks = np.array_split(slopes * error[:, None], BLOCKS)
+    blocks = np.array_split(slopes * error[:, None], TIME_BLOCKS)
     pulls = np.array([block.sum(axis=0) for block in blocks])
-    scatter = pulls.T @ pulls * BLOCKS / (BLOCKS - 1)
+    scatter = pulls.T @ pulls * TIME_BLOCKS / (TIME_BLOCKS - 1)
     inverse = np.linalg.pinv(slopes.T @ slopes)
     covariance = inverse @ scatter @ inverse
     return math.sqrt(max(float(covariance[0, 0]), 0.0)) / float(size[0])

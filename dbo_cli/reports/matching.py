@@ -8,6 +8,7 @@ import numpy as np
 
 from dbo_cli.alignment import (
     ACTUATOR_LAG,
+    CLEARLY_BETTER,
     USUAL_LAG,
     Alignment,
     align_displacements,
@@ -16,12 +17,10 @@ from dbo_cli.alignment import (
 )
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
-from dbo_cli.reports.pair import Pair, rows_text, step_of, stretch
+from dbo_cli.reports.pair import Pair, clock_step, rows_text, stretch
 
-SAME_RATE = 1e-3
+RATE_SLACK = 1e-3
 """Part by which two rates may differ: clocks of two recorders do, by some 1e-4."""
-CLEARLY_BETTER = 0.5
-"""Part of the error that must be left at most for another start of the clock to be believed."""
 WHOLE_BY_DISPLACEMENT = 0.5
 """Rows: a displacement does not tell parts of one, since what is left of creep is a phase, too."""
 
@@ -75,44 +74,44 @@ def match(
         raise InputError(
             f"{name}: no row lies within the time of {trajectory_name}: try `match` rows"
         )
-    beyond = len(recording) - len(pair)
-    if beyond:
-        pair = pair.noted(
-            f"{rows_text(beyond)} outside the time of {trajectory_name} left out"
-        )
-    return pair
+    outside = len(recording) - len(pair)
+    if not outside:
+        return pair
+    return pair.noted(
+        f"{rows_text(outside)} outside the time of {trajectory_name} left out"
+    )
 
 
 def _by_rows(
-    recording: Pair, wanted: Floats, clock: Floats | None, trajectory: str
+    recording: Pair, desired: Floats, clock: Floats | None, trajectory: str
 ) -> Pair:
     """Match row by row; the time is the trajectory's."""
-    step, wanted_step = recording.step(), step_of(clock)
-    if step is not None and wanted_step is not None:
-        if abs(step / wanted_step - 1.0) > SAME_RATE:
+    step, desired_step = recording.step(), clock_step(clock)
+    if step is not None and desired_step is not None:
+        if abs(step / desired_step - 1.0) > RATE_SLACK:
             raise InputError(
-                f"{recording.name}: {1.0 / step:.5g} Hz, {trajectory}: {1.0 / wanted_step:.5g} Hz:"
+                f"{recording.name}: {1.0 / step:.5g} Hz, {trajectory}: {1.0 / desired_step:.5g} Hz:"
                 " rows do not correspond; type `match` time"
             )
-    count = min(len(recording), len(wanted))
-    pair = replace(recording.taken(slice(0, count)), desired=wanted[:count])
+    count = min(len(recording), len(desired))
+    pair = replace(recording.taken(slice(0, count)), desired=desired[:count])
     if clock is not None:
         pair = replace(pair, time=clock[:count])
-    surplus = len(recording) - len(wanted)
+    surplus = len(recording) - len(desired)
     if surplus:
         relation = "more" if surplus > 0 else "fewer"
         pair = pair.noted(f"{rows_text(abs(surplus))} {relation} than in {trajectory}")
     return pair
 
 
-def _by_time(recording: Pair, wanted: Floats, clock: Floats) -> Pair:
+def _by_time(recording: Pair, desired: Floats, clock: Floats) -> Pair:
     """Match by time: the desired signal is interpolated at the recording's times."""
     assert recording.time is not None
-    slack = 1e-6 * (step_of(clock) or 0.0)
+    slack = 1e-6 * (clock_step(clock) or 0.0)
     begin, end = clock[0] - slack, clock[-1] + slack
     pair = recording.taken(stretch((recording.time >= begin) & (recording.time <= end)))
     assert pair.time is not None
-    return replace(pair, desired=np.interp(pair.time, clock, wanted))
+    return replace(pair, desired=np.interp(pair.time, clock, desired))
 
 
 def _on_one_clock(
