@@ -47,14 +47,8 @@ def alike(lines: list[str]) -> bool | None:
 
 def values(layout: Layout) -> list[Any]:
     """Return what the rows and the clock are read by."""
-    rows = [
-        layout.delimiter,
-        layout.decimal,
-        layout.width,
-        layout.numeric,
-        layout.first,
-    ]
-    return [*rows, layout.empty, layout.stamps, layout.texts, layout.clock]  # fmt: skip
+    rows = [layout.delimiter, layout.decimal, layout.kinds, layout.first]
+    return [*rows, layout.clock]
 
 
 @pytest.mark.parametrize("case", CASES, ids=[case["name"] for case in CASES])
