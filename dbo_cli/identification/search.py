@@ -162,8 +162,9 @@ class Search:
                 judged = cross_validate(self.problem, first, equations)
             except FitError:
                 continue
-            self.best = min(self.best, judged.score)
-            self.fits.append(judged)
+            if np.isfinite(judged.score):
+                self.best = min(self.best, judged.score)
+                self.fits.append(judged)
 
     def unjudged(self, best: Fit) -> list[tuple[float, Fit]]:
         """Return weight and fit of structures that the logs cannot tell from the best one.

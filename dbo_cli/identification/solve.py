@@ -154,6 +154,8 @@ def minimum(
     rest = target[:free] - factor[:free, free:] @ positive
     x = np.empty(len(right))
     x[order] = np.append(solve_triangular(factor[:free, :free], rest), positive)
+    if not np.isfinite(x).all():
+        raise FitError(NOT_SOLVED)
     return x * scale
 
 
@@ -164,9 +166,11 @@ def _guessed(
     x, some = np.zeros(len(right)), np.flatnonzero(guess)
     try:
         factor = cho_factor(matrix[np.ix_(some, some)])
-    except LinAlgError:
+    except (LinAlgError, ValueError):
         return None
     x[some] = cho_solve(factor, right[some])
+    if not np.isfinite(x).all():
+        return None
     gradient = matrix @ x - right
     wrong = (x < 0.0) | (~guess & (gradient < -EXACT * np.abs(right).max()))
     return None if (wrong & bounded).any() else x
