@@ -76,25 +76,12 @@ MOVED_KINDS = frozenset(("strain", "force", "torque", "induction"))
 _VALUE_KINDS = DRIVING_KINDS | MOVED_KINDS | {"voltage", "length", "angle"}
 
 
-def _sizes() -> dict[str, tuple[str, Fraction]]:
-    sizes = dict(_UNPREFIXED)
-    for base, kind in _BASES.items():
-        for prefix, power in _PREFIXES.items():
-            sizes[prefix + base] = (kind, Fraction(10) ** power)
-    return sizes
-
-
-def _by_word(table: dict[str, str]) -> dict[str, str]:
-    words = {}
-    for unit, spellings in table.items():
-        for word in spellings.split():
-            words[word] = unit
-    return words
-
-
-_SIZES = _sizes()
-_WORDS = _by_word(_SPELLINGS)
-_TIME_WORDS = _by_word(_TIME_SPELLINGS)
+_SIZES = dict(_UNPREFIXED)
+for _base, _kind in _BASES.items():
+    for _prefix, _power in _PREFIXES.items():
+        _SIZES[_prefix + _base] = (_kind, Fraction(10) ** _power)
+_WORDS = {word: unit for unit, text in _SPELLINGS.items() for word in text.split()}
+_TIME_WORDS = {w: unit for unit, text in _TIME_SPELLINGS.items() for w in text.split()}
 
 _MICRO = re.compile(r"[µμ](?=[^\W\d])")  # before a unit, nowhere else
 _BRACKETED = re.compile(r"(?P<name>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]")
