@@ -231,6 +231,11 @@ def time_unit(text: str | None) -> str | None:
     return None
 
 
+def is_unit(text: str | None) -> bool:
+    """Return whether a text is a known unit, of time in any capitals."""
+    return parse_unit(text) is not None or time_unit(text) is not None
+
+
 def split_header(text: str) -> tuple[str, str | None]:
     """Split a header at its unit: ``voltage_V``, ``Weg/nm``, ``time (ms)``, ``CH1 in V``.
 
@@ -240,7 +245,7 @@ def split_header(text: str) -> tuple[str, str | None]:
     """
     plain = _PREFIX_WORD.sub(r"\1", " ".join(text.split()))
     name, unit = _split_at_end(plain)
-    if unit and (parse_unit(unit) or time_unit(unit) or "/" in unit):
+    if unit and (is_unit(unit) or "/" in unit):
         return name, unit
     inside = units_in(plain)
     return (plain, inside.pop()) if len(inside) == 1 else (name, unit)
