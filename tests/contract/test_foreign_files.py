@@ -132,6 +132,23 @@ def test_a_cut_tdms_file_is_said() -> None:
         assert outcome.code in (0, 1)
 
 
+def test_what_a_library_logs_is_no_line_of_the_program() -> None:
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter("run.tdms") as file:
+        stated = {"unit_string": "V"}
+        channels = [
+            nptdms.ChannelObject("g", "time_s", TIME),
+            nptdms.ChannelObject("g", "voltage_V", VOLTS, stated),
+        ]
+        file.write_segment(channels)
+    damaged = Path("run.tdms").read_bytes().replace(b"unit_string", b"unit\xcdstring")
+    Path("run.tdms").write_bytes(damaged)
+    words = ["simulate", str(model("small")), "run.tdms", "-o", "out.csv"]
+    line = [sys.executable, "-m", "dbo_cli", *words]
+    ended = subprocess.run(line, capture_output=True, check=True, timeout=300)
+    assert all(said.startswith(b"dbo: ") for said in ended.stderr.splitlines())
+
+
 def test_a_rate_without_an_end_is_no_rate() -> None:
     rows = "".join(f"{volt}\n" for volt in VOLTS.tolist())
     for statement in ("Sample Interval,1e308,s", "Sample Rate,1e-308,Hz"):
