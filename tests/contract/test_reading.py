@@ -375,10 +375,8 @@ def test_a_cut_tdms_file_is_said() -> None:
 def test_what_a_library_logs_is_no_line_of_the_program() -> None:
     nptdms = pytest.importorskip("nptdms")
     with nptdms.TdmsWriter("run.tdms") as file:
-        file.write_segment([
-            nptdms.ChannelObject("g", "time_s", TIME),
-            nptdms.ChannelObject("g", "voltage_V", VOLTS, {"unit_string": "V"}),
-        ])  # fmt: skip
+        drive = nptdms.ChannelObject("g", "voltage_V", VOLTS, {"unit_string": "V"})
+        file.write_segment([nptdms.ChannelObject("g", "time_s", TIME), drive])
     damaged = Path("run.tdms").read_bytes().replace(b"unit_string", b"unit\xcdstring")
     Path("run.tdms").write_bytes(damaged)
     words = ["simulate", str(model("small")), "run.tdms", "-o", "out.csv"]
