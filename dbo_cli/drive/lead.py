@@ -230,8 +230,17 @@ def _conditioning(
     ------
     LimitError
         The typed seconds are too few for the slew limit.
+    UsageError
+        The limits leave nothing to sweep.
     """
-    low, high = swept_range(model, limits)
+    # at or below the first gear's origin every bit is clear, so that the past is wiped out
+    low = max(limits.move[0], model.input.min)
+    high = min(limits.move[1], model.input.max)
+    if not low < high:
+        raise UsageError(
+            f"`condition` sweeps the identified range, {model.input.min:.6g} to "
+            f"{model.input.max:.6g}{limits.suffix}; the limits leave none of it"
+        )
     begin = low if last is None else last
     inwards: Seconds = "auto"
     sweeping = SWEEP_SECONDS
@@ -314,27 +323,6 @@ def _swing(
         span = limits.rating[1] - limits.rating[0]
         shortest = max(SHORTEST_SWING, SWEEP_SECONDS * abs(end - begin) / span)
     return swings([begin, end], [_rows(end - begin, dt, shortest, limits)])[1:]
-
-
-def swept_range(model: Cascade, limits: Limits) -> tuple[float, float]:
-    """Return the ends of a sweep: of the move's range, as far as the model was identified.
-
-    At or below the first gear's origin every bit is clear, so that the past is wiped
-    out.
-
-    Raises
-    ------
-    UsageError
-        The limits leave nothing to sweep.
-    """
-    low = max(limits.move[0], model.input.min)
-    high = min(limits.move[1], model.input.max)
-    if not low < high:
-        raise UsageError(
-            f"`condition` sweeps the identified range, {model.input.min:.6g} to "
-            f"{model.input.max:.6g}{limits.suffix}; the limits leave none of it"
-        )
-    return low, high
 
 
 def way(

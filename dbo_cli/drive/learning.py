@@ -9,13 +9,13 @@ resonance that is 25 % off, while what is left below the cut-off is small.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from hashlib import sha256
 
 import numpy as np
 
@@ -140,7 +140,7 @@ class RepeatedMove:
         error = self.desired - measured
         zero = 0.0 if self.absolute else float(error.mean())
         error = error - zero
-        passed = PassRecord(_digest(voltage), rms(error))
+        passed = PassRecord(sha256(voltage.tobytes()).hexdigest(), rms(error))
         before = _passes_before(history, passed)
         cutoff = bandwidth or self._trusted(name, measured - modelled)
         self._require_no_growth(name, passed, before, cutoff, measured)
@@ -441,10 +441,6 @@ class RepeatedMove:
 def rms(values: Floats) -> float:
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _digest(voltage: Floats) -> str:
-    return hashlib.sha256(np.ascontiguousarray(voltage).tobytes()).hexdigest()
 
 
 def _passes_before(
