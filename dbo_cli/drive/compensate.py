@@ -8,7 +8,7 @@ are one signal through one inverse in one state, and every row passes the gate.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -312,7 +312,7 @@ class Driver:
                 self.lead.state,
                 periodic,
                 absolute,
-                self.lead.condition,
+                self._lead_to(dt),
             )
             return move.learned(tracked, history, bandwidth, drive_of)
         target = desired
@@ -380,17 +380,27 @@ class Driver:
                 blocks.append(self._driven(step, *block))
         return dt, stacked(blocks)
 
+    def _lead_to(self, dt: float) -> Callable[[float], Floats] | None:
+        """Return what makes the voltages before a move by its first displacement, if a sweep is asked for."""
+        if not self.lead.condition:
+            return None
+
+        def lead_to(first: float) -> Floats:
+            return plan_lead(self.model, first, dt, self.limits, self.lead, self.hold)[
+                1
+            ]
+
+        return lead_to
+
     def _reference(
         self, desired: Floats, time: Floats, dt: float, periodic: bool, passes: int
     ) -> Floats:
-        """Return the voltages of the sweep, the loop or the move, if nothing is learned."""
-        lead = self.lead
+        """Return the voltages of the loop or the move, if nothing is learned; behind a sweep none."""
         if periodic:
             return self._loop_of(desired, dt, passes).planned().voltage
-        if lead.condition:
-            first = float(desired[0])
-            return plan_lead(self.model, first, dt, self.limits, lead, self.hold)[1]
-        driver = Driver(self.model, self.limits, lead, "clip", name=self.name)
+        if self.lead.condition:
+            return np.empty(0)
+        driver = Driver(self.model, self.limits, self.lead, "clip", name=self.name)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DboWarning)
             drive = driver.whole(desired, dt, time)
