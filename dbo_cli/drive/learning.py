@@ -286,9 +286,8 @@ class RepeatedMove:
         """Return the first row of the move in a recorded drive; None where the reference is not there."""
         reference, begin = self.reference, 0
         if self.periodic:
-            begin = max(
-                voltage.size - 2 * reference.size, 0
-            )  # what leads to it is over
+            # in the last two periods what leads to the loop is over
+            begin = max(voltage.size - 2 * reference.size, 0)
             reference = np.tile(reference, 4)
         row = self._shift(voltage[begin:], reference)
         if row is None or self.periodic:
