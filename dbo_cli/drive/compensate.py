@@ -17,7 +17,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.judge import Judge
-from dbo_cli.drive.lead import Lead, Seconds, plan_lead, ramp, standing_at
+from dbo_cli.drive.lead import Lead, LeadIn, Seconds, ramp, standing_at
 from dbo_cli.drive.limits import Figure, Gate, Limits, voltage_in
 from dbo_cli.drive.simulate import NO_ROWS, Ahead, Rows, stacked
 from dbo_cli.errors import DboWarning, InputError, UsageError
@@ -359,8 +359,8 @@ class Driver:
             dt = np.concatenate([[step], dt[1:]])
         if isinstance(lead.state, State):
             lead = replace(lead, state=_aged(model, lead.state, time, step))
-        planned = plan_lead(model, first, step, self.limits, lead, self.hold)
-        self._state, voltage, still_rows = planned
+        lead_in = LeadIn(model, first, step, self.limits, lead)
+        self._state, voltage, still_rows = lead_in.planned(self.hold)
         count = voltage.size + still_rows
         self._judge.lead_seconds = count * step
         begin = 0.0 if time is None else float(time[0])
@@ -386,9 +386,8 @@ class Driver:
             return None
 
         def lead_to(first: float) -> Floats:
-            return plan_lead(self.model, first, dt, self.limits, self.lead, self.hold)[
-                1
-            ]
+            lead_in = LeadIn(self.model, first, dt, self.limits, self.lead)
+            return lead_in.planned(self.hold)[1]
 
         return lead_to
 

@@ -298,24 +298,26 @@ class RepeatedMove:
         """Return the first row of the move in a recorded drive that begins with a sweep; None: it does not.
 
         The way behind the sweep lasts as long as the first value is far, and what was
-        learned moves that: the next look is for the way to the value that was found.
+        learned moves that: the next look is for the way to the value that was found, as
+        long as it lies closer.
         """
         assert self.lead_to is not None
-        first, row = float(self.desired[0]), None
+        first, row, closest = float(self.desired[0]), None, math.inf
         for _ in range(LOOKS):
             lead = self.lead_to(first)
             shift = self._shift(voltage, lead)
             if shift is None:
-                return row
+                break
             # the recording may lack rows at rest that another axis needs
             sweep = lead[max(-shift, 0) :]
             end = max(shift + lead.size, 0)
             recorded = voltage[max(shift, 0) : end]
             if recorded.size != sweep.size or not self._is_same_drive(recorded, sweep):
-                return row
-            if row == end:
                 break
-            row = end
+            difference = rms(recorded - sweep)
+            if difference >= closest:
+                break
+            row, closest = end, difference
             start = self.model.start(float(voltage[0]), "auto")
             modelled = self.model.run(voltage[: row + 1], start, self.step).y
             first = float(modelled[-1])
