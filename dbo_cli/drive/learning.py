@@ -9,13 +9,13 @@ resonance that is 25 % off, while what is left below the cut-off is small.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from hashlib import sha256
 
 import numpy as np
 
@@ -36,18 +36,20 @@ GROWTH = 1.2  # times the error of the last pass: beyond, learning diverges; cho
 FROM_BEST = 2.0  # times the best pass's error: growth by less a pass shows after a few
 START_PROBLEM = 8.0  # times the expected error: a mean beyond it is no sensor's zero
 # of the drive's range (RMS): recordings further apart are not of one drive
-SAME_DRIVE = 0.02
-SAME_RATE = 1e-3  # of a step
-GAP = 1.5  # steps: a longer one lacks rows
+ONE_DRIVE = 0.02
+RATE_SLACK = 1e-3  # of a step
+LONG_STEP = 1.5  # steps: a longer one lacks rows
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
 # of what differs by the stamps: with less by the drive, the recorder counts from elsewhere
-CLEARLY_BETTER = 0.5
-SWEPT = 1.7  # ranges that the drive travels in a sweep there and back
+MUCH_CLOSER = 0.5
+NEAR_ROWS = 2  # behind a sweep the first row is found to one: so near, the stamps count
+LOOKS = 6  # for the first row behind a sweep; two or three are usual
+SWEEP_TRAVEL = 1.7  # ranges that the drive travels in a sweep there and back
 # of what was asked, in a third of an octave: a pass takes two thirds off
 TRUSTED_ERROR = 1.0 / 3.0
 # of the strongest third of an octave (amplitude): with less a band says nothing
-ENERGY = 1e-3
+BAND_ENERGY = 1e-3
 RESONANCE_PART = 3.0  # a model is trusted to its lowest resonance over this
 # how far off a resonance may be: a payload of half the moving mass does that
 MISTUNED = 0.25
@@ -87,13 +89,14 @@ class RepeatedMove:
     desired, time, step
         The trajectory, the time of each row and its even step (s).
     reference
-        Voltages of a drive that learned nothing, by which a recording is laid over it.
+        Voltages of the move or period if nothing is learned: a recorded drive is laid over
+        them, or over ``lead_to``.
     state
         In which the drives began.
     periodic, absolute
         Whether recordings are of whole periods, and whether the mean is learned.
-    is_swept
-        They are those of the sweep before the move, else those of the move or period.
+    lead_to
+        Where a sweep stands before the move: the voltages before it, by its first value.
     """
 
     model: Cascade
@@ -104,7 +107,7 @@ class RepeatedMove:
     state: str | State = "auto"
     periodic: bool = False
     absolute: bool = False
-    is_swept: bool = False
+    lead_to: Callable[[float], Floats] | None = None
 
     def learned(
         self,
@@ -140,7 +143,7 @@ class RepeatedMove:
         error = self.desired - measured
         zero = 0.0 if self.absolute else float(error.mean())
         error = error - zero
-        passed = PassRecord(_digest(voltage), rms(error))
+        passed = PassRecord(sha256(voltage.tobytes()).hexdigest(), rms(error))
         before = _passes_before(history, passed)
         cutoff = bandwidth or self._trusted(name, measured - modelled)
         self._require_no_growth(name, passed, before, cutoff, measured)
@@ -192,7 +195,7 @@ class RepeatedMove:
 
     def _is_same_drive(self, voltage: Floats, other: Floats) -> bool:
         """Return whether two recordings are of one drive, but for what a monitor adds."""
-        return rms(voltage - other) <= SAME_DRIVE * self.model.input.span
+        return rms(voltage - other) <= ONE_DRIVE * self.model.input.span
 
     def _pass_of(self, recording: Tracked) -> tuple[Floats, Floats, Floats]:
         """Return drive, modelled and measured displacement of the rows that belong to the trajectory."""
@@ -246,12 +249,16 @@ class RepeatedMove:
         by_stamps = self._row_by_stamps(recording)
         if recording.time is None and voltage.size == count:
             return 0
+        if self.lead_to is not None:
+            row = self._row_behind_sweep(voltage)
+            if row is None or abs(row - by_stamps) <= NEAR_ROWS:
+                return by_stamps
+            return row
         row = self._row_by_drive(voltage)
         if row is None:
             return by_stamps
-        if self.is_swept:
-            return row
-        difference, is_stamped = abs(row - by_stamps), recording.time is not None
+        difference = abs(row - by_stamps)
+        is_stamped = recording.time is not None and voltage.size - by_stamps >= count
         if self.periodic:  # which of the periods does not matter
             row, difference = row % count, difference % count
             difference = min(difference, count - difference)
@@ -261,7 +268,7 @@ class RepeatedMove:
         if difference * self.step <= ACTUATOR_LAG:
             return by_stamps  # what was learned may be as early
         by_drive = self._mismatch(voltage, row)
-        if by_drive < CLEARLY_BETTER * self._mismatch(voltage, by_stamps):
+        if by_drive < MUCH_CLOSER * self._mismatch(voltage, by_stamps):
             return row
         return by_stamps
 
@@ -279,29 +286,49 @@ class RepeatedMove:
         """Return the first row of the move in a recorded drive; None where the reference is not there."""
         reference, begin = self.reference, 0
         if self.periodic:
-            begin = max(
-                voltage.size - 2 * reference.size, 0
-            )  # what leads to it is over
+            # in the last two periods what leads to the loop is over
+            begin = max(voltage.size - 2 * reference.size, 0)
             reference = np.tile(reference, 4)
-        late = voltage[begin:]
-        rows = self.step * np.arange(float(max(late.size, reference.size)))
-        times = rows[: late.size], rows[: reference.size]
-        found = align_drives(times[0], late, times[1], reference)
-        if found is None:
-            return None
-        shift = begin + round(found.ahead / self.step)
-        if self.periodic:
-            return shift
-        if not self.is_swept:
-            return min(max(shift, 0), max(voltage.size - self.desired.size, 0))
-        # the recording may lack rows at rest that another axis needs
-        sweep = reference[max(-shift, 0) :]
-        end = shift + reference.size
-        recorded = voltage[max(shift, 0) : max(end, 0)]
-        span = float(np.ptp(reference))
-        if recorded.size != sweep.size or rms(recorded - sweep) > SAME_DRIVE * span:
-            return None
-        return end
+        row = self._shift(voltage[begin:], reference)
+        if row is None or self.periodic:
+            return None if row is None else begin + row
+        return min(max(row, 0), max(voltage.size - self.desired.size, 0))
+
+    def _row_behind_sweep(self, voltage: Floats) -> int | None:
+        """Return the first row of the move in a recorded drive that begins with a sweep; None: it does not.
+
+        The way behind the sweep lasts as long as the first value is far, and what was
+        learned moves that: the next look is for the way to the value that was found, as
+        long as it lies closer.
+        """
+        assert self.lead_to is not None
+        first, row, closest = float(self.desired[0]), None, math.inf
+        for _ in range(LOOKS):
+            lead = self.lead_to(first)
+            shift = self._shift(voltage, lead)
+            if shift is None:
+                break
+            # the recording may lack rows at rest that another axis needs
+            sweep = lead[max(-shift, 0) :]
+            end = max(shift + lead.size, 0)
+            recorded = voltage[max(shift, 0) : end]
+            if recorded.size != sweep.size or not self._is_same_drive(recorded, sweep):
+                break
+            difference = rms(recorded - sweep)
+            if difference >= closest:
+                break
+            row, closest = end, difference
+            start = self.model.start(float(voltage[0]), "auto")
+            modelled = self.model.run(voltage[: row + 1], start, self.step).y
+            first = float(modelled[-1])
+        return row
+
+    def _shift(self, voltage: Floats, reference: Floats) -> int | None:
+        """Return the row of a recorded drive at which another one begins; None: they are not alike."""
+        rows = self.step * np.arange(float(max(voltage.size, reference.size)))
+        times = rows[: voltage.size], rows[: reference.size]
+        found = align_drives(times[0], voltage, times[1], reference)
+        return None if found is None else round(found.ahead / self.step)
 
     def _row_by_stamps(self, recording: Tracked) -> int:
         """Return the row at the time of the trajectory's first; the first where there is no clock.
@@ -315,14 +342,14 @@ class RepeatedMove:
         if time is None or time.size < 2:
             return 0
         step = mean_step(time)
-        if abs(step / self.step - 1.0) > SAME_RATE:
+        if abs(step / self.step - 1.0) > RATE_SLACK:
             raise InputError(
                 f"{name}: {1.0 / max(step, 1e-300):.6g} Hz, the trajectory {1.0 / self.step:.6g} Hz: "
                 "record at its rate, or `resample` HZ"
             )
         steps = np.diff(time)
         longest = int(np.argmax(steps))
-        if steps[longest] > GAP * step:
+        if steps[longest] > LONG_STEP * step:
             raise InputError(
                 f"{name}: rows are missing behind row {longest + 1:,}: record each row"
             )
@@ -333,12 +360,12 @@ class RepeatedMove:
         if begin < 2 or isinstance(self.state, State):
             return
         lead = recording.voltage[:begin]
-        span = self.model.input.span
-        if self.is_swept:
-            span = float(np.ptp(self.reference))
+        is_swept, span = self.lead_to is not None, self.model.input.span
+        if self.lead_to is not None:
+            span = float(np.ptp(self.lead_to(float(self.desired[0]))))
         extremes = lead[turns(lead, 0.1 * span)]
-        was_swept = float(np.abs(np.diff(extremes)).sum()) > SWEPT * span
-        if was_swept == self.is_swept:
+        was_swept = float(np.abs(np.diff(extremes)).sum()) > SWEEP_TRAVEL * span
+        if was_swept == is_swept:
             return
         text = "with a sweep before the move, which makes another past: add `condition`"
         if not was_swept:
@@ -443,10 +470,6 @@ def rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _digest(voltage: Floats) -> str:
-    return hashlib.sha256(np.ascontiguousarray(voltage).tobytes()).hexdigest()
-
-
 def _passes_before(
     history: Sequence[PassRecord], passed: PassRecord
 ) -> tuple[PassRecord, ...]:
@@ -509,7 +532,7 @@ def _trusted_by_bands(
     strongest = int(np.argmax(energy))
     good = -1
     for k in range(strongest, energy.size):
-        if energy[k] <= ENERGY * energy[strongest]:
+        if energy[k] <= BAND_ENERGY * energy[strongest]:
             continue
         if error_energy[k] > TRUSTED_ERROR * energy[k]:
             break
