@@ -141,6 +141,35 @@ def test_a_pass_is_learned_from_wherever_its_recorder_counts_from(
     assert float(said.split()[3]) == pytest.approx(off, rel=0.02)
 
 
+@pytest.mark.parametrize("lead", [("--passes", 2), ("--approach", 0.13)])
+@pytest.mark.parametrize("start", [0.0, 1.7e9])
+@pytest.mark.parametrize("lost", [0, 37, 737])
+def test_a_loop_is_learned_from_wherever_its_recorder_counts_from(
+    lead: tuple[object, ...], start: float, lost: int
+) -> None:
+    """Its stamps were believed: a clock from 0 put what leads to the loop into its mean, or was refused."""
+    time = STEP * np.arange(400)
+    desired = 5.0 - 2.0 * np.cos(2.0 * np.pi * 2.5 * time)
+    write("period.csv", "time_s,displacement_um", time, desired)
+    words = ("compensate", model("small"), "period.csv", "--periodic", "--from", 0)
+    done(*words, *lead, "-o", "loop.csv")
+    drive = table("loop.csv")
+    period = drive["voltage_V"][drive["time_s"] > -0.5 * STEP]
+    voltage = np.concatenate([drive["voltage_V"], *[period] * 4])
+    stamps = drive["time_s"][0] + STEP * np.arange(len(voltage))
+    write("played.csv", "time_s,voltage_V", stamps, voltage)
+    moved = table(done("simulate", model("small"), "played.csv"))["displacement_um"]
+    moved = 0.1 + 1.02 * moved + 0.01 * np.sin(2.0 * np.pi * 12.5 * stamps)
+    header = "time_s,voltage_V,measured_um"
+    write("true.csv", header, stamps, voltage, moved)
+    known = table(done(*words, *lead, "--tracked", "true.csv"))["voltage_V"]
+    elsewhere = start + STEP * np.arange(len(voltage) - lost)
+    write("pass.csv", header, elsewhere, voltage[lost:], moved[lost:])
+    found = table(done(*words, *lead, "--tracked", "pass.csv"))["voltage_V"]
+    assert np.abs(known - drive["voltage_V"]).max() > 0.02
+    np.testing.assert_allclose(found, known, atol=1e-9)
+
+
 def test_both_axes_of_a_raster_are_laid_over_by_their_drives() -> None:
     """A slow axis is a ramp, and a ramp that is late looks like one that is lower: 65 % off."""
     one = json.loads(Path(model("creep")).read_text())
