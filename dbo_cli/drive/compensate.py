@@ -86,6 +86,8 @@ class Driver:
         self._state: State | None = None
         self._row_count = 0
         self._step = 0.0
+        # first value of a trajectory to which something learned is added
+        self._unlearned: float | None = None
         # undoing dynamics and delay; how many of the rows that wait stand before the move
         self._ahead: Ahead | None = None
         self._still_rows = 0
@@ -303,6 +305,7 @@ class Driver:
         if tracked:
             from dbo_cli.drive.learning import RepeatedMove
 
+            self._unlearned = float(desired[0])
             move = RepeatedMove(
                 self.model,
                 desired,
@@ -359,7 +362,8 @@ class Driver:
             dt = np.concatenate([[step], dt[1:]])
         if isinstance(lead.state, State):
             lead = replace(lead, state=_aged(model, lead.state, time, step))
-        planned = plan_lead(model, first, step, self.limits, lead, self.hold)
+        limits, hold, unlearned = self.limits, self.hold, self._unlearned
+        planned = plan_lead(model, first, step, limits, lead, hold, unlearned)
         self._state, voltage, still_rows = planned
         count = voltage.size + still_rows
         self._judge.lead_seconds = count * step

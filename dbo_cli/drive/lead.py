@@ -99,7 +99,13 @@ def _seconds(name: str, value: Seconds) -> Seconds:
 
 
 def plan_lead(
-    model: Cascade, first: float, dt: float, limits: Limits, lead: Lead, hold: int = 0
+    model: Cascade,
+    first: float,
+    dt: float,
+    limits: Limits,
+    lead: Lead,
+    hold: int = 0,
+    unlearned: float | None = None,
 ) -> tuple[State | None, Floats, int]:
     """Return what stands before a move.
 
@@ -113,6 +119,9 @@ def plan_lead(
         Seconds a row.
     hold
         Rows at the beginning that are added to it.
+    unlearned
+        First value of the trajectory, where something learned is added to it: the way
+        behind a sweep then has as many rows as without, so that a pass is found behind it.
 
     Returns
     -------
@@ -142,7 +151,7 @@ def plan_lead(
         before = np.array([last])
     if moves:
         begin, voltage = _way_in(
-            model, state, before, first, dt, limits, lead, hold, untyped
+            model, state, before, first, dt, limits, lead, hold, untyped, unlearned
         )
         return begin, voltage, still
     _require_short(untyped, "lead", untyped)
@@ -161,6 +170,7 @@ def _way_in(
     lead: Lead,
     hold: int,
     untyped: float,
+    unlearned: float | None,
 ) -> tuple[State, Floats]:
     """Return the state before the first row, and the voltages that lead to the move.
 
@@ -183,9 +193,12 @@ def _way_in(
         seconds = "auto"
         if isinstance(lead.approach, float):
             seconds = max(lead.approach - swept.size * dt, dt)
+    still = rest_rows(model, dt)
+    if lead.condition and unlearned is not None:
+        path = way(model, arrived, unlearned, dt, seconds, limits, True)
+        seconds = (path.size - still) * dt
     path = way(model, arrived, first, dt, seconds, limits, lead.condition)
     voltage = np.concatenate([before, path])
-    still = rest_rows(model, dt)
     swing = (voltage.size - hold - still) * dt
     untyped += still * dt if isinstance(lead.approach, float) else swing + still * dt
     _require_short(untyped, "approach", swing)
