@@ -174,7 +174,7 @@ def _side_by_side(rows: Block, time: Floats, table: Block, pair_name: str) -> Bl
     ):
         steps = np.diff(times)
         dt = np.concatenate([steps[:1], steps])
-    return Block(times, values, dt=dt)
+    return Block(times, values, dt)
 
 
 def _sensor_and_drive(rows: Block, table: Block) -> tuple[Floats, Floats] | None:
