@@ -248,31 +248,6 @@ def test_a_raster_recorded_without_its_drive_repeats_only_as_far_as_the_recordin
         assert outcome.warnings == []
 
 
-@pytest.mark.parametrize("start", [None, 0.0])
-def test_the_second_pass_is_found_behind_its_sweep(start: float | None) -> None:
-    """What was learned began elsewhere, and the way there had five rows fewer: 4,000 rows of 4,005."""
-    words = ("--rate", 1000, "--range", "1:5", "--lines", 16, "--frequency", 4)
-    done("trajectory", "raster", *words, "--bandwidth", 50, "-o", "raster.csv")
-    words = ("compensate", model("creep"), "raster.csv", "--displacement", "x_um")
-    words = (*words, "--condition", "--from", 0, "-o", "pass.csv")
-    done(*words)
-    errors = []
-    for seed in range(3):
-        drive = table("pass.csv")
-        moved = table(done("simulate", model("creep"), "pass.csv"))["displacement_um"]
-        moved += 0.03 * np.sin(moved) + 0.03 * (creep(moved, 0.03) - moved)
-        moved += 1e-3 * np.random.default_rng(seed).standard_normal(len(moved))
-        error = (moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP]
-        errors.append(np.std(error))
-        stamps = drive["time_s"]
-        if start is not None:
-            stamps = start + STEP * np.arange(len(moved))
-        columns = stamps, drive["voltage_V"], moved
-        write("seen.csv", "time_s,voltage_V,measured_um", *columns)
-        done(*words, "--tracked", "seen.csv", "--history", "passes.json")
-    assert errors[2] < 1.05 * errors[1] < 0.1 * errors[0]
-
-
 def test_what_was_learned_between_harmonics_ends_no_learning() -> None:
     """The second pass was learned below 1.3 Hz for 25, and the third was refused: its error grew."""
     time = STEP * np.arange(4000)
