@@ -283,7 +283,7 @@ def _evaluated(pair: Pair, lag: int, remove_offset: bool) -> LogReport:
     if compared.expected is not None:
         warning = _beyond(compared.expected, compared, figures)
         if warning:
-            compared = replace(compared, warnings=(f"{pair.name}: {warning}",))
+            compared = compared.warned(warning)
     return LogReport(compared, figures, lag)
 
 

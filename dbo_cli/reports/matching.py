@@ -123,10 +123,7 @@ def _on_one_clock(
         found = align_drives(recording.time, recording.voltage, clock, drive)
         if found is not None:
             return _shifted(recording, found, f"that of {name}, by the drive")
-        recording = replace(
-            recording,
-            warnings=(f"{recording.name}: its drive is not that of {name}",),
-        )
+        recording = recording.warned(f"its drive is not that of {name}")
     found = _by_displacement(recording, desired, clock)
     if found is None or -0.5 * (recording.step() or 0.0) <= found.ahead <= USUAL_LAG:
         return recording
@@ -146,11 +143,10 @@ def _on_one_clock(
         return replace(shifted, delay_removed=True)
     if after >= before:
         return recording
-    doubt = (
-        f"{recording.name}: its clock may be {found.ahead:.4g} s ahead of that of {name}, which is not sure:"
-        " its stamps are taken; record the drive, too, or try `match` rows"
+    return recording.warned(
+        f"its clock may be {found.ahead:.4g} s ahead of that of {name}, which is not sure: its stamps are"
+        " taken; record the drive, too, or try `match` rows"
     )
-    return replace(recording, warnings=(*recording.warnings, doubt))
 
 
 def _rival_holds(found: Alignment, recording: Pair, clock: Floats) -> bool:

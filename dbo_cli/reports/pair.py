@@ -97,6 +97,10 @@ class Pair:
         """Return the pair with a further note."""
         return replace(self, notes=(*self.notes, f"{self.name}: {note}"))
 
+    def warned(self, warning: str) -> Pair:
+        """Return the pair with a further warning."""
+        return replace(self, warnings=(*self.warnings, f"{self.name}: {warning}"))
+
     def step(self) -> float | None:
         """Return the seconds from row to row; None where no clock is known."""
         return clock_step(self.time)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import json
 from pathlib import Path
 from typing import Any
 
@@ -141,7 +140,7 @@ def test_a_broken_key_of_an_inverse_is_named_as_its_file_has_it() -> None:
     values = done("invert", model("small")).json
     stage = next(each for each in values["stages"] if each["type"] == "backlash")
     stage["dx"], stage["dy"] = [1.0, 1e-20, 1.0], [1.0, 1.0, 1.0]
-    Path("broken.json").write_text(json.dumps(values))
+    store("broken.json", values)
     index = values["stages"].index(stage)
     assert f"stages[{index}].dx[1]: 1e-20" in refused(1, "show", "broken.json")
 

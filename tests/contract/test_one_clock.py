@@ -12,6 +12,7 @@ from .program import (
 )  # fmt: skip
 
 STEP = 1e-3
+SUMMARY = {"format": "dbo-summary", "version": 1, "unit": "um", "model": "0" * 64}
 TIME = STEP * np.arange(6000)
 FIRST = ("compensate", model("creep"), "traj.csv", "--from", 0)
 SWEPT = (*FIRST, "--condition")
@@ -99,9 +100,12 @@ def test_another_drive_is_said() -> None:
     drive, moved = recorded(2)
     other = 50.0 + 40.0 * np.sin(np.arange(len(moved)) / 77.0)
     write("pass.csv", PASS, drive["time_s"], other, moved)
-    outcome = dbo("report", "pass.csv", "--trajectory", "drive.csv")
-    assert outcome.code == 0
-    assert any("drive is not that of drive.csv" in text for text in outcome.warnings)
+    store("s.json", {**SUMMARY, "expected_rmse": 1e-4})
+    for expected in ((), ("--expected", "s.json")):
+        outcome = done("report", "pass.csv", "--trajectory", "drive.csv", *expected)
+        (told, *more) = outcome.warnings
+        assert "drive is not that of drive.csv" in told
+        assert len(more) == len(expected) // 2
 
 
 @pytest.mark.parametrize("late", [0.0, 17.0, 2.37])
@@ -385,9 +389,8 @@ def test_a_late_sensor_is_no_error() -> None:
 def told_of(measured: Floats, desired: Floats, expected: float) -> list[str]:
     """Return the warnings of a report of a move with an expected error (um)."""
     write("run.csv", PAIR, TIME, desired, measured)
-    summary = {"format": "dbo-summary", "version": 1, "unit": "um", "model": "0" * 64}
-    figures = {"expected_rmse": expected, "move_range": [desired.min(), desired.max()]}
-    store("s.json", {**summary, **figures})
+    ends = [desired.min(), desired.max()]
+    store("s.json", {**SUMMARY, "expected_rmse": expected, "move_range": ends})
     return dbo("report", "run.csv", "--expected", "s.json").warnings
 
 
