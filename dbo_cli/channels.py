@@ -28,14 +28,16 @@ from dbo_cli.errors import (
     warn,
 )
 from dbo_cli.model import State, fields
-from dbo_cli.model.file import parse_state, read_state
+from dbo_cli.model.file import parse_state
 from dbo_cli.model.state import START_NAMES
 from dbo_cli.units import split_header
 
 if TYPE_CHECKING:
-    from dbo_cli.drive import Drive
+    from dbo_cli.drive import Drive, Limits
+    from dbo_cli.drive.drive import PassRecord
     from dbo_cli.drive.simulate import Rows
-    from dbo_cli.logs import Block, Reading
+    from dbo_cli.files import Outputs
+    from dbo_cli.logs import Reading
     from dbo_cli.model import Cascade
 
 Result = tuple[str, str | None, Floats]
@@ -55,12 +57,10 @@ def is_pattern(columns: Mapping[str, str | None]) -> bool:
 
 def columns_for(columns: Mapping[str, str | None], name: str) -> dict[str, str | None]:
     """Return the columns of one channel."""
-    columns_of_channel = {}
-    for role, pattern in columns.items():
-        columns_of_channel[role] = (
-            None if pattern is None else pattern.replace(PLACE, name)
-        )
-    return columns_of_channel
+    return {
+        role: pattern and pattern.replace(PLACE, name)
+        for role, pattern in columns.items()
+    }
 
 
 def names(
@@ -76,18 +76,23 @@ def names(
         The log is a stream, which cannot be read once for every channel.
     """
     from dbo_cli.logs import columns_of
+    from dbo_cli.logs.columns import fitting
 
     if not is_pattern(columns):
         return list(ALONE)
     path = paths[0]
     if path == "-":
         raise UsageError("-: channels need a file, not a pipe")
-    headers = [column.name for column in columns_of(path, reading)]
+    table = columns_of(path, reading)
+    headers = [column.name for column in table]
     channels: list[str] = []
     for role, pattern in columns.items():
         if pattern is None or PLACE not in pattern:
             continue
-        matches = _matches(pattern, headers)
+        names = headers
+        if pattern == PLACE:
+            names = [column.name for column in fitting(table, role)]
+        matches = _matches(pattern, names)
         channels = channels or matches
         mismatched = sorted(set(channels) ^ set(matches))
         if mismatched or not matches:
@@ -122,17 +127,15 @@ def models_of(path: str, channels: Sequence[str]) -> dict[str, Cascade]:
 # --- what is typed for a channel, or for all ---
 
 
-def value_for(
-    name: str, texts: Sequence[str] | None, channel: str, channels: Sequence[str]
-) -> str | None:
-    """Return what was typed for a channel: ``x=120V`` for one of them, ``120V`` for all.
+def values_for(
+    texts: Mapping[str, Sequence[str] | None], channel: str, channels: Sequence[str]
+) -> dict[str, str | None]:
+    """Return what was typed for a channel, by option: ``x=120V`` for one of them, ``120V`` for all.
 
     Parameters
     ----------
-    name
-        Of the option.
     texts
-        Its values.
+        By option: its values.
     channel, channels
         The channel, and all there are.
 
@@ -141,43 +144,34 @@ def value_for(
     UsageError
         A value is of no channel, or two values are of one.
     """
-    values: dict[str | None, str] = {}
-    for text in texts or ():
-        name_of_channel, mark, value = text.rpartition("=")
-        owner = name_of_channel if mark else None
-        if mark and (not owner or owner not in channels):
-            names = ", ".join(channels) or "this is no set of channels"
-            raise UsageError(f"`{name}` {text}: no channel {owner}: {names}")
-        if owner in values:
-            raise UsageError(f"`{name}` {text}: is given twice")
-        values[owner] = value
-    return values.get(channel, values.get(None))
-
-
-def values_for(
-    texts: Mapping[str, Sequence[str] | None], channel: str, channels: Sequence[str]
-) -> dict[str, str | None]:
-    """Return what was typed of several options for a channel, by option."""
     values = {}
-    for name, values_of_option in texts.items():
-        values[name] = value_for(name, values_of_option, channel, channels)
+    for option, texts_of_option in texts.items():
+        by_owner: dict[str, str] = {}
+        for text in texts_of_option or ():
+            owner, mark, value = text.rpartition("=")
+            if mark and (not owner or owner not in channels):
+                names = ", ".join(channels) or "this is no set of channels"
+                raise UsageError(f"`{option}` {text}: no channel {owner}: {names}")
+            if owner in by_owner:
+                raise UsageError(f"`{option}` {text}: is given twice")
+            by_owner[owner] = value
+        values[option] = by_owner.get(channel, by_owner.get(""))
     return values
 
 
 def require_own_limit(
-    name: str,
-    texts: Sequence[str] | None,
-    channel: str,
-    value: float | None,
-    model: Cascade,
+    name: str, texts: Sequence[str] | None, channel: str, model: Cascade
 ) -> None:
     """Refuse a limit for all channels that is far beyond the range of one of them (UsageError)."""
-    is_own = any(text.startswith(f"{channel}=") for text in texts or ())
-    if value is None or not channel or is_own:
+    from dbo_cli.drive import voltage_in
+
+    common = [text for text in texts or () if "=" not in text]
+    if not channel or not common or any(f"{channel}=" in text for text in texts or ()):
         return
     drive = model.input
+    value = voltage_in(name, common[0], drive)
     slack = LIMIT_SLACK * drive.span
-    if drive.min - slack <= value <= drive.max + slack:
+    if value is None or drive.min - slack <= value <= drive.max + slack:
         return
     raise UsageError(
         f"`{name}` {value:g}{drive.suffix} is beyond channel {channel}, {drive.min:.6g} to {drive.max:.6g}"
@@ -186,29 +180,6 @@ def require_own_limit(
 
 
 # --- tables and drives of all channels ---
-
-
-def read_channels(
-    log_path: str,
-    reading: Reading,
-    columns: Mapping[str, str | None],
-    roles: Mapping[str, Mapping[str, Any]],
-) -> dict[str, Block]:
-    """Return the log of each channel.
-
-    Parameters
-    ----------
-    roles
-        By role: the quantity of each channel, in whose unit its values are wanted.
-    """
-    from dbo_cli.logs import open_log
-
-    tables = {}
-    for name in next(iter(roles.values())):
-        units = {role: quantities[name].unit for role, quantities in roles.items()}
-        with open_log(log_path, columns_for(columns, name), reading, units) as log:
-            tables[name] = log.read()
-    return tables
 
 
 def together(
@@ -324,29 +295,56 @@ def read_files(path: str, kind: str, channels: Iterable[str]) -> dict[str, Any]:
     return members
 
 
+def members_of(
+    path: str, kind: str, channels: Collection[str]
+) -> dict[str, tuple[str, Any]]:
+    """Return what messages call the file of each channel, and its values; see ``read_files``."""
+    if tuple(channels) == ALONE:
+        return {"": fields.load(path, kind)}
+    members = read_files(path, kind, channels)
+    return {name: (f"{path}: {name}", members[name]) for name in channels}
+
+
 def states_of(state: str, models: Mapping[str, Cascade]) -> dict[str, State | str]:
     """Return what was before the first row of each channel: the name of a start, or a state of a set."""
     if state in START_NAMES:
         return dict.fromkeys(models, state)
-    if tuple(models) == ALONE:
-        return {"": read_state(state, models[""])}
-    members = read_files(state, "state", models)
     states: dict[str, State | str] = {}
-    for name, model in models.items():
-        states[name] = parse_state(members[name], model, f"{state}: {name}")
+    for name, (label, values) in members_of(state, "state", models).items():
+        states[name] = parse_state(values, models[name], label)
     return states
 
 
-def histories_of(path: str | None, channels: Sequence[str]) -> dict[str, Any]:
+def histories_of(
+    path: str | None, channels: Collection[str] = ALONE
+) -> dict[str, Sequence[PassRecord]]:
     """Return the passes so far of each channel; none where there is no file yet."""
-    from dbo_cli.drive.learning import parse_history, read_history
-
     if path is None or not os.path.exists(path):
         return dict.fromkeys(channels, ())
-    if tuple(channels) == ALONE:
-        return {"": read_history(path)}
-    members = read_files(path, "history", channels)
-    return {name: parse_history(members[name], f"{path}: {name}") for name in channels}
+    from dbo_cli.drive.learning import parse_history
+
+    histories: dict[str, Sequence[PassRecord]] = {}
+    for name, (label, values) in members_of(path, "history", channels).items():
+        histories[name] = parse_history(values, label)
+    return histories
+
+
+# --- tables of all channels ---
+
+
+def write_results(
+    outputs: Outputs,
+    output: str,
+    time: Floats | None,
+    results: Sequence[Result],
+    origin: dict[str, str | float] | None = None,
+) -> None:
+    """Write the columns of channels side by side, behind their time."""
+    from dbo_cli.logs import add_table
+
+    columns = [*results] if time is None else [("time", "s", time), *results]
+    names = [(name, unit) for name, unit, _ in columns]
+    add_table(outputs, output, names, origin).write(*(values for *_, values in columns))
 
 
 def columns_of_run(name: str, model: Cascade, rows: Rows) -> list[Result]:
@@ -358,11 +356,31 @@ def columns_of_run(name: str, model: Cascade, rows: Rows) -> list[Result]:
     ]
 
 
-def columns_of_drives(drives: Mapping[str, Drive], time: Floats | None) -> list[Result]:
-    """Return the table of drives: the time, then displacement and voltage of each channel."""
-    results: list[Result] = [] if time is None else [("time", "s", time)]
+def heading(
+    model: Cascade, limits: Limits, time: Floats | None
+) -> tuple[list[tuple[str, str | None]], dict[str, str | float]]:
+    """Return names and units of the columns of a drive, and what an HDF5 file says of it."""
+    columns: list[tuple[str, str | None]] = [] if time is None else [("time", "s")]
+    columns.append(("desired", model.output.unit))
+    columns.append((model.input.quantity, model.input.unit))
+    return columns, {"model": model.digest, "limits": json.dumps(limits.as_dict())}
+
+
+def write_drives(outputs: Outputs, output: str, drives: Mapping[str, Drive]) -> None:
+    """Write drives side by side: the time, then displacement and voltage of each channel."""
+    results: list[Result] = []
     for name, drive in drives.items():
-        output, into = drive.model.output, drive.model.input
-        results.append((f"desired_{name}", output.unit, drive.desired))
-        results.append((f"{into.quantity}_{name}", into.unit, drive.voltage))
-    return results
+        into, out, ending = (
+            drive.model.input,
+            drive.model.output,
+            f"_{name}" * bool(name),
+        )
+        results.append((f"desired{ending}", out.unit, drive.desired))
+        results.append((f"{into.quantity}{ending}", into.unit, drive.voltage))
+    first = next(iter(drives.values()))
+    _, origin = heading(first.model, first.limits, None)
+    if tuple(drives) != ALONE:
+        limits = {name: drive.limits.as_dict() for name, drive in drives.items()}
+        digests = {name: drive.model.digest for name, drive in drives.items()}
+        origin = {"model": json.dumps(digests), "limits": json.dumps(limits)}
+    write_results(outputs, output, first.time, results, origin)

@@ -32,6 +32,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs import (
     Reading,
+    columns_of,
     frame_table,
     is_frame,
     open_log,
@@ -40,12 +41,15 @@ from dbo_cli.logs import (
 from dbo_cli.model import Quantity
 from dbo_cli.recordings import (
     RECORDING_COLUMNS,
+    Columns,
+    Units,
     arrays_table,
     clock_of,
     floats,
     in_unit,
     model_of,
     pair_of,
+    read_table,
     recordings_of,
     seconds_of,
     signal_of,
@@ -59,8 +63,9 @@ if TYPE_CHECKING:
 
     from dbo_cli.drive import Drive
     from dbo_cli.drive.compensate import OnLimit
-    from dbo_cli.drive.learning import PassRecord
+    from dbo_cli.drive.drive import PassRecord
     from dbo_cli.drive.live import Controller
+    from dbo_cli.logs import Log
     from dbo_cli.reports import Pair, Report
 
 P = ParamSpec("P")
@@ -145,8 +150,8 @@ def with_known_words(function: Callable[P, R]) -> Callable[P, R]:
         for word in options:
             if word not in words:
                 similar = get_close_matches(word, words, 2, 0.5) or words
-                listed = " or ".join(f"`{name}`" for name in similar)
-                raise UsageError(f"{function.__name__}: no `{word}`: give {listed}")
+                text = " or ".join(f"`{name}`" for name in similar)
+                raise UsageError(f"{function.__name__}: no `{word}`: give {text}")
         return function(*values, **options)
 
     return call
@@ -399,20 +404,35 @@ class Model:
         LimitError
             A start outside the limits, or a move that they do not allow.
         """
-        from dbo_cli.drive import Driver, Lead, Limits, voltage_in
+        from dbo_cli.drive.compensate import driver_of
 
-        model, role = self.actuator, "displacement"
-        model.require("forward")
         for word, value in (("history", history), ("absolute", absolute)):
             if value and tracked is None:
                 raise UsageError(f"`{word}` needs `tracked` LOG")
-        rate = _rate(sample_rate)
+        self.actuator.require("forward")
+        rate, role = _rate(sample_rate), "displacement"
         signal = signal_of(wanted, (role, role), self.output, time, rate, unit)
-        limits = Limits.within(self.input, v_min, v_max, max_slew, extrapolate)
-        start = voltage_in("from", from_, self.input)
-        before = Lead(room.state_of(state, model), start, approach, condition, lead)
-        end = voltage_in("return", return_, self.input)
-        drive: Drive = Driver(model, limits, before, on_limit, end).whole(
+        driver = driver_of(
+            self.actuator,
+            v_min=v_min,
+            v_max=v_max,
+            max_slew=max_slew,
+            extrapolate=extrapolate,
+            on_limit=on_limit,
+            from_=from_,
+            return_=return_,
+            approach=approach,
+            condition=condition,
+            lead=lead,
+            state=room.state_of(state, self.actuator),
+        )
+        file = None
+        if isinstance(history, (str, Path)):
+            from dbo_cli.drive.learning import read_history
+
+            file = str(history)
+            history = read_history(file)
+        drive: Drive = driver.whole(
             signal[role],
             signal.dt,
             signal.time,
@@ -420,15 +440,14 @@ class Model:
             periodic=periodic,
             passes=passes,
             tracked=self._tracked(tracked),
-            history=_passes(history),
+            history=history,
             absolute=absolute,
         )
-        file = history if isinstance(history, (str, Path)) else None
         if file is not None:
             from dbo_cli.drive.learning import dumps_history
             from dbo_cli.files import write_text
 
-            write_text(str(file), dumps_history(drive.history))
+            write_text(file, dumps_history(drive.history))
         return drive if details else drive.voltage
 
     def _tracked(self, tracked: Logs | None) -> list[Any]:
@@ -819,70 +838,171 @@ def report(
     InputError
         Lengths or units differ, or there is nothing to compare.
     """
-    from dbo_cli.reports import Pair, Report, expected_in, predict
+    from dbo_cli.reports import predict
 
     rate = _rate(sample_rate)
+    actuator = None if model is None else model.actuator
+    start = "auto" if actuator is None else room.state_of(state, actuator)
+    units: Units = {"measured": unit, "voltage": voltage_unit}
     if is_frame(desired):
         if not (measured is None and voltage is None and unit is None):
             raise UsageError("report: a frame has its own columns and units")
-        pair, units = _frame_pair(desired, time, rate, model)
-        unit, voltage_unit = units.get("measured"), units.get("voltage")
+        table = frame_table(desired, None if time is None else seconds_of(time))
+        roles = (
+            "time",
+            "measured",
+            "voltage",
+            *(("desired",) if model is None else ()),
+        )
+        reading = Reading(sample_rate=rate)
+        pairs, units, _ = pairs_of(
+            [table], dict.fromkeys(roles), reading, actuator, start
+        )
     elif measured is None:
         raise UsageError("report: give `desired` and `measured`, or a frame")
     else:
-        drive = desired if model is not None else voltage
-        if drive is not None:
-            drive_unit = None if model is None else model.input.unit
-            drive_unit = drive_unit or voltage_unit
-            if model is None and drive_unit is None:
-                drive_unit = stated_unit(drive, "voltage")
-            drive = in_unit(drive, "voltage", drive_unit, voltage_unit)
-            voltage_unit = drive_unit
-        if model is not None:
-            moved = in_unit(measured, "displacement", model.output.unit, unit)
-            unit = model.output.unit
-            values = moved
+        clock = clock_of(desired, time, rate, len(floats(measured, "measured")))
+        if actuator is None:
+            pair, units = _arrays_pair(desired, measured, voltage, clock, units)
         else:
-            unit = _common_unit(desired, measured, unit)
-            values, moved = floats(desired, "desired"), floats(measured, "measured")
-        clock = clock_of(desired, time, rate, len(values))
-        if isinstance(clock, float):
-            clock = clock * np.arange(float(len(values)))
-        pair = Pair(name, values, moved, clock, drive)
-    pair = dataclasses.replace(pair, rows=rows, name=name)
-    if model is not None:
-        begin = room.state_of(state, model.actuator)
-        pair = predict(pair, model.actuator, begin)
-    return Report.of(
-        [pair],
-        unit=unit,
+            pair, units = _arrays_pair(None, measured, desired, clock, units, actuator)
+            pair = predict(pair, actuator, start)
+        pairs = [pair]
+    return reported(
+        [dataclasses.replace(pair, rows=rows, name=name) for pair in pairs],
+        units,
+        actuator,
+        expected,
+        max_rmse,
         lag=lag,
         remove_offset=remove_offset,
-        expected=None if expected is None else expected_in(expected, unit),
-        max_rmse=None
-        if max_rmse is None
-        else parse_quantity(max_rmse, unit, "max_rmse"),
         max_nrmse_percent=_figure("max_nrmse_percent", max_nrmse_percent, "%"),
-        voltage_unit=voltage_unit,
-        labels=("desired" if model is None else "model", "measured"),
-        model=None if model is None else model.actuator,
     )
 
 
-def _frame_pair(
-    frame: Any, time: Signal | None, rate: float | None, model: Model | None
-) -> tuple[Pair, dict[str, str]]:
-    """Return a frame as what a report compares, and the units of its columns."""
-    table = frame_table(frame, None if time is None else seconds_of(time))
-    columns = dict.fromkeys(("time", "measured", "voltage"))
-    units: dict[str, str | None] = {}
+def _arrays_pair(
+    desired: Signal | None,
+    measured: Signal,
+    voltage: Signal | None,
+    clock: float | Floats | None,
+    units: Units,
+    model: room.Cascade | None = None,
+) -> tuple[Pair, Units]:
+    """Return arrays as what a report compares, and their units; of a model, the drive beside measured."""
+    from dbo_cli.reports import Pair
+
+    unit, voltage_unit = units["measured"], units["voltage"]
     if model is None:
-        columns["desired"] = None
+        unit = _common_unit(desired, measured, unit)
+        displacement = floats(measured, "measured")
+        if voltage is not None:
+            voltage_unit = voltage_unit or stated_unit(voltage, "voltage")
     else:
-        units = {"voltage": model.input.unit, "measured": model.output.unit}
-    reading = Reading(sample_rate=rate)
-    pair, stated, _ = pair_of(table, columns, reading, units, model is not None)
-    return pair, stated
+        displacement = in_unit(measured, "displacement", model.output.unit, unit)
+        unit, voltage_unit = model.output.unit, model.input.unit or voltage_unit
+    drive = None
+    if voltage is not None:
+        drive = in_unit(voltage, "voltage", voltage_unit, units["voltage"])
+    if isinstance(clock, float):
+        clock = clock * np.arange(float(len(displacement)))
+    values = displacement if desired is None else floats(desired, "desired")
+    pair = Pair("log", values, displacement, clock, drive)
+    return pair, {"measured": unit, "voltage": voltage_unit}
+
+
+def pairs_of(
+    sources: Sequence[Any],
+    columns: Columns,
+    reading: Reading,
+    model: room.Cascade | None = None,
+    state: room.State | str = "auto",
+    model_name: str = "the model",
+    units: Units | None = None,
+) -> tuple[list[Pair], Units, list[Log]]:
+    """Return what logs measured beside what was desired or what a model predicts, the units, and the logs.
+
+    Parameters
+    ----------
+    sources, columns, reading
+        As of ``recordings.pair_of``; all get the given units, the model's, or those of
+        the first log.
+    model, state, model_name
+        A forward model, what was before the first row, and its name in messages.
+    """
+    from dbo_cli.reports import predict
+
+    common = dict(units or {})
+    if model is not None:
+        model.require("forward", model_name)
+        common = {"voltage": model.input.unit, "measured": model.output.unit}
+    pairs, logs = [], []
+    for source in sources:
+        pair, own, log = pair_of(source, columns, reading, common, model is not None)
+        for role, unit in own.items():
+            common[role] = common.get(role) or unit
+        if model is not None:
+            pair = predict(pair, model, state, model_name)
+        pairs.append(pair)
+        logs.append(log)
+    return pairs, common, logs
+
+
+def matched(
+    sources: Sequence[Any],
+    columns: Columns,
+    reading: Reading,
+    trajectory: str,
+    desired: str | None,
+    by: str,
+) -> tuple[list[Pair], Units, list[Log]]:
+    """Return ``pairs_of`` logs whose desired values are in a file of their own, matched ``by`` time or rows.
+
+    ``desired`` is the column of that file; its drive is looked for beside it.
+    """
+    from dbo_cli.reports import match
+
+    roles = {"time": None, "trajectory": desired}
+    roles["voltage"] = _drive_beside(trajectory, desired)
+    optional = ("time", "voltage")
+    file, table = read_table(trajectory, roles, Reading(), optional=optional)
+    trajectory_units = {"measured": file.columns["trajectory"].unit}
+    pairs, units, logs = pairs_of(sources, columns, reading, units=trajectory_units)
+    values, drive = table["trajectory"], table.values.get("voltage")
+    matches = [match(pair, values, table.time, by, trajectory, drive) for pair in pairs]
+    return matches, units, logs
+
+
+def _drive_beside(trajectory: str, desired: str | None) -> str | None:
+    """Return the drive's column beside the desired one of a channel, as compensate names it."""
+    if desired is None or "desired" not in desired:
+        return None
+    name = desired.replace("desired", "voltage", 1)
+    quantities = [column.quantity for column in columns_of(trajectory)]
+    return next((each for each in quantities if name.startswith(each)), None)
+
+
+def reported(
+    pairs: Sequence[Pair],
+    units: Units,
+    model: room.Cascade | None,
+    expected: str | Mapping[str, object] | None,
+    max_rmse: Figured | None,
+    **options: Any,
+) -> Report:
+    """Return the report of pairs, with the options of ``Report.of``, as ``report`` and the command do."""
+    from dbo_cli.reports import Report, expected_in
+
+    unit = units.get("measured")
+    return Report.of(
+        pairs,
+        unit=unit,
+        expected=None if expected is None else expected_in(expected, unit),
+        max_rmse=_figure("max_rmse", max_rmse, unit),
+        voltage_unit=units.get("voltage"),
+        labels=("desired" if model is None else "model", "measured"),
+        model=model,
+        **options,
+    )
 
 
 def _common_unit(desired: Any, measured: Any, given: str | None) -> str | None:
@@ -900,34 +1020,25 @@ def _common_unit(desired: Any, measured: Any, given: str | None) -> str | None:
 # --- typed numbers ---
 
 
-def _figure(name: str, typed: Figured | None, unit: str) -> Any:
+def _figure(name: str, value: Figured | None, unit: str | None) -> Any:
     """Return a typed figure in a unit; None and ``auto`` as they are."""
-    if typed is None or typed == "auto":
-        return typed
-    return parse_quantity(typed, unit, name)
+    if value is None or value == "auto":
+        return value
+    return parse_quantity(value, unit, name)
 
 
-def _constants(typed: Any) -> Any:
+def _constants(values: Any) -> Any:
     """Return typed time constants in s, or ``auto``."""
-    if isinstance(typed, str):
-        return typed
-    return tuple(parse_quantity(constant, "s", "relaxation") for constant in typed)
+    if isinstance(values, str):
+        return values
+    return tuple(parse_quantity(value, "s", "relaxation") for value in values)
 
 
-def _rate(typed: Figured | None) -> float | None:
+def _rate(value: Figured | None) -> float | None:
     """Return a typed rate in Hz; UsageError where it is not above 0."""
-    if typed is None:
+    if value is None:
         return None
-    rate = parse_quantity(typed, "Hz", "sample_rate")
+    rate = parse_quantity(value, "Hz", "sample_rate")
     if not rate > 0.0:
-        raise UsageError(f"`sample_rate`: {typed!r} is not above 0")
+        raise UsageError(f"`sample_rate`: {value!r} is not above 0")
     return rate
-
-
-def _passes(history: str | Path | Sequence[PassRecord]) -> Sequence[PassRecord]:
-    """Return the passes so far; none where there is no file yet."""
-    if not isinstance(history, (str, Path)):
-        return history
-    from dbo_cli.drive.learning import read_history
-
-    return read_history(str(history))

@@ -6,7 +6,6 @@ import dataclasses
 import os
 import shlex
 import sys
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 from dbo_cli.cli import options as opt
@@ -15,10 +14,7 @@ from dbo_cli.cli.say import detail, say
 from dbo_cli.errors import UsageError, warn
 
 if TYPE_CHECKING:
-    from dbo_cli.logs import Reading
-    from dbo_cli.model import Cascade, State
-    from dbo_cli.recordings import Columns, Units
-    from dbo_cli.reports import Pair, Report
+    from dbo_cli.reports import Report
 
 COMPARED, BOUNDS = "Comparison", "Bounds (exit 3)"
 
@@ -66,8 +62,8 @@ def report(
     dbo report tracked.csv --trajectory drive.csv --max-nrmse-percent 1
     """
     from dbo_cli import channels
+    from dbo_cli.library import matched, pairs_of, reported
     from dbo_cli.logs import parse_rows
-    from dbo_cli.reports import Report, expected_in
 
     if model is not None and trajectory is not None:
         raise UsageError("give either `model` or `trajectory`")
@@ -87,35 +83,32 @@ def report(
     summaries = channels.summaries_of(expected, names)
     results = {}
     for channel in names:
-        roles = channels.columns_for(columns, channel)
-        actuator = models.get(channel)
+        roles, actuator = channels.columns_for(columns, channel), models.get(channel)
         with channels.naming(channel):
             if trajectory is not None:
                 column = channels.columns_for({"desired": desired}, channel)["desired"]
-                pairs, units = matched(logs, reading, roles, trajectory, column, match)
-            elif actuator is not None:
-                name = f"{model}::{channel}" if channel else model or ""
-                start = starts[channel]
-                pairs, units = predictions(logs, reading, roles, actuator, name, start)
+                found = matched(logs, roles, reading, trajectory, column, match)
             else:
-                pairs, units = read_pairs(logs, reading, roles, {}, False)
-            unit, summary = units.get("measured"), summaries[channel]
-            results[channel] = Report.of(
+                name = f"{model}::{channel}" if channel else model or ""
+                start = starts.get(channel, "auto")
+                found = pairs_of(logs, roles, reading, actuator, start, name)
+            pairs, units, opened = found
+            results[channel] = reported(
                 [
                     dataclasses.replace(pair, rows=rows, name=name)
                     for pair, name in zip(pairs, short_names(logs), strict=True)
                 ],
-                unit=unit,
+                units,
+                actuator,
+                summaries[channel],
+                max_rmse,
                 lag=lag,
                 remove_offset=remove_offset,
-                expected=None if summary is None else expected_in(summary, unit),
-                max_rmse=opt.quantity("max_rmse", max_rmse, unit),
                 max_nrmse_percent=percent_bound,
-                voltage_unit=units.get("voltage"),
-                labels=("desired" if actuator is None else "model", "measured"),
-                model=actuator,
                 command=shlex.join(["dbo", *sys.argv[1:]]),
             )
+        for log in opened:
+            detail(*log.remarks)
     publish(results, output, opt.form_of(form, output), figures)
 
 
@@ -127,66 +120,6 @@ def require_bounds(max_rmse: str | None, percent: float | None) -> None:
     for name, bound in (("max_rmse", largest), ("max_nrmse_percent", percent)):
         if bound is not None and bound < 0.0:
             raise UsageError(f"`{name}` {bound:g}: give 0 or more")
-
-
-def read_pairs(
-    logs: Sequence[str],
-    reading: Reading,
-    roles: Columns,
-    required_units: Units,
-    needs_drive: bool,
-) -> tuple[list[Pair], Units]:
-    """Return what was measured in each log, in these units or else those of the first, and the units."""
-    from dbo_cli.recordings import pair_of
-
-    pairs, units = [], dict(required_units)
-    for path in logs:
-        pair, log_units, log = pair_of(path, roles, reading, units, needs_drive)
-        detail(*log.remarks)
-        for role, unit in log_units.items():
-            units[role] = units.get(role) or unit
-        pairs.append(pair)
-    return pairs, units
-
-
-def predictions(
-    logs: Sequence[str],
-    reading: Reading,
-    roles: Columns,
-    model: Cascade,
-    name: str,
-    state: State | str,
-) -> tuple[list[Pair], Units]:
-    """Return what a model predicts beside what was measured, and the units."""
-    from dbo_cli.reports import predict
-
-    model.require("forward", name)
-    model_units = {"voltage": model.input.unit, "measured": model.output.unit}
-    pairs, units = read_pairs(logs, reading, roles, model_units, True)
-    return [predict(pair, model, state, name) for pair in pairs], units
-
-
-def matched(
-    logs: Sequence[str],
-    reading: Reading,
-    roles: Columns,
-    trajectory: str,
-    column: str | None,
-    by: str,
-) -> tuple[list[Pair], Units]:
-    """Return what a trajectory of a file of its own desires beside what was measured, and the units."""
-    from dbo_cli.logs import Reading
-    from dbo_cli.recordings import read_table
-    from dbo_cli.reports import match
-
-    drive_name = drive_column(trajectory, column)
-    columns = {"time": None, "trajectory": column, "voltage": drive_name}
-    optional = ("time", "voltage")
-    log, table = read_table(trajectory, columns, Reading(), optional=optional)
-    trajectory_units = {"measured": log.columns["trajectory"].unit}
-    pairs, units = read_pairs(logs, reading, roles, trajectory_units, False)
-    desired, clock, drive = table["trajectory"], table.time, table.values.get("voltage")
-    return [match(p, desired, clock, by, trajectory, drive) for p in pairs], units
 
 
 def publish(
@@ -220,17 +153,6 @@ def publish(
             warn(f"channel {name}: {text}" if name else text)
     for result in results.values():
         result.require_passed()
-
-
-def drive_column(trajectory: str, column: str | None) -> str | None:
-    """Return the drive's column beside the desired one of a channel, as compensate names it."""
-    from dbo_cli.logs import columns_of
-
-    if column is None or "desired" not in column:
-        return None
-    name = column.replace("desired", "voltage", 1)
-    quantities = [each.quantity for each in columns_of(trajectory)]
-    return next((each for each in quantities if name.startswith(each)), None)
 
 
 def short_names(logs: list[str]) -> list[str]:

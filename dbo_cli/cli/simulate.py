@@ -86,31 +86,27 @@ def simulate_set(
     from dbo_cli import channels
     from dbo_cli.drive.simulate import Simulator, stacked
     from dbo_cli.files import Outputs
-    from dbo_cli.logs import add_table
     from dbo_cli.model import State, dumps_state
+    from dbo_cli.recordings import read_table
 
     names = channels.names([log], reading, columns)
     models = channels.models_of(model, names)
-    inputs = {name: actuator.input for name, actuator in models.items()}
-    tables = channels.read_channels(log, reading, columns, {"input": inputs})
     states = channels.states_of(state, models)
     results: list[channels.Result] = []
     texts = {}
-    time = tables[names[0]].time
-    if time is not None:
-        results.append(("time", "s", time))
     for name, actuator in models.items():
-        table = tables[name]
+        roles = channels.columns_for(columns, name)
+        units = {"input": actuator.input.unit}
+        _, table = read_table(log, roles, reading, units)
         simulator = Simulator(actuator, states[name], outside, f"channel {name}")
         with channels.naming(name):
-            parts = [simulator.rows(table["input"], table.dt, table.time)]
-            parts.append(simulator.finish())
-        results += channels.columns_of_run(name, actuator, stacked(parts))
+            ready = simulator.rows(table["input"], table.dt, table.time)
+            rows = stacked([ready, simulator.finish()])
+        results += channels.columns_of_run(name, actuator, rows)
         if isinstance(simulator.state, State):
             texts[name] = dumps_state(simulator.state, actuator)
     with Outputs() as outputs:
-        headings = [(name, unit) for name, unit, _ in results]
-        add_table(outputs, output, headings).write(*(c for _, _, c in results))
+        channels.write_results(outputs, output, table.time, results)
         if save_state is not None:
             text = channels.dumps_files("state", texts)
             outputs.write_text(save_state, text, "state")

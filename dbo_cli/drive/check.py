@@ -107,14 +107,14 @@ class Checked:
             f" first row {self.first:.6g}{unit}, last row {self.last:.6g}{unit}",
         ]
         if self.played is not None:
-            played = self.played
-            lag_rows = round(played.lag_rows, 2) + 0.0
-            late = f"{lag_rows:g} rows late"
-            if lag_rows and played.lag_seconds:
-                late += f" ({1e3 * played.lag_seconds:.4g} ms)"
+            match = self.played
+            lag_rows = round(match.lag_rows, 2) + 0.0
+            lag_text = f"{lag_rows:g} rows late"
+            if lag_rows and match.lag_seconds:
+                lag_text += f" ({1e3 * match.lag_seconds:.4g} ms)"
             lines.append(
-                f"  played: {played.rows:,} rows, {late}, gain {played.gain:.6g},"
-                f" offset {played.offset:.3g}{unit}, largest difference {played.largest_difference:.3g}{unit}"
+                f"  played: {match.rows:,} rows, {lag_text}, gain {match.gain:.6g},"
+                f" offset {match.offset:.3g}{unit}, largest difference {match.largest_difference:.3g}{unit}"
             )
         lines += [f"  {problem}" for problem in self.problems]
         return "\n".join(lines) + "\n"
@@ -232,8 +232,8 @@ def _steps(time: Floats) -> Floats:
     steps = np.where(is_even, longest, steps)
     steps += 2.0 * np.spacing(np.maximum(np.abs(time[1:]), np.abs(time[:-1])))
     # as ``compensate`` counts the step before the first row
-    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-    return np.concatenate([[max(usual, steps[0])], steps])
+    typical = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
+    return np.concatenate([[max(typical, steps[0])], steps])
 
 
 def _odd_times(time: Floats) -> list[str]:
@@ -245,9 +245,9 @@ def _odd_times(time: Floats) -> list[str]:
         "a gap in time before it": gaps(steps),
     }
     problems = []
-    for what, odd in kinds.items():
-        if odd.any():
-            problems.append(_problem(np.concatenate([[False], odd]), what))
+    for reason, rows in kinds.items():
+        if rows.any():
+            problems.append(_problem(np.concatenate([[False], rows]), reason))
     return problems
 
 
@@ -256,19 +256,19 @@ def gaps(steps: Floats) -> Booleans:
     result = np.zeros(steps.size, dtype=np.bool_)
     for index in _long_among_even(steps):
         before = steps[max(index - NEIGHBOURS, 0) : index]
-        behind = steps[index + 1 : index + 1 + NEIGHBOURS]
-        usual = float(np.median(np.concatenate([before, behind])))
-        if steps[index] > GAP * usual:
-            is_clear = max(before.size, behind.size) >= FEWEST_NEIGHBOURS
-            is_even = _is_even(before, usual) and _is_even(behind, usual)
+        after = steps[index + 1 : index + 1 + NEIGHBOURS]
+        typical = float(np.median(np.concatenate([before, after])))
+        if steps[index] > GAP * typical:
+            is_clear = max(before.size, after.size) >= FEWEST_NEIGHBOURS
+            is_even = _is_even(before, typical) and _is_even(after, typical)
             result[index] = is_clear and is_even
     return result
 
 
-def _is_even(steps: Floats, usual: float) -> bool:
+def _is_even(steps: Floats, typical: float) -> bool:
     """Return whether the steps on one side of a step are even, but for one in ``NEIGHBOURS``."""
-    odd = np.count_nonzero(np.abs(steps - usual) > EVEN_STEPS * usual)
-    return bool(odd <= steps.size // NEIGHBOURS)
+    different = np.count_nonzero(np.abs(steps - typical) > EVEN_STEPS * typical)
+    return bool(different <= steps.size // NEIGHBOURS)
 
 
 def _long_among_even(steps: Floats) -> NDArray[np.intp]:
@@ -285,11 +285,11 @@ def _long_among_even(steps: Floats) -> NDArray[np.intp]:
     return np.flatnonzero(few & (steps > GAP * forward.min(initial=np.inf)))
 
 
-def _problem(odd: Booleans, reason: str) -> str:
-    """Name the first odd row, and how many there are."""
-    count = int(np.count_nonzero(odd))
+def _problem(rows: Booleans, reason: str) -> str:
+    """Name the first of some rows, and how many there are."""
+    count = int(np.count_nonzero(rows))
     more = f" ({count:,} rows in all)" if count > 1 else ""
-    return f"row {int(np.argmax(odd)) + 1:,}: {reason}{more}"
+    return f"row {int(np.argmax(rows)) + 1:,}: {reason}{more}"
 
 
 def _seam(voltage: Floats, gate: Gate, waits: Floats | None) -> list[str]:
@@ -309,17 +309,17 @@ def _seam(voltage: Floats, gate: Gate, waits: Floats | None) -> list[str]:
 # --- what was played ---
 
 
-def tolerance_of(drive: Floats, played: Floats, tolerance: float | None) -> float:
+def tolerance_of(drive: Floats, recorded: Floats, tolerance: float | None) -> float:
     """Return by how much a recording may differ: as given, or a thousandth of the range, or its noise."""
     if tolerance is not None:
         return tolerance
-    return max(TOLERANCE * float(np.ptp(drive)), NOISE * noise(played))
+    return max(TOLERANCE * float(np.ptp(drive)), NOISE * noise(recorded))
 
 
 def check_played(
     checked: Checked,
     drive: Floats,
-    played: Floats,
+    recorded: Floats,
     steps: tuple[float | None, float | None],
     tolerance: float | None = None,
 ) -> None:
@@ -327,21 +327,21 @@ def check_played(
 
     Parameters
     ----------
-    drive, played : array
+    drive, recorded : array
         What was computed, and what was recorded (behind the amplifier's gain).
     steps : (float or None, float or None)
         Seconds a row of the two. At another rate the drive is interpolated.
     tolerance : float, optional
         The largest difference allowed.
     """
-    allowed = tolerance_of(drive, played, tolerance)
-    step, played_step = steps
-    if step and played_step and abs(played_step / step - 1.0) > ONE_RATE:
-        times = np.arange(0.0, (drive.size - 1) * step, played_step)
+    allowed = tolerance_of(drive, recorded, tolerance)
+    step, recorded_step = steps
+    if step and recorded_step and abs(recorded_step / step - 1.0) > ONE_RATE:
+        times = np.arange(0.0, (drive.size - 1) * step, recorded_step)
         drive = np.interp(times, step * np.arange(drive.size), drive)
-    found = lag(played, drive)
-    late = 0.0 if found is None else found.seconds
-    overlaid = [_overlaid(drive, played, rows) for rows in (round(late), late)]
+    found = lag(recorded, drive)
+    delay = 0.0 if found is None else found.seconds
+    overlaid = [_overlaid(drive, recorded, rows) for rows in (round(delay), delay)]
     lag_rows, desired, recorded = min(
         overlaid, key=lambda rows: float(np.abs(rows[2] - rows[1]).max())
     )
@@ -353,7 +353,7 @@ def check_played(
         offset = 0.0
     shared = desired.size if lag_rows == round(lag_rows) else desired.size + 1
     unit = f" {checked.unit}" if checked.unit else ""
-    seconds = None if played_step is None else lag_rows * played_step
+    seconds = None if recorded_step is None else lag_rows * recorded_step
     checked.played = Played(shared, lag_rows, seconds, gain, offset, largest, allowed)
     if _correlation(desired, recorded) < ANOTHER:
         checked.problems.append("another drive was played: the two do not correlate")
@@ -377,9 +377,9 @@ def _correlation(a: Floats, b: Floats) -> float:
 
 
 def _overlaid(
-    drive: Floats, played: Floats, rows: float
+    drive: Floats, recorded: Floats, rows: float
 ) -> tuple[float, Floats, Floats]:
     """Return a lag in rows, and drive and recording at the same times."""
-    places = np.arange(float(played.size)) - rows
+    places = np.arange(float(recorded.size)) - rows
     inside = (places >= 0.0) & (places <= drive.size - 1)
-    return rows, between(drive, places[inside]), played[inside]
+    return rows, between(drive, places[inside]), recorded[inside]

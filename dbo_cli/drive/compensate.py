@@ -7,6 +7,7 @@ are one signal through one inverse in one state, and every row passes the gate.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
@@ -14,16 +15,17 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.drive import Drive
+from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.judge import Judge
-from dbo_cli.drive.lead import Lead, plan_lead, ramp, standing_at
-from dbo_cli.drive.limits import Gate, Limits
+from dbo_cli.drive.lead import Lead, Seconds, plan_lead, ramp, standing_at
+from dbo_cli.drive.limits import Figure, Gate, Limits, voltage_in
 from dbo_cli.drive.simulate import NO_ROWS, Ahead, Rows, stacked
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.model import Cascade, State, Steps
 
 if TYPE_CHECKING:
-    from dbo_cli.drive.learning import PassRecord, Tracked
+    from dbo_cli.drive.learning import Tracked
+    from dbo_cli.drive.loops import Loop
 
 OnLimit = Literal["auto", "clip", "error"]
 
@@ -197,17 +199,17 @@ class Driver:
         """
         from dbo_cli.drive import loops
 
-        model, limits, lead = self.model, self.limits, self.lead
+        model, lead = self.model, self.lead
         if self.return_to is not None or lead.condition or lead.rest:
             raise UsageError(
                 "`periodic` excludes `condition`, `lead` and `return`: use `passes` N"
             )
-        loop = loops.Loop(model, limits, target, dt, lead, passes, self.name, self.hold)
+        loop = self._loop_of(target, dt, passes)
         plan = loop.planned()
         run, state = plan.settled.run, plan.settled.before
         self._judge.clip(desired, loop.static_target, run, state, dt)
         self._judge.require_reached(dt * desired.size)
-        warnings = loop.require_settled(plan, self.on_limit)
+        texts = loop.require_settled(plan, self.on_limit)
         leading, period = plan.lead_voltage, plan.voltage
         first = float(leading[0] if leading.size else period[0])
         self._gate.require_reachable(first, first, dt)
@@ -230,8 +232,15 @@ class Driver:
             voltage=voltage,
             move=slice(count, voltage.size),
             notes=(f"{self.name}: {note}",),
-            warnings=(*warnings, *drive.warnings),
+            warnings=(*texts, *drive.warnings),
         )
+
+    def _loop_of(self, target: Floats, dt: float, passes: int) -> Loop:
+        """Return a loop on its way to the settled drive."""
+        from dbo_cli.drive.loops import Loop
+
+        limits, lead = self.limits, self.lead
+        return Loop(self.model, limits, target, dt, lead, passes, self.name, self.hold)
 
     # --- a whole trajectory ---
 
@@ -285,36 +294,33 @@ class Driver:
                 f"{self.name}: `tracked`, `periodic` and `bandwidth` need an even clock (`sample_rate` "
                 "HZ, or `resample` HZ)"
             )
-        target, lesson = desired, None
+
+        def drive_of(target: Floats) -> Drive:
+            if periodic:
+                return self.loop(desired, target, time, dt, passes)
+            return self._driven_whole(desired, target, time, dt, return_rows)
+
         if tracked:
             from dbo_cli.drive.learning import RepeatedMove
 
-            sweep, state = self._sweep(float(desired[0]), dt), self.lead.state
             move = RepeatedMove(
-                self.model, desired, time, dt, state, periodic, absolute, sweep
+                self.model,
+                desired,
+                time,
+                dt,
+                self._reference(desired, time, dt, periodic, passes),
+                self.lead.state,
+                periodic,
+                absolute,
+                self.lead.condition,
             )
-            lesson = move.lesson(tracked, history, bandwidth)
-            target = lesson.request
-        elif bandwidth is not None:
+            return move.learned(tracked, history, bandwidth, drive_of)
+        target = desired
+        if bandwidth is not None:
             from dbo_cli.drive.smooth import low_pass
 
             target = low_pass(desired, bandwidth, dt, periodic)
-        if periodic:
-            drive = self.loop(desired, target, time, dt, passes)
-        else:
-            drive = self._driven_whole(desired, target, time, dt, return_rows)
-        if lesson is None:
-            return drive
-        return replace(
-            drive,
-            # the model's own error is what was learned
-            expected_error=lesson.rmse,
-            expected_known=None,
-            expected_unrested=None,
-            history=lesson.history,
-            notes=(*lesson.notes, *drive.notes),
-            warnings=(*lesson.warnings, *drive.warnings),
-        )
+        return drive_of(target)
 
     def _driven_whole(
         self,
@@ -374,11 +380,21 @@ class Driver:
                 blocks.append(self._driven(step, *block))
         return dt, stacked(blocks)
 
-    def _sweep(self, first: float, dt: float) -> Floats:
-        """Return the voltages before a move that begins with a sweep; none where it does not."""
-        if not self.lead.condition:
-            return np.empty(0)
-        return plan_lead(self.model, first, dt, self.limits, self.lead, self.hold)[1]
+    def _reference(
+        self, desired: Floats, time: Floats, dt: float, periodic: bool, passes: int
+    ) -> Floats:
+        """Return the voltages of the sweep, the loop or the move, if nothing is learned."""
+        lead = self.lead
+        if periodic:
+            return self._loop_of(desired, dt, passes).planned().voltage
+        if lead.condition:
+            first = float(desired[0])
+            return plan_lead(self.model, first, dt, self.limits, lead, self.hold)[1]
+        driver = Driver(self.model, self.limits, lead, "clip", name=self.name)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DboWarning)
+            drive = driver.whole(desired, dt, time)
+        return drive.voltage[drive.move]
 
     def _usual_step(self, dt: Steps) -> float:
         """Return the seconds a row at the beginning; 0 without a clock.
@@ -412,56 +428,40 @@ class Driver:
         target: Floats,
         ahead: Floats,
     ) -> Rows:
-        """Return the drive of rows that are ready.
+        """Return the drive of rows that are ready, with which the static part reaches a target.
 
         ``ahead`` is what is asked for them and after them, ``target`` what of it the
         static part is to reach.
         """
         _, desired, time = columns
         assert desired is not None
-        if self._state is None:
-            self._state = self._started(float(target[0]))
+        model, limits, judge = self.model, self.limits, self._judge
+        if self._state is None:  # nothing leads to the move
+            self._state = model.start_drive(
+                float(target[0]), self.lead.state, *limits.move
+            )
+            if self._gate.last is None and limits.slew is not None:
+                self._gate.last = self._state.drive
         if not self._is_moving:
             self._is_moving = True
-            delayed = (
-                round(self.model.delay_seconds / dt) if isinstance(dt, float) else 0
-            )
-            self._judge.transient = float(target[0] - ahead[delayed])
+            delayed = round(model.delay_seconds / dt) if isinstance(dt, float) else 0
+            judge.transient = float(target[0] - ahead[delayed])
         phase = "lead" if self._still_rows else "move"
         self._still_rows = 0
-        return Rows(time, desired, self._inverted(desired, target, time, dt, phase))
-
-    def _started(self, first: float) -> State:
-        """Return the state in which a drive begins that nothing leads to."""
-        begin = self.model.start_drive(first, self.lead.state, *self.limits.move)
-        if self._gate.last is None and self.limits.slew is not None:
-            self._gate.last = begin.drive
-        return begin
-
-    def _inverted(
-        self,
-        desired: Floats,
-        target: Floats,
-        time: Floats | None,
-        dt: Steps,
-        phase: str,
-    ) -> Floats:
-        """Return the voltages with which the static part reaches a target, within the limits."""
-        model, limits, state = self.model, self.limits, self._state
-        assert state is not None
+        state = self._state
         run = model.drive(target, state, dt, limits.move, limits.slew)
         if phase == "move":
-            self._judge.clip(desired, target, run, state, dt)
+            judge.clip(desired, target, run, state, dt)
         clipped_at_once = run.clipped and run.first_clipped == 0
         unreachable = model.inverse().outside(target[:1])[0]
         if state.first is not None and not clipped_at_once and not unreachable:
             reached = model.static.run(run.y[:1], state, 0.0).y
-            self._judge.missed = float(target[0] - reached[0])
+            judge.missed = float(target[0] - reached[0])
         self._admit(run.y, dt, phase)
         self._state = run.state
         if time is not None:
             self._state = replace(run.state, time=float(time[-1]))
-        return run.y
+        return Rows(time, desired, run.y)
 
     def _played(self, time: Floats, voltage: Floats, phase: str, clocked: bool) -> Rows:
         """Return rows that are played as they are, with the displacement that the model expects of them."""
@@ -488,6 +488,38 @@ class Driver:
                 f"{where}: {values[row]:g} is no displacement: check column and unit"
             )
         raise InputError(f"{where} holds no number (`skip_bad` drops such rows)")
+
+
+def driver_of(
+    model: Cascade,
+    name: str = "trajectory",
+    hold: int = 0,
+    *,
+    v_min: Figure = None,
+    v_max: Figure = None,
+    max_slew: Figure = None,
+    extrapolate: bool = False,
+    on_limit: OnLimit = "auto",
+    from_: Figure = None,
+    return_: Figure = None,
+    approach: Seconds = None,
+    condition: bool = False,
+    lead: Seconds = None,
+    state: str | State = "auto",
+) -> Driver:
+    """Return what drives an actuator, by what was typed (``Model.compensate``).
+
+    Raises
+    ------
+    LimitError, ModelError, UsageError
+        As of ``Limits.within``, ``Lead`` and ``Driver``.
+    """
+    model.require("forward")
+    limits = Limits.within(model.input, v_min, v_max, max_slew, extrapolate)
+    start = voltage_in("from", from_, model.input)
+    end = voltage_in("return", return_, model.input)
+    before = Lead(state, start, approach, condition, lead)
+    return Driver(model, limits, before, on_limit, end, name, hold)
 
 
 def _aged(model: Cascade, state: State, time: Floats | None, step: float) -> State:

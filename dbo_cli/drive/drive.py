@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,8 +12,12 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.limits import Limits
 from dbo_cli.model import Cascade, State
 
-if TYPE_CHECKING:
-    from dbo_cli.drive.learning import PassRecord
+
+class PassRecord(NamedTuple):
+    """A pass of a move that is learned: the digest of its drive, and the RMS of its error."""
+
+    drive_sha256: str
+    rmse: float
 
 
 @dataclass(frozen=True)
@@ -118,11 +122,11 @@ class Drive:
             return f"{text} from rest; {unrested} if the actuator moved just before"
         if self.expected_known is None:
             return f"{text} (past unknown)"
-        known = f"{self.expected_known:.2g}"
-        if known == error:
+        from_rest = f"{self.expected_known:.2g}"
+        if from_rest == error:
             return f"{text}, whatever the past"
         way = "from a known `state`" if self.is_loop else "from rest with `condition`"
-        return f"{text} (past unknown; {known} {way})"
+        return f"{text} (past unknown; {from_rest} {way})"
 
     def summary(self) -> dict[str, Any]:
         """Return the drive as plain values, for a summary in JSON."""

@@ -272,9 +272,9 @@ class Judge:
                 known_error = math.hypot(expected.known, missed)
             if self.lead.condition:
                 unrested = math.hypot(expected.rms(past_known=True), missed)
-        texts = [*self._start_warnings(), *self._jump_warning(), *outside_texts]
+        texts = [*self._start_warnings(), *outside_texts]
         texts += expect.move_warnings(self.model, voltage, steps)
-        texts += [*self._worse_than_a_line(error), *self._creeping_hold(state)]
+        texts += self._end_warnings(error, state)
         warnings = tuple(f"{self.name}: {text}" for text in texts)
         for text in warnings:
             warn(text)
@@ -307,7 +307,7 @@ class Judge:
     # --- warnings, without the name of the trajectory ---
 
     def _start_warnings(self) -> list[str]:
-        """Return what was clipped, and how the drive begins."""
+        """Return what was clipped, and what is unusual about how the drive begins."""
         unit, span = self.model.output.suffix, self.model.output.span
         texts = []
         if self._clipped:
@@ -324,17 +324,13 @@ class Judge:
             texts.append(
                 "the move starts in motion and rings at first: add `lead` auto"
             )
-        return texts
-
-    def _jump_warning(self) -> list[str]:
-        """Return a warning where the first row is far from where the amplifier stands."""
         (low, high), standing = self.limits.identified, self.standing
-        if standing is None or abs(self._first - standing) <= JUMP * (high - low):
-            return []
-        return [
-            f"jumps from {standing:.4g} to {self._first:.4g}{self.limits.suffix} at row 1, and the error "
-            "there is not in the expected one: add `approach` auto"
-        ]
+        if standing is not None and abs(self._first - standing) > JUMP * (high - low):
+            texts.append(
+                f"jumps from {standing:.4g} to {self._first:.4g}{self.limits.suffix} at row 1, and the error "
+                "there is not in the expected one: add `approach` auto"
+            )
+        return texts
 
     def _beyond_identified(self, low: float, high: float) -> list[str]:
         """Return a warning where the drive, ``low`` to ``high``, leaves the identified range."""
@@ -347,36 +343,36 @@ class Judge:
             f"{lowest:.6g} to {highest:.6g}{unit}"
         ]
 
-    def _worse_than_a_line(self, error: float | None) -> list[str]:
-        """Return a warning where the error to expect is that of a straight line."""
-        line, unit = self.model.fit.get("line_rmse"), self.model.output.suffix
-        if error is None or not isinstance(line, float):
-            return []
-        if error < max(line, self._lost_rms):
-            return []
-        return [
-            f"expected error {error:.3g}{unit}, a straight line's is {line:.3g}: identify with a log "
-            "of such moves"
-        ]
+    def _end_warnings(self, error: float | None, state: State | None) -> list[str]:
+        """Return warnings where a straight line is as good, and where holding the end leaves the limits."""
+        texts, unit = [], self.model.output.suffix
+        line = self.model.fit.get("line_rmse")
+        if isinstance(line, float) and error is not None:
+            if error >= max(line, self._lost_rms):
+                texts.append(
+                    f"expected error {error:.3g}{unit}, a straight line's is {line:.3g}: identify with a log "
+                    "of such moves"
+                )
+        voltage = self._held_voltage(state)
+        (low, high), unit = self.limits.move, self.limits.suffix
+        if voltage is not None and not low <= voltage <= high:
+            texts.append(
+                f"holding the last position takes the drive to {voltage:.6g}{unit} in the long run, outside "
+                f"{low:.6g} to {high:.6g}{unit}"
+            )
+        return texts
 
-    def _creeping_hold(self, state: State | None) -> list[str]:
-        """Return a warning where holding the last position drives the voltage out of the limits."""
+    def _held_voltage(self, state: State | None) -> float | None:
+        """Return where holding the last position leads, of an actuator whose drive creeps outward for it."""
         relaxation, static = self.model.gears.relaxation, self.model.static
         if relaxation is None or state is None or state.drive is None:
-            return []
+            return None
         if min(relaxation.gain) >= 0.0:
-            return []
+            return None
         still = replace(state, sections=None, delay=None, undoing=None)
         position = static.run(np.array([state.drive]), still, 0.0).y
         seconds = LONG_HOLD * max(relaxation.tau)
-        voltage = float(static.drive(position, still, seconds).y[0])
-        (low, high), unit = self.limits.move, self.limits.suffix
-        if low <= voltage <= high:
-            return []
-        return [
-            f"holding the last position takes the drive to {voltage:.6g}{unit} in the long run, outside "
-            f"{low:.6g} to {high:.6g}{unit}"
-        ]
+        return float(static.drive(position, still, seconds).y[0])
 
 
 def widened(span: list[float] | None, values: Floats) -> list[float]:

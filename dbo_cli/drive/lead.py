@@ -9,6 +9,7 @@ first displacement may follow, in which the inverse reads ahead to the move.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +34,10 @@ LONGEST_REST = 10.0
 SLEW_SPARE = 0.9
 """Of the slew limit: what the digits of time stamps take away (since 1970, 0.2 us each)."""
 WAY_HALVINGS = 40  # of the move's range, to find where a move goes on: to 1e-12 of it
+SECANTS = (
+    4  # steps of a secant that begins there; what creeps on the way is a small part
+)
+SECANT_SLACK = 1e-8  # of the move's range, around what a secant finds
 LONGEST_CHOSEN = 60.0  # s that the program may put before a move; a user may type more
 MOST_LEAD_ROWS = 100_000_000
 NO_VOLTAGES = np.zeros(0)
@@ -83,14 +88,14 @@ class Lead:
         return self.condition or isinstance(self.state, State) or self.state != "auto"
 
 
-def _seconds(name: str, typed: Seconds) -> Seconds:
+def _seconds(name: str, value: Seconds) -> Seconds:
     """Return typed seconds as a number; UsageError where they are not above 0, None or auto."""
-    if typed is None or typed == "auto":
-        return typed
-    seconds = parse_quantity(typed, "s", name)
+    if value is None or value == "auto":
+        return value
+    seconds = parse_quantity(value, "s", name)
     if 0.0 < seconds < math.inf:
         return seconds
-    raise UsageError(f"`{name}` {typed}: give seconds above 0, or auto")
+    raise UsageError(f"`{name}` {value}: give seconds above 0, or auto")
 
 
 def plan_lead(
@@ -357,25 +362,50 @@ def way(
     begin, still = state.drive, rest_rows(model, dt)
 
     def way_to(end: float) -> Floats:
-        if is_last_swing:
-            swing = _swing(begin, end, dt, seconds, limits)
-        else:
-            swing = ramp("approach", begin, end, dt, seconds, limits)
+        swing = _swing(begin, end, dt, seconds, limits)
         return np.concatenate([swing, np.full(still, end)])
 
     def goes_on(state: State) -> float:
         return float(static.drive(np.array([first]), state, dt, limits.move).y[0])
 
-    if model.gears.relaxation is None:
-        return way_to(goes_on(state))
-    low, high = limits.move
-    for _ in range(WAY_HALVINGS):
-        end = 0.5 * (low + high)
-        if goes_on(static.run(way_to(end), state, dt).state) > end:
-            low = end
-        else:
-            high = end
+    def missing(end: float) -> float:
+        return goes_on(static.run(way_to(end), state, dt).state) - end
+
+    end = goes_on(state)
+    if model.gears.relaxation is not None:
+        end = _zero_of(missing, *limits.move, end)
+    if not is_last_swing:
+        ramp("approach", begin, end, dt, seconds, limits)
     return way_to(end)
+
+
+def _zero_of(
+    falling: Callable[[float], float], low: float, high: float, guess: float
+) -> float:
+    """Return where a falling function is zero between two voltages, by halving.
+
+    A secant that begins at a guess finds it first, so that only halvings near it need the
+    function, which may have small steps where a swing takes a row more.
+    """
+    slack, previous, middle = SECANT_SLACK * (high - low), guess, guess
+    value = falling(guess)
+    zero = guess + value
+    for _ in range(SECANTS):
+        last, value = value, falling(zero)
+        if value == last:
+            break
+        zero, previous = zero - value * (zero - previous) / (value - last), zero
+    is_found = abs(zero - previous) < 0.1 * slack
+    for _ in range(WAY_HALVINGS):
+        middle = 0.5 * (low + high)
+        is_below = middle < zero
+        if not is_found or abs(middle - zero) <= slack:
+            is_below = falling(middle) > 0.0
+        if is_below:
+            low = middle
+        else:
+            high = middle
+    return middle
 
 
 def rest_rows(model: Cascade, dt: float) -> int:

@@ -13,15 +13,15 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.alignment import ACTUATOR_LAG, align_displacements, align_drives, mean_step
+from dbo_cli.alignment import ACTUATOR_LAG, align_drives, mean_step
 from dbo_cli.arrays import Floats
+from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.smooth import low_pass, soft_rise
 from dbo_cli.errors import InputError, ModelError, warn
@@ -38,9 +38,10 @@ START_PROBLEM = 8.0  # times the expected error: a mean beyond it is no sensor's
 # of the drive's range (RMS): recordings further apart are not of one drive
 SAME_DRIVE = 0.02
 SAME_RATE = 1e-3  # of a step
+GAP = 1.5  # steps: a longer one lacks rows
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
-# of what differs by the stamps: with less by the signals, the recorder counts from elsewhere
+# of what differs by the stamps: with less by the drive, the recorder counts from elsewhere
 CLEARLY_BETTER = 0.5
 SWEPT = 1.7  # ranges that the drive travels in a sweep there and back
 # of what was asked, in a third of an octave: a pass takes two thirds off
@@ -75,35 +76,6 @@ class Tracked:
     time: Floats | None = None
 
 
-class PassRecord(NamedTuple):
-    """A pass in a history: the digest of its drive, and the RMS of its error in the output's unit."""
-
-    drive_sha256: str
-    rmse: float
-
-
-class Lesson(NamedTuple):
-    """What was learned of a pass.
-
-    Attributes
-    ----------
-    request : array
-        What to ask of the model for the next pass.
-    rmse : float
-        The error of the last pass, which the next one should stay below.
-    history : tuple of PassRecord
-        The passes so far, this one included.
-    notes, warnings : tuple of str
-        What a user should know.
-    """
-
-    request: Floats
-    rmse: float
-    history: tuple[PassRecord, ...]
-    notes: tuple[str, ...]
-    warnings: tuple[str, ...]
-
-
 @dataclass(frozen=True)
 class RepeatedMove:
     """A trajectory that is played again and again.
@@ -114,30 +86,36 @@ class RepeatedMove:
         A forward model.
     desired, time, step
         The trajectory, the time of each row and its even step (s).
+    reference
+        Voltages of a drive that learned nothing, by which a recording is laid over it.
     state
         In which the drives began.
     periodic, absolute
         Whether recordings are of whole periods, and whether the mean is learned.
-    sweep
-        Voltages of the sweep before the next drive; empty: none.
+    is_swept
+        They are those of the sweep before the move, else those of the move or period.
     """
 
     model: Cascade
     desired: Floats
     time: Floats
     step: float
+    reference: Floats
     state: str | State = "auto"
     periodic: bool = False
     absolute: bool = False
-    sweep: Floats = field(default_factory=lambda: np.empty(0))
+    is_swept: bool = False
 
-    def lesson(
+    def learned(
         self,
         recordings: Sequence[Tracked],
         history: Sequence[PassRecord],
         bandwidth: float | None,
-    ) -> Lesson:
-        """Return what to ask of the model for the next pass, and what to say of the last one.
+        drive_of: Callable[[Floats], Drive],
+    ) -> Drive:
+        """Return the drive of the next pass, with what is to be said of the last one.
+
+        The error to expect is that of the last pass, which the next one should stay below.
 
         Parameters
         ----------
@@ -148,6 +126,8 @@ class RepeatedMove:
             are forgotten.
         bandwidth
             Cut-off of Q (Hz); None: as far as the model can be trusted.
+        drive_of
+            Makes the drive of what is asked of the model.
 
         Raises
         ------
@@ -155,16 +135,16 @@ class RepeatedMove:
             A recording is not of this trajectory, or the error grew.
         """
         name, unit = recordings[0].name, self.model.output.suffix
-        voltage, believed, measured = self._mean_of(recordings)
-        self._require_same_move(name, believed)
+        voltage, modelled, measured = self._mean_of(recordings)
+        self._require_same_move(name, modelled)
         error = self.desired - measured
         zero = 0.0 if self.absolute else float(error.mean())
         error = error - zero
         passed = PassRecord(_digest(voltage), rms(error))
         before = _passes_before(history, passed)
-        cutoff = bandwidth or self._trusted(name, measured - believed)
+        cutoff = bandwidth or self._trusted(name, measured - modelled)
         self._require_no_growth(name, passed, before, cutoff, measured)
-        change = believed - self.desired + error
+        change = modelled - self.desired + error
         learned = low_pass(change, cutoff, self.step, self.periodic, ORDER)
         if not self.absolute:
             learned = learned - learned.mean()
@@ -177,8 +157,19 @@ class RepeatedMove:
             f"{reached:.2g}{unit} of it noise; learned below {cutoff:.4g} Hz"
         )
         warnings = self._start_warnings(name, zero)
-        request = self.desired + learned
-        return Lesson(request, passed.rmse, (*before, passed), (note,), warnings)
+        drive = drive_of(self.desired + learned)
+        return replace(
+            drive,
+            # the model's own error is what was learned
+            expected_error=passed.rmse,
+            expected_known=None,
+            expected_unrested=None,
+            history=(*before, passed),
+            notes=(note, *drive.notes),
+            warnings=(*warnings, *drive.warnings),
+        )
+
+    # --- the rows of a recording ---
 
     def _mean_of(self, recordings: Sequence[Tracked]) -> tuple[Floats, Floats, Floats]:
         """Return the drive of the first recording, what the model makes of them, and the mean measured.
@@ -188,48 +179,56 @@ class RepeatedMove:
         InputError
             A recording is of another drive than the first.
         """
-        passes = [self._rows_of(recording) for recording in recordings]
+        passes = [self._pass_of(recording) for recording in recordings]
         voltage = passes[0][0]
-        for recording, played in zip(recordings, passes, strict=True):
-            if rms(played[0] - voltage) > SAME_DRIVE * self.model.input.span:
+        for recording, (other, _, _) in zip(recordings, passes, strict=True):
+            if not self._is_same_drive(other, voltage):
                 raise InputError(
                     f"{recording.name}: not the drive of {recordings[0].name}: average recordings of one "
                     "drive only"
                 )
-        believed = np.mean([played[1] for played in passes], axis=0)
-        return voltage, believed, np.mean([played[2] for played in passes], axis=0)
+        modelled = np.mean([rows[1] for rows in passes], axis=0)
+        return voltage, modelled, np.mean([rows[2] for rows in passes], axis=0)
 
-    def _rows_of(self, recording: Tracked) -> tuple[Floats, Floats, Floats]:
-        """Return drive, belief and measurement of the rows that belong to the trajectory."""
-        count = self.desired.size
-        begin, rows = 0, recording.voltage.size
-        if recording.time is not None:
-            begin = self._first_row(recording)
-            rows -= begin
-            if not self.periodic:
-                rows = min(rows, count)  # what stands behind is a return
-        whole = " or whole periods of it" if self.periodic else ""
-        fits = rows % count == 0 if self.periodic else rows == count
-        if rows < count or not fits:
+    def _is_same_drive(self, voltage: Floats, other: Floats) -> bool:
+        """Return whether two recordings are of one drive, but for what a monitor adds."""
+        return rms(voltage - other) <= SAME_DRIVE * self.model.input.span
+
+    def _pass_of(self, recording: Tracked) -> tuple[Floats, Floats, Floats]:
+        """Return drive, modelled and measured displacement of the rows that belong to the trajectory."""
+        count, begin = self.desired.size, self._first_row(recording)
+        rows = recording.voltage.size - begin
+        if rows < count:
             raise InputError(
                 f"{recording.name}: {rows:,} rows from the start of the move, the trajectory has "
-                f"{count:,}{whole}: record each row of it"
+                f"{count:,}: record each row of it"
             )
-        voltage, measured = recording.voltage, self._without_delay(recording.measured)
+        measured = self._without_delay(recording.measured)
         if self.periodic:
-            if rows > count:
-                begin += count  # not settled yet
-            voltage = voltage[begin:].reshape(-1, count).mean(axis=0)
-            measured = measured[begin:].reshape(-1, count).mean(axis=0)
-            begun = self.model.start(float(voltage[0]), self.state)
-            believed = settled_run(self.model, voltage, self.step, begun)
-            return voltage, believed, measured
+            return self._mean_period(recording.voltage[begin:], measured[begin:])
         self._require_same_past(recording, begin)
         state = self.state if begin == 0 else "auto"
-        begun = self.model.start(float(voltage[0]), state)
-        believed = self.model.run(voltage, begun, self.step).y
-        rows_of_move = slice(begin, begin + count)
-        return voltage[rows_of_move], believed[rows_of_move], measured[rows_of_move]
+        start = self.model.start(float(recording.voltage[0]), state)
+        modelled = self.model.run(recording.voltage, start, self.step).y
+        move = slice(begin, begin + count)  # what stands behind is a return
+        return recording.voltage[move], modelled[move], measured[move]
+
+    def _mean_period(
+        self, voltage: Floats, measured: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return drive, modelled and measured displacement of one period of a loop, from several."""
+        count = self.desired.size
+        rows = voltage.size // count * count
+        periods = voltage[:rows].reshape(-1, count)
+        first = len(periods) - 1
+        while first and self._is_same_drive(periods[first - 1], periods[-1]):
+            first -= 1  # before that one, something else leads to the loop
+        if first < len(periods) - 1:
+            first += 1  # not settled yet
+        drive = periods[first:].mean(axis=0)
+        measured = measured[:rows].reshape(-1, count)[first:].mean(axis=0)
+        start = self.model.start(float(drive[0]), self.state)
+        return drive, settled_run(self.model, drive, self.step, start), measured
 
     def _without_delay(self, measured: Floats) -> Floats:
         """Return what a sensor without delay would have measured; the last value holds behind it."""
@@ -241,100 +240,133 @@ class RepeatedMove:
     def _first_row(self, recording: Tracked) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead.
 
-        A recorder may count from elsewhere: then what the model makes of the recorded
-        drive is laid over the trajectory.
+        A recorder may count from elsewhere: the recorded drive is laid over the reference.
+        """
+        voltage, count = recording.voltage, self.desired.size
+        by_stamps = self._row_by_stamps(recording)
+        if recording.time is None and voltage.size == count:
+            return 0
+        row = self._row_by_drive(voltage)
+        if row is None:
+            return by_stamps
+        if self.is_swept:
+            return row
+        difference, is_stamped = abs(row - by_stamps), recording.time is not None
+        if self.periodic:  # which of the periods does not matter
+            row, difference = row % count, difference % count
+            difference = min(difference, count - difference)
+            is_stamped = is_stamped and (voltage.size - by_stamps) % count == 0
+        if not is_stamped:
+            return row
+        if difference * self.step <= ACTUATOR_LAG:
+            return by_stamps  # what was learned may be as early
+        by_drive = self._mismatch(voltage, row)
+        if by_drive < CLEARLY_BETTER * self._mismatch(voltage, by_stamps):
+            return row
+        return by_stamps
+
+    def _mismatch(self, voltage: Floats, row: int) -> float:
+        """Return how far a recorded move or last period is off the reference (RMS), without the mean."""
+        count = self.reference.size
+        if self.periodic:
+            row += max((voltage.size - row) // count - 1, 0) * count
+        rows = voltage[row : row + count]
+        if rows.size < count:
+            return math.inf
+        return float(np.std(rows - self.reference))
+
+    def _row_by_drive(self, voltage: Floats) -> int | None:
+        """Return the first row of the move in a recorded drive; None where the reference is not there."""
+        reference, begin = self.reference, 0
+        if self.periodic:
+            begin = max(
+                voltage.size - 2 * reference.size, 0
+            )  # what leads to it is over
+            reference = np.tile(reference, 4)
+        late = voltage[begin:]
+        rows = self.step * np.arange(float(max(late.size, reference.size)))
+        times = rows[: late.size], rows[: reference.size]
+        found = align_drives(times[0], late, times[1], reference)
+        if found is None:
+            return None
+        shift = begin + round(found.ahead / self.step)
+        if self.periodic:
+            return shift
+        if not self.is_swept:
+            return min(max(shift, 0), max(voltage.size - self.desired.size, 0))
+        # the recording may lack rows at rest that another axis needs
+        sweep = reference[max(-shift, 0) :]
+        end = shift + reference.size
+        recorded = voltage[max(shift, 0) : max(end, 0)]
+        span = float(np.ptp(reference))
+        if recorded.size != sweep.size or rms(recorded - sweep) > SAME_DRIVE * span:
+            return None
+        return end
+
+    def _row_by_stamps(self, recording: Tracked) -> int:
+        """Return the row at the time of the trajectory's first; the first where there is no clock.
+
+        Raises
+        ------
+        InputError
+            The clock has another rate, or a gap.
         """
         time, name = recording.time, recording.name
-        assert time is not None
-        step = mean_step(time) if time.size > 1 else self.step
+        if time is None or time.size < 2:
+            return 0
+        step = mean_step(time)
         if abs(step / self.step - 1.0) > SAME_RATE:
             raise InputError(
                 f"{name}: {1.0 / max(step, 1e-300):.6g} Hz, the trajectory {1.0 / self.step:.6g} Hz: "
                 "record at its rate, or `resample` HZ"
             )
-        by_stamps = int(np.searchsorted(time, self.time[0] - 0.5 * self.step))
-        if self.periodic:
-            return by_stamps
-        begin = self._behind_sweep(recording.voltage)
-        if begin is not None:
-            return begin
-        start = self.model.start(float(recording.voltage[0]), "auto")
-        believed = self.model.run(recording.voltage, start, self.step).y
-        count = self.desired.size
-        rows = self.step * np.arange(float(believed.size))
-        found = align_displacements(rows, believed, rows[:count], self.desired)
-        if found is None:
-            return by_stamps
-        last = max(believed.size - count, 0)
-        by_signal = min(max(round(found.ahead / self.step), 0), last)
-        if abs(by_signal - by_stamps) * self.step <= ACTUATOR_LAG:
-            return by_stamps  # what was learned may be as early
-        left = self._mismatch(believed, by_signal)
-        if left < CLEARLY_BETTER * self._mismatch(believed, by_stamps):
-            return by_signal
-        return by_stamps
-
-    def _behind_sweep(self, voltage: Floats) -> int | None:
-        """Return the first row behind the next drive's sweep in a recorded one; None: it is not there."""
-        count = self.sweep.size
-        if not count:
-            return None
-        rows = self.step * np.arange(float(max(voltage.size, count)))
-        found = align_drives(rows[: voltage.size], voltage, rows[:count], self.sweep)
-        if found is None:
-            return None
-        shift = round(found.ahead / self.step)
-        recorded = voltage[max(shift, 0) : shift + count]
-        # the recording may lack rows at rest that another axis needs
-        sweep = self.sweep[max(-shift, 0) :]
-        span = float(np.ptp(self.sweep))
-        if recorded.size != sweep.size or rms(recorded - sweep) > SAME_DRIVE * span:
-            return None
-        return shift + count
+        steps = np.diff(time)
+        longest = int(np.argmax(steps))
+        if steps[longest] > GAP * step:
+            raise InputError(
+                f"{name}: rows are missing behind row {longest + 1:,}: record each row"
+            )
+        return int(np.searchsorted(time, self.time[0] - 0.5 * self.step))
 
     def _require_same_past(self, recording: Tracked, begin: int) -> None:
         """Refuse a pass with a sweep before it for a drive without, or the other way round (InputError)."""
         if begin < 2 or isinstance(self.state, State):
             return
         lead = recording.voltage[:begin]
-        span = float(np.ptp(self.sweep)) if self.sweep.size else self.model.input.span
+        span = self.model.input.span
+        if self.is_swept:
+            span = float(np.ptp(self.reference))
         extremes = lead[turns(lead, 0.1 * span)]
         was_swept = float(np.abs(np.diff(extremes)).sum()) > SWEPT * span
-        if was_swept and not self.sweep.size:
-            raise InputError(
-                f"{recording.name}: recorded with a sweep before the move, which makes another past: "
-                "add `condition`"
+        if was_swept == self.is_swept:
+            return
+        text = "with a sweep before the move, which makes another past: add `condition`"
+        if not was_swept:
+            text = (
+                "without the sweep of `condition`, which makes another past: leave `condition` out, or "
+                "record a pass with it"
             )
-        if not was_swept and self.sweep.size:
-            raise InputError(
-                f"{recording.name}: recorded without the sweep of `condition`, which makes another past: "
-                "leave `condition` out, or record a pass with it"
-            )
+        raise InputError(f"{recording.name}: recorded {text}")
 
-    def _mismatch(self, believed: Floats, begin: int) -> float:
-        """Return the RMS of belief less trajectory from a row on, without its mean."""
-        rows = believed[begin : begin + self.desired.size]
-        if rows.size < self.desired.size:
-            return math.inf
-        return float(np.std(rows - self.desired))
+    # --- refusals ---
 
-    def _require_same_move(self, name: str, believed: Floats) -> None:
+    def _require_same_move(self, name: str, modelled: Floats) -> None:
         """Refuse a drive that asks for another shape, whatever its size, or for another mean (InputError)."""
-        shape = believed - believed.mean()
-        wanted = self.desired - self.desired.mean()
-        square = float(np.sum(wanted * wanted))
+        shape = modelled - modelled.mean()
+        move = self.desired - self.desired.mean()
+        square = float(np.sum(move * move))
         size = 1.0
         if square > 0.0:
-            size = max(float(np.sum(shape * wanted)) / square, 0.0)
+            size = max(float(np.sum(shape * move)) / square, 0.0)
         mean = 0.0
         if not self.absolute:
-            mean = float(believed.mean() - self.desired.mean())
-        away = math.hypot(rms(shape - size * wanted), mean)
-        if away > ANOTHER_MOVE * rms(wanted):
+            mean = float(modelled.mean() - self.desired.mean())
+        difference = math.hypot(rms(shape - size * move), mean)
+        if difference > ANOTHER_MOVE * rms(move):
             unit = self.model.output.suffix
             raise InputError(
-                f"{name}: its drive belongs to another trajectory, {away:.3g}{unit} from this one (RMS; the "
-                f"move has {rms(wanted):.3g}{unit})"
+                f"{name}: its drive belongs to another trajectory, {difference:.3g}{unit} from this one "
+                f"(RMS; the move has {rms(move):.3g}{unit})"
             )
 
     def _require_no_growth(
@@ -369,8 +401,10 @@ class RepeatedMove:
         scale = float(move @ measured) / max(float(move @ move), 1e-300)
         if rms(measured - mean - scale * move) > explained:
             return
-        off = mean - float(self.desired.mean()) if self.absolute else 0.0
-        zero = f" and {off:.3g}{self.model.output.suffix} off" if off else ""
+        zero = ""
+        if self.absolute:
+            offset = mean - float(self.desired.mean())
+            zero = f" and {offset:.3g}{self.model.output.suffix} off"
         raise InputError(
             f"{name}: the error grew because the sensor shows {scale:.4g} times the move{zero}: restore the "
             "sensor, or learn anew with another `history`"
@@ -431,9 +465,9 @@ def _resting_ends(learned: Floats, per_sample: float) -> Floats:
     (800 Hz, 20 kHz).
     """
     weight = soft_rise(np.clip(np.arange(learned.size) * per_sample, 0.0, 1.0))
-    begun = learned[0] + weight * (learned - learned[0])
-    rested: Floats = begun[-1] + weight[::-1] * (begun - begun[-1])
-    return rested
+    risen = learned[0] + weight * (learned - learned[0])
+    resting: Floats = risen[-1] + weight[::-1] * (risen - risen[-1])
+    return resting
 
 
 def _safe(resonances: Sequence[Resonance]) -> float:
@@ -445,12 +479,13 @@ def _safe(resonances: Sequence[Resonance]) -> float:
     highest = math.inf
     for resonance in resonances:
         plain = Resonance(resonance.frequency, resonance.damping)
-        for part in (1.0 - MISTUNED, 1.0 + MISTUNED):
-            frequency = resonance.frequency * np.linspace(0.5, 2.0, 3001)
-            actual = Resonance(resonance.frequency * part, SHARPER * resonance.damping)
-            away = np.abs(1.0 - actual.response(frequency) / plain.response(frequency))
-            growing = away > FACTOR
-            bound = frequency[growing] / (away[growing] / FACTOR - 1.0) ** (0.5 / ORDER)
+        frequency = resonance.frequency * np.linspace(0.5, 2.0, 3001)
+        for factor in (1.0 - MISTUNED, 1.0 + MISTUNED):
+            tuned = resonance.frequency * factor
+            actual = Resonance(tuned, SHARPER * resonance.damping)
+            kept = np.abs(1.0 - actual.response(frequency) / plain.response(frequency))
+            growing = kept > FACTOR
+            bound = frequency[growing] / (kept[growing] / FACTOR - 1.0) ** (0.5 / ORDER)
             highest = min(highest, float(bound.min(initial=math.inf)))
     return highest
 
@@ -465,18 +500,18 @@ def _trusted_by_bands(
     there is only what was learned against such a loop.
     """
     window = np.hanning(desired.size)
-    asked = np.fft.rfft((desired - desired.mean()) * window)[1:]
-    left = np.fft.rfft((residual - residual.mean()) * window)[1:]
+    move = np.fft.rfft((desired - desired.mean()) * window)[1:]
+    error = np.fft.rfft((residual - residual.mean()) * window)[1:]
     frequency = np.fft.rfftfreq(desired.size, step)[1:]
     band = np.floor(3.0 * np.log2(frequency / frequency[0])).astype(int)
-    energy = np.sqrt(np.bincount(band, np.abs(asked) ** 2))
-    off = np.sqrt(np.bincount(band, np.abs(left) ** 2))
+    energy = np.sqrt(np.bincount(band, np.abs(move) ** 2))
+    error_energy = np.sqrt(np.bincount(band, np.abs(error) ** 2))
     strongest = int(np.argmax(energy))
     good = -1
     for k in range(strongest, energy.size):
         if energy[k] <= ENERGY * energy[strongest]:
             continue
-        if off[k] > TRUSTED_ERROR * energy[k]:
+        if error_energy[k] > TRUSTED_ERROR * energy[k]:
             break
         good = k
     if good < 0:

@@ -94,9 +94,9 @@ class Controller:
         self._dt = 1.0 / rate
         step = self.limits.largest_step(self._dt)
         self._step = math.inf if step is None else float(step)
-        typed = voltage_in("from_", from_, model.input)
+        start = voltage_in("from_", from_, model.input)
         left_at = self._begin.drive if isinstance(self._begin, State) else None
-        self.last = self.limits.standing(typed, left_at, "`from_`")
+        self.last = self.limits.standing(start, left_at, "`from_`")
         if self.last is not None:
             self._begin = self._stood_at(self.last)
         self._stepper: Any = None
@@ -118,10 +118,10 @@ class Controller:
             self._share = float(model.amplifier.share(self._dt)[0])
         self._inverter = model.inverter(self._dt)
         self.lookahead = self._samples_ahead(lookahead)
-        self._wanted: Floats | None = None
-        self._undoing: Undoing | None = None
+        self._queue: Floats | None = None
+        self._memory: Undoing | None = None
         if isinstance(self._begin, State):
-            self._undoing = self._inverter.behind(self._begin)
+            self._memory = self._inverter.behind(self._begin)
 
     def _stood_at(self, voltage: float) -> State:
         """Return the state before the first row, where the amplifier stands at a voltage."""
@@ -156,7 +156,7 @@ class Controller:
         after = dataclasses.replace(
             self._model.gears.committed(self._stepper),
             drive=self.last,
-            undoing=self._undoing,
+            undoing=self._memory,
             model=self._model.digest,
         )
         if self._amplified is not None:
@@ -174,7 +174,7 @@ class Controller:
         self._pending = None
         reach = self._model.output
         value = _number(wanted, "wanted", reach.min, reach.max, WANTED_SPANS)
-        u, queue, undoing = self._undone(value)
+        u, queue, memory = self._undone(value)
         voltage, clipped, started = self._way_in(), True, None
         if self._stepper is None:
             started = self._model.start_drive(u, self._begin, *self.limits.move)
@@ -185,7 +185,7 @@ class Controller:
         else:
             self._follow(voltage)
         self._admit(voltage)
-        self._pending = voltage, clipped, queue, undoing, started
+        self._pending = voltage, clipped, queue, memory, started
         return voltage
 
     def commit(self, applied: float | None = None) -> None:
@@ -200,7 +200,7 @@ class Controller:
         """
         if self._pending is None:
             raise UsageError("`commit`: nothing is planned (`plan` comes first)")
-        voltage, clipped, queue, undoing, started = self._pending
+        voltage, clipped, queue, memory, started = self._pending
         if applied is not None:
             voltage = _number(applied, "applied", *self.limits.rating, APPLIED_SPANS)
         if self._stepper is None:
@@ -211,7 +211,7 @@ class Controller:
                 self._follow(voltage)
             self._stepper.commit()
         self._output = self._planned_output
-        self.last, self._wanted, self._undoing = voltage, queue, undoing
+        self.last, self._queue, self._memory = voltage, queue, memory
         self.clipped += clipped
         self._pending = None
 
@@ -221,19 +221,19 @@ class Controller:
         self.commit()
         return voltage
 
-    def _undone(self, wanted: float) -> tuple[float, Floats | None, Undoing | None]:
+    def _undone(self, desired: float) -> tuple[float, Floats | None, Undoing | None]:
         """Return what the gears are to reach now, what is wanted from now on, and what undoing remembers."""
         if not self.lookahead and self._inverter.dynamics is None:
-            return wanted, None, None
-        if self._wanted is None:
-            queue = np.full(self.lookahead + 1, wanted)
+            return desired, None, None
+        if self._queue is None:
+            queue = np.full(self.lookahead + 1, desired)
         else:
             queue = np.empty(self.lookahead + 1)
-            queue[:-1] = self._wanted[1:]
-            queue[-1] = wanted
+            queue[:-1] = self._queue[1:]
+            queue[-1] = desired
         ahead = queue[: self._inverter.ahead + 1]
-        target, undoing = self._inverter.run(ahead, self._undoing)
-        return float(target[0]), queue, undoing
+        target, memory = self._inverter.run(ahead, self._memory)
+        return float(target[0]), queue, memory
 
     def _planned_first(self, u: float, started: State) -> tuple[float, bool]:
         """Return the voltage of the first row, and whether a limit held it back."""
@@ -288,10 +288,10 @@ class Controller:
         last = self.last
         if last is None or low <= last <= high:
             return None
-        near = low if last < low else high
-        if abs(near - last) <= self._step:
-            return near
-        return last + math.copysign(self._step, near - last)
+        end = low if last < low else high
+        if abs(end - last) <= self._step:
+            return end
+        return last + math.copysign(self._step, end - last)
 
     def _admit(self, voltage: float) -> None:
         """Let a voltage pass as the gate does: range and slew, or inwards from outside."""

@@ -99,6 +99,23 @@ def test_a_pattern_that_finds_nothing_is_refused(channels: Path) -> None:
     assert "mirror.csv" in error and "Q{}" in error
 
 
+@pytest.mark.parametrize("header", ["t_s,x_um,y_um", "t_s,Vx_V,Vy_V,x_um,y_um"])
+def test_a_bare_pattern_takes_the_columns_of_its_role(
+    channels: Path, header: str
+) -> None:
+    held = json.loads(Path("set.json").read_text())
+    held["models"] = dict(zip("xy", held["models"].values(), strict=False))
+    Path("xy.json").write_text(json.dumps(held))
+    moves = [2.0 + 0.2 * swings(number) for number in range(2)]
+    volts = [swings(2), swings(3)] if "V" in header else []
+    write("xy.csv", header, TIME, *volts, *moves)
+    command = ("compensate", "xy.json", "xy.csv", "--on-limit", "clip", "-q")
+    bare = done(*command, "--displacement", "{}")
+    assert bare.out == done(*command, "--displacement", "{}_um").out
+    error = refused(1, "simulate", "xy.json", "xy.csv", "--input", "{}_A")
+    assert "no column" in error
+
+
 def test_a_channel_that_the_set_lacks_is_named(channels: Path) -> None:
     held = json.loads(Path("set.json").read_text())
     del held["models"]["b"]

@@ -63,6 +63,19 @@ def test_a_start_and_a_state_outside_the_rating_are_refused() -> None:
     refused(3, "compensate", model("creep"), "wish.csv", *words)
 
 
+@pytest.mark.parametrize("start", [0.0, 20.0, 100.0])
+def test_the_seconds_that_a_refused_approach_names_are_enough(start: float) -> None:
+    """It named those of a voltage that was tried on the search for where the move goes on."""
+    displacement = 4.5 + 0.2 * np.sin(2.0 * np.pi * TIME)
+    write("high.csv", "time_s,displacement_um", TIME, displacement)
+    words = ("compensate", model("creep"), "high.csv", "--from", start)
+    limits = ("--max-slew", 200, "-o", "drive.csv")
+    error = refused(3, *words, "--approach", 0.01, *limits)
+    seconds = float(error.partition("at least ")[2].split()[0])
+    done(*words, "--approach", seconds, *limits)
+    assert "at least" in refused(3, *words, "--approach", 0.9 * seconds, *limits)
+
+
 @pytest.mark.parametrize("more", ["", "--periodic", "--condition"])
 def test_an_approach_of_auto_lasts_a_tenth_of_a_second(more: str) -> None:
     phase = 2.0 * np.pi * np.arange(400) / 400

@@ -135,6 +135,16 @@ def test_a_broken_key_is_named_and_the_schema_refuses_it(
     assert valid(schema, values) == (fault in NO_SCHEMA_KNOWS)
 
 
+def test_a_broken_key_of_an_inverse_is_named_as_its_file_has_it() -> None:
+    """Its axes are exchanged where it becomes a forward model, and with them what is wrong there."""
+    values = done("invert", model("small")).json
+    stage = next(each for each in values["stages"] if each["type"] == "backlash")
+    stage["dx"], stage["dy"] = [1.0, 1e-20, 1.0], [1.0, 1.0, 1.0]
+    Path("broken.json").write_text(json.dumps(values))
+    index = values["stages"].index(stage)
+    assert f"stages[{index}].dx[1]: 1e-20" in refused(1, "show", "broken.json")
+
+
 # --- sets ---
 
 

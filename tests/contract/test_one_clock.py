@@ -137,6 +137,35 @@ def test_a_pass_is_learned_from_wherever_its_recorder_counts_from(
     assert float(said.split()[3]) == pytest.approx(off, rel=0.02)
 
 
+@pytest.mark.parametrize("lead", [("--passes", 2), ("--approach", 0.13)])
+@pytest.mark.parametrize("start", [0.0, 1.7e9])
+@pytest.mark.parametrize("lost", [0, 37, 737])
+def test_a_loop_is_learned_from_wherever_its_recorder_counts_from(
+    lead: tuple[object, ...], start: float, lost: int
+) -> None:
+    """Its stamps were believed: a clock from 0 put what leads to the loop into its mean, or was refused."""
+    time = STEP * np.arange(400)
+    desired = 5.0 - 2.0 * np.cos(2.0 * np.pi * 2.5 * time)
+    write("period.csv", "time_s,displacement_um", time, desired)
+    words = ("compensate", model("small"), "period.csv", "--periodic", "--from", 0)
+    done(*words, *lead, "-o", "loop.csv")
+    drive = table("loop.csv")
+    period = drive["voltage_V"][drive["time_s"] > -0.5 * STEP]
+    voltage = np.concatenate([drive["voltage_V"], *[period] * 4])
+    stamps = drive["time_s"][0] + STEP * np.arange(len(voltage))
+    write("played.csv", "time_s,voltage_V", stamps, voltage)
+    moved = table(done("simulate", model("small"), "played.csv"))["displacement_um"]
+    moved = 0.1 + 1.02 * moved + 0.01 * np.sin(2.0 * np.pi * 12.5 * stamps)
+    header = "time_s,voltage_V,measured_um"
+    write("true.csv", header, stamps, voltage, moved)
+    known = table(done(*words, *lead, "--tracked", "true.csv"))["voltage_V"]
+    elsewhere = start + STEP * np.arange(len(voltage) - lost)
+    write("pass.csv", header, elsewhere, voltage[lost:], moved[lost:])
+    found = table(done(*words, *lead, "--tracked", "pass.csv"))["voltage_V"]
+    assert np.abs(known - drive["voltage_V"]).max() > 0.02
+    np.testing.assert_allclose(found, known, atol=1e-9)
+
+
 def test_both_axes_of_a_raster_are_laid_over_by_their_drives() -> None:
     """A slow axis is a ramp, and a ramp that is late looks like one that is lower: 65 % off."""
     store_set("xy.json", x=values_of("creep"), y=values_of("creep"))
@@ -165,6 +194,54 @@ def test_both_axes_of_a_raster_are_laid_over_by_their_drives() -> None:
             rmse = found[axis]["logs"][0]["rmse"]
             assert rmse == pytest.approx(off, rel=0.01), (file, axis)
     done("compensate", *words, "--from", 0, "--tracked", "pass.csv", *recorded_as)
+
+
+def test_a_raster_recorded_without_its_drive_repeats_only_as_far_as_the_recording_reaches() -> (
+    None
+):
+    """Late by a line it looks alike, but then lines would be missing: .1 s were left in, 1.8 um."""
+    words = ("--rate", 1000, "--range", "1:5", "--lines", 32, "--frequency", 5)
+    done("trajectory", "raster", *words, "--bandwidth", 50, "-o", "raster.csv")
+    for axis in "xy":
+        words = ("raster.csv", "--displacement", f"{axis}_um", "--from", 0)
+        done("compensate", model("creep"), *words, "--approach", 0.1, "-o", "d.csv")
+        drive = table("d.csv")
+        moved = table(done("simulate", model("creep"), "d.csv"))["displacement_um"]
+        moved = 1.004 * moved + 0.003 * np.random.default_rng(1).standard_normal(
+            len(moved)
+        )
+        write("pass.csv", "time_s,measured_um", STEP * np.arange(len(moved)), moved)
+        asked = ("--trajectory", "raster.csv", "--desired", f"{axis}_um")
+        outcome = done("report", "pass.csv", *asked, "--format", "json")
+        (log,) = outcome.json["logs"]
+        off = rms((moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP])
+        assert log["rmse"] == pytest.approx(off, rel=0.01), axis
+        assert outcome.warnings == []
+
+
+def test_what_was_learned_between_harmonics_ends_no_learning() -> None:
+    """The second pass was learned below 1.3 Hz for 25, and the third was refused: its error grew."""
+    time = STEP * np.arange(4000)
+    fast = 0.05 * np.sin(2.0 * np.pi * 24.0 * time)
+    desired = 3.0 + 1.5 * np.sin(2.0 * np.pi * time) + fast
+    write("sines.csv", "time_s,displacement_um", time, desired)
+    words = ["compensate", model("creep"), "sines.csv", "--from", 0, "--approach", 1]
+    done(*words, "-o", "pass.csv")
+    errors = []
+    for seed in range(3):
+        drive = table("pass.csv")
+        moved = table(done("simulate", model("creep"), "pass.csv"))["displacement_um"]
+        moved += 0.03 * np.sin(moved) + 0.03 * (creep(moved, 0.03) - moved)
+        moved += 1e-3 * np.random.default_rng(seed).standard_normal(len(moved))
+        columns = drive["time_s"], drive["voltage_V"], moved
+        write("seen.csv", "time_s,voltage_V,measured_um", *columns)
+        error = (moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP]
+        errors.append(np.std(error))
+        learned = ("--tracked", "seen.csv", "--history", "passes.json", "--verbose")
+        outcome = done(*words, *learned, "-o", "pass.csv")
+        cutoff = outcome.err.split("learned below")[1].split()[0]
+        assert float(cutoff) == pytest.approx(25.4, rel=0.01)
+    assert errors[2] < 1.05 * errors[1] < 0.1 * errors[0]
 
 
 def test_a_pass_with_another_past_is_refused() -> None:
@@ -213,6 +290,41 @@ def test_clocks_of_two_recorders_are_found(both: bool) -> None:
     assert not both or "50 ppm fast" in outcome.err
     stages = load("m.json")["stages"]
     assert any(stage["type"] == "delay" for stage in stages) == both
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.03, -0.03])
+@pytest.mark.parametrize("swings", ["many", "one"])
+def test_a_recorder_that_began_a_little_late_is_told_of_where_it_shows(
+    offset: float, swings: str
+) -> None:
+    """Up to 50 ms were taken in silence; one swing that repeats is as well a wider loop."""
+    done("excite", "--v-max", 100, "--sample-rate", 500, "-o", "drive.csv")
+    if swings == "one":
+        time = np.arange(0.0, 40.0, 2e-3)
+        write("drive.csv", "time_s,voltage_V", time, 100.0 * abs(0.2 * time % 2 - 1))
+    moved = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
+    moved += 1e-3 * np.random.default_rng(0).standard_normal(len(moved))
+    stamps = offset + table("drive.csv")["time_s"]
+    write("sensor.csv", "time_s,displacement_um", stamps, moved)
+    words = ("sensor.csv", "--voltage", "drive.csv::voltage_V")
+    outcome = done("identify", *words, "--gears", 40, "-o", "m.json", "--force")
+    told = [text for text in outcome.warnings if "do not line up" in text]
+    assert len(told) == (offset != 0.0 and swings == "many")
+    for text in told:
+        assert f"{offset:+.2g}"[:4] in text and "--clock-offset auto" in text
+        assert ("or 0 if" in text) == (offset > 0.0)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.03])
+def test_what_a_report_cannot_tell_from_a_late_actuator_is_said(offset: float) -> None:
+    desired = 3.0 + 2.0 * np.sin(2.0 * np.pi * 0.5 * TIME) * np.exp(-0.3 * TIME)
+    rng = np.random.default_rng(4)
+    write("traj.csv", "time_s,displacement_um", TIME, desired)
+    measured = desired + 2e-3 * rng.standard_normal(len(TIME))
+    write("pass.csv", "time_s,measured_um", TIME + offset, measured)
+    outcome = done("report", "pass.csv", "--trajectory", "traj.csv")
+    assert ("0.03 s late" in outcome.out) == (offset > 0.0)
+    assert outcome.warnings == []
 
 
 def test_a_late_sensor_is_no_error() -> None:

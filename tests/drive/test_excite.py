@@ -33,10 +33,6 @@ def test_range_slew_and_ends(low, span, rate, slew):
     assert turns > 20
 
 
-def test_the_same_words_give_the_same_drive():
-    assert np.array_equal(excite(0, 100)[1], excite(0, 100)[1])
-
-
 def test_rests_and_slow_swings_grow_with_the_drive():
     """A move that holds for long, or goes slowly, is unlike a log of fast swings."""
 

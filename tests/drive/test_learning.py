@@ -1,18 +1,13 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dbo_cli.drive import Limits
-from dbo_cli.drive.learning import (
-    PassRecord,
-    Tracked,
-    dumps_history,
-    read_history,
-)
+from dbo_cli.drive.drive import PassRecord
+from dbo_cli.drive.learning import Tracked
 from dbo_cli.drive.smooth import low_pass
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.model import Cascade, Resonance
@@ -147,19 +142,6 @@ def test_periods_are_learned() -> None:
     assert errors[-1] < 0.2 * errors[0]
 
 
-def test_rows_before_the_move_are_found_by_time() -> None:
-    model, plant = actuator(growth=1.5), actuator(growth=1.8)
-    wanted, limits = move(), Limits.within(model.input)
-    options = {"condition": True, "return_to": 0.0}
-    drive = plan(model, wanted, DT, limits, **options)  # type: ignore[arg-type]
-    y = plant.run(drive.voltage, plant.start(0.0, "empty"), DT).y
-    tracked = [Tracked("pass.csv", drive.voltage, y, drive.time)]
-    again = plan(model, wanted, DT, limits, tracked=tracked, **options)  # type: ignore[arg-type]
-    y2 = plant.run(again.voltage, plant.start(0.0, "empty"), DT).y
-    before, after = (np.std(got - wanted) for got in (y[drive.move], y2[again.move]))
-    assert after < 0.5 * before
-
-
 def test_recordings_that_do_not_belong() -> None:
     model = actuator(growth=1.5)
     wanted, limits = move(), Limits.within(model.input)
@@ -174,14 +156,6 @@ def test_recordings_that_do_not_belong() -> None:
             plan(model, wanted, DT, limits, state="empty", tracked=wrong)
     with pytest.raises(UsageError):
         plan(model, wanted, DT, limits, history=[PassRecord("", 1.0)])
-
-
-def test_history_file(tmp_path: Path) -> None:
-    assert read_history(str(tmp_path / "none.json")) == ()
-    passes = (PassRecord("ab", 0.5), PassRecord("cd", 0.25))
-    path = tmp_path / "h.json"
-    path.write_text(dumps_history(passes))
-    assert read_history(str(path)) == passes
 
 
 def test_a_low_pass_keeps_rests_and_halves_its_cutoff() -> None:
