@@ -132,18 +132,16 @@ def recordings_of(
         log, table = read_table(source, columns, reading, units)
         if logs:
             _refuse_other_units(logs[0], log)
-        stated = {role: log.columns[role].unit for role in RECORDING_ROLES}
-        units = {role: unit for role, unit in stated.items() if unit}
-        quantities = {
-            role: (quantity_name(role, unit), unit) for role, unit in stated.items()
-        }
+        drive, sensor = (log.columns[role].unit for role in RECORDING_ROLES)
+        units = {"voltage": drive, "displacement": sensor}
+        units = {role: unit for role, unit in units.items() if unit}
         recording = Recording(
             short_name(log.name),
             table["voltage"],
             table["displacement"],
             table.time,
-            input=quantities["voltage"],
-            output=quantities["displacement"],
+            input=(quantity_name("voltage", drive), drive),
+            output=(quantity_name("displacement", sensor), sensor),
         )
         recordings.append(recording)
         logs.append(log)
@@ -228,7 +226,10 @@ def pair_of(
     measured, drive = table["measured"], table.values.get("voltage")
     if "desired" not in columns:
         return Pair(log.name, measured, measured, table.time, drive), stated, log
-    unit = common_unit(log.name, stated.get("desired"), stated.get("measured"))
+    unit = stated.get("desired", stated.get("measured"))
+    if len(stated.keys() & {"desired", "measured"}) == 1:
+        bare = "measured" if "desired" in stated else "desired"
+        warn(f"{log.name}: {bare} states no unit: both are taken in {unit}")
     try:
         measured = multiplied(measured, ratio(stated.get("measured"), unit))
     except InputError as problem:
@@ -238,17 +239,6 @@ def pair_of(
     if unit is not None:
         stated["measured"] = unit
     return Pair(log.name, table["desired"], measured, table.time, drive), stated, log
-
-
-def common_unit(
-    label: str, desired_unit: str | None, measured_unit: str | None
-) -> str | None:
-    """Return the unit of two displacements, that of the first; warn where one states none."""
-    unit = desired_unit or measured_unit
-    if unit and not (desired_unit and measured_unit):
-        bare = "measured" if desired_unit else "desired"
-        warn(f"{label}: {bare} states no unit: both are taken in {unit}")
-    return unit
 
 
 def tracked_of(
@@ -303,21 +293,13 @@ def model_of(
     if options.delay == "auto" and any(log.has_found_offset for log in logs):
         options = replace(options, delay=0.0)
     model = identify(recordings, options, tests)
-    return replace(model, provenance=_provenance(recordings, logs))
-
-
-def _provenance(recordings: Sequence[Recording], logs: Sequence[Log]) -> dict[str, Any]:
-    """Return where a model comes from: the program and its logs, and no time of day."""
-    sources = []
+    sources = []  # and no time of day: the same logs give the same file
     for recording, log in zip(recordings, logs, strict=True):
-        source: dict[str, Any] = {
-            "name": recording.name,
-            "rows": len(recording.voltage),
-        }
-        for role, column in log.columns.items():
-            source[role] = column.name
-        sources.append(source)
-    return {"program": f"dbo {__version__}", "logs": sources}
+        rows = len(recording.voltage)
+        names = {role: column.name for role, column in log.columns.items()}
+        sources.append({"name": recording.name, "rows": rows, **names})
+    provenance = {"program": f"dbo {__version__}", "logs": sources}
+    return replace(model, provenance=provenance)
 
 
 # --- arrays ---

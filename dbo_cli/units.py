@@ -76,25 +76,12 @@ MOVED_KINDS = frozenset(("strain", "force", "torque", "induction"))
 _VALUE_KINDS = DRIVING_KINDS | MOVED_KINDS | {"voltage", "length", "angle"}
 
 
-def _sizes() -> dict[str, tuple[str, Fraction]]:
-    sizes = dict(_UNPREFIXED)
-    for base, kind in _BASES.items():
-        for prefix, power in _PREFIXES.items():
-            sizes[prefix + base] = (kind, Fraction(10) ** power)
-    return sizes
-
-
-def _by_word(table: dict[str, str]) -> dict[str, str]:
-    words = {}
-    for unit, spellings in table.items():
-        for word in spellings.split():
-            words[word] = unit
-    return words
-
-
-_SIZES = _sizes()
-_WORDS = _by_word(_SPELLINGS)
-_TIME_WORDS = _by_word(_TIME_SPELLINGS)
+_SIZES = dict(_UNPREFIXED)
+for _base, _kind in _BASES.items():
+    for _prefix, _power in _PREFIXES.items():
+        _SIZES[_prefix + _base] = (_kind, Fraction(10) ** _power)
+_WORDS = {word: unit for unit, text in _SPELLINGS.items() for word in text.split()}
+_TIME_WORDS = {w: unit for unit, text in _TIME_SPELLINGS.items() for w in text.split()}
 
 _MICRO = re.compile(r"[µμ](?=[^\W\d])")  # before a unit, nowhere else
 _BRACKETED = re.compile(r"(?P<name>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]")
@@ -244,6 +231,11 @@ def time_unit(text: str | None) -> str | None:
     return None
 
 
+def is_unit(text: str | None) -> bool:
+    """Return whether a text is a known unit, of time in any capitals."""
+    return parse_unit(text) is not None or time_unit(text) is not None
+
+
 def split_header(text: str) -> tuple[str, str | None]:
     """Split a header at its unit: ``voltage_V``, ``Weg/nm``, ``time (ms)``, ``CH1 in V``.
 
@@ -253,7 +245,7 @@ def split_header(text: str) -> tuple[str, str | None]:
     """
     plain = _PREFIX_WORD.sub(r"\1", " ".join(text.split()))
     name, unit = _split_at_end(plain)
-    if unit and (parse_unit(unit) or time_unit(unit) or "/" in unit):
+    if unit and (is_unit(unit) or "/" in unit):
         return name, unit
     inside = units_in(plain)
     return (plain, inside.pop()) if len(inside) == 1 else (name, unit)

@@ -62,7 +62,7 @@ class Clock:
         By what its figures become seconds.
     unit
         The unit that is stated; None where nothing states it.
-    given
+    is_typed
         Whether the user states it.
     rate, start
         Samples a second (Hz) and the time (s) of the first row, without a column.

@@ -25,7 +25,7 @@ from dbo_cli.logs.settings import (
     read_settings,
 )
 from dbo_cli.logs.table import LONGEST_CELL, Table
-from dbo_cli.units import kind_of, parse_unit, spell, split_header, time_unit
+from dbo_cli.units import is_unit, kind_of, parse_unit, spell, split_header, time_unit
 
 _LINES = 3  # names, units and a remark stand above the rows at most
 _BESIDE = 40  # rows beside which settings may stand
@@ -157,8 +157,7 @@ def _is_name(word: str) -> bool:
     """Return whether a word names a column: a known one, a letter, or with a unit, a digit or ``_``."""
     if len(word) == 1 or re.search(r"[\d_]", word) or split_header(word)[1]:
         return True
-    is_unit = parse_unit(word) is not None or time_unit(word) is not None
-    return is_unit or bool(words(word) & KNOWN_NAMES)
+    return is_unit(word) or bool(words(word) & KNOWN_NAMES)
 
 
 def are_names(cells: Sequence[str]) -> bool:
@@ -216,7 +215,7 @@ def _units_line(headers: Sequence[Sequence[str]]) -> int | None:
             return k
     for k, cells in enumerate(headers[:-1]):
         nonempty = [cell for cell in cells if cell.strip("()[]- ")]
-        recognised = [cell for cell in nonempty if parse_unit(cell) or time_unit(cell)]
+        recognised = [cell for cell in nonempty if is_unit(cell)]
         is_long = any(len(spell(cell) or "") > 1 for cell in recognised)
         if 2 * len(recognised) > len(nonempty) and is_long:
             return k
@@ -229,7 +228,7 @@ def _are_units(cells: Sequence[str]) -> bool:
     if nonempty and re.fullmatch(r"units?:?|sequence", nonempty[0].lower()):
         nonempty = nonempty[1:]
     texts = [cell for cell in nonempty if not is_number(cell, ".")]
-    return bool(texts) and all(parse_unit(cell) or time_unit(cell) for cell in texts)
+    return bool(texts) and all(map(is_unit, texts))
 
 
 def _is_figure(cell: str) -> bool:

@@ -24,7 +24,7 @@ from dbo_cli.logs.names import begins_run, describe_columns
 from dbo_cli.logs.settings import is_setting
 from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import LONGEST_CELL, Column, Reading, Table
-from dbo_cli.units import parse_unit, split_header, time_unit
+from dbo_cli.units import is_unit, split_header
 
 _LONGEST_LINE = 1 << 24  # bytes; what is longer has no line ends
 _SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
@@ -100,11 +100,9 @@ def _are_numbers(rows: Sequence[str], delimiter: str, width: int) -> bool:
 
 def _is_known_name(name: str) -> bool:
     """Return whether a name says what a column is: by a word, or by a unit behind it."""
-    if parse_unit(name) or time_unit(name) or re.match(r"[\d.-]", name):
+    if is_unit(name) or re.match(r"[\d.-]", name):
         return False
-    unit = split_header(name)[1]
-    is_unit = parse_unit(unit) is not None or time_unit(unit) is not None
-    return is_unit or bool(words(name) & KNOWN_NAMES)
+    return is_unit(split_header(name)[1]) or bool(words(name) & KNOWN_NAMES)
 
 
 # --- lines to arrays ---

@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 import scipy.io
 
-from .program import DRIVE, Floats, dbo, done, model, refused, table, write
+from .program import DRIVE, Floats, dbo, done, model, process, refused, table, write
 
 ROWS = 60
 TIME = np.arange(ROWS) / 1000.0
@@ -370,6 +370,19 @@ def test_a_cut_tdms_file_is_said() -> None:
         Path("cut.tdms").write_bytes(whole[:-lost])
         outcome = dbo("simulate", model("small"), "cut.tdms", "--verbose")
         assert "cut" in outcome.err and outcome.code in (0, 1)
+
+
+def test_what_a_library_logs_is_no_line_of_the_program() -> None:
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter("run.tdms") as file:
+        time = nptdms.ChannelObject("g", "time_s", TIME)
+        volts = nptdms.ChannelObject("g", "voltage_V", VOLTS, {"unit_string": "V"})
+        file.write_segment([time, volts])
+    damaged = Path("run.tdms").read_bytes().replace(b"unit_string", b"unit\xcdstring")
+    Path("run.tdms").write_bytes(damaged)
+    ended = process("simulate", model("small"), "run.tdms", "-o", "out.csv")
+    assert ended.returncode == 0
+    assert all(said.startswith(b"dbo: ") for said in ended.stderr.splitlines())
 
 
 def test_a_rate_without_an_end_is_no_rate() -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,7 +30,7 @@ def _read(path: str, inner: str, reading: Reading) -> Table:
     stream = open(path, "rb")
     table = StoredTable(path, stream.close)
     try:
-        with fenced(path, "TDMS"):
+        with fenced(path, "TDMS"), _silent(nptdms.log.log_manager.console_handler):
             file = nptdms.TdmsFile.open(stream)
             groups = [group for group in file.groups() if inner in ("", group.name)]
             _add_channels(table, groups)
@@ -41,6 +43,17 @@ def _read(path: str, inner: str, reading: Reading) -> Table:
     if len(groups) > 1:
         table.hint = f" (or one group alone: {path}::{groups[0].name})"
     return table
+
+
+@contextlib.contextmanager
+def _silent(handler: logging.Handler) -> Iterator[None]:
+    """Keep a library's log off standard error."""
+    level = handler.level
+    handler.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        handler.setLevel(level)
 
 
 def _is_cut(path: str) -> bool:
