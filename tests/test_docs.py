@@ -217,11 +217,11 @@ WITH_COMMANDS = "files index limits moves live batches comparison scanner".split
 
 @pytest.fixture
 def logs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Work in a folder with the logs that the pages speak of, a second each."""
+    """Work in a folder with the logs that the pages speak of, two seconds each."""
     monkeypatch.chdir(tmp_path)
     shutil.copy(SAMPLES / "trajectory.csv", "trajectory.csv")
     log = table(SAMPLES / "identification.csv")
-    time, volts, moved = (column[:500] for column in log.values())
+    time, volts, moved = (column[:1000] for column in log.values())
     for name in ("recorded.csv", "other.csv"):
         write(name, "time_s,voltage_V,displacement_um", time, volts, moved)
     write("sensor.csv", "time_s,displacement_um", time, moved)

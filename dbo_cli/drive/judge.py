@@ -348,7 +348,7 @@ class Judge:
         texts, unit = [], self.model.output.suffix
         line = self.model.fit.get("line_rmse")
         if isinstance(line, float) and error is not None:
-            if error >= max(line, self._lost_rms):
+            if error >= math.hypot(line, self._lost_rms):
                 texts.append(
                     f"expected error {error:.3g}{unit}, a straight line's is {line:.3g}: identify with a log "
                     "of such moves"

@@ -70,6 +70,8 @@ class Log:
     ) -> None:
         self.name = source.name
         self.columns = {r: replace(picks[r], unit=scales[r][1]) for r in picks}
+        unstated = {role for role, column in picks.items() if column.unit is None}
+        self._without_unit = unstated - set(reading.scale)
         self.clock = clock
         self.remarks = source.remarks
         self.doubtful: list[str] = []
@@ -261,7 +263,10 @@ class Log:
         """Return one line on what was read; complete after the last block."""
         names = []
         for role, column in self.columns.items():
-            names.append(column.name or f"column {column.number} ({role})")
+            name = column.name or f"column {column.number} ({role})"
+            if role in self._without_unit and column.unit is not None:
+                name += f" ({column.unit} assumed)"
+            names.append(name)
         s = "" if self._count == 1 else "s"
         line = f"{self.name}: {self._count:,} row{s}, {self.clock.describe()}"
         if self.clock_offset is not None:
@@ -378,7 +383,7 @@ def _open_file(
         clock = find_clock(source, reading, roles.get("time"), used)
         clock_columns = [] if clock.column is None else [clock.column]
         picks = choose(source, selectors, clock_columns, units, optional)
-        scales = scales_of(source.name, picks, factors, units, source.remarks)
+        scales = scales_of(source.name, picks, factors, units)
         return Log(source, clock, picks, scales, reading)
     except BaseException:
         source.close()

@@ -30,7 +30,6 @@ def scales_of(
     columns: Mapping[str, Column],
     factors: Mapping[str, str | float],
     units: Mapping[str, str | None],
-    remarks: list[str],
 ) -> dict[str, ColumnScale]:
     """Return the scale of every role: what the user types, then the unit that is wanted.
 
@@ -54,8 +53,6 @@ def scales_of(
         target = units.get(role)
         if role in units:
             warn_unstated(f"{name}: {column.label}", unit, target)
-        if target is not None and unit is None:
-            remarks.append(f"{column.label} has no unit: {target} assumed")
         if target is not None:
             try:
                 factor *= ratio(unit, target)

@@ -63,6 +63,14 @@ def test_what_costs_much_is_refused_unless_asked_for() -> None:
     assert any("clip" in line for line in outcome.warnings)
 
 
+def test_what_limits_cut_off_is_no_reason_to_identify_again() -> None:
+    move(sine(5.5, 0.5))
+    words = ("compensate", model("known"), "wish.csv", "--on-limit", "clip")
+    outcome = done(*words, "--v-max", 40, "-o", "drive.csv")
+    assert "clipped; the move misses" in outcome.err
+    assert "a straight line's" not in outcome.err
+
+
 def test_extrapolate_leaves_the_identified_range_as_far_as_typed() -> None:
     move(sine(9.5))
     words = ("--v-max", 12)

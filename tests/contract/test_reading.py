@@ -385,6 +385,13 @@ def test_what_a_library_logs_is_no_line_of_the_program() -> None:
     assert all(said.startswith(b"dbo: ") for said in ended.stderr.splitlines())
 
 
+def test_a_unit_that_is_assumed_stands_in_the_first_line() -> None:
+    text("run.csv", "time_s,voltage\n", "{:.4f},{:.4f}", TIME, VOLTS)
+    assert "; voltage (V assumed)" in done("simulate", model("small"), "run.csv").err
+    scaled = done("simulate", model("small"), "run.csv", "--scale", "input=2V/mV")
+    assert "assumed" not in scaled.err
+
+
 def test_a_rate_without_an_end_is_no_rate() -> None:
     for statement in ("Sample Interval,1e308,s", "Sample Rate,1e-308,Hz"):
         text("run.csv", f"{statement}\nvoltage_V\n", "{:.4f}", VOLTS)
