@@ -11,7 +11,6 @@ from dbo_cli.cli.say import detail
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 
 if TYPE_CHECKING:
-    from dbo_cli.drive.check import Checked
     from dbo_cli.drive.limits import Limits
     from dbo_cli.logs import Block, Log, Reading
 
@@ -42,7 +41,10 @@ def check(
     dbo check played.csv --against drive.csv
     """
     from dbo_cli import channels
+    from dbo_cli.drive.check import check_drive, check_played, tolerance_of
     from dbo_cli.files import write_text
+    from dbo_cli.logs import Reading
+    from dbo_cli.units import parse_quantity
 
     if not math.isfinite(gain) or not gain or (gain != 1.0 and against is None):
         raise UsageError(f"`gain` {gain:g}: give a factor, together with `against`")
@@ -56,71 +58,43 @@ def check(
     ranges = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew, "from": start}
     checks = {}
     for channel in names:
-        limits = channels.values_for(ranges, channel, names)
+        texts = channels.values_for(ranges, channel, names)
         roles = channels.columns_for(columns, channel)
-        column = roles["voltage"] if channel else None
-        name = f"{drive}: channel {channel}" if channel else drive
-        checks[channel] = checked(
-            drive, name, reading, roles, limits, loop, against, column, gain, tolerance
+        signal, log = read_drive(drive, reading, roles)
+        unit = log.columns["voltage"].unit
+        if max_slew and log.clock.assumption:
+            warn(f"{drive}: {log.clock.assumption}")
+        stands = texts.pop("from")
+        recorded, slack = signal["voltage"] * gain, 0.0
+        allowed = tolerance_in(unit, tolerance)
+        if against is not None:
+            column = roles["voltage"] if channel else None
+            meant, _ = read_drive(
+                against, Reading(), {"time": None, "voltage": column}, unit
+            )
+            slack = tolerance_of(meant["voltage"], recorded, allowed) / abs(gain)
+        result = checks[channel] = check_drive(
+            signal["voltage"],
+            signal.time,
+            limits_in(unit, **texts),
+            name=f"{drive}: channel {channel}" if channel else drive,
+            start=None if stands is None else parse_quantity(stands, unit, "from", 0.0),
+            loop=loop,
+            tolerance=slack,
+            doubts=log.doubtful,
         )
+        if against is not None:
+            steps = step_of(meant), step_of(signal)
+            check_played(result, meant["voltage"], recorded, steps, allowed)
+        detail(*log.doubtful)
     is_json = opt.form_of(form, output) == "json"
-    texts = {name: c.json() if is_json else c.text() for name, c in checks.items()}
+    pages = {name: c.json() if is_json else c.text() for name, c in checks.items()}
     if is_json:
-        write_text(output, channels.dumps_files("check", texts))
+        write_text(output, channels.dumps_files("check", pages))
     else:
-        write_text(output, "".join(texts.values()))
+        write_text(output, "".join(pages.values()))
     for result in checks.values():
         result.require_passed()
-
-
-def checked(
-    drive: str,
-    name: str,
-    reading: Reading,
-    columns: dict[str, str | None],
-    texts: dict[str, str | None],
-    loop: bool,
-    against: str | None,
-    column: str | None,
-    gain: float,
-    tolerance: str | None,
-) -> Checked:
-    """Return what is wrong with a drive, by what was typed; ``column`` is that of it in ``against``."""
-    from dbo_cli.drive.check import check_drive, check_played, tolerance_of
-    from dbo_cli.logs import Reading as Plain
-    from dbo_cli.units import parse_quantity
-
-    signal, log = read_drive(drive, reading, columns)
-    if texts["max_slew"] is not None and log.clock.assumption:
-        warn(f"{drive}: {log.clock.assumption}")
-    unit = log.columns["voltage"].unit
-    limits = limits_in(unit, texts["v_min"], texts["v_max"], texts["max_slew"])
-    stands = texts["from"]
-    position = None if stands is None else parse_quantity(stands, unit, "from", 0.0)
-    allowed, slack, recorded = None, 0.0, signal["voltage"] * gain
-    if against is not None:
-        roles = {"time": None, "voltage": column}
-        meant, _ = read_drive(against, Plain(), roles, unit)
-        if tolerance is not None:
-            allowed = parse_quantity(tolerance, unit, "tolerance", 0.0)
-            if allowed < 0.0:
-                raise UsageError(f"`tolerance` {tolerance}: give 0 or more")
-        slack = tolerance_of(meant["voltage"], recorded, allowed) / abs(gain)
-    result = check_drive(
-        signal["voltage"],
-        signal.time,
-        limits,
-        name=name,
-        start=position,
-        loop=loop,
-        tolerance=slack,
-        doubts=log.doubtful,
-    )
-    if against is not None:
-        steps = (step_of(meant), step_of(signal))
-        check_played(result, meant["voltage"], recorded, steps, allowed)
-    detail(*log.doubtful)
-    return result
 
 
 def read_drive(
@@ -149,6 +123,18 @@ def read_drive(
         except InputError as problem:
             raise LimitError(str(problem)) from problem
     return table, log
+
+
+def tolerance_in(unit: str | None, text: str | None) -> float | None:
+    """Return a typed tolerance in the unit of the drive; None where none was typed."""
+    from dbo_cli.units import parse_quantity
+
+    if text is None:
+        return None
+    tolerance = parse_quantity(text, unit, "tolerance", 0.0)
+    if tolerance < 0.0:
+        raise UsageError(f"`tolerance` {text}: give 0 or more")
+    return tolerance
 
 
 def step_of(table: Block) -> float | None:

@@ -76,7 +76,6 @@ def compensate(
     from dbo_cli.drive.compensate import driver_of
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.logs import open_log
-    from dbo_cli.recordings import read_table, tracked_of
 
     learning = {"tracked": tracked, "history": history, "absolute": absolute}
     opt.require(
@@ -121,6 +120,8 @@ def compensate(
             write_figures({"": drive}, {"": log}, outputs, summary, save_state, history)
         say_one(log, output, drive)
         return
+    from dbo_cli.recordings import read_table, tracked_of
+
     recorded = {"time": time, "voltage": voltage, "measured": measured}
     histories = channels.histories_of(history, names)
     cutoff = opt.quantity("bandwidth", bandwidth, "Hz")

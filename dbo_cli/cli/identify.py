@@ -12,8 +12,6 @@ from dbo_cli.cli.say import detail, say, say_logs, say_output, working
 from dbo_cli.errors import UsageError
 
 if TYPE_CHECKING:
-    from dbo_cli.identification import Options, Recording
-    from dbo_cli.logs import Log
     from dbo_cli.model import Cascade
 
 STRUCTURE = "Structure of the model"
@@ -77,6 +75,7 @@ def identify(
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.identification import Options, describe, describe_validation, leads
     from dbo_cli.model import dumps_model, dumps_set
+    from dbo_cli.recordings import model_of, recordings_of
     from dbo_cli.reports import ShownModel
 
     check_outputs(output, summary)
@@ -99,11 +98,18 @@ def identify(
     priors = {} if prior is None else channels.models_of(prior, names)
     models, lines = {}, []
     for name in names:
-        roles = channels.columns_for(columns, name)
-        channel_options = replace(options, prior=priors.get(name))
+        roles, shape = channels.columns_for(columns, name), priors.get(name)
+        units = {}
+        if shape is not None:
+            units = {"voltage": shape.input.unit, "displacement": shape.output.unit}
         with channels.naming(name):
-            fitted = read_and_fit(logs, validate or [], reading, roles, channel_options)
-        models[name], recordings, read = fitted
+            every, opened = recordings_of(
+                [*logs, *(validate or [])], roles, reading, units
+            )
+            recordings, read = every[: len(logs)], opened[: len(logs)]
+            working("identifying")
+            tests, asked = every[len(logs) :], replace(options, prior=shape)
+            models[name] = model_of(recordings, read, asked, tests)
         texts = [describe(models[name], recordings), *describe_validation(models[name])]
         lines += [f"{name}: {text}" if name else text for text in texts]
     is_set = tuple(names) != channels.ALONE
@@ -125,27 +131,6 @@ def identify(
         say_output(output, lines.pop(0))
     for line in lines:
         say(line)
-
-
-def read_and_fit(
-    paths: list[str],
-    validate: list[str],
-    reading: opt.Reading,
-    columns: dict[str, str | None],
-    options: Options,
-) -> tuple[Cascade, list[Recording], list[Log]]:
-    """Return the model of one actuator, and the recordings and logs that it was identified from."""
-    from dbo_cli.recordings import model_of, recordings_of
-
-    units = {}
-    if options.prior is not None:
-        into, out = options.prior.input, options.prior.output
-        units = {"voltage": into.unit, "displacement": out.unit}
-    recordings, logs = recordings_of([*paths, *validate], columns, reading, units)
-    count = len(paths)
-    working("identifying")
-    model = model_of(recordings[:count], logs[:count], options, recordings[count:])
-    return model, recordings[:count], logs[:count]
 
 
 def fit_summary(model: Cascade) -> str:

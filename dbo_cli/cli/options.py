@@ -196,11 +196,6 @@ def with_shared_options(command: Callable[..., None]) -> Callable[..., None]:
 # --- values ---
 
 
-def present(*values: Any) -> list[Any]:
-    """Return the values that are not None."""
-    return [value for value in values if value is not None]
-
-
 def require(partner: str, partner_value: object, options: dict[str, Any]) -> None:
     """Refuse options that say nothing without another one."""
     for name, value in options.items():

@@ -8,7 +8,7 @@ are one signal through one inverse in one state, and every row passes the gate.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -17,7 +17,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.judge import Judge
-from dbo_cli.drive.lead import Lead, Seconds, plan_lead, ramp, standing_at
+from dbo_cli.drive.lead import Lead, LeadIn, Seconds, ramp, standing_at
 from dbo_cli.drive.limits import Figure, Gate, Limits, voltage_in
 from dbo_cli.drive.simulate import NO_ROWS, Ahead, Rows, stacked
 from dbo_cli.errors import DboWarning, InputError, UsageError
@@ -312,7 +312,7 @@ class Driver:
                 self.lead.state,
                 periodic,
                 absolute,
-                self.lead.condition,
+                self._lead_to(dt),
             )
             return move.learned(tracked, history, bandwidth, drive_of)
         target = desired
@@ -359,8 +359,8 @@ class Driver:
             dt = np.concatenate([[step], dt[1:]])
         if isinstance(lead.state, State):
             lead = replace(lead, state=_aged(model, lead.state, time, step))
-        planned = plan_lead(model, first, step, self.limits, lead, self.hold)
-        self._state, voltage, still_rows = planned
+        lead_in = LeadIn(model, first, step, self.limits, lead)
+        self._state, voltage, still_rows = lead_in.planned(self.hold)
         count = voltage.size + still_rows
         self._judge.lead_seconds = count * step
         begin = 0.0 if time is None else float(time[0])
@@ -380,17 +380,26 @@ class Driver:
                 blocks.append(self._driven(step, *block))
         return dt, stacked(blocks)
 
+    def _lead_to(self, dt: float) -> Callable[[float], Floats] | None:
+        """Return what makes the voltages before a move by its first displacement, if a sweep is asked for."""
+        if not self.lead.condition:
+            return None
+
+        def lead_to(first: float) -> Floats:
+            lead_in = LeadIn(self.model, first, dt, self.limits, self.lead)
+            return lead_in.planned(self.hold)[1]
+
+        return lead_to
+
     def _reference(
         self, desired: Floats, time: Floats, dt: float, periodic: bool, passes: int
     ) -> Floats:
-        """Return the voltages of the sweep, the loop or the move, if nothing is learned."""
-        lead = self.lead
+        """Return the voltages of the loop or the move, if nothing is learned; behind a sweep none."""
         if periodic:
             return self._loop_of(desired, dt, passes).planned().voltage
-        if lead.condition:
-            first = float(desired[0])
-            return plan_lead(self.model, first, dt, self.limits, lead, self.hold)[1]
-        driver = Driver(self.model, self.limits, lead, "clip", name=self.name)
+        if self.lead.condition:
+            return np.empty(0)
+        driver = Driver(self.model, self.limits, self.lead, "clip", name=self.name)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DboWarning)
             drive = driver.whole(desired, dt, time)

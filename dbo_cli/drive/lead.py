@@ -98,12 +98,11 @@ def _seconds(name: str, value: Seconds) -> Seconds:
     raise UsageError(f"`{name}` {value}: give seconds above 0, or auto")
 
 
-def plan_lead(
-    model: Cascade, first: float, dt: float, limits: Limits, lead: Lead, hold: int = 0
-) -> tuple[State | None, Floats, int]:
-    """Return what stands before a move.
+@dataclass(frozen=True)
+class LeadIn:
+    """What stands before a move.
 
-    Parameters
+    Attributes
     ----------
     model
         A forward model.
@@ -111,95 +110,183 @@ def plan_lead(
         First value of the move (displacement).
     dt
         Seconds a row.
-    hold
-        Rows at the beginning that are added to it.
-
-    Returns
-    -------
-    state : State or None
-        Before the first row; None where the inverse finds the start itself.
-    voltage : array
-        Voltages that are played as they are.
-    rest : int
-        Rows at the first displacement behind them, which the inverse follows.
-
-    Raises
-    ------
-    LimitError
-        The start is outside the rating, typed seconds are too few for the slew limit,
-        or more than a minute would be needed that nobody typed.
-    UsageError
-        The amplifier's voltage is not known, or a piece is too long for any memory.
+    limits, lead
+        What the drive may do, and what is asked for.
     """
-    last, state = standing_at(limits, lead), lead.state
-    moves = lead.condition or lead.approach is not None
-    still, untyped = _still_rows(model, dt, lead, moves)
-    before = NO_VOLTAGES
-    if isinstance(state, State):
-        state = replace(state, drive=last)
-    elif last is not None:
-        state = model.start(last, state)
-        before = np.array([last])
-    if moves:
-        begin, voltage = _way_in(
-            model, state, before, first, dt, limits, lead, hold, untyped
-        )
-        return begin, voltage, still
-    _require_short(untyped, "lead", untyped)
-    if not isinstance(state, State):
-        return None, NO_VOLTAGES, still + hold
-    return _state_after(model, before, dt, state), NO_VOLTAGES, still + hold
 
+    model: Cascade
+    first: float
+    dt: float
+    limits: Limits
+    lead: Lead
 
-def _way_in(
-    model: Cascade,
-    state: State | str,
-    before: Floats,
-    first: float,
-    dt: float,
-    limits: Limits,
-    lead: Lead,
-    hold: int,
-    untyped: float,
-) -> tuple[State, Floats]:
-    """Return the state before the first row, and the voltages that lead to the move.
+    def planned(self, hold: int = 0) -> tuple[State | None, Floats, int]:
+        """Return what stands before the move.
 
-    ``before`` is where the amplifier stands, if a row of it is to be written; ``chosen``
-    are seconds that nobody typed so far.
-    """
-    last, swept = standing_at(limits, lead), NO_VOLTAGES
-    if lead.condition:
-        swept = _conditioning(model, last, first, dt, limits, lead)
-    elif last is None:
-        raise UsageError("`approach` needs `from` VOLT or a `state` file")
-    before = np.concatenate([before, swept])
-    stands = before[:1] if before.size else np.array([last])
-    before = np.concatenate([np.repeat(stands, hold), before])
-    if not isinstance(state, State):
-        state = model.start(float(before[0]), state)
-    arrived = _state_after(model, before, dt, state)
-    seconds = lead.approach
-    if lead.condition:
-        seconds = "auto"
-        if isinstance(lead.approach, float):
-            seconds = max(lead.approach - swept.size * dt, dt)
-    path = way(model, arrived, first, dt, seconds, limits, lead.condition)
-    voltage = np.concatenate([before, path])
-    still = rest_rows(model, dt)
-    swing = (voltage.size - hold - still) * dt
-    untyped += still * dt if isinstance(lead.approach, float) else swing + still * dt
-    _require_short(untyped, "approach", swing)
-    return state, voltage
+        Parameters
+        ----------
+        hold
+            Rows at the beginning that are added to it.
 
+        Returns
+        -------
+        state : State or None
+            Before the first row; None where the inverse finds the start itself.
+        voltage : array
+            Voltages that are played as they are.
+        rest : int
+            Rows at the first displacement behind them, which the inverse follows.
 
-def _still_rows(
-    model: Cascade, dt: float, lead: Lead, moves: bool
-) -> tuple[int, float]:
-    """Return the rows at the first displacement, and the seconds of them that nobody typed."""
-    if isinstance(lead.rest, float):
-        return _checked_rows(swing_rows(0.0, dt, lead.rest)), 0.0
-    still = model.inverter(dt).ahead if moves or lead.rest == "auto" else 0
-    return still, still * dt
+        Raises
+        ------
+        LimitError
+            The start is outside the rating, typed seconds are too few for the slew
+            limit, or more than a minute would be needed that nobody typed.
+        UsageError
+            The amplifier's voltage is not known, or a piece is too long for any memory.
+        """
+        lead, last = self.lead, standing_at(self.limits, self.lead)
+        moves = lead.condition or lead.approach is not None
+        still, untyped = self._still_rows(moves)
+        state, before = lead.state, NO_VOLTAGES
+        if isinstance(state, State):
+            state = replace(state, drive=last)
+        elif last is not None:
+            state = self.model.start(last, state)
+            before = np.array([last])
+        if moves:
+            begin, voltage = self._way_in(state, before, hold, untyped)
+            return begin, voltage, still
+        _require_short(untyped, "lead", untyped)
+        if not isinstance(state, State):
+            return None, NO_VOLTAGES, still + hold
+        return self._state_after(before, state), NO_VOLTAGES, still + hold
+
+    def _way_in(
+        self, state: State | str, before: Floats, hold: int, untyped: float
+    ) -> tuple[State, Floats]:
+        """Return the state before the first row, and the voltages that lead to the move.
+
+        ``before`` is where the amplifier stands, if a row of it is to be written;
+        ``untyped`` are seconds that nobody typed so far.
+        """
+        lead, dt = self.lead, self.dt
+        last, swept = standing_at(self.limits, lead), NO_VOLTAGES
+        if lead.condition:
+            swept = self._conditioning(last)
+        elif last is None:
+            raise UsageError("`approach` needs `from` VOLT or a `state` file")
+        before = np.concatenate([before, swept])
+        stands = before[:1] if before.size else np.array([last])
+        before = np.concatenate([np.repeat(stands, hold), before])
+        if not isinstance(state, State):
+            state = self.model.start(float(before[0]), state)
+        seconds = lead.approach
+        if lead.condition:
+            seconds = "auto"
+            if isinstance(lead.approach, float):
+                seconds = max(lead.approach - swept.size * dt, dt)
+        path = self._way(self._state_after(before, state), seconds)
+        voltage = np.concatenate([before, path])
+        still = rest_rows(self.model, dt)
+        swing = (voltage.size - hold - still) * dt
+        untyped += still * dt
+        if not isinstance(lead.approach, float):
+            untyped += swing
+        _require_short(untyped, "approach", swing)
+        return state, voltage
+
+    def _still_rows(self, moves: bool) -> tuple[int, float]:
+        """Return the rows at the first displacement, and the seconds of them that nobody typed."""
+        rest = self.lead.rest
+        if isinstance(rest, float):
+            return _checked_rows(swing_rows(0.0, self.dt, rest)), 0.0
+        still = 0
+        if moves or rest == "auto":
+            still = self.model.inverter(self.dt).ahead
+        return still, still * self.dt
+
+    def _conditioning(self, last: float | None) -> Floats:
+        """Return the voltages of a sweep, behind the way there from where the amplifier stands.
+
+        Typed seconds are those of the whole way, to the first value of the move: each
+        swing has as many of them as of the distance.
+
+        Raises
+        ------
+        LimitError
+            The typed seconds are too few for the slew limit.
+        UsageError
+            The limits leave nothing to sweep.
+        """
+        limits, drive = self.limits, self.model.input
+        dt, seconds = self.dt, self.lead.approach
+        # at or below the first gear's origin every bit is clear, so that the past is wiped out
+        low, high = max(limits.move[0], drive.min), min(limits.move[1], drive.max)
+        if not low < high:
+            raise UsageError(
+                f"`condition` sweeps the identified range, {drive.min:.6g} to {drive.max:.6g}"
+                f"{limits.suffix}; the limits leave none of it"
+            )
+        begin = low if last is None else last
+        inwards: Seconds = "auto"
+        sweeping = SWEEP_SECONDS
+        if isinstance(seconds, float):
+            end = self._goes_on(self.model.start(low, "empty"))
+            distance = abs(begin - low) + 2.0 * (high - low) + abs(end - low)
+            shortest = _rows(distance, dt, dt, limits) * dt
+            if limits.slew is not None and shortest > seconds + dt:
+                raise LimitError(
+                    f"`approach` {seconds:g}: too fast for `max_slew`; give at least "
+                    f"{rounded_up(shortest, 4):.9g} s for the whole way, or auto"
+                )
+            inwards = seconds * abs(begin - low) / distance
+            sweeping = seconds * (high - low) / distance
+        count = _rows(high - low, dt, sweeping, limits)
+        swept = swings([low, high, low], [count, count])
+        if last is None:
+            return swept
+        return np.concatenate([_swing(last, low, dt, inwards, limits), swept[1:]])
+
+    def _way(self, state: State, seconds: Seconds) -> Floats:
+        """Return the voltages from where a state stands to where the move goes on, with a rest there.
+
+        What creeps meanwhile is counted: behind these rows the inverse begins the move at
+        the voltage at which they end. The last swing behind a sweep takes what the slew
+        limit needs.
+
+        Raises
+        ------
+        LimitError
+            The typed seconds are too few for the slew limit.
+        """
+        static, dt, limits = self.model.static, self.dt, self.limits
+        begin, still = state.drive, rest_rows(self.model, dt)
+        assert begin is not None
+
+        def way_to(end: float) -> Floats:
+            swing = _swing(begin, end, dt, seconds, limits)
+            return np.concatenate([swing, np.full(still, end)])
+
+        def missing(end: float) -> float:
+            return self._goes_on(static.run(way_to(end), state, dt).state) - end
+
+        end = self._goes_on(state)
+        if self.model.gears.relaxation is not None:
+            end = _zero_of(missing, *limits.move, end)
+        if not self.lead.condition:
+            ramp("approach", begin, end, dt, seconds, limits)
+        return way_to(end)
+
+    def _goes_on(self, state: State) -> float:
+        """Return the voltage at which the move goes on behind a state."""
+        first, move = np.array([self.first]), self.limits.move
+        return float(self.model.static.drive(first, state, self.dt, move).y[0])
+
+    def _state_after(self, voltage: Floats, state: State) -> State:
+        """Return the state after voltages; without a clock the model does not need one."""
+        dt = self.dt if self.dt > 0.0 else None
+        return self.model.run(voltage, state, dt).state
 
 
 def _require_short(untyped: float, option: str, seconds: float) -> None:
@@ -211,53 +298,6 @@ def _require_short(untyped: float, option: str, seconds: float) -> None:
         f"{untyped:.4g} s before the move, and at most {LONGEST_CHOSEN:g} s are chosen: give `{option}` "
         f"{rounded_up(seconds, 3):.9g}{more}"
     )
-
-
-def _conditioning(
-    model: Cascade,
-    last: float | None,
-    first: float,
-    dt: float,
-    limits: Limits,
-    lead: Lead,
-) -> Floats:
-    """Return the voltages of a sweep, behind the way there from where the amplifier stands.
-
-    Typed seconds are those of the whole way, to the first value of the move: each swing
-    has as many of them as of the distance.
-
-    Raises
-    ------
-    LimitError
-        The typed seconds are too few for the slew limit.
-    """
-    low, high = swept_range(model, limits)
-    begin = low if last is None else last
-    inwards: Seconds = "auto"
-    sweeping = SWEEP_SECONDS
-    if isinstance(lead.approach, float):
-        start = model.start(low, "empty")
-        end = float(model.static.drive(np.array([first]), start, dt, limits.move).y[0])
-        distance = abs(begin - low) + 2.0 * (high - low) + abs(end - low)
-        _require_slow(distance, dt, lead.approach, limits)
-        inwards = lead.approach * abs(begin - low) / distance
-        sweeping = lead.approach * (high - low) / distance
-    count = _rows(high - low, dt, sweeping, limits)
-    swept = swings([low, high, low], [count, count])
-    if last is None:
-        return swept
-    ramp = _swing(last, low, dt, inwards, limits)
-    return np.concatenate([ramp, swept[1:]])
-
-
-def _require_slow(distance: float, dt: float, seconds: float, limits: Limits) -> None:
-    """Refuse typed seconds of a whole way that are too few for the slew limit (LimitError)."""
-    shortest = _rows(distance, dt, dt, limits) * dt
-    if limits.slew is not None and shortest > seconds + dt:
-        raise LimitError(
-            f"`approach` {seconds:g}: too fast for `max_slew`; give at least {rounded_up(shortest, 4):.9g} s "
-            "for the whole way, or auto"
-        )
 
 
 def standing_at(limits: Limits, lead: Lead) -> float | None:
@@ -272,11 +312,6 @@ def standing_at(limits: Limits, lead: Lead) -> float | None:
     """
     left_at = lead.state.drive if isinstance(lead.state, State) else None
     return limits.standing(lead.start, left_at)
-
-
-def _state_after(model: Cascade, voltage: Floats, dt: float, state: State) -> State:
-    """Return the state after voltages; without a clock the model does not need one."""
-    return model.run(voltage, state, dt if dt > 0.0 else None).state
 
 
 # --- the pieces ---
@@ -314,69 +349,6 @@ def _swing(
         span = limits.rating[1] - limits.rating[0]
         shortest = max(SHORTEST_SWING, SWEEP_SECONDS * abs(end - begin) / span)
     return swings([begin, end], [_rows(end - begin, dt, shortest, limits)])[1:]
-
-
-def swept_range(model: Cascade, limits: Limits) -> tuple[float, float]:
-    """Return the ends of a sweep: of the move's range, as far as the model was identified.
-
-    At or below the first gear's origin every bit is clear, so that the past is wiped
-    out.
-
-    Raises
-    ------
-    UsageError
-        The limits leave nothing to sweep.
-    """
-    low = max(limits.move[0], model.input.min)
-    high = min(limits.move[1], model.input.max)
-    if not low < high:
-        raise UsageError(
-            f"`condition` sweeps the identified range, {model.input.min:.6g} to "
-            f"{model.input.max:.6g}{limits.suffix}; the limits leave none of it"
-        )
-    return low, high
-
-
-def way(
-    model: Cascade,
-    state: State,
-    first: float,
-    dt: float,
-    seconds: Seconds,
-    limits: Limits,
-    is_last_swing: bool = False,
-) -> Floats:
-    """Return the voltages from where a state stands to where a move goes on, with a rest there.
-
-    What creeps meanwhile is counted: behind these rows the inverse begins the move at
-    the voltage at which they end. The last swing of a longer way takes what the slew
-    limit needs.
-
-    Raises
-    ------
-    LimitError
-        The typed seconds are too few for the slew limit.
-    """
-    static = model.static
-    assert state.drive is not None
-    begin, still = state.drive, rest_rows(model, dt)
-
-    def way_to(end: float) -> Floats:
-        swing = _swing(begin, end, dt, seconds, limits)
-        return np.concatenate([swing, np.full(still, end)])
-
-    def goes_on(state: State) -> float:
-        return float(static.drive(np.array([first]), state, dt, limits.move).y[0])
-
-    def missing(end: float) -> float:
-        return goes_on(static.run(way_to(end), state, dt).state) - end
-
-    end = goes_on(state)
-    if model.gears.relaxation is not None:
-        end = _zero_of(missing, *limits.move, end)
-    if not is_last_swing:
-        ramp("approach", begin, end, dt, seconds, limits)
-    return way_to(end)
 
 
 def _zero_of(

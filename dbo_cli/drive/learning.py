@@ -9,13 +9,13 @@ resonance that is 25 % off, while what is left below the cut-off is small.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from hashlib import sha256
 
 import numpy as np
 
@@ -43,6 +43,8 @@ GAP = 1.5  # steps: a longer one lacks rows
 ANOTHER_MOVE = 0.5
 # of what differs by the stamps: with less by the drive, the recorder counts from elsewhere
 CLEARLY_BETTER = 0.5
+NEAR_ROWS = 2  # behind a sweep the first row is found to one: so near, the stamps count
+LOOKS = 6  # for the first row behind a sweep; two or three are usual
 SWEPT = 1.7  # ranges that the drive travels in a sweep there and back
 # of what was asked, in a third of an octave: a pass takes two thirds off
 TRUSTED_ERROR = 1.0 / 3.0
@@ -87,13 +89,14 @@ class RepeatedMove:
     desired, time, step
         The trajectory, the time of each row and its even step (s).
     reference
-        Voltages of a drive that learned nothing, by which a recording is laid over it.
+        Voltages of the move or period if nothing is learned: a recorded drive is laid over
+        them, or over ``lead_to``.
     state
         In which the drives began.
     periodic, absolute
         Whether recordings are of whole periods, and whether the mean is learned.
-    is_swept
-        They are those of the sweep before the move, else those of the move or period.
+    lead_to
+        Where a sweep stands before the move: the voltages before it, by its first value.
     """
 
     model: Cascade
@@ -104,7 +107,7 @@ class RepeatedMove:
     state: str | State = "auto"
     periodic: bool = False
     absolute: bool = False
-    is_swept: bool = False
+    lead_to: Callable[[float], Floats] | None = None
 
     def learned(
         self,
@@ -140,7 +143,7 @@ class RepeatedMove:
         error = self.desired - measured
         zero = 0.0 if self.absolute else float(error.mean())
         error = error - zero
-        passed = PassRecord(_digest(voltage), rms(error))
+        passed = PassRecord(sha256(voltage.tobytes()).hexdigest(), rms(error))
         before = _passes_before(history, passed)
         cutoff = bandwidth or self._trusted(name, measured - modelled)
         self._require_no_growth(name, passed, before, cutoff, measured)
@@ -246,12 +249,16 @@ class RepeatedMove:
         by_stamps = self._row_by_stamps(recording)
         if recording.time is None and voltage.size == count:
             return 0
+        if self.lead_to is not None:
+            row = self._row_behind_sweep(voltage)
+            if row is None or abs(row - by_stamps) <= NEAR_ROWS:
+                return by_stamps
+            return row
         row = self._row_by_drive(voltage)
         if row is None:
             return by_stamps
-        if self.is_swept:
-            return row
-        difference, is_stamped = abs(row - by_stamps), recording.time is not None
+        difference = abs(row - by_stamps)
+        is_stamped = recording.time is not None and voltage.size - by_stamps >= count
         if self.periodic:  # which of the periods does not matter
             row, difference = row % count, difference % count
             difference = min(difference, count - difference)
@@ -279,29 +286,49 @@ class RepeatedMove:
         """Return the first row of the move in a recorded drive; None where the reference is not there."""
         reference, begin = self.reference, 0
         if self.periodic:
-            begin = max(
-                voltage.size - 2 * reference.size, 0
-            )  # what leads to it is over
+            # in the last two periods what leads to the loop is over
+            begin = max(voltage.size - 2 * reference.size, 0)
             reference = np.tile(reference, 4)
-        late = voltage[begin:]
-        rows = self.step * np.arange(float(max(late.size, reference.size)))
-        times = rows[: late.size], rows[: reference.size]
-        found = align_drives(times[0], late, times[1], reference)
-        if found is None:
-            return None
-        shift = begin + round(found.ahead / self.step)
-        if self.periodic:
-            return shift
-        if not self.is_swept:
-            return min(max(shift, 0), max(voltage.size - self.desired.size, 0))
-        # the recording may lack rows at rest that another axis needs
-        sweep = reference[max(-shift, 0) :]
-        end = shift + reference.size
-        recorded = voltage[max(shift, 0) : max(end, 0)]
-        span = float(np.ptp(reference))
-        if recorded.size != sweep.size or rms(recorded - sweep) > SAME_DRIVE * span:
-            return None
-        return end
+        row = self._shift(voltage[begin:], reference)
+        if row is None or self.periodic:
+            return None if row is None else begin + row
+        return min(max(row, 0), max(voltage.size - self.desired.size, 0))
+
+    def _row_behind_sweep(self, voltage: Floats) -> int | None:
+        """Return the first row of the move in a recorded drive that begins with a sweep; None: it does not.
+
+        The way behind the sweep lasts as long as the first value is far, and what was
+        learned moves that: the next look is for the way to the value that was found, as
+        long as it lies closer.
+        """
+        assert self.lead_to is not None
+        first, row, closest = float(self.desired[0]), None, math.inf
+        for _ in range(LOOKS):
+            lead = self.lead_to(first)
+            shift = self._shift(voltage, lead)
+            if shift is None:
+                break
+            # the recording may lack rows at rest that another axis needs
+            sweep = lead[max(-shift, 0) :]
+            end = max(shift + lead.size, 0)
+            recorded = voltage[max(shift, 0) : end]
+            if recorded.size != sweep.size or not self._is_same_drive(recorded, sweep):
+                break
+            difference = rms(recorded - sweep)
+            if difference >= closest:
+                break
+            row, closest = end, difference
+            start = self.model.start(float(voltage[0]), "auto")
+            modelled = self.model.run(voltage[: row + 1], start, self.step).y
+            first = float(modelled[-1])
+        return row
+
+    def _shift(self, voltage: Floats, reference: Floats) -> int | None:
+        """Return the row of a recorded drive at which another one begins; None: they are not alike."""
+        rows = self.step * np.arange(float(max(voltage.size, reference.size)))
+        times = rows[: voltage.size], rows[: reference.size]
+        found = align_drives(times[0], voltage, times[1], reference)
+        return None if found is None else round(found.ahead / self.step)
 
     def _row_by_stamps(self, recording: Tracked) -> int:
         """Return the row at the time of the trajectory's first; the first where there is no clock.
@@ -333,12 +360,12 @@ class RepeatedMove:
         if begin < 2 or isinstance(self.state, State):
             return
         lead = recording.voltage[:begin]
-        span = self.model.input.span
-        if self.is_swept:
-            span = float(np.ptp(self.reference))
+        is_swept, span = self.lead_to is not None, self.model.input.span
+        if self.lead_to is not None:
+            span = float(np.ptp(self.lead_to(float(self.desired[0]))))
         extremes = lead[turns(lead, 0.1 * span)]
         was_swept = float(np.abs(np.diff(extremes)).sum()) > SWEPT * span
-        if was_swept == self.is_swept:
+        if was_swept == is_swept:
             return
         text = "with a sweep before the move, which makes another past: add `condition`"
         if not was_swept:
@@ -441,10 +468,6 @@ class RepeatedMove:
 def rms(values: Floats) -> float:
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _digest(voltage: Floats) -> str:
-    return hashlib.sha256(np.ascontiguousarray(voltage).tobytes()).hexdigest()
 
 
 def _passes_before(

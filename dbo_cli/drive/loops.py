@@ -106,7 +106,18 @@ class Loop:
             raise UsageError(
                 f"`passes` {passes}: at most {MOST_LEAD_ROWS:,} rows in all"
             )
-        require_closed(self.name, self.target)
+        period = self.target
+        if period.size < FEWEST_PERIOD_ROWS:
+            raise InputError(
+                f"{self.name}: {period.size} rows are too few for a loop; give {FEWEST_PERIOD_ROWS} or more"
+            )
+        seam = largest_difference(period[:1], period[-1:])
+        inside = largest_difference(period[1:], period[:-1])
+        if seam > SEAM * inside:
+            raise InputError(
+                f"{self.name}: the loop is open: its seam is a step of {seam:.3g}, the largest inside "
+                f"{inside:.3g}: give one whole period"
+            )
 
     @cached_property
     def static_target(self) -> Floats:
@@ -243,21 +254,6 @@ class Loop:
         for k, value in enumerate(values):
             last = values[k] = min(max(value, last - largest_step), last + largest_step)
         return np.array(values)
-
-
-def require_closed(name: str, period: Floats) -> None:
-    """Refuse a period that is too short, or jumps from its last row to its first (InputError)."""
-    if period.size < FEWEST_PERIOD_ROWS:
-        raise InputError(
-            f"{name}: {period.size} rows are too few for a loop; give {FEWEST_PERIOD_ROWS} or more"
-        )
-    seam = largest_difference(period[:1], period[-1:])
-    inside = largest_difference(period[1:], period[:-1])
-    if seam > SEAM * inside:
-        raise InputError(
-            f"{name}: the loop is open: its seam is a step of {seam:.3g}, the largest inside "
-            f"{inside:.3g}: give one whole period"
-        )
 
 
 # --- the settled drive ---

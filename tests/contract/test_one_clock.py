@@ -166,6 +166,31 @@ def test_a_loop_is_learned_from_wherever_its_recorder_counts_from(
     np.testing.assert_allclose(found, known, atol=1e-9)
 
 
+@pytest.mark.parametrize("start", [None, 0.0, 1.7e9])
+def test_what_was_learned_moves_the_first_value_and_no_row(start: float | None) -> None:
+    """The way behind the sweep lasts as long as it is far: the third pass was laid over some rows off."""
+    time = TIME[:3000]
+    desired = 3.0 - 1.5 * np.cos(2.0 * np.pi * time)
+    write("traj.csv", "time_s,displacement_um", time, desired)
+    words = ["compensate", model("creep"), "traj.csv", "--condition", "--from", 0]
+    words += ["-o", "drive.csv"]
+    errors = []
+    for _ in range(4):
+        done(*words)
+        drive = table("drive.csv")
+        moved = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
+        moved = 0.05 + 1.03 * moved + 0.03 * np.sin(2.0 * moved)
+        error = (moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP]
+        errors.append(float(np.std(error)))
+        stamps = drive["time_s"]
+        if start is not None:
+            stamps = start + STEP * np.arange(len(moved))
+        header = "time_s,voltage_V,measured_um"
+        write("pass.csv", header, stamps, drive["voltage_V"], moved)
+        words[6:] = ["--tracked", "pass.csv", "--history", "h.json", "-o", "drive.csv"]
+    assert max(errors[1:]) < 0.5 * errors[0], errors
+
+
 def test_both_axes_of_a_raster_are_laid_over_by_their_drives() -> None:
     """A slow axis is a ramp, and a ramp that is late looks like one that is lower: 65 % off."""
     store_set("xy.json", x=values_of("creep"), y=values_of("creep"))
