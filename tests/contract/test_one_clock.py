@@ -11,6 +11,7 @@ from .program import (
     table, values_of, write,
 )  # fmt: skip
 
+QUICK = "--gears 20 --points 0 --delay 0 --relaxation 0 --dynamics 0".split()
 STEP = 1e-3
 SUMMARY = {"format": "dbo-summary", "version": 1, "unit": "um", "model": "0" * 64}
 TIME = STEP * np.arange(6000)
@@ -150,21 +151,20 @@ def test_a_loop_is_learned_from_wherever_its_recorder_counts_from(
     """Its stamps were believed: a clock from 0 put what leads to the loop into its mean, or was refused."""
     time = STEP * np.arange(400)
     desired = 5.0 - 2.0 * np.cos(2.0 * np.pi * 2.5 * time)
-    write("period.csv", "time_s,displacement_um", time, desired)
+    write("period.csv", MOVE, time, desired)
     words = ("compensate", model("small"), "period.csv", "--periodic", "--from", 0)
     done(*words, *lead, "-o", "loop.csv")
     drive = table("loop.csv")
     period = drive["voltage_V"][drive["time_s"] > -0.5 * STEP]
     voltage = np.concatenate([drive["voltage_V"], *[period] * 4])
     stamps = drive["time_s"][0] + STEP * np.arange(len(voltage))
-    write("played.csv", "time_s,voltage_V", stamps, voltage)
-    moved = table(done("simulate", model("small"), "played.csv"))["displacement_um"]
+    write("played.csv", DRIVE, stamps, voltage)
+    moved = simulated("small", "played.csv")
     moved = 0.1 + 1.02 * moved + 0.01 * np.sin(2.0 * np.pi * 12.5 * stamps)
-    header = "time_s,voltage_V,measured_um"
-    write("true.csv", header, stamps, voltage, moved)
+    write("true.csv", PASS, stamps, voltage, moved)
     known = table(done(*words, *lead, "--tracked", "true.csv"))["voltage_V"]
     elsewhere = start + STEP * np.arange(len(voltage) - lost)
-    write("pass.csv", header, elsewhere, voltage[lost:], moved[lost:])
+    write("pass.csv", PASS, elsewhere, voltage[lost:], moved[lost:])
     found = table(done(*words, *lead, "--tracked", "pass.csv"))["voltage_V"]
     assert np.abs(known - drive["voltage_V"]).max() > 0.02
     np.testing.assert_allclose(found, known, atol=1e-9)
@@ -235,7 +235,7 @@ def test_a_raster_recorded_without_its_drive_repeats_only_as_far_as_the_recordin
         words = ("raster.csv", "--displacement", f"{axis}_um", "--from", 0)
         done("compensate", model("creep"), *words, "--approach", 0.1, "-o", "d.csv")
         drive = table("d.csv")
-        moved = table(done("simulate", model("creep"), "d.csv"))["displacement_um"]
+        moved = simulated("creep", "d.csv")
         moved = 1.004 * moved + 0.003 * np.random.default_rng(1).standard_normal(
             len(moved)
         )
@@ -253,17 +253,17 @@ def test_what_was_learned_between_harmonics_ends_no_learning() -> None:
     time = STEP * np.arange(4000)
     fast = 0.05 * np.sin(2.0 * np.pi * 24.0 * time)
     desired = 3.0 + 1.5 * np.sin(2.0 * np.pi * time) + fast
-    write("sines.csv", "time_s,displacement_um", time, desired)
+    write("sines.csv", MOVE, time, desired)
     words = ["compensate", model("creep"), "sines.csv", "--from", 0, "--approach", 1]
     done(*words, "-o", "pass.csv")
     errors = []
     for seed in range(3):
         drive = table("pass.csv")
-        moved = table(done("simulate", model("creep"), "pass.csv"))["displacement_um"]
+        moved = simulated("creep", "pass.csv")
         moved += 0.03 * np.sin(moved) + 0.03 * (creep(moved, 0.03) - moved)
         moved += 1e-3 * np.random.default_rng(seed).standard_normal(len(moved))
         columns = drive["time_s"], drive["voltage_V"], moved
-        write("seen.csv", "time_s,voltage_V,measured_um", *columns)
+        write("seen.csv", PASS, *columns)
         error = (moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP]
         errors.append(np.std(error))
         learned = ("--tracked", "seen.csv", "--history", "passes.json", "--verbose")
@@ -313,7 +313,9 @@ def test_clocks_of_two_recorders_are_found(both: bool) -> None:
     """The actuator's own delay stays in the model where both hold the drive, else it is said."""
     two_recorders(4e-3, both)
     words = ("--voltage", "drive.csv::voltage_V", "--clock-offset", "auto")
-    outcome = done("identify", "sensor.csv", *words, "-o", "m.json", "--verbose")
+    plain = ("--relaxation", 0, "--points", 0, "--dynamics", 0, "--gears", 20)
+    words = ("identify", "sensor.csv", *words, *plain, "-o", "m.json", "--verbose")
+    outcome = done(*words)
     assert f"moved by -1.{'3' if both else '29'}" in outcome.err
     assert ("by the drive" if both else "delay included") in outcome.err
     assert not both or "50 ppm fast" in outcome.err
@@ -330,13 +332,13 @@ def test_a_recorder_that_began_a_little_late_is_told_of_where_it_shows(
     done("excite", "--v-max", 100, "--sample-rate", 500, "-o", "drive.csv")
     if swings == "one":
         time = np.arange(0.0, 40.0, 2e-3)
-        write("drive.csv", "time_s,voltage_V", time, 100.0 * abs(0.2 * time % 2 - 1))
-    moved = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
+        write("drive.csv", DRIVE, time, 100.0 * abs(0.2 * time % 2 - 1))
+    moved = simulated("creep", "drive.csv")
     moved += 1e-3 * np.random.default_rng(0).standard_normal(len(moved))
     stamps = offset + table("drive.csv")["time_s"]
-    write("sensor.csv", "time_s,displacement_um", stamps, moved)
+    write("sensor.csv", MOVE, stamps, moved)
     words = ("sensor.csv", "--voltage", "drive.csv::voltage_V")
-    outcome = done("identify", *words, "--gears", 40, "-o", "m.json", "--force")
+    outcome = done("identify", *words, *QUICK, "-o", "m.json", "--force")
     told = [text for text in outcome.warnings if "do not line up" in text]
     assert len(told) == (offset != 0.0 and swings == "many")
     for text in told:
@@ -348,7 +350,7 @@ def test_a_recorder_that_began_a_little_late_is_told_of_where_it_shows(
 def test_what_a_report_cannot_tell_from_a_late_actuator_is_said(offset: float) -> None:
     desired = 3.0 + 2.0 * np.sin(2.0 * np.pi * 0.5 * TIME) * np.exp(-0.3 * TIME)
     rng = np.random.default_rng(4)
-    write("traj.csv", "time_s,displacement_um", TIME, desired)
+    write("traj.csv", MOVE, TIME, desired)
     measured = desired + 2e-3 * rng.standard_normal(len(TIME))
     write("pass.csv", "time_s,measured_um", TIME + offset, measured)
     outcome = done("report", "pass.csv", "--trajectory", "traj.csv")
@@ -363,7 +365,8 @@ def test_a_late_sensor_is_no_error() -> None:
     time, volts = (table("drive.csv")[key] for key in ("time_s", "voltage_V"))
     moved = simulated("creep", "drive.csv")
     write("log.csv", LOG, time, volts, np.interp(time - late, time, moved))
-    done("identify", "log.csv", "--sensor-delay", "8ms", "-o", "m.json")
+    plain = ("--relaxation", "0.01,0.3", "--points", 8, "--delay", 0, "--dynamics", 0)
+    done("identify", "log.csv", "--sensor-delay", "8ms", *plain, "-o", "m.json")
     write("move.csv", MOVE, TIME, 3.0 - 2.0 * np.cos(np.pi * TIME))
     words = ("compensate", "m.json", "move.csv", "--condition", "--from", 0)
     done(*words, "-o", "d.csv", "--summary", "s.json")
