@@ -38,7 +38,8 @@ CLEARLY_BETTER = 0.5
 APART_SHOWS = 5e-4
 """Part of the variance that stamps leave at least where they are wrong: 2 % of the move.
 
-On 36 logs, right ones leave at most 3.4e-4 beside a loop, and 30 ms off at least 5.4e-4 where no swing repeats.
+On 36 logs, right ones leave at most 3.4e-4 beside a loop, and 30 ms off at least 5.4e-4
+where no swing repeats.
 """
 USUAL_LAG = 0.01
 """Seconds that most actuators with amplifier and sensor stay below; what is later is told of."""
