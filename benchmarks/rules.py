@@ -35,6 +35,8 @@ RULES = {
     "basis.CELLS=48": "half the cells",
     "basis.TAU_RATIO=9.0": "time constants in steps of nine",
     "solve.PAST_COST=1e6": "no unknown past",
+    "problem.KNOWN=1e3": "rows of an unknown past count as others do",
+    "solve.BELIEF=0.0": "gains at no cost",
     "clean.SPIKE_SIGMAS=1e9": "spikes kept",
     "clean.STUCK_PATH=1e9": "a sensor that stands still kept",
 }

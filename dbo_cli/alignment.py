@@ -7,12 +7,13 @@ and sensor is part of the shift, and a loop makes it uncertain.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.signals import Lag, even, lag
+from dbo_cli.signals import TimeLag, even, lag, residual_at
 
 LONGEST = 1 << 17
 """Rows of the longer recording in the search; a longer one is looked at in coarser steps."""
@@ -32,9 +33,18 @@ SMALL_LOOP = 1e-3
 """Part of the measured variance below which no loop is looked for: 3 % of the move."""
 LOOP_SHOWS = 0.25
 """Part of the unexplained variance that plays must leave at most for a loop to be there."""
+CLEARLY_BETTER = 0.5
+"""Part of what the stamps leave, that another alignment must leave at most to be believed."""
+APART_SHOWS = 5e-4
+"""Part of the variance that stamps leave at least where they are wrong: 2 % of the move.
+
+On 44 logs, right ones leave 2e-6 to 3.4e-4, and 30 ms off 5.4e-4 to 6e-2 where no swing repeats.
+"""
+USUAL_LAG = 0.01
+"""Seconds that most actuators with amplifier and sensor stay below; what is later is told of."""
 ACTUATOR_LAG = 0.05
 """Seconds that an actuator, its amplifier and its sensor may be late; more is a recorder's start."""
-SAME_DRIVE = 0.05
+DRIVE_RESIDUAL = 0.05
 """Part of the variance that a recorded drive may differ by, apart from its gain."""
 
 
@@ -44,37 +54,37 @@ class Alignment:
 
     Attributes
     ----------
-    late_start, early_start
+    start, reference_start
         First time stamps (s) of the two.
     lag
-        By how much the late one's signal comes later, from first row to first row (s).
+        By how much the signal comes later, from first row to first row (s).
     step
         Seconds a row of the slower clock.
     """
 
-    late_start: float
-    early_start: float
-    lag: Lag
+    start: float
+    reference_start: float
+    lag: TimeLag
     step: float
 
     @property
     def ahead(self) -> float:
-        """Seconds by which the late recording's stamps are ahead of the other's at its beginning."""
-        return self.late_start - self.early_start + self.lag.seconds
+        """Seconds by which the recording's stamps are ahead of the other's at its beginning."""
+        return self.start - self.reference_start + self.lag.seconds
 
     @property
     def deviation_rows(self) -> float:
         """One standard deviation of it in rows of the slower clock."""
         return self.lag.deviation / self.step
 
-    def late_time(self, early_time: Floats) -> Floats:
-        """Return stamps of the other recording on the clock of the late one (s)."""
-        times: Floats = early_time - self.early_start + self.lag.seconds
-        return self.late_start + times / (1.0 - self.lag.rate)
+    def recorded_time(self, reference_time: Floats) -> Floats:
+        """Return stamps of the other recording on the clock of the recording (s)."""
+        times: Floats = reference_time - self.reference_start + self.lag.seconds
+        return self.start + times / (1.0 - self.lag.rate)
 
-    def early_time(self, late_time: Floats) -> Floats:
-        """Return stamps of the late recording on the clock of the other (s)."""
-        return self.early_start + self.lag.early_time(late_time - self.late_start)
+    def reference_time(self, time: Floats) -> Floats:
+        """Return stamps of the recording on the clock of the other (s)."""
+        return self.reference_start + self.lag.reference_time(time - self.start)
 
 
 def mean_step(time: Floats) -> float:
@@ -84,28 +94,28 @@ def mean_step(time: Floats) -> float:
 
 
 def align_drives(
-    late_time: Floats, late: Floats, early_time: Floats, early: Floats
+    time: Floats, signal: Floats, reference_time: Floats, reference: Floats
 ) -> Alignment | None:
     """Lay two recordings of one drive over each other; None where they are not of one drive.
 
     Parameters
     ----------
-    late_time, late : array of shape (rows,)
+    time, signal : array of shape (rows,)
         Stamps (s) and drive of the one; gain and offset may differ.
-    early_time, early : array of shape (other rows,)
+    reference_time, reference : array of shape (other rows,)
         Those of the other.
     """
-    found = aligned(late_time, late, early_time, early, rate=True)
-    if found is None or found.lag.residual > SAME_DRIVE:
+    found = aligned(time, signal, reference_time, reference, rate=True)
+    if found is None or found.lag.residual > DRIVE_RESIDUAL:
         return None
-    return on_whole_rows(found, late_time, early_time, WHOLE_BY_DRIVE)
+    return on_whole_rows(found, time, reference_time, WHOLE_BY_DRIVE)
 
 
 def align_displacements(
-    late_time: Floats,
-    late: Floats,
-    early_time: Floats,
-    early: Floats,
+    time: Floats,
+    signal: Floats,
+    reference_time: Floats,
+    reference: Floats,
     *,
     rate: bool = False,
     inverted: bool = False,
@@ -118,18 +128,24 @@ def align_displacements(
 
     Parameters
     ----------
-    late_time, late : array of shape (rows,)
+    time, signal : array of shape (rows,)
         Stamps (s) and displacement.
-    early_time, early : array of shape (other rows,)
+    reference_time, reference : array of shape (other rows,)
         Those of the expected displacement, or of the drive.
     rate, inverted
         As in ``signals.lag``.
     """
-    found = aligned(late_time, late, early_time, early, inverted=inverted)
+    found = aligned(time, signal, reference_time, reference, inverted=inverted)
     if found is None or found.lag.residual < SMALL_LOOP:
         return found
     loop = aligned(
-        late_time, late, early_time, early, rate=rate, inverted=inverted, loops=True
+        time,
+        signal,
+        reference_time,
+        reference,
+        rate=rate,
+        inverted=inverted,
+        loops=True,
     )
     if loop is None or loop.lag.residual > LOOP_SHOWS * found.lag.residual:
         return found
@@ -137,10 +153,10 @@ def align_displacements(
 
 
 def aligned(
-    late_time: Floats,
-    late: Floats,
-    early_time: Floats,
-    early: Floats,
+    time: Floats,
+    signal: Floats,
+    reference_time: Floats,
+    reference: Floats,
     *,
     rate: bool = False,
     inverted: bool = False,
@@ -148,29 +164,47 @@ def aligned(
 ) -> Alignment | None:
     """Return how two recordings lie over each other, by ``signals.lag``; see there for the options.
 
-    ``loops``: the late one may be made of plays of the early one, too. A rate counts
+    ``loops``: the signal may be made of plays of the reference, too. A rate counts
     where it shows, and where two clocks may differ by it.
     """
-    if min(len(late_time), len(early_time)) < 2 or np.ptp(early) == 0.0:
+    if min(len(time), len(reference_time)) < 2 or np.ptp(reference) == 0.0:
         return None
-    longest = max(float(np.ptp(late_time)), float(np.ptp(early_time)))
-    step = max(mean_step(late_time), mean_step(early_time), longest / LONGEST)
+    longest = max(float(np.ptp(time)), float(np.ptp(reference_time)))
+    step = max(mean_step(time), mean_step(reference_time), longest / LONGEST)
     if not step > 0.0:
         return None
-    late = _sampled(late_time, late, step)
-    columns = _sampled(early_time, early, step)
+    signal = _sampled(time, signal, step)
+    columns = _sampled(reference_time, reference, step)
     begin = 0
     if loops:
         begin, columns = loop_columns(columns)
-    found = lag(late, columns, step, inverted=inverted)
+    found = lag(signal, columns, step, inverted=inverted)
     if found is None:
         return None
     if rate:
-        running = lag(late, columns, step, rate=True, inverted=inverted)
+        running = lag(signal, columns, step, rate=True, inverted=inverted)
         if running is not None and running.residual < RATE_SHOWS * found.residual:
             found = running if abs(running.rate) <= LARGEST_RATE else found
-    start = float(early_time[0]) + begin * step
-    return Alignment(float(late_time[0]), start, found, step)
+    start = float(reference_time[0]) + begin * step
+    return Alignment(float(time[0]), start, found, step)
+
+
+def are_apart(
+    found: Alignment,
+    time: Floats,
+    signal: Floats,
+    reference_time: Floats,
+    reference: Floats,
+) -> bool:
+    """Return whether an alignment explains a displacement clearly better than the stamps do.
+
+    A loop is allowed for: of a single swing that repeats, the two do not tell.
+    """
+    begin, columns = loop_columns(_sampled(reference_time, reference, found.step))
+    signal = _sampled(time, signal, found.step)
+    shift = begin - (found.start - float(reference_time[0])) / found.step
+    residual = residual_at(signal, columns, shift)
+    return residual > max(APART_SHOWS, found.lag.residual / CLEARLY_BETTER)
 
 
 def loop_columns(signal: Floats) -> tuple[int, Floats]:
@@ -183,14 +217,30 @@ def loop_columns(signal: Floats) -> tuple[int, Floats]:
     ends = int(np.argmax(level <= NEAR_END)), int(np.argmax(level >= 1.0 - NEAR_END))
     begin = max(ends) if max(ends) < 0.5 * len(level) else min(ends)
     level = level[begin:]
+    drift = np.linspace(0.0, 1.0, len(level))
+    return begin, np.column_stack([level, level**2, drift, _plays(level)])
+
+
+def _plays(level: Floats) -> Floats:
+    """Return plays of a signal of 0 to 1 in every row, shape (rows, plays).
+
+    A row clips a play to ``level - half, level + half``, and clips in turn are a clip:
+    first those of all rows since the block began, of all blocks at once, then the plays.
+    """
+    rows = math.isqrt(len(level)) + 1
+    blocks = np.pad(level, (0, -len(level) % rows), "edge").reshape(-1, rows, 1)
+    low, high = blocks - PLAYS, blocks + PLAYS
+    for row in range(1, rows):
+        window = low[:, row], high[:, row]
+        low[:, row] = np.clip(low[:, row - 1], *window)
+        high[:, row] = np.clip(high[:, row - 1], *window)
     half = np.minimum(PLAYS, 0.5)
     state = np.clip(level[0], half, 1.0 - half)
-    plays = np.empty((len(level), len(PLAYS)))
-    for row, value in enumerate(level.tolist()):
-        state = np.minimum(np.maximum(state, value - PLAYS), value + PLAYS)
-        plays[row] = state
-    drift = np.linspace(0.0, 1.0, len(level))
-    return begin, np.column_stack([level, level**2, drift, plays])
+    plays = np.empty_like(low)
+    for block, window in enumerate(zip(low, high, strict=True)):
+        plays[block] = np.clip(state, *window)
+        state = plays[block, -1]
+    return plays.reshape(-1, len(PLAYS))[: len(level)]
 
 
 def _sampled(time: Floats, values: Floats, step: float) -> Floats:
@@ -203,16 +253,16 @@ def _sampled(time: Floats, values: Floats, step: float) -> Floats:
 
 
 def on_whole_rows(
-    found: Alignment, late_time: Floats, early_time: Floats, slack: float
+    found: Alignment, time: Floats, reference_time: Floats, slack: float
 ) -> Alignment:
     """Return the alignment by whole rows where one card may have played and recorded."""
-    steps = even(late_time), even(early_time)
+    steps = even(time), even(reference_time)
     if steps[0] is None or steps[1] is None or found.lag.rate:
         return found
     if abs(steps[0] / steps[1] - 1.0) > SAME_STEP:
         return found
     rows = round(found.lag.seconds / steps[1])
-    off = abs(found.lag.seconds / steps[1] - rows)
-    if off > max(slack, 3.0 * found.deviation_rows):
+    fraction = abs(found.lag.seconds / steps[1] - rows)
+    if fraction > max(slack, 3.0 * found.deviation_rows):
         return found
     return replace(found, lag=replace(found.lag, seconds=rows * steps[1]))

@@ -76,18 +76,23 @@ def names(
         The log is a stream, which cannot be read once for every channel.
     """
     from dbo_cli.logs import columns_of
+    from dbo_cli.logs.columns import fitting
 
     if not is_pattern(columns):
         return list(ALONE)
     path = paths[0]
     if path == "-":
         raise UsageError("-: channels need a file, not a pipe")
-    headers = [column.name for column in columns_of(path, reading)]
+    table = columns_of(path, reading)
+    headers = [column.name for column in table]
     channels: list[str] = []
     for role, pattern in columns.items():
         if pattern is None or PLACE not in pattern:
             continue
-        matches = _matches(pattern, headers)
+        names = headers
+        if pattern == PLACE:
+            names = [column.name for column in fitting(table, role)]
+        matches = _matches(pattern, names)
         channels = channels or matches
         mismatched = sorted(set(channels) ^ set(matches))
         if mismatched or not matches:

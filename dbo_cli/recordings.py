@@ -19,9 +19,9 @@ from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs import (
     FrameTable,
     Reading,
+    as_numbers,
     frame_table,
     is_frame,
-    numbers,
     open_log,
     stated_unit,
 )
@@ -354,8 +354,8 @@ def signal_of(
     values = in_unit(data, roles[0], quantity.unit, unit)
     clock = clock_of(data, time, sample_rate, len(values))
     if isinstance(clock, np.ndarray):
-        return Block(clock, {roles[1]: values}, dt=steps_of(clock))
-    return Block(None, {roles[1]: values}, dt=clock)
+        return Block(clock, {roles[1]: values}, steps_of(clock))
+    return Block(None, {roles[1]: values}, clock)
 
 
 def in_unit(
@@ -377,7 +377,7 @@ def floats(values: Any, name: str) -> Floats:
         It has another shape, or holds what is no number: masked, missing, an overload.
     """
     try:
-        array = numbers(values)
+        array = as_numbers(values)
     except InputError:
         array = np.empty(0)
     if array.ndim != 1 or array.size == 0:

@@ -26,12 +26,12 @@ STILL_FALLING = 0.85
 NORMAL_MEDIAN = 0.6745
 """Median of |x| of a normal variable of standard deviation 1."""
 
-FEWEST_ROWS = 16
+FEWEST_SHARED = 16
 """Rows that two signals must have in common for a lag of a part of a row."""
 SHARED = 0.25
 """Part of the shorter signal that must overlap with the other."""
 MARGIN = 3.0
-"""Rows at either end of the early signal that values between rows need."""
+"""Rows at either end of the reference that values between rows need."""
 PLACES = 4
 """Best places of the correlation that are refined."""
 RIVAL = 0.9
@@ -39,10 +39,10 @@ RIVAL = 0.9
 ITERATIONS = 20
 """Gauss-Newton steps at most."""
 LONGEST_STEP = 0.01
-"""Part of the late signal that one Gauss-Newton step may go, beside two rows."""
+"""Part of the signal that one Gauss-Newton step may go, beside two rows."""
 TRIED_ROWS, REFINED_ROWS = 3_000, 20_000
-"""Rows of the late signal, evenly picked, at each of the places and at the best."""
-BLOCKS = 8
+"""Rows of the signal, evenly picked, at each of the places and at the best."""
+TIME_BLOCKS = 8
 """Blocks of time whose scatter is the uncertainty of a lag."""
 
 
@@ -80,8 +80,8 @@ def _last_decimal(stamps: Floats, coarsest: float) -> float:
         unit = 10.0**-places
         if unit > coarsest:
             continue
-        off = float(np.abs(stamps - np.round(stamps, places)).max())
-        if off < 1e-3 * unit + rounding:
+        rounded = float(np.abs(stamps - np.round(stamps, places)).max())
+        if rounded < 1e-3 * unit + rounding:
             return 1.01 * unit
     return 0.0
 
@@ -103,7 +103,7 @@ def noise(values: Floats) -> float:
     estimate = math.inf
     for order in range(1, LAST_ORDER + 1):
         differences = np.diff(differences)
-        if differences.size < FEWEST_ROWS // 2:
+        if differences.size < FEWEST_SHARED // 2:
             return 0.0
         if order < FIRST_ORDER:
             continue
@@ -115,8 +115,8 @@ def noise(values: Floats) -> float:
     return 0.0
 
 
-def turns(values: Floats, least: float) -> Integers:
-    """Return the rows where a signal turns by more than ``least``, the first and the last row included.
+def turns(values: Floats, smallest: float) -> Integers:
+    """Return the rows where a signal turns by more than ``smallest``, the first and the last row included.
 
     Where it rests before it turns, the last row of the rest counts.
     """
@@ -126,15 +126,15 @@ def turns(values: Floats, least: float) -> Integers:
     extremes = [*moving[1:][rising[1:] != rising[:-1]].tolist(), len(values) - 1]
     rows = [0]
     direction, row, level = 0, 0, float(values[0])
-    for place, value in zip(extremes, values[extremes].tolist(), strict=True):
+    for extreme, value in zip(extremes, values[extremes].tolist(), strict=True):
         change = value - level
         if direction and change * direction >= 0.0:
-            row, level = place, value
-        elif abs(change) > least:
+            row, level = extreme, value
+        elif abs(change) > smallest:
             if direction:
                 rows.append(row)
             direction = 1 if change > 0.0 else -1
-            row, level = place, value
+            row, level = extreme, value
     return np.asarray([*rows, len(values) - 1], dtype=np.int64)
 
 
@@ -142,10 +142,10 @@ def turns(values: Floats, least: float) -> Integers:
 
 
 @dataclass(frozen=True)
-class Lag:
+class TimeLag:
     """How much later one signal is than another.
 
-    A time t of the late signal is ``t (1 - rate) - seconds`` of the early one, each
+    A time t of the signal is ``t (1 - rate) - seconds`` of the reference, each
     counted from the first row of its own signal.
 
     Attributes
@@ -155,9 +155,9 @@ class Lag:
     deviation
         One standard deviation of it, in the middle; infinite where it is known to a row only.
     rate
-        Part by which the late signal's clock runs fast; 0 where it was not looked for.
+        Part by which the signal's clock runs fast; 0 where it was not looked for.
     residual
-        Part of the late signal's variance that is left unexplained.
+        Part of the signal's variance that is left unexplained.
     rival
         Another lag (s) that explains the signals as well; None: there is none.
     """
@@ -168,22 +168,22 @@ class Lag:
     residual: float = 0.0
     rival: float | None = None
 
-    def early_time(self, late_time: Floats) -> Floats:
-        """Return times of the late signal as times of the early one."""
-        return late_time * (1.0 - self.rate) - self.seconds
+    def reference_time(self, time: Floats) -> Floats:
+        """Return times of the signal as times of the reference."""
+        return time * (1.0 - self.rate) - self.seconds
 
 
 def lag(
-    late: Floats,
-    early: Floats,
+    signal: Floats,
+    reference: Floats,
     step: float = 1.0,
     *,
     rate: bool = False,
     inverted: bool = False,
-) -> Lag | None:
+) -> TimeLag | None:
     """Return how much later a signal is than another; None where nothing shows it.
 
-    ``late(t) = c + sum_k w_k early_k(t - lag)``, with weights that leave least. The
+    ``signal(t) = c + sum_k w_k reference_k(t - lag)``, with weights that leave least. The
     places to begin at are those where the evidence of a correlation r of n rows, n
     log(1/(1 - r^2)), is greatest, so that either signal may begin or end first. From
     there Gauss and Newton go on, with the weights projected out (Golub and Pereyra,
@@ -191,47 +191,47 @@ def lag(
 
     Parameters
     ----------
-    late : array of shape (rows,)
+    signal : array of shape (rows,)
         Evenly sampled.
-    early : array of shape (other rows,) or (other rows, columns)
-        Sampled alike: what ``late`` may be made of; the first column is correlated.
+    reference : array of shape (other rows,) or (other rows, columns)
+        Sampled alike: what ``signal`` may be made of; the first column is correlated.
     step
         Seconds a row.
     rate
         Whether the two clocks may run at different rates.
     inverted
-        Whether the late signal may fall where the early one rises.
+        Whether the signal may fall where the reference rises.
     """
-    columns = early.reshape(len(early), -1)
-    if min(len(late), len(columns)) < 2:
+    columns = reference.reshape(len(reference), -1)
+    if min(len(signal), len(columns)) < 2:
         return None
-    if np.ptp(late) == 0.0 or np.ptp(columns[:, 0]) == 0.0:
+    if np.ptp(signal) == 0.0 or np.ptp(columns[:, 0]) == 0.0:
         return None
     fits = []
-    for place in _places(columns[:, 0], late, inverted):
-        fit = _refined(late, columns, place, rate, TRIED_ROWS)
+    for start in _places(columns[:, 0], signal, inverted):
+        fit = _refined(signal, columns, start, rate, TRIED_ROWS)
         if fit is not None:
             fits.append(fit)
     if not fits:
         return None
     first = best = max(fits, key=lambda fit: fit.evidence)
-    if len(late) > TRIED_ROWS:
+    if len(signal) > TRIED_ROWS:
         most_rows = max(REFINED_ROWS // columns.shape[1], TRIED_ROWS)
-        best = _refined(late, columns, best.shift, rate, most_rows) or best
+        best = _refined(signal, columns, best.shift, rate, most_rows) or best
     rival = None
     for fit in fits:
         apart = abs(fit.shift - first.shift) > max(2.0, 5.0 * first.deviation)
         if apart and fit.evidence >= RIVAL * first.evidence:
             rival = step * fit.shift
             break
-    return Lag(
+    return TimeLag(
         step * best.shift, step * best.deviation, best.rate, best.residual, rival
     )
 
 
 @dataclass(frozen=True)
 class _Fit:
-    """A lag in rows, as ``Lag``, and how strong the evidence for it is."""
+    """A lag in rows, as ``TimeLag``, and how strong the evidence for it is."""
 
     shift: float
     deviation: float
@@ -245,9 +245,9 @@ def _evidence(count: Integers | int, unexplained: Floats | float) -> Floats:
     return np.asarray(-count * np.log(np.clip(unexplained, 1e-12, 1.0)))
 
 
-def _places(early: Floats, late: Floats, inverted: bool) -> list[int]:
+def _places(reference: Floats, signal: Floats, inverted: bool) -> list[int]:
     """Return the lags (rows) where two signals correlate most, the best first."""
-    a, b = early - early.mean(), late - late.mean()
+    a, b = reference - reference.mean(), signal - signal.mean()
     lags = np.arange(1 - a.size, b.size)
     begin, end = np.maximum(0, -lags), np.minimum(a.size, b.size - lags)
     count = end - begin
@@ -282,28 +282,30 @@ def _sums(values: Floats, begin: Integers, end: Integers) -> Floats:
 
 
 def _refined(
-    late: Floats, columns: Floats, start: float, rate: bool, most_rows: int
+    signal: Floats, columns: Floats, start: float, rate: bool, most_rows: int
 ) -> _Fit | None:
     """Return the best lag near a first one; None where too little overlaps."""
-    rows = np.arange(0, len(late), -(-len(late) // most_rows), dtype=np.float64)
-    picked = late[rows.astype(np.intp)]
-    fewest = min(FEWEST_ROWS, len(rows))
+    rows = np.arange(0, len(signal), -(-len(signal) // most_rows), dtype=np.float64)
+    picked = signal[rows.astype(np.intp)]
+    fewest = min(FEWEST_SHARED, len(rows))
     moves = [np.ones(len(rows))]
     if rate:
         moves.append(rows - 0.5 * rows[-1])  # about the middle, where it is known best
     unknown = np.zeros(len(moves))
     unknown[0] = start
-    farthest = 2.0 + LONGEST_STEP * len(late)
-    deviation, left, inside = math.inf, picked, np.ones(len(rows), dtype=bool)
+    farthest = 2.0 + LONGEST_STEP * len(signal)
+    deviation, error, inside = math.inf, picked, np.ones(len(rows), dtype=bool)
     for _ in range(ITERATIONS):
         places = rows - sum(u * move for u, move in zip(unknown, moves, strict=True))
         inside = (places >= MARGIN) & (places <= len(columns) - 1.0 - MARGIN)
         if np.count_nonzero(inside) < fewest:
             return (
-                None if len(rows) >= FEWEST_ROWS else _whole(late, columns, int(start))
+                None
+                if len(rows) >= FEWEST_SHARED
+                else _whole(signal, columns, int(start))
             )
         at, target = places[inside], picked[inside]
-        left = _unexplained(target, columns, at)
+        error = _unexplained(target, columns, at)
         later = _unexplained(target, columns, at - 0.5)
         slope = later - _unexplained(target, columns, at + 0.5)
         slopes = np.column_stack([slope * move[inside] for move in moves])
@@ -311,28 +313,31 @@ def _refined(
         if not np.all(size > 1e-12 * math.sqrt(float(target @ target)) + 1e-300):
             break
         inverse = np.linalg.pinv(slopes / size)
-        change = -(inverse @ left) / size
+        change = -(inverse @ error) / size
         too_far = abs(change[0]) / farthest
         if too_far > 1.0:
             change = change / too_far
         unknown = unknown + change
-        deviation = _deviation(left, slopes / size, size)
-        if np.abs(change * size).max() <= 1e-3 * np.sqrt(left @ left) + 1e-12 * size[0]:
+        deviation = _deviation(error, slopes / size, size)
+        if (
+            np.abs(change * size).max()
+            <= 1e-3 * np.sqrt(error @ error) + 1e-12 * size[0]
+        ):
             break
     target = picked[inside]
-    residual = float(np.mean(left**2)) / max(float(np.var(target)), 1e-300)
+    residual = float(np.mean(error**2)) / max(float(np.var(target)), 1e-300)
     evidence = float(_evidence(len(target), residual))
     slope_of_clocks = float(unknown[1]) if rate else 0.0
     shift = float(unknown[0]) - 0.5 * rows[-1] * slope_of_clocks
     return _Fit(shift, deviation, slope_of_clocks, residual, evidence)
 
 
-def _whole(late: Floats, columns: Floats, start: int) -> _Fit:
+def _whole(signal: Floats, columns: Floats, start: int) -> _Fit:
     """Return a lag of whole rows, of signals that are too short for more."""
     begin = max(0, -start)
-    count = min(len(columns) - begin, len(late) - begin - start)
+    count = min(len(columns) - begin, len(signal) - begin - start)
     a = columns[begin : begin + count, 0]
-    b = late[begin + start : begin + start + count]
+    b = signal[begin + start : begin + start + count]
     residual = 1.0
     if np.ptp(a) > 0.0 and np.ptp(b) > 0.0:
         residual = 1.0 - float(np.corrcoef(a, b)[0, 1]) ** 2
@@ -345,9 +350,22 @@ def _unexplained(target: Floats, columns: Floats, places: Floats) -> Floats:
     table = between(columns, places)
     table = table - table.mean(axis=0)
     basis = np.linalg.qr(table)[0] if table.shape[1] > 1 else _unit(table)
-    left: Floats = target - target.mean()
-    left = left - basis @ (basis.T @ left)
-    return left
+    error: Floats = target - target.mean()
+    error = error - basis @ (basis.T @ error)
+    return error
+
+
+def residual_at(signal: Floats, reference: Floats, shift: float) -> float:
+    """Return the part of the signal's variance that is left at a lag (rows); see ``lag``."""
+    columns = reference.reshape(len(reference), -1)
+    rows = np.arange(0, len(signal), -(-len(signal) // TRIED_ROWS), dtype=np.int64)
+    places = rows.astype(np.float64) - shift
+    inside = (places >= 0.0) & (places <= len(columns) - 1.0)
+    target = signal[rows[inside]]
+    if not len(target) or not np.ptp(target) > 0.0:
+        return math.inf
+    error = _unexplained(target, columns, places[inside])
+    return float(np.mean(error**2) / np.var(target))
 
 
 def _unit(column: Floats) -> Floats:
@@ -369,7 +387,7 @@ def between(values: Floats, places: Floats) -> Floats:
     last = len(values) - 1
     places = np.clip(places, 0.0, last)
     row = np.minimum(places.astype(np.intp), last - 1)
-    part = (places - row).reshape(-1, *[1] * (values.ndim - 1))
+    fraction = (places - row).reshape(-1, *[1] * (values.ndim - 1))
     six = [values[np.clip(row + offset, 0, last)] for offset in range(-2, 4)]
     here, after = six[2], six[3]
     slope = (8.0 * (after - six[1]) - (six[4] - six[0])) / 12.0
@@ -377,18 +395,18 @@ def between(values: Floats, places: Floats) -> Floats:
     rise = after - here
     cubic = slope + next_slope - 2.0 * rise
     square = 3.0 * rise - 2.0 * slope - next_slope
-    result: Floats = here + part * (slope + part * (square + part * cubic))
+    result: Floats = here + fraction * (slope + fraction * (square + fraction * cubic))
     return result
 
 
-def _deviation(left: Floats, slopes: Floats, size: Floats) -> float:
+def _deviation(error: Floats, slopes: Floats, size: Floats) -> float:
     """Return the standard deviation of a lag, from how its pull scatters between blocks.
 
     What is wrong with the description scatters so, and clocks of different rates.
     """
-    blocks = np.array_split(slopes * left[:, None], BLOCKS)
+    blocks = np.array_split(slopes * error[:, None], TIME_BLOCKS)
     pulls = np.array([block.sum(axis=0) for block in blocks])
-    scatter = pulls.T @ pulls * BLOCKS / (BLOCKS - 1)
+    scatter = pulls.T @ pulls * TIME_BLOCKS / (TIME_BLOCKS - 1)
     inverse = np.linalg.pinv(slopes.T @ slopes)
     covariance = inverse @ scatter @ inverse
     return math.sqrt(max(float(covariance[0, 0]), 0.0)) / float(size[0])

@@ -170,17 +170,6 @@ def ratio(from_text: str | None, to_text: str | None) -> Fraction:
     return before.size / after.size
 
 
-def conversion(from_text: str | None, to_text: str | None) -> float:
-    """Return by what figures are multiplied to be in another unit; 1 where either is None.
-
-    Raises
-    ------
-    InputError
-        The units measure different things, or one of two unlike units is not known.
-    """
-    return float(ratio(from_text, to_text))
-
-
 def to_model_unit(
     label: str, unit: str | None, given: str | None, model_unit: str | None
 ) -> Fraction:

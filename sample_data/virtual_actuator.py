@@ -22,6 +22,7 @@ from __future__ import annotations
 import argparse
 import csv
 import dataclasses
+import re
 import sys
 from typing import IO
 
@@ -171,9 +172,12 @@ class VirtualActuator:
 
 
 def read_drive(lines: IO[str]) -> dict[str, Signal]:
-    """Read a CSV with a header into named columns, without unit suffix (``voltage_V`` → ``voltage``)."""
+    """Read a CSV with a header into named columns in s, V and um, without that unit (``voltage``)."""
     rows = list(csv.reader(line for line in lines if not line.startswith("#")))
-    names = [name.strip().partition("_")[0] for name in rows[0]]
+    units = re.compile(
+        "_(s|V|um)$"
+    )  # a column in another one keeps its name, and is not found
+    names = [units.sub("", name.strip()) for name in rows[0]]
     table = np.array([[float(cell) for cell in row] for row in rows[1:]])
     return {name: table[:, k] for k, name in enumerate(names)}
 

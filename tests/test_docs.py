@@ -25,6 +25,7 @@ GENERATED = {"commands.md", "reference.md"}  # made by ``make site``
 PAGES = sorted(path for path in DOCS.glob("*.md") if path.name not in GENERATED)
 TEXTS = [*PAGES, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 OPTION = re.compile(r"(?<![\w`-])--[a-z][a-z-]+")
+INLINE = re.compile(r"`(?:dbo )?([a-z]+) ([^`]*)`")  # a command within a sentence
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 NUMBER = re.compile(r"-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?")
@@ -77,6 +78,9 @@ def test_options_of_the_pages_exist() -> None:
             assert words[1] in COMMANDS, line
             typed = {word.split("=")[0] for word in words if word.startswith("--")}
             assert typed <= options_of(words[1]), line
+        for command, rest in INLINE.findall(path.read_text()):
+            if command in COMMANDS:
+                assert set(OPTION.findall(rest)) <= options_of(command), (command, rest)
 
 
 def test_every_option_is_explained_on_some_page() -> None:
@@ -213,11 +217,11 @@ WITH_COMMANDS = "files index limits moves live batches comparison scanner".split
 
 @pytest.fixture
 def logs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Work in a folder with the logs that the pages speak of, two seconds each."""
+    """Work in a folder with the logs that the pages speak of, a second each."""
     monkeypatch.chdir(tmp_path)
     shutil.copy(SAMPLES / "trajectory.csv", "trajectory.csv")
     log = table(SAMPLES / "identification.csv")
-    time, volts, moved = (column[:1000] for column in log.values())
+    time, volts, moved = (column[:500] for column in log.values())
     for name in ("recorded.csv", "other.csv"):
         write(name, "time_s,voltage_V,displacement_um", time, volts, moved)
     write("sensor.csv", "time_s,displacement_um", time, moved)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dbo_cli.alignment import PLAYS, loop_columns
 from dbo_cli.arrays import Floats
 from dbo_cli.signals import between, even, lag, noise, turns
 
@@ -104,7 +105,7 @@ def test_clocks_of_different_rates_are_laid_over_each_other() -> None:
     found = lag(late, early, rate=True)
     assert found is not None
     assert found.rate == pytest.approx(5e-5, rel=1e-6)
-    assert found.early_time(rows[[0, -1]]) == pytest.approx(
+    assert found.reference_time(rows[[0, -1]]) == pytest.approx(
         [700.3, 700.3 + 29_999 * (1.0 - 5e-5)], abs=1e-4
     )
 
@@ -140,3 +141,16 @@ def test_short_signals_are_laid_over_by_whole_rows() -> None:
     found = lag(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.0, 1.0, 2.0]))
     assert found is not None
     assert found.seconds == -1.0 and np.isinf(found.deviation)
+
+
+@pytest.mark.parametrize("rows", [2, 3, 10, 101, 1000])
+def test_plays_beside_a_lag_are_those_of_walking_row_by_row(rows: int) -> None:
+    rng = np.random.default_rng(rows)
+    signal = np.cumsum(rng.standard_normal(rows))
+    begin, columns = loop_columns(signal)
+    level = ((signal - signal.min()) / np.ptp(signal))[begin:]
+    half = np.minimum(PLAYS, 0.5)
+    state = np.clip(level[0], half, 1.0 - half)
+    for row, value in enumerate(level):
+        state = np.clip(state, value - PLAYS, value + PLAYS)
+        assert np.array_equal(columns[row, 3:], state)

@@ -144,7 +144,7 @@ def judge(summary: Path) -> int:
     rare, usual = sorted(names, key=lambda sign: len(names[sign]))
     if names[rare]:
         print(f"warning: displacement is {usual} with the voltage in {len(names[usual])} logs and {rare} in "
-              f"{', '.join(names[rare])}: leads exchanged?", file=sys.stderr)  # fmt: skip
+              f"{', '.join(names[rare])}: a sensor that faces away?", file=sys.stderr)  # fmt: skip
     for text in odd_ones(lines):
         print(f"warning: {text}", file=sys.stderr)
     return int(bool(failed))

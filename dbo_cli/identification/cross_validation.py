@@ -16,9 +16,6 @@ from dbo_cli.identification.solve import Equations, Fit, products
 FLOOR = 1e-4  # of the output's standard deviation: a smaller error is as good
 PRICE = 0.1
 """What a family must gain in the logarithm of the error left out: each kind of memory, drift, past."""
-CURVE_PRICE = 0.05
-"""The same for each power of ten by which the curve may be rougher; not of one amplitude, whose loop and
-curve are fitted by one another."""
 
 
 def cross_validate(problem: Problem, fit: Fit, equations: Equations) -> Fit:
@@ -63,9 +60,13 @@ def score(problem: Problem, fit: Fit, left: Sequence[Floats]) -> float:
     """Return the logarithm of what is left of a part, the mean of the RMS errors, and the price of the terms.
 
     Not the mean of their squares, since a part that nothing predicts must not decide alone.
+    Rows weigh the less, the more another past of the gears would change them.
     """
     floor = FLOOR * float(problem.output.std())
-    errors = [math.sqrt(float(np.mean(error**2))) for error in left]
+    errors = []
+    for mask, error in zip(problem.parts, left, strict=True):
+        square = float(np.average(error**2, weights=problem.known[mask]))
+        errors.append(math.sqrt(square))
     return math.log(max(float(np.mean(errors)), floor)) + price(problem, fit)
 
 
@@ -77,8 +78,4 @@ def least_score(problem: Problem, fit: Fit) -> float:
 def price(problem: Problem, fit: Fit) -> float:
     """Return what the families of terms of a structure cost."""
     structure = fit.structure
-    cost = PRICE * (len(structure.memories) + structure.drift + structure.past)
-    smooth = structure.smooth_curve
-    if np.isfinite(smooth) and not problem.one_amplitude:
-        cost += CURVE_PRICE * max(1.0 - float(np.log10(smooth)), 0.0)
-    return cost
+    return PRICE * (len(structure.memories) + structure.drift + structure.past)

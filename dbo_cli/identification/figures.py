@@ -71,15 +71,20 @@ def stated(
 ) -> Cascade:
     """Return the model with the error to expect on an invented move.
 
-    No part that was left out is predicted better than the logs are followed, row by row,
-    but for the sensor's noise: where their past no longer shows, and for an unknown past
-    from the first row on. ``figures`` are those of the parts left out.
+    The sensor's noise is no error of the actuator. But for it, no part that was left out
+    is predicted better than the logs are followed, row by row: where their past no longer
+    shows, and for an unknown past from the first row on. ``figures`` are those of the
+    parts left out.
     """
     sensor = noise_rms(model, logs)
+    averaged = sensor**2 / rows_a_mean(problem, logs)
     for key, is_known in (("left_out_rmse", True), ("unknown_past_rmse", False)):
         residuals = [residual_of(model, log, is_known) for log in logs]
-        actuator = math.sqrt(max(pooled(residuals) ** 2 - sensor**2, 0.0))
-        figures = {**figures, key: max(float(figures[key]), actuator)}
+        squares = (
+            float(figures[key]) ** 2 - averaged,
+            pooled(residuals) ** 2 - sensor**2,
+        )
+        figures = {**figures, key: math.sqrt(max(*squares, 0.0))}
     model = replace(model, fit={**figures, **model.fit, "noise_rms": sensor})
     invented = invented_log(problem)
     inside = np.clip(invented.drive, 0.0, 1.0)
@@ -94,6 +99,14 @@ def stated(
     return replace(model, fit=figures)
 
 
+def rows_a_mean(problem: Problem, logs: Sequence[Recording]) -> float:
+    """Return how many rows of the logs a fitted row is the mean of, in the sense of their noise."""
+    shares = [1.0 / (log.ends - log.rows) for log in problem.logs]
+    rows = sum(len(log.voltage) for log in logs)
+    thinned = rows / sum(len(log.drive) for log in problem.logs)
+    return thinned / float(np.mean(np.concatenate(shares)))
+
+
 def left_out_rmse(
     problem: Problem, average: Average, past_known: bool = False
 ) -> float:
@@ -105,11 +118,10 @@ def left_out_rmse(
     left = [average.left(number) for number in range(len(problem.parts))]
     if not past_known:
         return abs(problem.scale) * error_left_out(left)
-    weights = known_weights(np.sqrt(np.sum(problem.past**2, axis=1)))
     squares = total = 0.0
     for mask, error in zip(problem.parts, left, strict=True):
-        squares += float(weights[mask] @ error**2)
-        total += float(weights[mask].sum())
+        squares += float(problem.known[mask] @ error**2)
+        total += float(problem.known[mask].sum())
     return abs(problem.scale) * math.sqrt(squares / total)
 
 

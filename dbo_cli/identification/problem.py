@@ -142,6 +142,11 @@ class Problem:
         return np.hstack(columns)
 
     @cached_property
+    def known(self) -> Floats:
+        """The weight of each fitted row, the less the more another past of the gears would change it."""
+        return known_weights(np.sqrt(np.sum(self.past**2, axis=1)))
+
+    @cached_property
     def parts(self) -> list[Booleans]:
         """What is left out in turn, masks over the fitted rows: blocks of time, and the smaller loops.
 

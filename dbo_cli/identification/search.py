@@ -68,8 +68,9 @@ def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
 def _for_one_amplitude(problem: Problem, choices: Choices) -> tuple[Problem, Choices]:
     """Return what logs of one amplitude can tell: what cannot be left out cannot be judged.
 
-    Slopes as smooth as can be, in the loop's sense, and no memory slower than three
-    swings: where the level stays, that is one with a moving zero.
+    Slopes as smooth as can be, in the loop's sense, and beside them no curve, or one as
+    rough as can be, since loop and curve are fitted by one another; and no memory slower
+    than three swings: where the level stays, that is one with a moving zero.
     """
     errors = {rule: _error_of(problem, rule, SMOOTHER[0]) for rule in RULES}
     rule = min(errors, key=lambda rule: errors[rule])
@@ -83,6 +84,7 @@ def _for_one_amplitude(problem: Problem, choices: Choices) -> tuple[Problem, Cho
         slopes=(rule,),
         memories=("", "t"),
         smoothness=(smooth,),
+        curves=choices.curves[:1] + choices.curves[1:][-1:],
     )
     return replace(problem, taus=fast), choices
 
@@ -162,8 +164,9 @@ class Search:
                 judged = cross_validate(self.problem, first, equations)
             except FitError:
                 continue
-            self.best = min(self.best, judged.score)
-            self.fits.append(judged)
+            if np.isfinite(judged.score):
+                self.best = min(self.best, judged.score)
+                self.fits.append(judged)
 
     def unjudged(self, best: Fit) -> list[tuple[float, Fit]]:
         """Return weight and fit of structures that the logs cannot tell from the best one.

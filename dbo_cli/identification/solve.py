@@ -21,6 +21,8 @@ LEAST_SLOPE = 1e-3  # of the mean slope of the cells
 LEAST_WITH_NEGATIVE = 0.031  # the same beside negative gains: a model must have 0.03
 LEAST_CURVE = 0.03  # of the mean slope of the curve
 PAST_COST = 1e-3  # of a squared coefficient of the unknown past, at most about 1
+BELIEF = 0.1
+"""Of the error's mean square: cost of a squared gain whose memory the logs show as much as the drive."""
 HOLD = 1e2  # weight of the curve's mean slope: the scale is nobody's
 RIDGE = 1e-9
 STEPS = 12
@@ -74,7 +76,7 @@ class Fit:
     error : shape (rows,), what it leaves
     penalised : what was minimised
     left : what is left of each part where that was left out (``judge``)
-    score : mean logarithm of that, and the price of the terms (``judge``)
+    score : logarithm of the mean of that, and the price of the terms (``judge``)
     """
 
     structure: Structure
@@ -154,6 +156,8 @@ def minimum(
     rest = target[:free] - factor[:free, free:] @ positive
     x = np.empty(len(right))
     x[order] = np.append(solve_triangular(factor[:free, :free], rest), positive)
+    if not np.isfinite(x).all():
+        raise FitError(NOT_SOLVED)
     return x * scale
 
 
@@ -164,9 +168,11 @@ def _guessed(
     x, some = np.zeros(len(right)), np.flatnonzero(guess)
     try:
         factor = cho_factor(matrix[np.ix_(some, some)])
-    except LinAlgError:
+    except (LinAlgError, ValueError):
         return None
     x[some] = cho_solve(factor, right[some])
+    if not np.isfinite(x).all():
+        return None
     gradient = matrix @ x - right
     wrong = (x < 0.0) | (~guess & (gradient < -EXACT * np.abs(right).max()))
     return None if (wrong & bounded).any() else x
@@ -213,6 +219,8 @@ class Equations:
         centre = float(rows.weights @ rows.output)
         self.variance = max(float(rows.weights @ (rows.output - centre) ** 2), 1e-24)
         self._stepped = self._unknown_columns()
+        self.unseen = self._unseen()
+        self.gain_costs = np.zeros(self.inner - rows.cells)
         self.penalty = self._penalty()
         self.bounded = np.arange(self.size) < self.free
         self.positive = np.ones(self.size, bool)
@@ -257,6 +265,31 @@ class Equations:
         mean = float(slopes @ self.rows.widths) + float(gains.sum())
         return slopes + self.floor * mean
 
+    def _unseen(self) -> Floats:
+        """Return var(x)/var(L) of the drive x and each memory L, beside offsets, drift and past."""
+        memories = self.columns[:, self.rows.cells :]
+        drive = self.columns[:, : self.rows.cells].sum(axis=1)
+        shown = np.column_stack((drive, memories)) * self.roots[:, None]
+        beside = np.column_stack((np.ones(len(drive)), self.rows.drift))
+        beside *= self.roots[:, None]
+        shown -= beside @ np.linalg.lstsq(beside, shown, rcond=EXACT)[0]
+        squares = np.sum(shown**2, axis=0)
+        ratios: Floats = squares[0] / np.maximum(squares[1:], RIDGE * squares[0])
+        return ratios
+
+    def believe(self, fit: Fit) -> Fit:
+        """Set what gains cost beside the error of a fit; return the fit so measured.
+
+        A gain is believed as far as the logs show it: the more a fit leaves and the less
+        the logs show of a memory, the smaller is its gain.
+        """
+        square = float(self.rows.weights @ fit.error**2) / self.variance
+        costs = BELIEF * square * self.unseen
+        gains = np.arange(self.rows.cells, self.inner)
+        self.penalty[gains, gains] += costs - self.gain_costs
+        self.gain_costs = costs
+        return self._measured(fit)
+
     def _penalty(self) -> Floats:
         """Return the matrix of what smoothness costs, in units of the output's variance."""
         cells = self.rows.cells
@@ -296,6 +329,7 @@ class Equations:
         error -= times(self.rows.drift, fit.drift)
         squares = float(self.rows.weights @ error**2) / self.variance
         cost = self.structure.smooth_slopes * _bent(fit.slopes)
+        cost += float(self.gain_costs @ fit.gains**2)
         past = fit.drift[len(fit.drift) - self.rows.past :]
         cost += PAST_COST * float(past @ past)
         if self.curved:
@@ -362,6 +396,7 @@ class Equations:
         """Return the fit at the least penalised squares that Gauss-Newton reaches."""
         fit = self.start(first)
         for number in range(steps):
+            fit = self.believe(fit)
             goal = self.fit_of(self.step(products(self.table(fit)), fit))
             before = fit.penalised
             fit = self._shortened(fit, goal, forced=number == 0 and first is None)

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from dbo_cli.logs.frame import FrameTable, frame_table, is_frame, numbers, stated_unit
+from dbo_cli.logs.frame import (
+    FrameTable,
+    as_numbers,
+    frame_table,
+    is_frame,
+    stated_unit,
+)
 from dbo_cli.logs.log import Log, columns_of, open_log
 from dbo_cli.logs.table import Block, Column, Reading, parse_rows
 from dbo_cli.logs.write import add_table, create
 
 __all__ = [
-    "Block", "Column", "FrameTable", "Log", "Reading", "add_table", "columns_of", "create",
-    "frame_table", "is_frame", "numbers", "open_log", "parse_rows", "stated_unit",
+    "Block", "Column", "FrameTable", "Log", "Reading", "add_table", "as_numbers", "columns_of",
+    "create", "frame_table", "is_frame", "open_log", "parse_rows", "stated_unit",
 ]  # fmt: skip

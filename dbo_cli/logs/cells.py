@@ -29,20 +29,12 @@ _CLOCK = r"\d\d?:\d\d:\d\d(?:[.,]\d{1,9})?"
 _ZONE = r"(?:Z|[+-]\d\d:?\d\d)"
 
 
-def _stamp_patterns() -> dict[str, re.Pattern[str]]:
-    patterns = {}
-    for form, pattern in _DATES.items():
-        for between in "T ":
-            stamp = pattern + between + _CLOCK
-            patterns[f"{form}{between}%H:%M:%S%.f"] = re.compile(stamp, re.ASCII)
-            zoned = stamp + _ZONE
-            patterns[f"{form}{between}%H:%M:%S%.f%z"] = re.compile(zoned, re.ASCII)
-    patterns["%H:%M:%S%.f"] = re.compile(_CLOCK, re.ASCII)
-    return patterns
-
-
-STAMPS = _stamp_patterns()
+STAMPS = {"%H:%M:%S%.f": _CLOCK}
 """The formats of time stamps that are read, as polars writes them, and how their cells look."""
+for _form, _pattern in _DATES.items():
+    for _between in "T ":
+        STAMPS[f"{_form}{_between}%H:%M:%S%.f"] = _pattern + _between + _CLOCK
+        STAMPS[f"{_form}{_between}%H:%M:%S%.f%z"] = _pattern + _between + _CLOCK + _ZONE
 
 
 def split_cells(line: str, delimiter: str) -> list[str]:
@@ -90,11 +82,16 @@ def to_number(cell: str, decimal: str) -> float:
         return float(cell.replace("D", "e").replace("d", "e"))
 
 
+def is_stamp(cell: str, form: str) -> bool:
+    """Return whether a cell is a time stamp of a format."""
+    return re.fullmatch(STAMPS[form], cell, re.ASCII) is not None
+
+
 def stamp_format(cells: Sequence[tuple[str, float]]) -> str | None:
     """Return the format in which most cells, each with its weight, are time stamps; else None."""
     total = sum(weight for cell, weight in cells if cell)
-    for form, pattern in STAMPS.items():
-        fitting = sum(weight for cell, weight in cells if pattern.fullmatch(cell))
+    for form in STAMPS:
+        fitting = sum(weight for cell, weight in cells if is_stamp(cell, form))
         if 2.0 * fitting > total:
             return form
     return None
@@ -111,16 +108,8 @@ class Layout:
     ----------
     delimiter, decimal
         The signs.
-    width
-        The number of columns.
-    numeric
-        The columns of numbers (from 0).
-    empty
-        The columns in which hardly a cell is filled.
-    stamps
-        The format of the columns of time stamps.
-    texts
-        A cell of each column that holds neither numbers nor nothing.
+    kinds
+        What each column holds, as ``Column.kind`` and ``Column.sample`` say it.
     first
         The index of the line of the first row.
     first_row, counts
@@ -131,11 +120,7 @@ class Layout:
 
     delimiter: str
     decimal: str
-    width: int = 0
-    numeric: frozenset[int] = frozenset()
-    empty: frozenset[int] = frozenset()
-    stamps: dict[int, str] = field(default_factory=dict)
-    texts: dict[int, str] = field(default_factory=dict)
+    kinds: list[tuple[str, str]] = field(default_factory=list)
     first: int = 0
     first_row: list[str] = field(default_factory=list)
     counts: bool = False
@@ -143,12 +128,23 @@ class Layout:
     units: list[str] = field(default_factory=list)
     clock: StatedClock = field(default_factory=StatedClock)
 
+    @property
+    def width(self) -> int:
+        """The number of columns."""
+        return len(self.kinds)
+
+    @property
+    def numeric(self) -> list[int]:
+        """The columns of numbers (from 0)."""
+        return [n for n, (kind, _) in enumerate(self.kinds) if kind == "number"]
+
     def partly_fits(self, line: str) -> bool:
         """Return whether half of the numbers stand where the rows have theirs."""
         cells = split_cells(line, self.delimiter)
-        places = [n for n in self.numeric if n < len(cells)]
+        numeric = self.numeric
+        places = [n for n in numeric if n < len(cells)]
         numbers = [n for n in places if is_number(cells[n], self.decimal)]
-        return bool(numbers) and 2 * len(numbers) >= len(self.numeric)
+        return bool(numbers) and 2 * len(numbers) >= len(numeric)
 
 
 # --- thousands or decimals ---

@@ -249,6 +249,8 @@ class Clock:
         if self.rows < 2:
             return "one time"
         step = self.step or (self.last - self.first) / (self.rows - 1)
+        if self.gaps:
+            step = self.usual_step
         if step <= 0.0:
             return "no span of time"
         about = "" if self.step else "about "
@@ -258,6 +260,7 @@ class Clock:
 
 def hertz(rate: float) -> str:
     """Return a rate with its unit: ``2 kHz``."""
+    rate = float(f"{rate:.5g}")  # 999.9999999 Hz is 1 kHz
     for size, unit in ((1e6, "MHz"), (1e3, "kHz")):
         if rate >= size:
             return f"{rate / size:.5g} {unit}"
@@ -341,21 +344,33 @@ def _time_columns(source: Table, used: Sequence[Column], needed: bool) -> list[C
     A name; a word of the name; dates; the unit of the first column. One that cannot be
     read is refused where it is needed (InputError).
     """
-    free = [column for column in source.columns if column not in used]
-    fitting = [c for c in free if kind_of(c.unit) in _KINDS or time_unit(c.unit)]
-    called = [c for c in fitting if c.quantity.lower() in TIME_NAMES]
-    called = called or [c for c in fitting if words(c.quantity) & TIME_NAMES]
-    matches = [c for c in called if c.kind == "number"]
-    matches = matches or [c for c in called if c.kind == "stamp"]
-    matches = matches or [c for c in free if c.kind == "stamp"]
-    texts = [c for c in called if c.kind == "text"]
+    named_so: list[Column] = []
+    worded_so: list[Column] = []
+    stamps: list[Column] = []
+    for column in source.columns:
+        if column in used:
+            continue
+        if column.kind == "stamp":
+            stamps.append(column)
+        if kind_of(column.unit) not in _KINDS and time_unit(column.unit) is None:
+            continue
+        if column.quantity.lower() in TIME_NAMES:
+            named_so.append(column)
+        elif words(column.quantity) & TIME_NAMES:
+            worded_so.append(column)
+    called = named_so or worded_so
+    numbers = [column for column in called if column.kind == "number"]
+    texts = [column for column in called if column.kind == "text"]
+    matches = numbers or [column for column in called if column in stamps] or stamps
     if texts and not matches and needed:
         raise InputError(
             f"{source.name}: {texts[0].label} holds neither numbers nor ISO time stamps: type `time` "
             "COLUMN or `sample_rate` HZ"
         )
-    if not matches and free[:1] == source.columns[:1] and time_unit(free[0].unit):
-        matches = [column for column in free[:1] if column.kind == "number"]
+    if not matches:
+        first = [column for column in source.columns[:1] if column not in used]
+        numbers = [column for column in first if column.kind == "number"]
+        matches = [column for column in numbers if time_unit(column.unit)]
     return matches
 
 

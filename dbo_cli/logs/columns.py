@@ -10,12 +10,13 @@ import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from os.path import commonprefix
 
 import numpy as np
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.table import Column, Table
-from dbo_cli.units import DRIVING_KINDS, MOVED_KINDS, kind_of
+from dbo_cli.units import DRIVING_KINDS, MOVED_KINDS, kind_of, time_unit
 
 _LISTED = 20  # names of columns that a message holds at most
 _BESIDE = (
@@ -265,7 +266,7 @@ def choose(
             picks[role] = matches[0]
         elif role not in optional:
             unclear[role] = matches
-    _refuse_shared(table.name, table.columns, picks)
+    _refuse_shared(table, picks)
     if unclear:
         used = [*clock_columns, *picks.values()]
         free = [c for c in table.columns if c.kind == "number" and c not in used]
@@ -289,16 +290,15 @@ def _rivals(
     return rivals
 
 
-def _refuse_shared(
-    name: str, columns: Sequence[Column], picks: Mapping[str, Column]
-) -> None:
+def _refuse_shared(table: Table, picks: Mapping[str, Column]) -> None:
+    """Refuse one column for two roles (InputError)."""
     roles: dict[int, str] = {}
     for role, column in picks.items():
         first = roles.setdefault(column.number, role)
         if first != role:
             raise InputError(
-                f"{name}: {column.label} cannot be both {first} and {role}: {listing_of(columns)} "
-                f"(`{first}` and `{role}` NAME or NUMBER)"
+                f"{table.name}: {column.label} cannot be both {first} and {role}: "
+                f"{listing_of(table.columns)} (`{first}` and `{role}` NAME or NUMBER)"
             )
 
 
@@ -348,19 +348,12 @@ def _is_monotone(table: Table, column: Column) -> bool:
 def _pattern(columns: Sequence[Column]) -> tuple[str, tuple[str, ...]]:
     """Return a name with ``{}`` for the channels that columns differ in, and these: ``V{}`` for V1, V2."""
     names = [column.name for column in columns]
-    before = _common_start(names)
-    after = _common_start([name[len(before) :][::-1] for name in names])[::-1]
+    before = commonprefix(names)  # noqa: RUF071 (letters are meant)
+    ends = [name[len(before) :][::-1] for name in names]
+    after = commonprefix(ends)[::-1]  # noqa: RUF071
     stop = -len(after) or None
     channels = tuple(name[len(before) : stop] for name in names)
     return f"{before}{{}}{after}", channels if before or after else ("",)
-
-
-def _common_start(names: Sequence[str]) -> str:
-    """Return the letters with which all names begin."""
-    start = min(names, default="")
-    while not all(name.startswith(start) for name in names):
-        start = start[:-1]
-    return start
 
 
 def _typed(column: Column, columns: Sequence[Column]) -> str:
@@ -371,6 +364,16 @@ def _typed(column: Column, columns: Sequence[Column]) -> str:
         is_name = any(twin.name == number != column.name for twin in columns)
         return f"number={number}" if is_name else number
     return shlex.quote(column.name)
+
+
+def fitting(columns: Sequence[Column], role: str) -> list[Column]:
+    """Return the columns that may have a role and are no time."""
+    free = []
+    for column in columns:
+        is_time = words(column.quantity) & TIME_NAMES or time_unit(column.unit)
+        if not is_time:
+            free.append(column)
+    return _candidates(free, role_of(role, None))
 
 
 def _candidates(columns: Sequence[Column], role: Role) -> list[Column]:

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import (
     MISSING,
-    STAMPS,
     Layout,
     is_number,
+    is_stamp,
     split_cells,
     stamp_format,
 )
@@ -100,10 +100,10 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
 
 def _refuse_other_delimiter(name: str, layout: Layout) -> None:
     """Refuse a column of texts such as ``500;1`` (InputError)."""
-    for text in layout.texts.values():
+    for kind, text in layout.kinds:
         for mark in ("semicolon", "tab", "pipe"):
             sign = re.escape(_DELIMITERS[mark])
-            if re.search(rf"\d{sign}|{sign}\d", text):
+            if kind == "text" and re.search(rf"\d{sign}|{sign}\d", text):
                 raise InputError(
                     f"{name}: {text!r} holds another delimiter: type `delimiter` {mark}"
                 )
@@ -215,28 +215,31 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
             shares[len(cells)] = shares.get(len(cells), 0.0) + share
     if not shares:
         return 0.0, layout
-    layout.width = max(shares, key=lambda width: (shares[width], width))
-    rows = [k for k in range(len(table)) if len(table[k]) == layout.width]
-    numeric, empty = [], []
-    for n in range(layout.width):
-        column = [(table[k][n], weights[k]) for k in rows]
-        if n == 0 and _is_mostly_one_kind([cell for cell, _ in column], sign):
-            column = [
-                (cell, 1.0) for cell, _ in column
-            ]  # the last rows may have labels
-        total = sum(weight for _, weight in column)
-        if 2.0 * sum(w for cell, w in column if is_number(cell, sign)) >= total:
-            numeric.append(n)
-        elif sum(w for cell, w in column if not cell) > 0.5 * total:
-            empty.append(n)
-        else:
-            form = stamp_format(column)
-            if form is not None:
-                layout.stamps[n] = form
-            texts = [cell for cell, _ in column if cell and not is_number(cell, sign)]
-            layout.texts[n] = texts[-1][: len(TOO_LONG)]
-    layout.numeric, layout.empty = frozenset(numeric), frozenset(empty)
-    return (shares[layout.width] / sum(weights) if numeric else 0.0), layout
+    width = max(shares, key=lambda width: (shares[width], width))
+    rows = [k for k in range(len(table)) if len(table[k]) == width]
+    for n in range(width):
+        cells = [table[k][n] for k in rows]
+        weighted = [(table[k][n], weights[k]) for k in rows]
+        if n == 0 and _is_mostly_one_kind(cells, sign):  # the last rows may have labels
+            weighted = [(cell, 1.0) for cell in cells]
+        layout.kinds.append(_kind_of(weighted, sign))
+    share = shares[width] / sum(weights)
+    return (share if layout.numeric else 0.0), layout
+
+
+def _kind_of(cells: Sequence[tuple[str, float]], sign: str) -> tuple[str, str]:
+    """Return what most cells of a column, each with its weight, hold; see ``Layout.kinds``."""
+    total = sum(weight for _, weight in cells)
+    numbers = sum(weight for cell, weight in cells if is_number(cell, sign))
+    if 2.0 * numbers >= total:
+        return "number", ""
+    if 2.0 * sum(weight for cell, weight in cells if not cell) > total:
+        return "empty", ""
+    form = stamp_format(cells)
+    if form is not None:
+        return "stamp", form
+    texts = [cell for cell, _ in cells if cell and not is_number(cell, sign)]
+    return "text", texts[-1][: len(TOO_LONG)]
 
 
 def _is_mostly_one_kind(cells: Sequence[str], sign: str) -> bool:
@@ -261,13 +264,18 @@ def _refuse_commas(name: str, table: Sequence[Sequence[str]]) -> None:
 def _is_row(line: str, layout: Layout) -> bool:
     """Return whether a line is written as the rows are."""
     cells = split_cells(line, layout.delimiter)
-    if len(cells) != layout.width or any(cells[n] for n in layout.empty):
+    if len(cells) != layout.width:
         return False
-    if 0 not in layout.numeric and is_setting(cells[0]):
+    if layout.kinds[0][0] != "number" and is_setting(cells[0]):
         return False
-    if not all(is_number(cells[n], layout.decimal) for n in layout.numeric):
-        return False
-    return all(STAMPS[form].fullmatch(cells[n]) for n, form in layout.stamps.items())
+    for cell, (kind, form) in zip(cells, layout.kinds, strict=True):
+        if kind == "number" and not is_number(cell, layout.decimal):
+            return False
+        if kind == "stamp" and not is_stamp(cell, form):
+            return False
+        if kind == "empty" and cell:
+            return False
+    return True
 
 
 def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int:

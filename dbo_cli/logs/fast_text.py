@@ -8,29 +8,25 @@ quote. So it reads all columns, and nothing is believed that it does not check.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from dbo_cli.logs.cells import GROUPED_CELL, STAMPS, WHOLE_CELL, Layout, Marks
-from dbo_cli.logs.dialect import ERROR
+from dbo_cli.arrays import Floats
+from dbo_cli.logs.cells import STAMPS, Layout
 from dbo_cli.logs.table import LONGEST_CELL, NOT_A_TIME, Column
 
-_Arrays = list[NDArray[Any]]
 _STRETCHES = 1024  # that are looked at at once
 _STRETCH = 96  # bytes; where each stretch holds a line end, no line is longer than LONGEST_CELL
+_COMMENT = re.compile(rb"(?m)^[ \t]*[#%]")
 
 
-def read_fast(
-    text: bytes,
-    layout: Layout,
-    columns: Sequence[Column],
-    marks: Mapping[int, Marks],
-    first_row: int,
-) -> tuple[_Arrays, int] | None:
+def read_frame(
+    text: bytes, layout: Layout, columns: Sequence[Column], unclear: Collection[int]
+) -> pl.DataFrame | None:
     """Read whole lines; None where a line or a cell of them is not regular.
 
     Parameters
@@ -40,27 +36,36 @@ def read_fast(
     layout
         How they are written.
     columns
-        The columns that are read.
-    marks
-        By the number of a column, what its cells have shown of decimals.
-    first_row
-        The number of the first row.
+        Those that are wanted.
+    unclear
+        The numbers of columns whose cells are wanted as texts, as those of stamps are.
 
     Returns
     -------
-    arrays, lines
-        float64, or int64 nanoseconds, for each column; the number of lines.
+    DataFrame
+        A column for each of the layout, named by its number.
     """
-    if has_long_cell(text, layout.delimiter):
+    has_comments = (b"#" in text or b"%" in text) and _COMMENT.search(text)
+    if has_comments or b'"' in text or has_long_cell(text, layout.delimiter):
         return None
-    plain = _single_blanks(text) if layout.delimiter == " " else text
-    if 0 in layout.numeric:  # else a comment may pass as a row
-        arrays = _arrays(plain, layout, columns, marks, first_row)
-        if arrays is not None:
-            return arrays, len(arrays[0])
-    plain = _cleaned(plain, layout.delimiter)
-    arrays = _arrays(plain, layout, columns, marks, first_row)
-    return None if arrays is None else (arrays, text.count(b"\n"))
+    text = _tidied(text, layout.delimiter)
+    schema: dict[str, Any] = {}
+    for number, (kind, _) in enumerate(layout.kinds, start=1):
+        is_plain = kind == "number" and number not in unclear
+        schema[str(number)] = pl.Float64 if is_plain else pl.String
+    try:
+        frame = pl.read_csv(
+            text,
+            has_header=False,
+            separator=layout.delimiter,
+            schema=schema,
+            quote_char=None,
+            decimal_comma=layout.decimal == ",",
+        )
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, ValueError):
+        return None
+    has_nulls = any(frame[str(column.number)].null_count() for column in columns)
+    return None if has_nulls or not _is_regular(text, layout, frame) else frame
 
 
 def has_long_cell(text: bytes, delimiter: str) -> bool:
@@ -86,71 +91,8 @@ def _has_short_lines(letters: NDArray[np.uint8]) -> bool:
     return True
 
 
-def _arrays(
-    text: bytes,
-    layout: Layout,
-    columns: Sequence[Column],
-    marks: Mapping[int, Marks],
-    first_row: int,
-) -> _Arrays | None:
-    """Read the columns; None where polars refuses, or a cell or a line is not regular."""
-    unclear = [number for number, mark in marks.items() if not mark.is_clear]
-    schema: dict[str, Any] = {}
-    for n in range(layout.width):
-        is_plain = n in layout.numeric and n + 1 not in unclear
-        schema[f"{n + 1}"] = pl.Float64 if is_plain else pl.String
-    try:
-        frame = pl.read_csv(
-            text,
-            has_header=False,
-            separator=layout.delimiter,
-            schema=schema,
-            quote_char=None,
-            decimal_comma=layout.decimal == ",",
-        )
-    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, ValueError):
-        return None
-    for number in unclear:
-        cells = frame[f"{number}"]
-        figures = cells.str.replace(layout.decimal, ".", literal=True)
-        if layout.decimal == "," and cells.str.contains(".", literal=True).any():
-            return None
-        figures = figures.cast(pl.Float64, strict=False)
-        if figures.null_count():
-            return None
-        frame = frame.with_columns(figures.alias(f"{number}"))
-        _watch(marks[number], cells, first_row)
-    if not _is_regular(text, layout, frame):
-        return None
-    arrays: _Arrays = []
-    for column in columns:
-        series = frame[f"{column.number}"]
-        if series.null_count():
-            return None
-        if column.kind == "stamp":
-            arrays.append(read_stamps(series, layout.stamps[column.number - 1]))
-        else:
-            arrays.append(series.to_numpy())
-    return arrays
-
-
-def _watch(marks: Marks, cells: pl.Series, first_row: int) -> None:
-    """Take the cells of a column into account: of each kind the first."""
-    is_whole = cells.str.contains(f"^{WHOLE_CELL}$")
-    is_grouped = cells.str.contains(f"^{GROUPED_CELL}$")
-    rows = []
-    for is_kind in (is_whole, is_grouped, ~(is_whole | is_grouped)):
-        row = is_kind.arg_max()
-        if row is not None and is_kind[row]:
-            rows.append(row)
-    for row in sorted(rows):
-        marks.watch(first_row + row, cells[row])
-
-
 def _is_regular(text: bytes, layout: Layout, frame: pl.DataFrame) -> bool:
-    """Return whether polars took no line with too few cells, no quoted delimiter, and no wrong sign."""
-    if layout.width > len(layout.numeric) and b'"' in text:
-        return False
+    """Return whether polars took no line with too few cells, and no wrong sign."""
     if frame.to_series(-1).null_count():
         # no line has too many cells, so the delimiters in all tell whether one has too few
         marks = text.count(layout.delimiter.encode())
@@ -162,9 +104,17 @@ def _is_regular(text: bytes, layout: Layout, frame: pl.DataFrame) -> bool:
     return True
 
 
+def read_numbers(cells: pl.Series, decimal: str) -> Floats | None:
+    """Read texts as numbers; None where one is not regular."""
+    if decimal == "," and cells.str.contains(".", literal=True).any():
+        return None
+    cells = cells.str.replace(decimal, ".", literal=True).cast(pl.Float64, strict=False)
+    return None if cells.null_count() else np.asarray(cells.to_numpy())
+
+
 def read_stamps(cells: pl.Series, form: str) -> NDArray[np.int64]:
     """Read time stamps as nanoseconds since 1970, or since midnight; ``NOT_A_TIME`` for other cells."""
-    is_stamp = cells.str.contains(f"^(?:{STAMPS[form].pattern})$")
+    is_stamp = cells.str.contains(f"^(?:{STAMPS[form]})$")
     text = cells.str.replace(",", ".", literal=True)
     if form == "%H:%M:%S%.f":
         text, form = "1970-01-01 " + text, f"%Y-%m-%d {form}"
@@ -175,27 +125,14 @@ def read_stamps(cells: pl.Series, form: str) -> NDArray[np.int64]:
     return np.asarray(counts.fill_null(NOT_A_TIME).to_numpy())
 
 
-def _single_blanks(text: bytes) -> bytes:
-    """Leave one blank between cells, and none at the ends of lines."""
-    text = text.replace(b"\t", b" ")
+def _tidied(text: bytes, delimiter: str) -> bytes:
+    """Leave no blanks around cells, and one where blanks are the delimiter."""
+    if delimiter == " ":
+        text = text.replace(b"\t", b" ")
+    if b" " not in text:
+        return text
     while b"  " in text:
         text = text.replace(b"  ", b" ")
-    return text.replace(b"\n ", b"\n").replace(b" \n", b"\n").strip(b" ")
-
-
-def _cleaned(text: bytes, delimiter: str) -> bytes:
-    """Leave out comments, blank lines, blanks around cells, and quotes around cells without a delimiter.
-
-    A run of blanks is entered at its begin only: else the time grows as its square.
-    """
-    mark = re.escape(delimiter.encode())
-    if b'"' in text:
-        cell = rb'"([^"\n' + mark + rb']*)"'
-        pattern = rb"(?m)(?:^|(?<=" + mark + rb"))" + cell + rb"(?=" + mark + rb"|$)"
-        text = re.sub(pattern, rb"\1", text)
-    comment = rb"(?m)^[ \t]*(?:(?!" + ERROR.encode() + rb")[#%].*|EOF[ \t]*$)\n?"
-    text = re.sub(comment, b"", text)
-    if delimiter != " " and b" " in text:
-        text = re.sub(rb"(?<! ) *+" + mark + rb" *", lambda _: delimiter.encode(), text)
-        text = re.sub(rb"(?m)^ +|(?<! ) +$", b"", text)
-    return re.sub(rb"\n\n+", b"\n", text).lstrip(b"\n")
+    for mark in {delimiter.encode(), b"\n"} - {b" "}:
+        text = text.replace(b" " + mark, mark).replace(mark + b" ", mark)
+    return text.strip(b" ")

@@ -7,7 +7,8 @@ a missing row.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import sys
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,15 +18,16 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import TIME_NAMES, words
-from dbo_cli.logs.table import Column, Table
+from dbo_cli.logs.formats.stored import StoredTable
+from dbo_cli.logs.table import Column
 from dbo_cli.units import spell, split_header, time_unit
 
 Entry = tuple[str, Any, str | None]
 """A column: its name, its values, and its unit."""
 
 
-class FrameTable(Table):
-    """Columns in memory.
+class FrameTable(StoredTable):
+    """Columns in memory, read as one block.
 
     Parameters
     ----------
@@ -42,6 +44,8 @@ class FrameTable(Table):
     """
 
     cure = "leave such rows out"
+    has_paths = False
+    block_rows = sys.maxsize
 
     def __init__(
         self,
@@ -55,31 +59,13 @@ class FrameTable(Table):
         self.has_found_offset = has_found_offset
         self._names = names or {}
         self._unstated = unstated
-        self._arrays: list[NDArray[Any]] = []
         for title, values, unit in entries:
-            array, kind = _cells(values)
-            sample = str(next(iter(values), "")) if kind == "text" else ""
-            if dtype_kind(values) == "m":
-                unit = "s"
-            self.add_column(title, unit, kind, sample)
-            self._arrays.append(array)
-
-    def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
-        """Return all rows of the columns columns as one block.
-
-        Raises
-        ------
-        InputError
-            The columns have different lengths.
-        """
-        arrays = [self._arrays[column.number - 1] for column in columns]
-        for column, array in zip(columns, arrays, strict=True):
-            if len(array) != len(arrays[0]):
+            cells = _cells(values)
+            if cells.ndim != 1:
                 raise InputError(
-                    f"{self.name}: {column.label} has {len(array):,} rows, "
-                    f"{columns[0].label} {len(arrays[0]):,}"
+                    f"{name}: column '{title}': give one row of numbers, shape (n,)"
                 )
-        yield arrays
+            self.add_array(title, cells, "s" if dtype_kind(values) == "m" else unit)
 
     def require_units(self, columns: Iterable[Column]) -> None:
         """Refuse (InputError) columns whose unit is lost, as that of a renamed one is."""
@@ -117,10 +103,12 @@ def frame_table(frame: Any, time: Any = None) -> FrameTable:
     """
     attrs = getattr(frame, "attrs", {})
     units = attrs.get("units", {})
-    series = frame.items() if hasattr(frame, "items") else _named(frame.iter_columns())
     entries: list[Entry] = []
-    for title, values in series:
-        entries.append((str(title), values, units.get(title)))
+    if hasattr(frame, "items"):
+        for title, values in frame.items():
+            entries.append((str(title), values, units.get(title)))
+    else:  # polars
+        entries += [(values.name, values, None) for values in frame.iter_columns()]
     has_clock = any(map(_is_clock, entries))
     index = getattr(frame, "index", None)
     if time is not None:
@@ -136,12 +124,6 @@ def frame_table(frame: Any, time: Any = None) -> FrameTable:
         if units and title not in units and split_header(title)[1] is None:
             unstated.append(title)
     return FrameTable(name, entries, attrs.get("columns"), has_found_offset, unstated)
-
-
-def _named(columns: Iterable[Any]) -> Iterator[tuple[str, Any]]:
-    """Yield the Series of a polars frame as pandas does."""
-    for values in columns:
-        yield values.name, values
 
 
 def _is_clock(entry: Entry) -> bool:
@@ -160,7 +142,7 @@ def dtype_kind(values: Any) -> str:
     return str(kind or np.asarray(values).dtype.kind)
 
 
-def numbers(values: Any) -> Floats:
+def as_numbers(values: Any) -> Floats:
     """Return values as numbers, NaN where one is missing or masked.
 
     Raises
@@ -183,17 +165,17 @@ def numbers(values: Any) -> Floats:
         raise InputError("no numbers") from None
 
 
-def _cells(values: Any) -> tuple[NDArray[Any], str]:
-    """Return values as the cells of a column, and their kind: numbers, stamps (ns) or text."""
+def _cells(values: Any) -> NDArray[Any]:
+    """Return values as an array of numbers, of dates, or of texts."""
     kind = dtype_kind(values)
     if kind == "M":
-        return np.asarray(values, "M8[ns]").astype(np.int64), "stamp"
+        return np.asarray(values, "M8[ns]")
     if kind == "m":
-        return np.asarray(values) / np.timedelta64(1, "s"), "number"
+        return np.asarray(values) / np.timedelta64(1, "s")
     try:
-        return numbers(values), "number"
+        return as_numbers(values)
     except InputError:
-        return np.empty(len(values)), "text"
+        return np.asarray(values, dtype=object)
 
 
 def stated_unit(values: Any, role: str) -> str | None:

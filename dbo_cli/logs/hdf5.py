@@ -1,35 +1,27 @@
 """HDF5 logs: 1-D datasets, columns of 2-D ones, fields of compound ones, units as attributes.
 
-Soft links inside the file are followed. What leads out of it (external links, virtual
-datasets, external storage) is refused: a log is one file, and no other is opened
-because a file says so. MATLAB's files of version 7.3 and netCDF-4 are HDF5, too.
+A log is one file: what leads elsewhere (links, virtual datasets, external storage) is
+passed over, and refused where it is typed. MATLAB's files of version 7.3 and netCDF-4
+are HDF5, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import h5py
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, warn
-from dbo_cli.logs.formats.stored import (
-    Fetch,
-    StoredColumn,
-    StoredTable,
-    fenced,
-    no_columns,
-    rows_of,
-)
-from dbo_cli.logs.settings import Statement, is_clock_setting, plain_key
+from dbo_cli.logs.formats.stored import Fetch, StoredTable, fenced, parts_of
+from dbo_cli.logs.settings import Statement, is_clock_setting, plain_key, stated_clock
 from dbo_cli.logs.table import Column, Reading, Table
 
-_MOST_HOPS = 16  # soft links behind each other; more are a circle
 # bytes a dataset: a compressed chunk is unpacked once, not once a block
 _CHUNK_CACHE = 1 << 22
+_LISTED = 9  # datasets that a message names at most
 _NOT_APPLIED = {
     "scalefactor": 1.0, "addoffset": 0.0, "scale": 1.0, "offset": 0.0, "gain": 1.0, "factor": 1.0,
     "sensitivity": 1.0, "calibration": 1.0, "conversion": 1.0, "scalingfactor": 1.0,
@@ -43,7 +35,7 @@ _EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
 def open_hdf5(path: str, inner: str, reading: Reading) -> Table:
     """Read an HDF5 log; ``inner`` is a group or a dataset, by its path.
 
-    Without it, the columns are those of the shallowest group that has any.
+    Without it, the columns are those of the shallowest groups that have any.
 
     Raises
     ------
@@ -60,239 +52,196 @@ def open_hdf5(path: str, inner: str, reading: Reading) -> Table:
         raise
 
 
-@dataclass
-class _Group:
-    """A group by its path from the part that is open_hdf5, and what stands in it."""
+@dataclass(frozen=True)
+class _Stored:
+    """A column: its path from the part that is open, the group it stands in, and what is known of it."""
 
     path: str
-    columns: list[StoredColumn] = field(default_factory=list)
-    datasets: list[str] = field(default_factory=list)
-    statements: list[Statement] = field(default_factory=list)
-
-    def named(self, by_path: bool) -> Iterator[StoredColumn]:
-        """Return the columns: by short names, or by paths, as columns of the same name are."""
-        names = [column.name for column in self.columns]
-        for column, dataset in zip(self.columns, self.datasets, strict=True):
-            name = column.name
-            if names.count(name) > 1 and name != dataset:
-                name = f"{dataset}/{name}"
-            if by_path and self.path:
-                name = f"{self.path}/{name}"
-            yield replace(column, name=name)
-
-    def take(self, dataset: Any, name: str) -> None:
-        """Take the columns of a dataset, and what it states of the rate."""
-        columns = _columns_of(dataset, name)
-        self.columns += columns
-        self.datasets += [name] * len(columns)
-        self.statements += _attributes(dataset)
-
-    @property
-    def depth(self) -> int:
-        """How far below the part that is open_hdf5 it stands."""
-        return self.path.count("/") + bool(self.path)
-
-    @property
-    def width(self) -> int:
-        """The number of columns of numbers."""
-        return sum(column.kind == "number" for column in self.columns)
+    group: str
+    length: int
+    fetch: Fetch
+    unit: str | None
+    kind: str
 
 
 class Hdf5Table(StoredTable):
     """The columns of an HDF5 file.
 
     A column whose attributes may belong to its values (``scale_factor``) is refused where
-    it is open_hdf5, or warned of where the user types a scale (``is_scaled``).
+    it is read, or warned of where the user types a scale (``is_scaled``).
     """
 
     def __init__(self, path: str, inner: str, file: Any, is_scaled: bool) -> None:
-        node = _node(path, file, inner)
-        if node is None:
+        super().__init__(path, file.close)
+        self._is_scaled = is_scaled
+        self._node = self._node_at(file, inner)
+        if self._node is None:
             raise InputError(
                 f"{path}::{inner}: no such part; the file has {_listed(file)}"
             )
-        self._node = node
-        self._is_scaled = is_scaled
-        if isinstance(node, h5py.Dataset):
-            name = node.name.rsplit("/", 1)[-1]
-            groups = [_Group("")]
-            groups[0].take(node, name)
-        else:
-            groups = list(_groups(path, node, "", set()))
-        holders = _holding(groups)
-        if not holders:
-            raise no_columns(path, [_listed(file)])
-        columns: list[StoredColumn] = []
-        for group in holders:
-            columns += group.named(len(holders) > 1)
-        above = groups[0].statements or _attributes(file)
-        statements = [text for group in holders for text in group.statements] or above
-        super().__init__(path, columns, statements, file.close)
-        if len(holders) > 1:
-            self.hint = f" (or one group alone: {path}::{holders[0].path})"
+        datasets = _datasets_of(self._node)
+        stored = []
+        for name, dataset in datasets.items():
+            if dataset.size != 1 or len(datasets) == 1:
+                stored += self._columns_of(name, dataset)
+        stored = _shallowest(stored)
+        paths = [column.path for column in stored]
+        for column in stored:
+            name = _shortest_end(column.path, paths)
+            self.add(name, column.length, column.fetch, column.unit, column.kind)
+        self.require_numbers([_listed(file)])
+        groups = list(dict.fromkeys(column.group for column in stored))
+        statements = self._statements(groups, datasets)
+        above = self._statements([""], datasets) or _attributes(file)
+        self.stated = stated_clock(statements or above)
+        if len(groups) > 1:
+            self.hint = f" (or one group alone: {path}::{groups[0]})"
+
+    def _statements(
+        self, groups: Sequence[str], datasets: Mapping[str, Any]
+    ) -> list[Statement]:
+        """Return what groups and the datasets in them state of the sample rate."""
+        statements: list[Statement] = []
+        for group in groups:
+            statements += _attributes(self._node[group] if group else self._node)
+        for name, dataset in datasets.items():
+            if name.rpartition("/")[0] in groups:
+                statements += _attributes(dataset) + _single_value(dataset, name)
+        return statements
 
     def find(self, name: str) -> Column | None:
-        """Return the column that a dataset's path names, from the part that is open_hdf5 or from the top."""
+        """Return the column that a dataset's path names, from the part that is open or from the top."""
         for base in (self._node, self._node.file):
-            node = (
-                _node(self.name, base, name) if isinstance(base, h5py.Group) else None
-            )
-            if isinstance(node, h5py.Dataset):
-                members = _columns_of(node, name)
-                if len(members) == 1:
-                    return self.add(members[0])
+            dataset = self._node_at(base, name)
+            if isinstance(dataset, h5py.Dataset):
+                stored = self._columns_of(name, dataset)
+                if len(stored) == 1:
+                    column = stored[0]
+                    return self.add(
+                        name, column.length, column.fetch, column.unit, column.kind
+                    )
         return None
 
-    def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
-        """Return all rows of the chosen columns; see ``Table``."""
-        for column in columns:
-            problem = self._stored[column.number - 1].problem
-            if problem and not self._is_scaled:
-                raise InputError(f"{self.name}: {column.label} {problem}")
-            if problem:  # the scale may be another column's
-                warn(f"{self.name}: {column.label} {problem}")
-        yield from super().blocks(columns)
+    def _node_at(self, base: Any, inner: str) -> Any:
+        """Return the group or dataset at an inner path, or None.
+
+        Raises
+        ------
+        InputError
+            The path leads through a link.
+        """
+        node = base.file if inner.startswith("/") else base
+        for step in inner.split("/"):
+            if step in ("", "."):
+                continue
+            is_group = isinstance(node, h5py.Group)
+            link = node.get(step, getlink=True) if is_group else None
+            if isinstance(link, h5py.ExternalLink):
+                raise InputError(
+                    f"{self.name}: '{inner}' links to another file: type {link.filename}"
+                )
+            if isinstance(link, h5py.SoftLink):
+                raise InputError(
+                    f"{self.name}: '{inner}' is a link: type what it leads to, {link.path}"
+                )
+            if link is None:
+                return None
+            node = node[step]
+        return node
+
+    def _columns_of(self, path: str, dataset: Any) -> list[_Stored]:
+        """Take a dataset apart into columns; none where it holds no numbers."""
+        if not dataset.size or not _holds_numbers(dataset):
+            return []
+        group, _, name = path.rpartition("/")
+        labels = _texts(dataset, "columns", "column_names", "names")
+        units = _texts(dataset, "units", "unit", "Units", "Unit")
+        columns = []
+        parts = list(parts_of(name, dataset))
+        for number, (label, length, fetch, kind) in enumerate(parts):
+            name_path = f"{group}/{label}"
+            if dataset.dtype.names is not None:
+                name_path = f"{path}/{label}"
+            elif len(labels) == len(parts) > 1:
+                name_path = f"{path}/{labels[number]}"
+            unit = units[0] if len(units) == 1 else "".join(units[number : number + 1])
+            fetch = self._checked(dataset, label, fetch)
+            name_path = name_path.lstrip("/")
+            columns.append(_Stored(name_path, group, length, fetch, unit, kind))
+        return columns
+
+    def _checked(self, dataset: Any, label: str, fetch: Fetch) -> Fetch:
+        """Make NaN of what stands for a missing number; refuse what may not be what it is taken for."""
+        missing = _attribute(dataset, "_FillValue")
+        missing += _attribute(dataset, "missing_value")
+        factor = _not_applied(dataset)
+
+        def checked(start: int, stop: int) -> Any:
+            if dataset.is_virtual or dataset.external:
+                raise InputError(
+                    f"{self.name}: column '{label}' is stored in other files: copy them into one "
+                    "with h5repack"
+                )
+            if factor and not self._is_scaled:
+                raise InputError(f"{self.name}: column '{label}' {factor}")
+            if factor and start == 0:  # the scale may be another column's
+                warn(f"{self.name}: column '{label}' {factor}")
+            rows = fetch(start, stop)
+            return np.where(np.isin(rows, missing), np.nan, rows) if missing else rows
+
+        return checked
 
 
-def _node(path: str, base: Any, inner: str, hops: int = 0) -> Any:
-    """Return the group or dataset at an inner path, or None.
+def _datasets_of(node: Any) -> dict[str, Any]:
+    """Return the datasets of a part by their paths, whatever hard links lead to them."""
+    if isinstance(node, h5py.Dataset):
+        return {node.name.rpartition("/")[2]: node}
+    datasets: dict[str, Any] = {}
 
-    Raises
-    ------
-    InputError
-        The inner path leads to another file.
-    """
-    node = base.file if inner.startswith("/") else base
-    steps = [step for step in inner.split("/") if step not in ("", ".")]
-    for number, step in enumerate(steps):
-        link = node.get(step, getlink=True) if isinstance(node, h5py.Group) else None
-        if isinstance(link, h5py.ExternalLink):
-            raise InputError(
-                f"{path}: '{inner}' links to another file: type {link.filename}"
-            )
-        if isinstance(link, h5py.SoftLink):
-            target = "/".join([link.path, *steps[number + 1 :]])
-            return None if hops >= _MOST_HOPS else _node(path, node, target, hops + 1)
-        if link is None:
-            return None
-        node = node[step]
-    return node
+    def visit(name: str, member: Any) -> None:
+        if isinstance(member, h5py.Dataset) and not name.startswith("#"):  # MATLAB's
+            datasets[name] = member
+
+    node.visititems(visit)
+    return datasets
 
 
-def _groups(path: str, group: Any, inner: str, visited: set[int]) -> Iterator[_Group]:
-    """Return a group and all groups below it, each with its columns."""
-    address = h5py.h5o.get_info(group.id).addr
-    if address in visited:
-        return  # a circle of hard links
-    visited.add(address)
-    current = _Group(inner, statements=_attributes(group))
-    below = []
-    for name in group:
-        is_external = isinstance(group.get(name, getlink=True), h5py.ExternalLink)
-        if name.startswith("#") or is_external:
-            continue  # MATLAB's book-keeping, or another file
-        node = _node(path, group, name)
-        if isinstance(node, h5py.Group):
-            below.append((name, node))
-        elif isinstance(node, h5py.Dataset) and node.size == 1:
-            current.statements += _single_value(node, name)
-        elif isinstance(node, h5py.Dataset):
-            current.take(node, name)
-    yield current
-    for name, node in below:
-        yield from _groups(path, node, f"{inner}/{name}".lstrip("/"), visited)
+def _shallowest(columns: Sequence[_Stored]) -> list[_Stored]:
+    """Return the columns of the shallowest groups; of several those of the only one with more than one."""
+    numbers = [column.group for column in columns if column.kind == "number"]
+    depth = min(map(_depth, numbers), default=0)
+    groups = [group for group in numbers if _depth(group) == depth]
+    wide = {group for group in groups if groups.count(group) > 1}
+    kept = wide if len(wide) == 1 else groups
+    return [column for column in columns if column.group in kept]
 
 
-def _holding(groups: Sequence[_Group]) -> list[_Group]:
-    """Return the shallowest groups with columns; of several the only one that has more than one column."""
-    holding = [group for group in groups if group.width]
-    depth = min([group.depth for group in holding], default=0)
-    holding = [group for group in holding if group.depth == depth]
-    wide = [group for group in holding if group.width > 1]
-    return wide if len(wide) == 1 else holding
+def _depth(group: str) -> int:
+    return group.count("/") + bool(group)
 
 
-def _columns_of(dataset: Any, name: str) -> list[StoredColumn]:
-    """Take a dataset apart into columns; none where it holds no numbers."""
-    if not dataset.size or not _holds_numbers(dataset):
-        return []
-    if dataset.is_virtual or dataset.external:
-        return [StoredColumn(name, len(dataset), None)]
-    kind, shape = dataset.dtype, dataset.shape
-    if kind.names is not None and len(shape) == 1:
-        return _fields(dataset)
-    if h5py.check_string_dtype(kind) is not None and len(shape) == 1:
-        return [StoredColumn(name, len(dataset), rows_of(dataset), kind="text")]
-    if kind.kind not in "fiub" or len(shape) not in (1, 2):
-        return []
-    if len(shape) == 1:
-        return [_column(dataset, name, 0, len(dataset), rows_of(dataset))]
-    is_matlab = "MATLAB_class" in dataset.attrs  # it stores matrices transposed
-    along = 0 if shape[0] > shape[1] or (shape[0] == shape[1] and not is_matlab) else 1
-    width = shape[1 - along]
-    labels = _texts(dataset, "columns", "column_names", "names")
-    if len(labels) != width:
-        labels = [f"{name}[{number + 1}]" for number in range(width)]
-    if width == 1:
-        labels = [name]
-    members = []
-    for number, label in enumerate(labels):
-        rows = _matrix_rows(dataset, along, number)
-        members.append(_column(dataset, label, number, shape[along], rows))
-    return members
-
-
-def _column(
-    dataset: Any, name: str, number: int, length: int, rows: Fetch
-) -> StoredColumn:
-    """Return a column with its unit."""
-    units = _texts(dataset, "units", "unit", "Units", "Unit")
-    if len(units) == 1:
-        units = units * (number + 1)
-    unit = units[number] if number < len(units) else None
-    missing = _attribute(dataset, "_FillValue") + _attribute(dataset, "missing_value")
-    fetch = _without(rows, missing) if missing else rows
-    return StoredColumn(name, length, fetch, unit, problem=_not_applied(dataset))
+def _shortest_end(path: str, paths: Sequence[str]) -> str:
+    """Return the shortest end of a path that no other path has."""
+    steps = path.split("/")
+    for start in range(len(steps) - 1, 0, -1):
+        end = "/".join(steps[start:])
+        if sum(f"/{other}".endswith(f"/{end}") for other in paths) == 1:
+            return end
+    return path
 
 
 def _not_applied(dataset: Any) -> str:
-    """Say which factor or offset stands beside a dataset and may belong to its values."""
-    factors = [(key, _attribute(dataset, key)) for key in dataset.attrs]
-    factors.append(("YInc", _attribute(dataset.parent, "YInc")))  # Keysight's counts
-    for key, values in factors:
-        neutral = 1.0 if key == "YInc" else _NOT_APPLIED.get(plain_key(key))
+    """Say which factor or offset in or beside a dataset may belong to its values (Keysight, NeXus)."""
+    for key in dataset.attrs:
+        values, neutral = _attribute(dataset, key), _NOT_APPLIED.get(plain_key(key))
         if neutral is not None and len(values) == 1 and values[0] != neutral:
             return f"has an attribute {key}, {values[0]}, which is not applied: type `scale` ROLE=FACTOR"
+    if _attribute(dataset.parent, "YInc") not in ([], [1.0]):
+        return "has YInc beside it, which is not applied: type `scale` ROLE=FACTOR"
     for sibling in (f"{dataset.name}_scaling_factor", f"{dataset.name}_offset"):
-        if sibling in dataset.file:  # NeXus
+        if sibling in dataset.file:
             return f"has {sibling} beside it, which is not applied: type `scale` ROLE=FACTOR"
     return ""
-
-
-def _without(rows: Fetch, missing: Sequence[float]) -> Fetch:
-    """Make NaN of what stands where a number is missing."""
-
-    def fetch(start: int, stop: int) -> Any:
-        stored = np.asarray(rows(start, stop), dtype=np.float64)
-        return np.where(np.isin(stored, missing), np.nan, stored)
-
-    return fetch
-
-
-def _fields(dataset: Any) -> list[StoredColumn]:
-    members = []
-    for number, name in enumerate(dataset.dtype.names):
-        kind, length = dataset.dtype[name], len(dataset)
-        if kind.kind in "fiub" and not kind.shape:
-            rows = rows_of(dataset.fields(name))
-            members.append(_column(dataset, name, number, length, rows))
-    return members
-
-
-def _matrix_rows(dataset: Any, along: int, number: int) -> Fetch:
-    if along == 0:
-        return lambda start, stop: dataset[start:stop, number]
-    return lambda start, stop: dataset[number, start:stop]
 
 
 # --- what a node says ---
@@ -300,15 +249,10 @@ def _matrix_rows(dataset: Any, along: int, number: int) -> Fetch:
 
 def _listed(file: Any) -> str:
     """Return the datasets of the file for a message."""
-    names: list[str] = []
-
-    def visit(name: str, node: Any) -> bool | None:
-        if isinstance(node, h5py.Dataset) and not name.startswith("#"):
-            shape = "x".join(map(str, node.shape or ()))
-            names.append(f"/{name} ({shape} {node.dtype})")
-        return True if len(names) > 8 else None
-
-    file.visititems(visit)
+    names = []
+    for name, dataset in list(_datasets_of(file).items())[:_LISTED]:
+        shape = "x".join(map(str, dataset.shape or ()))
+        names.append(f"/{name} ({shape} {dataset.dtype})")
     return ", ".join(names) or "nothing"
 
 
@@ -362,8 +306,11 @@ def _attributes(node: Any) -> list[Statement]:
     return statements
 
 
-def _single_value(node: Any, name: str) -> list[Statement]:
-    if not is_clock_setting(name) or node.is_virtual or node.external:
+def _single_value(dataset: Any, path: str) -> list[Statement]:
+    """Return what a dataset of one value states of the sample rate."""
+    name = path.rpartition("/")[2]
+    is_elsewhere = dataset.is_virtual or dataset.external
+    if dataset.size != 1 or is_elsewhere or not is_clock_setting(name):
         return []
-    unit = _texts(node, "units", "unit")
-    return [(name, _plain(np.ravel(node[()])[0]), "".join(unit))]
+    unit = _texts(dataset, "units", "unit")
+    return [(name, _plain(np.ravel(dataset[()])[0]), "".join(unit))]

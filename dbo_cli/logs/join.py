@@ -8,7 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dbo_cli.alignment import ACTUATOR_LAG, Alignment, align_displacements, align_drives
+from dbo_cli.alignment import (
+    ACTUATOR_LAG,
+    USUAL_LAG,
+    Alignment,
+    align_displacements,
+    align_drives,
+    are_apart,
+)
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs.clock import Clock
@@ -92,7 +99,7 @@ def joined(
     elif clock_offset == "auto":
         alignment, kind = _found(names, rows, time, guest)
         offset = ClockOffset(guest_clock.name, alignment.ahead, kind)
-        time = alignment.late_time(time)
+        time = alignment.recorded_time(time)
         clock.remarks.append(
             f"{clock.name}: its clock is {alignment.ahead:.6g} ± {2.0 * alignment.lag.deviation:.1g} s "
             f"ahead of that of {guest_clock.name} and {1e6 * alignment.lag.rate:.2g} ppm fast, {kind}"
@@ -167,18 +174,25 @@ def _side_by_side(rows: Block, time: Floats, table: Block, pair_name: str) -> Bl
     ):
         steps = np.diff(times)
         dt = np.concatenate([steps[:1], steps])
-    return Block(times, values, dt=dt)
+    return Block(times, values, dt)
 
 
-def _beside_drive(rows: Block, time: Floats, table: Block) -> Alignment | None:
-    """Return how the displacement of one log lies over the drive of another; None where it does not tell."""
+def _sensor_and_drive(rows: Block, table: Block) -> tuple[Floats, Floats] | None:
+    """Return the displacement of one log and the drive of another; None where they hold none."""
     drives = [table.values[role] for role in _DRIVES if role in table.values]
     sensors = [rows.values[role] for role in SENSORS if role in rows.values]
     if not drives or not sensors or rows.time is None:
         return None
-    return align_displacements(
-        rows.time, sensors[0], time, drives[0], rate=True, inverted=True
-    )
+    return sensors[0], drives[0]
+
+
+def _beside_drive(rows: Block, time: Floats, table: Block) -> Alignment | None:
+    """Return how the displacement of one log lies over the drive of another; None where it does not tell."""
+    signals = _sensor_and_drive(rows, table)
+    if signals is None or rows.time is None:
+        return None
+    sensor, drive = signals
+    return align_displacements(rows.time, sensor, time, drive, rate=True, inverted=True)
 
 
 def _found(
@@ -228,15 +242,22 @@ def _tolerable(found: Alignment, time: Floats, table: Block) -> float:
 
 def _warn_if_apart(pair_name: str, rows: Block, time: Floats, table: Block) -> None:
     """Warn where the drive explains the displacement much better when its clock is moved."""
-    found = _beside_drive(rows, time, table)
-    if found is None or found.lag.residual > _EXPLAINED:
+    found, signals = _beside_drive(rows, time, table), _sensor_and_drive(rows, table)
+    if found is None or signals is None or found.lag.residual > _EXPLAINED:
         return
     clearly = found.step + _CLEARLY_APART * found.lag.deviation
-    if not -clearly <= found.ahead <= clearly + ACTUATOR_LAG:
-        warn(
-            f"{pair_name}: drive and sensor do not line up in time (by {found.ahead:+.3g} s): try "
-            "`clock_offset` auto"
-        )
+    if -clearly <= found.ahead <= clearly + USUAL_LAG:
+        return
+    sensor, drive = signals
+    assert rows.time is not None
+    if not are_apart(found, rows.time, sensor, time, drive):
+        return
+    remedy = "try `clock_offset` auto"
+    if 0.0 < found.ahead <= ACTUATOR_LAG:
+        remedy += ", or 0 if the actuator is that late"
+    warn(
+        f"{pair_name}: drive and sensor do not line up in time (by {found.ahead:+.3g} s): {remedy}"
+    )
 
 
 # --- an even rate ---

@@ -22,7 +22,7 @@ from dbo_cli.logs.formats import reader_of
 from dbo_cli.logs.join import SENSORS, ClockOffset, joined, resampled
 from dbo_cli.logs.scale import ColumnScale, scales_of
 from dbo_cli.logs.table import (
-    BLOCK_ROWS,
+    ROWS_A_BLOCK,
     Block,
     Column,
     Reading,
@@ -133,7 +133,7 @@ class Log:
         holds_delay = offset is not None and offset.holds_delay
         return holds_delay or self._source.has_found_offset
 
-    def blocks(self, rows: int = BLOCK_ROWS) -> Iterator[Block]:
+    def blocks(self, rows: int = ROWS_A_BLOCK) -> Iterator[Block]:
         """Return the log once, in blocks of at most so many rows.
 
         Raises
@@ -180,7 +180,7 @@ class Log:
                 values = {}
                 for role, array in zip(self._scales, arrays, strict=False):
                     values[role] = multiplied(array, self._scales[role][0])
-                yield Block(time, values, int(numbers[0]), dt)
+                yield Block(time, values, dt)
             if self._last is not None and row > self._last:
                 break
         self.doubtful += self.remarks[noted:]
@@ -188,10 +188,9 @@ class Log:
 
     def _asked(self, numbers: _Numbers, arrays: _Arrays) -> tuple[_Numbers, _Arrays]:
         """Return the rows inside ``rows``."""
-        first, last = int(numbers[0]), int(numbers[-1])
-        if self._first <= first and (self._last is None or last <= self._last):
-            return numbers, arrays
-        stop = None if self._last is None else max(0, self._last - first + 1)
+        first, stop = int(numbers[0]), len(numbers)
+        if self._last is not None:
+            stop = max(0, self._last - first + 1)
         inside = slice(max(0, self._first - first), stop)
         return numbers[inside], [array[inside] for array in arrays]
 
@@ -207,28 +206,28 @@ class Log:
         """
         if all(map(is_good, arrays)):
             return numbers, arrays
-        bad = [bad_cells(array) for array in arrays]
-        good = ~np.logical_or.reduce(bad)
-        at = int(np.argmin(good))
-        index = [bool(marks[at]) for marks in bad].index(True)
+        bad = np.array([bad_cells(array) for array in arrays])
+        is_bad = bad.any(axis=0)
+        at = int(np.argmax(is_bad))
+        index = int(np.argmax(bad[:, at]))
         row, value = int(numbers[at]), arrays[index][at]
         location = self._source.where(row, columns[index], value)
-        count = int(np.count_nonzero(~good))
+        count = int(is_bad.sum())
         if not self._skip_bad:
             more = f", and {count - 1:,} more such rows near it" if count > 1 else ""
             raise InputError(f"{location}{more} ({self._source.cure})")
         self._first_dropped = self._first_dropped or location
         self._dropped += count
-        all_numbers, numbers = numbers, numbers[good]
+        good = numbers[~is_bad]
         torn = list(self._source.torn)
         is_guarded = len(columns) > len(self._picks) + self.clock.is_read
         if is_guarded and columns[-1].kind == "number":
-            torn += all_numbers[bad[-1]].tolist()  # the first column alone shows them
+            torn += numbers[bad[-1]].tolist()  # the first column alone shows them
         for row in torn:
-            is_first = not self._count and (not len(numbers) or row < numbers[0])
+            is_first = not self._count and (not len(good) or row < good[0])
             if self._torn is None and not is_first:
                 self._torn = row, self._source.where(row, columns[-1], "")
-        return numbers, [array[good] for array in arrays]
+        return good, [array[~is_bad] for array in arrays]
 
     def _refuse_torn(self, numbers: _Numbers) -> None:
         """Refuse rows whose time is counted behind a line that may be no sample (InputError)."""
@@ -374,7 +373,11 @@ def _open_file(
     factors = {role: text for role, text in reading.scale.items() if role in roles}
     source = name if isinstance(name, Table) else open_table(name, reading)
     try:
-        clock, picks = _chosen(source, roles, reading, units, optional)
+        selectors = {role: text for role, text in roles.items() if role != "time"}
+        used = [named(source, text, role) for role, text in selectors.items() if text]
+        clock = find_clock(source, reading, roles.get("time"), used)
+        clock_columns = [] if clock.column is None else [clock.column]
+        picks = choose(source, selectors, clock_columns, units, optional)
         scales = scales_of(source.name, picks, factors, units, source.remarks)
         return Log(source, clock, picks, scales, reading)
     except BaseException:
@@ -386,32 +389,13 @@ def open_table(name: str, reading: Reading) -> Table:
     """Open a file with the reader that its first bytes ask for (InputError)."""
     path, _, inner = name.partition("::")
     note_input(path, "log")
-    if os.path.isfile(path):
-        try:
-            with open(path, "rb") as file:
-                start = file.read(_FIRST_BYTES)
-        except OSError as problem:
-            reason = problem.strerror
-            raise InputError(f"{path}: cannot be read: {reason}") from None
-        reader = reader_of(path, start)
-        if reader is not None:
-            return reader(path, inner, reading)
+    reader = None
+    if os.path.isfile(path) and os.access(path, os.R_OK):
+        with open(path, "rb") as file:
+            reader = reader_of(path, file.read(_FIRST_BYTES))
+    if reader is not None:
+        return reader(path, inner, reading)
     return open_text(path, inner, reading)
-
-
-def _chosen(
-    source: Table,
-    roles: Mapping[str, str | None],
-    reading: Reading,
-    units: Mapping[str, str | None],
-    optional: Sequence[str],
-) -> tuple[Clock, dict[str, Column]]:
-    """Choose the clock and the columns of the roles."""
-    selectors = {role: text for role, text in roles.items() if role != "time"}
-    used = [named(source, text, role) for role, text in selectors.items() if text]
-    clock = find_clock(source, reading, roles.get("time"), used)
-    clock_columns = [] if clock.column is None else [clock.column]
-    return clock, choose(source, selectors, clock_columns, units, optional)
 
 
 def columns_of(

@@ -295,9 +295,7 @@ def _stated_by_channel(
 
 def _give(cells: list[str], statements: Sequence[str], places: Sequence[int]) -> None:
     """Give what is stated by channel to the columns of numbers; the first may be the time."""
-    if len(statements) == len(cells):
-        cells[:] = statements
-    elif statements and len(statements) in (len(places), len(places) - 1):
+    if statements and len(statements) in (len(places), len(places) - 1):
         for index, text in zip(places[-len(statements) :], statements, strict=True):
             cells[index] = text
 
@@ -310,14 +308,7 @@ def describe_columns(table: Table, layout: Layout) -> None:
     InputError
         A column's name and its units line state different units.
     """
-    for n in range(layout.width):
-        kind = "text"
-        if n in layout.numeric:
-            kind = "number"
-        elif n in layout.stamps:
-            kind = "stamp"
-        elif n in layout.empty:
-            kind = "empty"
+    for n, (kind, sample) in enumerate(layout.kinds):
         header, unit = layout.names[n], spell(layout.units[n])
         unit_in_name = split_header(header)[1]
         if (
@@ -330,4 +321,4 @@ def describe_columns(table: Table, layout: Layout) -> None:
                 f"{table.name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
                 f"{layout.first}"
             )
-        table.add_column(header, unit, kind, layout.texts.get(n, ""))
+        table.add_column(header, unit, kind, sample)

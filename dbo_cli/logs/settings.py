@@ -12,7 +12,7 @@ from collections.abc import Iterable, Sequence
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cells import is_number, split_cells, to_number
 from dbo_cli.logs.table import StatedClock
-from dbo_cli.units import conversion, split_header, time_unit
+from dbo_cli.units import ratio, split_header, time_unit
 
 Statement = tuple[str, object, str]  # what a file states: key, value, unit
 
@@ -196,7 +196,7 @@ def _rate(kind: str, amount: float, unit: str) -> float | None:
     if spelling is None:
         return None
     # 0.1 ms is 10,000 Hz exactly
-    return conversion("s", spelling) / amount if amount > 0.0 else 0.0
+    return float(ratio("s", spelling)) / amount if amount > 0.0 else 0.0
 
 
 # --- settings ---
@@ -245,14 +245,10 @@ def clock_of_settings(settings: dict[str, list[str]], decimal: str) -> StatedClo
             unit_text = unit_text or values[0].strip('" ')
     statements: list[Statement] = []
     for key, values in settings.items():
-        if not is_clock_setting(key):
-            continue
         nonempty = [value for value in dict.fromkeys(values) if value and value != key]
         unit = unit_text if plain_key(key) in _IN_TIME_UNIT else ""
         if len(nonempty) == 2 and re.fullmatch(r"[^\d=:\[]{1,12}", nonempty[1]):
             unit = nonempty.pop()  # 1,kHz
-        if plain_key(key) in _STARTS and not all(is_number(x, ".") for x in nonempty):
-            nonempty = nonempty[:1]
         statements += [(key, value, unit) for value in nonempty]
     clock = stated_clock(statements, decimal)
     for key, values in settings.items():

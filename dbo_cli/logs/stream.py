@@ -173,8 +173,6 @@ def _opened(path: str) -> IO[bytes]:
         return open(path, "rb")
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder, not a log") from None
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or problem
         raise InputError(f"{path}: cannot be read: {reason}") from None

@@ -14,7 +14,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import UsageError
 from dbo_cli.units import spell, split_header
 
-BLOCK_ROWS = 65536
+ROWS_A_BLOCK = 65536
 OVERLOAD = 9.9e30
 """Instruments write 9.9E37 and 1E+31, masks 1E+36, for what was not measured."""
 NOT_A_TIME = int(np.iinfo(np.int64).min)
@@ -30,7 +30,7 @@ class Column:
     """A column: its number (from 1), and the name and the unit that the file gives it.
 
     ``kind`` is ``number``, ``stamp`` (a date or a clock time), or ``text`` or ``empty``,
-    which cannot be read; ``sample`` is a cell that is no number.
+    which cannot be read; ``sample`` is the format of a text's stamps, or a cell of text.
     """
 
     number: int
@@ -116,8 +116,6 @@ class Block:
         Seconds, or None where the log has no clock.
     values
         An array by role.
-    first_row
-        The number of the first row among the log's data rows, from 1.
     dt
         Seconds since the sample before: a number where the steps are even, else an
         array; None without a clock.
@@ -125,7 +123,6 @@ class Block:
 
     time: Floats | None
     values: dict[str, Floats]
-    first_row: int = 1
     dt: float | Floats | None = None
 
     def __len__(self) -> int:
@@ -146,7 +143,7 @@ class Block:
         values = {role: array[start:stop] for role, array in self.values.items()}
         time = None if self.time is None else self.time[start:stop]
         dt = self.dt[start:stop] if isinstance(self.dt, np.ndarray) else self.dt
-        return Block(time, values, self.first_row + start, dt)
+        return Block(time, values, dt)
 
     @classmethod
     def joined(cls, blocks: Sequence[Block]) -> Block:
@@ -162,7 +159,7 @@ class Block:
         if any(isinstance(step, np.ndarray) or step != dt for step in steps):
             pairs = zip(steps, map(len, blocks), strict=True)
             dt = np.concatenate([np.broadcast_to(step, rows) for step, rows in pairs])
-        return cls(np.concatenate(times) if times else None, values, dt=dt)
+        return cls(np.concatenate(times) if times else None, values, dt)
 
 
 def is_good(array: NDArray[Any]) -> bool:

@@ -2,7 +2,7 @@
 
 Most files have known names in the first line and numbers below: ``plain_layout`` takes
 them. How others are written is found by ``dialect.py``. polars reads a block at once
-(``fast_text.py``); a block that is not regular is open_text line by line, and so is a small
+(``fast_text.py``); a block that is not regular is read line by line, and so is a small
 file, which does without polars.
 """
 
@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.cells import NUMBER, Layout, Marks, split_cells, to_number
+from dbo_cli.logs.cells import Layout, Marks, split_cells, to_number
 from dbo_cli.logs.columns import KNOWN_NAMES, words
 from dbo_cli.logs.dialect import find_layout, is_no_row
 from dbo_cli.logs.names import begins_run, describe_columns
@@ -27,9 +27,9 @@ from dbo_cli.logs.table import LONGEST_CELL, Column, Reading, Table
 from dbo_cli.units import parse_unit, split_header, time_unit
 
 _LONGEST_LINE = 1 << 24  # bytes; what is longer has no line ends
-_SMALL = 1 << 18  # bytes that are open_text faster in Python than polars is imported
-_TINY = 1 << 12  # bytes that are open_text faster in Python than by polars
-_COMMENT = re.compile(rb"(?m)^[ \t]*[#%].*\n?")
+_SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
+_TINY = 1 << 12  # bytes that are read faster in Python than by polars
+_FIGURES = re.compile(r"[-+.,;\t 0-9eE\r]*", re.ASCII)
 
 
 def open_text(path: str, inner: str, reading: Reading) -> Table:
@@ -38,7 +38,7 @@ def open_text(path: str, inner: str, reading: Reading) -> Table:
     Raises
     ------
     InputError
-        It cannot be open_text, or it is not clear how it is written.
+        It cannot be read, or it is not clear how it is written.
     """
     if inner:
         raise UsageError(
@@ -72,22 +72,30 @@ def plain_layout(lines: Sequence[str], reading: Reading) -> Layout | None:
         return None
     if not all(map(_is_known_name, names)):
         return None
-    cell = rf" *{NUMBER} *"
-    row = re.compile(
-        rf"{cell}(?:{delimiters[0]}{cell}){{{len(names) - 1}}}\r?", re.ASCII
-    )
     rows = list(lines[1:])
     while rows and not rows[-1]:
         rows.pop()
-    for line in rows:
-        if len(line) > LONGEST_CELL or not row.fullmatch(line):
-            return None
-    if not rows:
+    if not rows or not _are_numbers(rows, delimiters[0], len(names)):
         return None
     width = len(names)
-    layout = Layout(delimiters[0], ".", width, frozenset(range(width)))
+    layout = Layout(delimiters[0], ".", width * [("number", "")])
     layout.first, layout.names, layout.units = 1, names, [""] * width
     return layout
+
+
+def _are_numbers(rows: Sequence[str], delimiter: str, width: int) -> bool:
+    """Return whether every row has so many plain numbers."""
+    if not _FIGURES.fullmatch("".join(rows)):
+        return False  # float() takes 1_0 and nan, too
+    for row in rows:
+        cells = row.split(delimiter)
+        if len(cells) != width or len(row) > LONGEST_CELL:
+            return False
+        try:
+            list(map(float, cells))
+        except ValueError:
+            return False
+    return True
 
 
 def _is_known_name(name: str) -> bool:
@@ -115,6 +123,7 @@ class TextTable(Table):
         self._marks: dict[int, Marks] = {}
         self._size = 0  # bytes of rows
         self._first_row = 1  # of the last block
+        self._block_lines = 0  # that it was read from
         try:
             start = stream.head(self._has_layout)
             lines = stream.lines(start)
@@ -152,12 +161,12 @@ class TextTable(Table):
             self._text = text
             if not text.endswith(b"\n"):
                 self._doubt_last_line(text)
-            arrays, lines = self._read_block(text, columns)
+            arrays = self._read_block(text, columns)
             if len(arrays[0]):
                 self._refuse_doubtful(self._first_row + len(arrays[0]) - 1)
                 yield arrays
             self._first_row += len(arrays[0])
-            self._line += lines
+            self._line += self._block_lines
         self._refuse_doubtful(self._first_row, limit=0)
 
     def _texts(self) -> Iterator[bytes]:
@@ -166,7 +175,7 @@ class TextTable(Table):
         while not self._stream.ended:
             end = _last_row_end(data, data.rfind(b"\n") + 1)
             if end:
-                yield data[:end] if not tail else tail + data[:end]
+                yield tail + data[:end]
                 tail = b""
             tail += data[end:]
             if len(tail) > _LONGEST_LINE:
@@ -194,27 +203,44 @@ class TextTable(Table):
             if not marks.is_clear and marks.is_doubtful(row, **limit):
                 marks.refuse(self.name, self.columns[number - 1])
 
-    def _read_block(
-        self, text: bytes, columns: Sequence[Column]
-    ) -> tuple[list[NDArray[Any]], int]:
-        """Read a block by polars, or line by line where it is small or not regular; count its lines."""
+    def _read_block(self, text: bytes, columns: Sequence[Column]) -> list[NDArray[Any]]:
+        """Read a block by polars, or line by line where it is small or not regular."""
         self._size += len(text)
         self.torn = ()
+        frame = None
         is_small = self._size <= _SMALL and "polars" not in sys.modules
-        if not is_small and len(text) > _TINY and self._has_plain_comments(text):
-            from dbo_cli.logs.fast_text import read_fast
+        if not is_small and len(text) > _TINY:
+            from dbo_cli.logs.fast_text import read_frame
 
-            block = read_fast(text, self.layout, columns, self._marks, self._first_row)
-            if block is not None:
-                return block
-        return self._read_lines(text, columns), text.count(b"\n")
+            unclear = [n for n, marks in self._marks.items() if not marks.is_clear]
+            frame = read_frame(text, self.layout, columns, unclear)
+        if frame is not None:
+            self._block_lines = len(frame)
+            return [self._array_of(c, frame[str(c.number)]) for c in columns]
+        rows, self._block_lines = self._rows_of(text), text.count(b"\n")
+        return [self._array_of(c, [row[c.number - 1] for row in rows]) for c in columns]
 
-    def _has_plain_comments(self, text: bytes) -> bool:
-        """Return whether all comments among the rows are to be passed over."""
-        if b"#" not in text and b"%" not in text:
-            return True
-        comments = self._stream.lines(b"".join(_COMMENT.findall(text)))
-        return all(map(self._is_passed, comments))
+    def _array_of(self, column: Column, cells: Any) -> NDArray[Any]:
+        """Return the cells of a column, texts or a series, as numbers or stamps; NaN for other texts."""
+        if column.kind == "stamp":
+            import polars as pl
+
+            from dbo_cli.logs.fast_text import read_stamps
+
+            return read_stamps(pl.Series(cells, dtype=pl.String), column.sample)
+        sign = self.layout.decimal
+        if isinstance(cells, list):
+            self._watch(column, cells, range(len(cells)))
+        else:
+            from dbo_cli.logs.fast_text import read_numbers
+
+            if cells.dtype.is_float():
+                return np.asarray(cells.to_numpy())
+            self._watch(column, cells, sorted(cells.arg_unique()))
+            numbers = read_numbers(cells, sign)
+            if numbers is not None:
+                return numbers
+        return np.array([to_number(cell, sign) for cell in cells])
 
     def _is_passed(self, line: str) -> bool:
         """Return whether a line among the rows is blank, a comment, or a row that is commented out."""
@@ -223,40 +249,25 @@ class TextTable(Table):
         comment = line.strip("#% \t")
         return self.layout.partly_fits(comment) or not begins_run(comment)
 
-    def _read_lines(self, text: bytes, columns: Sequence[Column]) -> list[NDArray[Any]]:
-        """Read a block in Python; cells that are no numbers become NaN."""
-        width = self.layout.width
+    def _rows_of(self, text: bytes) -> list[list[str]]:
+        """Split a block in Python; rows of another width become rows of empty cells."""
         rows = []
         for line in self._stream.lines(text):
             if not self._is_passed(line):
                 rows.append(split_cells(line, self.layout.delimiter))
-        torn = [k for k, cells in enumerate(rows) if len(cells) != width]
+        torn = [k for k, cells in enumerate(rows) if len(cells) != self.layout.width]
         self.torn = [self._first_row + k for k in torn]
         for k in torn:
-            rows[k] = [""] * width
-        arrays: list[NDArray[Any]] = []
-        for column in columns:
-            cells = [row[column.number - 1] for row in rows]
-            if column.kind == "stamp":
-                import polars as pl
+            rows[k] = [""] * self.layout.width
+        return rows
 
-                from dbo_cli.logs.fast_text import read_stamps
-
-                form = self.layout.stamps[column.number - 1]
-                arrays.append(read_stamps(pl.Series(cells, dtype=pl.String), form))
-            else:
-                self._watch(column, cells)
-                sign = self.layout.decimal
-                arrays.append(np.array([to_number(cell, sign) for cell in cells]))
-        return arrays
-
-    def _watch(self, column: Column, cells: Sequence[str]) -> None:
-        """Take the cells of a column into account, until its marks are clear."""
+    def _watch(self, column: Column, cells: Any, rows: Iterable[int]) -> None:
+        """Take cells of a column into account, those of some rows, until its marks are clear."""
         marks = self._marks.get(column.number, Marks(is_clear=True))
-        for row, cell in enumerate(cells, start=self._first_row):
+        for row in rows:
             if marks.is_clear:
                 break
-            marks.watch(row, cell)
+            marks.watch(self._first_row + row, cells[row])
 
     def where(self, row: int, column: Column, value: object) -> str:
         """Say in which line a row of the last block is, and what stands in a column of it."""

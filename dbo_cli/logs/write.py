@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.files import Output, Outputs, telling
-from dbo_cli.logs.table import BLOCK_ROWS
+from dbo_cli.logs.table import ROWS_A_BLOCK
 from dbo_cli.units import split_header
 
 Named = tuple[str, str | None]  # a column's name and its unit
@@ -131,8 +131,8 @@ class Writer:
                     "there"
                 )
         with telling(self.path):
-            for start in range(0, len(values[0]), BLOCK_ROWS):
-                block = [array[start : start + BLOCK_ROWS] for array in values]
+            for start in range(0, len(values[0]), ROWS_A_BLOCK):
+                block = [array[start : start + ROWS_A_BLOCK] for array in values]
                 self._append(block)
                 self.rows += len(block[0])
 
@@ -218,7 +218,7 @@ class Hdf5Writer(Writer):
         self._datasets: list[Any] = []
         for name, unit in columns:
             dataset = self._store.create_dataset(
-                name.replace("/", "_"), (0,), "f8", maxshape=(None,), chunks=(BLOCK_ROWS,),
+                name.replace("/", "_"), (0,), "f8", maxshape=(None,), chunks=(ROWS_A_BLOCK,),
                 shuffle=True, compression="gzip", compression_opts=1,
             )  # fmt: skip
             dataset.attrs["units"] = unit or ""

@@ -9,14 +9,13 @@ from functools import cached_property, lru_cache
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.fields import Json
 from dbo_cli.model.relaxation import checked_steps
-from dbo_cli.model.sections import Complexes, Resonance, Section
+from dbo_cli.model.sections import Resonance, Section
 from dbo_cli.model.state import Run, SectionStates, State
 from dbo_cli.model.undoing import SectionInverse, section_inverse
 
@@ -53,14 +52,6 @@ class Dynamics:
         """The second-order sections, lowest first."""
         sections = [each for each in self.sections if isinstance(each, Resonance)]
         return tuple(sorted(sections, key=lambda section: section.frequency))
-
-    def response(self, frequency: ArrayLike) -> Complexes:
-        """Return G(2 pi i f), gain and phase of all sections, for frequencies in Hz."""
-        at = np.asarray(frequency, dtype=np.float64)
-        total: Complexes = np.ones(at.shape, dtype=np.complex128)
-        for section in self.sections:
-            total = total * section.response(at)
-        return total
 
     def run(self, x: Floats, state: State, dt: float | Floats) -> Run:
         """Return one block behind all sections, and the state with (p, q, u) of each section after it.

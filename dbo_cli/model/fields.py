@@ -164,7 +164,7 @@ def magnitude(value: Any, path: str) -> float:
 
 def interval(value: Any, path: str) -> tuple[float, float]:
     """Return the two ends of a range, the lower one first."""
-    ends = numbers(value, path)
+    ends = number_list(value, path)
     if len(ends) != 2 or ends[0] > ends[1]:
         raise ModelError(f"{path}: is not a list of two numbers, the lower one first")
     return ends[0], ends[1]
@@ -203,7 +203,7 @@ def listed(items: Any, path: str, read: Reader) -> tuple[Any, ...]:
     return tuple(read(item, f"{path}[{k}]") for k, item in enumerate(items))
 
 
-def numbers(items: Any, path: str) -> tuple[float, ...]:
+def number_list(items: Any, path: str) -> tuple[float, ...]:
     """Return a list of finite numbers."""
     return listed(items, path, number)
 

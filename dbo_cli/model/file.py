@@ -21,7 +21,7 @@ from dbo_cli.model.amplifier import Amplifier
 from dbo_cli.model.cascade import Candidate, Cascade, Direction, Stage
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics
-from dbo_cli.model.fields import VERSION, Json, build, number, numbers
+from dbo_cli.model.fields import VERSION, Json, build, number, number_list
 from dbo_cli.model.gears import Gears
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
@@ -214,7 +214,9 @@ def _relaxation(values: Any, path: str, on: str) -> Any:
     content = dict(fields.notes(values, path))
     if content.pop("on", None) != on:
         raise ModelError(f"{path}.on: must be {on!r} in this direction")
-    return build(Relaxation, content, path, reference=number, tau=numbers, gain=numbers)
+    return build(
+        Relaxation, content, path, reference=number, tau=number_list, gain=number_list
+    )
 
 
 def _section(values: Any, path: str) -> Any:
@@ -397,10 +399,10 @@ def _state(values: Json, model: Cascade) -> State:
         model=fields.text,
         gears=number,
         bits=fields.text,
-        memory=fields.unless_null(numbers),
+        memory=fields.unless_null(number_list),
         time=fields.unless_null(number),
         drive=fields.unless_null(number),
-        sections=fields.unless_null(numbers),
+        sections=fields.unless_null(number_list),
         delay=fields.unless_null(_held),
         **amplifier,
     )
@@ -440,7 +442,7 @@ def _state(values: Json, model: Cascade) -> State:
 
 def _held(values: Any, path: str) -> Held:
     """Return what a delay held back."""
-    held = build(dict, values, path, times=numbers, values=numbers)
+    held = build(dict, values, path, times=number_list, values=number_list)
     times, past = held["times"], held["values"]
     if len(times) != len(past) or not times:
         raise ModelError(f"{path}.values: has {len(past)} entries, not {len(times)}")

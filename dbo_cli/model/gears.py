@@ -91,7 +91,7 @@ class Gears:
         y0: float = 0.0,
         relaxation: Relaxation | None = None,
     ) -> None:
-        self.dx, self.dy = checked_pair(dx, dy, x0, y0)
+        self.dx, self.dy = checked_pair(dx, dy)
         self.x0 = float(x0)
         self.y0 = float(y0)
         self.relaxation = relaxation

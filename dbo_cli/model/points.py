@@ -61,7 +61,7 @@ class Points(_Curve):
     def __init__(
         self, dx: ArrayLike, dy: ArrayLike, x0: float = 0.0, y0: float = 0.0
     ) -> None:
-        self.dx, self.dy = checked_pair(dx, dy, x0, y0)
+        self.dx, self.dy = checked_pair(dx, dy)
         self.x0, self.y0 = float(x0), float(y0)
         self.m = int(self.dx.size)
         widths = on_binary_grid("dx", self.dx)

@@ -57,8 +57,6 @@ class Relaxation:
 
     def __post_init__(self) -> None:
         """Refuse what no actuator has, naming the key."""
-        if not math.isfinite(self.reference):
-            raise ModelError(f"reference: {self.reference!r} is not a finite number")
         if not self.tau:
             raise ModelError("tau: is empty; leave relaxation out instead")
         if len(self.tau) != len(self.gain):
@@ -70,9 +68,6 @@ class Relaxation:
                 raise ModelError(
                     f"tau[{index}]: {tau!r} is not a finite time greater than 0"
                 )
-        for index, gain in enumerate(self.gain):
-            if not math.isfinite(gain):
-                raise ModelError(f"gain[{index}]: {gain!r} is not a finite number")
 
     def keys(self) -> Json:
         """Return what a model file holds of the terms."""

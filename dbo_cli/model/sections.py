@@ -192,11 +192,5 @@ class Lag:
             share = 1.0 / (1.0 + (lag_steps - beta))
         return np.column_stack([none, share, share * (1.0 - beta), none, none, none])
 
-    def response(self, frequency: Floats) -> Complexes:
-        """Return G(2 pi i f) for frequencies in Hz."""
-        turn = 2j * math.pi * frequency
-        gain: Complexes = (1.0 + turn * self.lead) / (1.0 + turn * self.seconds)
-        return gain
-
 
 Section = Resonance | Lag

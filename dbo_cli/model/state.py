@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -36,8 +35,7 @@ class Quantity:
     Raises
     ------
     ModelError
-        The range is not finite, or its ends are not in order; the message begins with
-        the key.
+        The ends of the range are not in order; the message begins with the key.
     """
 
     quantity: str
@@ -46,10 +44,7 @@ class Quantity:
     max: float
 
     def __post_init__(self) -> None:
-        """Check the range."""
-        for key, value in (("min", self.min), ("max", self.max)):
-            if not math.isfinite(value):
-                raise ModelError(f"{key}: {value!r} is not a finite number")
+        """Refuse a range whose ends are not in order."""
         if not self.min < self.max:
             raise ModelError(f"max: {self.max!r} is not greater than min, {self.min!r}")
 

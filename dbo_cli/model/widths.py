@@ -20,9 +20,7 @@ _NARROWEST = 2.0**-42
 _LARGEST_TOLERANCE = 1.0 / 16.0  # what 64 steps of rounding are of such a width
 
 
-def checked_pair(
-    dx: ArrayLike, dy: ArrayLike, x0: float, y0: float
-) -> tuple[Floats, Floats]:
+def checked_pair(dx: ArrayLike, dy: ArrayLike) -> tuple[Floats, Floats]:
     """Return read-only copies of both axes' widths; raise ModelError naming the key of what is wrong."""
     pair = []
     for key, widths in (("dx", dx), ("dy", dy)):
@@ -40,9 +38,6 @@ def checked_pair(
     widths, heights = pair
     if widths.size != heights.size:
         raise ModelError(f"dy: has {heights.size} entries where dx has {widths.size}")
-    for key, value in (("x0", x0), ("y0", y0)):
-        if not math.isfinite(value):
-            raise ModelError(f"{key}: {value!r} is not a finite number")
     return widths, heights
 
 

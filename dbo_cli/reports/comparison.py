@@ -13,7 +13,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import LimitError
 from dbo_cli.reports.expected import Expected
 from dbo_cli.reports.merits import Merits, merits
-from dbo_cli.reports.pair import Pair, scored, without_sensor_delay
+from dbo_cli.reports.pair import Pair, scored, undelayed
 from dbo_cli.reports.words import digits, shortened
 from dbo_cli.signals import between, noise
 
@@ -278,7 +278,7 @@ class Scores:
 
 def _evaluated(pair: Pair, lag: int, remove_offset: bool) -> LogReport:
     """Return the figures of one log, with a warning where more was expected of it."""
-    compared = scored(pair if lag else without_sensor_delay(pair), lag)
+    compared = scored(pair if lag else undelayed(pair), lag)
     figures = merits(compared.desired, compared.measured, remove_offset)
     if compared.expected is not None:
         warning = _beyond(compared.expected, compared, figures)

@@ -54,7 +54,7 @@ class Expected:
 
 
 def expected_of_drive(
-    model: Cascade, voltage: Floats, dt: Floats | None, name: str, known: bool
+    model: Cascade, voltage: Floats, dt: Floats | None, name: str, past_known: bool
 ) -> Expected:
     """Return what a model states for this very drive; unknown where the drive leaves its range.
 
@@ -68,8 +68,8 @@ def expected_of_drive(
         Seconds since the row before.
     name
         How the report calls the model.
-    known
-        Whether the state before the drive is.
+    past_known
+        Whether the state before the drive is known.
     """
     from dbo_cli.model.expect import expected_error
 
@@ -78,7 +78,7 @@ def expected_of_drive(
     rmse = None
     if model.input.min - slack <= low and high <= model.input.max + slack:
         error = expected_error(model, voltage, dt)
-        rmse = None if error is None else error.rms(known, known)
+        rmse = None if error is None else error.rms(past_known, past_known)
     footer = f"Model {name} ({model.digest[:12]})"
     return Expected(rmse, footer=footer, sensor_delay=model.sensor_delay)
 

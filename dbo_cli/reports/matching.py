@@ -8,6 +8,8 @@ import numpy as np
 
 from dbo_cli.alignment import (
     ACTUATOR_LAG,
+    CLEARLY_BETTER,
+    USUAL_LAG,
     Alignment,
     align_displacements,
     align_drives,
@@ -15,12 +17,10 @@ from dbo_cli.alignment import (
 )
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
-from dbo_cli.reports.pair import Pair, rows_text, step_of, stretch
+from dbo_cli.reports.pair import Pair, clock_step, rows_text, stretch
 
-SAME_RATE = 1e-3
+RATE_SLACK = 1e-3
 """Part by which two rates may differ: clocks of two recorders do, by some 1e-4."""
-CLEARLY_BETTER = 0.5
-"""Part of the error that must be left at most for another start of the clock to be believed."""
 WHOLE_BY_DISPLACEMENT = 0.5
 """Rows: a displacement does not tell parts of one, since what is left of creep is a phase, too."""
 
@@ -74,44 +74,44 @@ def match(
         raise InputError(
             f"{name}: no row lies within the time of {trajectory_name}: try `match` rows"
         )
-    beyond = len(recording) - len(pair)
-    if beyond:
-        pair = pair.noted(
-            f"{rows_text(beyond)} outside the time of {trajectory_name} left out"
-        )
-    return pair
+    outside = len(recording) - len(pair)
+    if not outside:
+        return pair
+    return pair.noted(
+        f"{rows_text(outside)} outside the time of {trajectory_name} left out"
+    )
 
 
 def _by_rows(
-    recording: Pair, wanted: Floats, clock: Floats | None, trajectory: str
+    recording: Pair, desired: Floats, clock: Floats | None, trajectory: str
 ) -> Pair:
     """Match row by row; the time is the trajectory's."""
-    step, wanted_step = recording.step(), step_of(clock)
-    if step is not None and wanted_step is not None:
-        if abs(step / wanted_step - 1.0) > SAME_RATE:
+    step, desired_step = recording.step(), clock_step(clock)
+    if step is not None and desired_step is not None:
+        if abs(step / desired_step - 1.0) > RATE_SLACK:
             raise InputError(
-                f"{recording.name}: {1.0 / step:.5g} Hz, {trajectory}: {1.0 / wanted_step:.5g} Hz:"
+                f"{recording.name}: {1.0 / step:.5g} Hz, {trajectory}: {1.0 / desired_step:.5g} Hz:"
                 " rows do not correspond; type `match` time"
             )
-    count = min(len(recording), len(wanted))
-    pair = replace(recording.taken(slice(0, count)), desired=wanted[:count])
+    count = min(len(recording), len(desired))
+    pair = replace(recording.taken(slice(0, count)), desired=desired[:count])
     if clock is not None:
         pair = replace(pair, time=clock[:count])
-    surplus = len(recording) - len(wanted)
+    surplus = len(recording) - len(desired)
     if surplus:
         relation = "more" if surplus > 0 else "fewer"
         pair = pair.noted(f"{rows_text(abs(surplus))} {relation} than in {trajectory}")
     return pair
 
 
-def _by_time(recording: Pair, wanted: Floats, clock: Floats) -> Pair:
+def _by_time(recording: Pair, desired: Floats, clock: Floats) -> Pair:
     """Match by time: the desired signal is interpolated at the recording's times."""
     assert recording.time is not None
-    slack = 1e-6 * (step_of(clock) or 0.0)
+    slack = 1e-6 * (clock_step(clock) or 0.0)
     begin, end = clock[0] - slack, clock[-1] + slack
     pair = recording.taken(stretch((recording.time >= begin) & (recording.time <= end)))
     assert pair.time is not None
-    return replace(pair, desired=np.interp(pair.time, clock, wanted))
+    return replace(pair, desired=np.interp(pair.time, clock, desired))
 
 
 def _on_one_clock(
@@ -128,14 +128,21 @@ def _on_one_clock(
             warnings=(f"{recording.name}: its drive is not that of {name}",),
         )
     found = _by_displacement(recording, desired, clock)
-    step = recording.step() or 0.0
-    if found is None or -0.5 * step <= found.ahead <= ACTUATOR_LAG:
-        return recording  # what an actuator may be late is part of its error
+    if found is None or -0.5 * (recording.step() or 0.0) <= found.ahead <= USUAL_LAG:
+        return recording
     shifted = _shifted(recording, found, f"that of {name}")
     before = _scatter(_by_time(recording, desired, clock))
     after = _scatter(_by_time(shifted, desired, clock))
     is_sure = not _rival_holds(found, recording, clock)
-    if is_sure and after <= CLEARLY_BETTER * before:
+    is_sure = is_sure and after <= CLEARLY_BETTER * before
+    if 0.0 < found.ahead <= ACTUATOR_LAG:
+        if not is_sure:
+            return recording
+        return recording.noted(
+            f"{found.ahead:.3g} s late, which counts as an error: the actuator is, or the clock of {name}"
+            " began late; record the drive, too"
+        )
+    if is_sure:
         return replace(shifted, delay_removed=True)
     if after >= before:
         return recording
@@ -151,7 +158,7 @@ def _rival_holds(found: Alignment, recording: Pair, clock: Floats) -> bool:
     if found.lag.rival is None or recording.time is None:
         return False
     later = found.lag.rival - found.lag.seconds
-    first, last = found.late_time(clock[[0, -1]]) + later
+    first, last = found.recorded_time(clock[[0, -1]]) + later
     slack = ACTUATOR_LAG
     return bool(first > recording.time[0] - slack and last < recording.time[-1] + slack)
 
@@ -159,7 +166,7 @@ def _rival_holds(found: Alignment, recording: Pair, clock: Floats) -> bool:
 def _shifted(recording: Pair, found: Alignment, other: str) -> Pair:
     """Return a recording with the times of another clock, and a note of it where they differ."""
     assert recording.time is not None
-    time = found.early_time(recording.time)
+    time = found.reference_time(recording.time)
     if np.abs(time - recording.time).max() <= 0.01 * found.step:
         return recording
     side = "ahead of" if found.ahead > 0.0 else "behind"

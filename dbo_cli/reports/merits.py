@@ -25,7 +25,7 @@ LARGEST_TURN = 0.1
 """Part of the range that a turn need not exceed: few samples a cycle look like noise."""
 LAG_ROWS = 1 << 17
 """Rows that the lag left is looked for in, evenly picked."""
-UNEXPLAINED = 0.5
+LARGEST_UNEXPLAINED = 0.5
 """Part of the measured signal's variance that a lag may leave unexplained at most."""
 
 
@@ -167,6 +167,10 @@ def lag_left(desired: Floats, measured: Floats) -> float | None:
     """
     stride = -(-len(desired) // LAG_ROWS)
     shift = lag(measured[::stride], desired[::stride], float(stride))
-    if shift is None or shift.residual > UNEXPLAINED or math.isinf(shift.deviation):
+    if (
+        shift is None
+        or shift.residual > LARGEST_UNEXPLAINED
+        or math.isinf(shift.deviation)
+    ):
         return None
     return shift.seconds if abs(shift.seconds) < len(desired) / 4.0 else None

@@ -99,7 +99,7 @@ class Pair:
 
     def step(self) -> float | None:
         """Return the seconds from row to row; None where no clock is known."""
-        return step_of(self.time)
+        return clock_step(self.time)
 
 
 def rows_text(count: int) -> str:
@@ -107,7 +107,7 @@ def rows_text(count: int) -> str:
     return "1 row" if count == 1 else f"{count:,} rows"
 
 
-def step_of(time: Floats | None) -> float | None:
+def clock_step(time: Floats | None) -> float | None:
     """Return the seconds from row to row of a clock; None without one."""
     if time is None or len(time) < 2:
         return None
@@ -136,21 +136,21 @@ def scored(pair: Pair, lag: int) -> Pair:
         raise InputError(
             f"{pair.name}: {rows_text(len(pair))}, `lag` {lag}: nothing is left to compare"
         )
-    late, early = max(lag, 0), max(-lag, 0)
-    measured = pair.measured[late : late + count]
-    shifted = replace(pair.taken(slice(early, early + count)), measured=measured)
+    begin, measured_begin = max(-lag, 0), max(lag, 0)
+    measured = pair.measured[measured_begin : measured_begin + count]
+    shifted = replace(pair.taken(slice(begin, begin + count)), measured=measured)
     if pair.rows is None:
         return _move_of(shifted)
     first, last = pair.rows
     begin = max((first or 1) - shifted.first_row, 0)
     end = count if last is None else last + 1 - shifted.first_row
-    chosen = shifted.taken(slice(begin, max(end, 0)))
-    if not len(chosen):
+    rows = shifted.taken(slice(begin, max(end, 0)))
+    if not len(rows):
         raise InputError(f"{pair.name}: no row from {first} on: choose other `rows`")
-    return chosen
+    return rows
 
 
-def without_sensor_delay(pair: Pair) -> Pair:
+def undelayed(pair: Pair) -> Pair:
     """Return a log as a sensor without delay would have made it; its last rows are cut off."""
     delay = 0.0 if pair.expected is None else pair.expected.sensor_delay
     if not delay or pair.delay_removed or pair.time is None:
@@ -171,10 +171,10 @@ def _move_of(pair: Pair) -> Pair:
         slack = 0.5 * (pair.step() or 0.0)
         begin, end = move_time[0] - slack, move_time[1] + slack
     move = pair.taken(stretch((pair.time >= begin) & (pair.time <= end)))
-    beside = len(pair) - len(move)
-    if beside in (0, len(pair)):
+    outside = len(pair) - len(move)
+    if outside in (0, len(pair)):
         return pair
-    return move.noted(f"{rows_text(beside)} before or after the move left out")
+    return move.noted(f"{rows_text(outside)} before or after the move left out")
 
 
 def predict(
@@ -209,6 +209,6 @@ def predict(
     if time is not None and len(time) > 1:
         steps = np.diff(time, prepend=2.0 * time[0] - time[1])
     expected = expected_of_drive(
-        model, voltage, steps, model_name, known=state != "auto"
+        model, voltage, steps, model_name, past_known=state != "auto"
     )
     return replace(recording, desired=predicted, expected=expected)

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dbo_cli.reports.words import digits, json_text
+from dbo_cli.reports.words import json_text
 
 if TYPE_CHECKING:
     from dbo_cli.model import Cascade, Quantity
@@ -81,7 +81,7 @@ class ShownModel:
         if values["delay_seconds"]:
             rows.append(("delay", _time(values["delay_seconds"])))
         rows += [("dynamics", _section(section)) for section in values["dynamics"]]
-        rows += _errors(values["fit"], unit, forward.output.span)
+        rows += _errors(values["fit"], unit)
         rows += _seen(values["fit"], forward.input)
         for log in values["logs"]:
             rows.append(("log", _log(log, unit)))
@@ -122,14 +122,11 @@ def _section(section: Mapping[str, Any]) -> str:
     return text
 
 
-def _errors(fit: Mapping[str, Any], unit: str, span: float) -> list[tuple[str, str]]:
+def _errors(fit: Mapping[str, Any], unit: str) -> list[tuple[str, str]]:
     """Return what error to expect, and how well the model fits its own logs."""
     rows = []
-    expected = fit.get("expected_rmse")
-    if expected is not None:
-        percent = digits(100.0 * expected / span, 2)
-        text = f"error {expected:.3g}{unit} RMS ({percent} % of range)"
-        rows.append(("expected", text))
+    if fit.get("expected_rmse") is not None:
+        rows.append(("expected", f"error {fit['expected_rmse']:.3g}{unit} RMS"))
     if fit.get("rmse") is not None:
         text = f"error {fit['rmse']:.3g}{unit} RMS on its own logs"
         if fit.get("line_rmse") is not None:

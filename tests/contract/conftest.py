@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from .program import SAMPLES, done, model, write
+from .program import DRIVE, LOG, MOVE, SAMPLES, done, simulated, write
 
 RATE = 1000.0
 
@@ -32,24 +32,16 @@ def drive() -> Path:
     """Return half a second of drive, 0 to 10 V and back in shrinking swings, at 1 kHz."""
     time = np.arange(500) / RATE
     swing = np.linspace(5.0, 1.0, 500)
-    return write(
-        "drive.csv",
-        "time_s,voltage_V",
-        time,
-        5.0 - swing * np.cos(2.0 * np.pi * 10.0 * time),
-    )
+    volts = 5.0 - swing * np.cos(2.0 * np.pi * 10.0 * time)
+    return write("drive.csv", DRIVE, time, volts)
 
 
 @pytest.fixture
 def wish() -> Path:
     """Return half a second of displacement within 2 to 8 um, from 2 um, at 1 kHz."""
     time = np.arange(500) / RATE
-    return write(
-        "wish.csv",
-        "time_s,displacement_um",
-        time,
-        5.0 - 3.0 * np.cos(2.0 * np.pi * 4.0 * time),
-    )
+    wanted = 5.0 - 3.0 * np.cos(2.0 * np.pi * 4.0 * time)
+    return write("wish.csv", MOVE, time, wanted)
 
 
 @pytest.fixture
@@ -58,16 +50,12 @@ def log() -> Path:
     return creep_log("log.csv")
 
 
-def creep_log(name: str, seed: int = 1, model_name: str = "creep") -> Path:
-    """Write what a stored model of 0 to 100 V does in some swings, with 2 nm of noise."""
+def creep_log(name: str, seed: int = 1) -> Path:
+    """Write what the stored model ``creep`` does in some swings, with 2 nm of noise."""
     time = np.arange(1600) / 500.0
     swing = np.concatenate([np.full(800, 50.0), np.full(400, 32.0), np.full(400, 18.0)])
     voltage = 50.0 - swing * np.cos(2.0 * np.pi * 1.25 * time)
-    voltage = np.clip(voltage, 0.0, 100.0)
-    write("played.csv", "time_s,voltage_V", time, voltage)
-    done("simulate", model(model_name), "played.csv", "-o", "moved.csv", "-q")
-    moved = np.loadtxt("moved.csv", delimiter=",", skiprows=1)[:, 2]
-    noise = np.random.default_rng(seed).normal(0.0, 0.002, len(time))
+    moved = simulated("creep", write("played.csv", DRIVE, time, voltage))
     Path("played.csv").unlink()
-    Path("moved.csv").unlink()
-    return write(name, "time_s,voltage_V,displacement_um", time, voltage, moved + noise)
+    noise = np.random.default_rng(seed).normal(0.0, 0.002, len(time))
+    return write(name, LOG, time, voltage, moved + noise)

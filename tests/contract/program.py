@@ -161,14 +161,30 @@ def model(name: str) -> Path:
 
 def values_of(name: str) -> Any:
     """Return a stored model as JSON values."""
-    return json.loads(model(name).read_text())
+    return load(model(name))
 
 
-def changed_model(name: str, **changes: Any) -> Path:
-    """Write a stored model with some keys changed, as ``changed.json``."""
-    path = Path("changed.json")
-    path.write_text(json.dumps(values_of(name) | changes))
-    return path
+def load(path: str | Path) -> Any:
+    """Return what a JSON file holds."""
+    return json.loads(Path(path).read_text())
+
+
+def store(path: str, values: Any) -> Path:
+    """Write a JSON file."""
+    Path(path).write_text(json.dumps(values))
+    return Path(path)
+
+
+def store_set(path: str, **models: Any) -> Path:
+    """Write models by name as one file."""
+    return store(path, {"format": "dbo-model-set", "version": 1, "models": models})
+
+
+DRIVE = "time_s,voltage_V"
+MOVE = "time_s,displacement_um"
+LOG = "time_s,voltage_V,displacement_um"
+PAIR = "time_s,desired_um,measured_um"
+PASS = "time_s,voltage_V,measured_um"
 
 
 def write(name: str, header: str, *columns: Iterable[float]) -> Path:
@@ -184,6 +200,18 @@ def table(source: str | Path | Outcome) -> dict[str, Floats]:
     text = source.out if isinstance(source, Outcome) else Path(source).read_text()
     frame = pl.read_csv(text.encode(), infer_schema=False).cast(pl.Float64)
     return {name: frame[name].to_numpy(writable=True) for name in frame.columns}
+
+
+def simulated(actuator: str | Path, drive: object, *words: object) -> Floats:
+    """Return the output that ``simulate`` writes, of a stored model by its name or of a file."""
+    path = model(actuator) if isinstance(actuator, str) else actuator
+    return list(table(done("simulate", path, drive, *words, "-q")).values())[-1]
+
+
+def compensated(name: str, *words: object, wish: str = "wish.csv") -> dict[str, Floats]:
+    """Return what ``compensate`` with a stored model writes, and leave it as ``drive.csv``."""
+    done("compensate", model(name), wish, *words, "-o", "drive.csv", "-q")
+    return table("drive.csv")
 
 
 def rms(values: Floats) -> float:

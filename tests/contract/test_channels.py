@@ -5,16 +5,21 @@ from __future__ import annotations
 import json
 import wave
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from .program import Floats, dbo, done, model, refused, table, values_of, write
+from .program import (
+    DRIVE, Floats, dbo, done, load, refused, simulated, store, store_set, table,
+    values_of, write,
+)  # fmt: skip
 
 TIME = np.arange(600) / 500.0
 NAMES = ("a", "b", "c")
 QUICK = "--gears 20 --points 0 --delay 0 --relaxation 0 --dynamics 0 --force".split()
 SIDES = ("--voltage", "V{}", "--displacement", "D{}")
+KINDS = (("voltage", "V"), ("displacement", "um"))
 
 
 def swings(number: int) -> Floats:
@@ -25,67 +30,90 @@ def swings(number: int) -> Floats:
 @pytest.fixture
 def channels() -> Path:
     """Return a log of three channels, and write ``set.json`` with a model for each."""
-    columns, models = {"time_s": TIME}, {}
+    columns: dict[str, Floats] = {"time_s": TIME}
+    models: dict[str, Any] = {}
     for number, name in enumerate(NAMES):
         drive = np.clip(swings(number), 0.0, 10.0)
-        write("one.csv", "time_s,voltage_V", TIME, drive)
-        moved = table(done("simulate", model("small"), "one.csv", "-q"))
+        moved = simulated("small", write("one.csv", DRIVE, TIME, drive))
         columns[f"V{name}_V"] = drive
-        columns[f"D{name}_um"] = (1.0 + 0.1 * number) * moved["displacement_um"]
-        values = values_of("small")
-        values["stages"][1] |= {"gain": 1.6 + 0.1 * number}
-        models[name] = values
+        columns[f"D{name}_um"] = (1.0 + 0.1 * number) * moved
+        models[name] = values_of("small")
+        models[name]["stages"][1] |= {"gain": 1.6 + 0.1 * number}
     Path("one.csv").unlink()
-    held = {"format": "dbo-model-set", "version": 1, "models": models}
-    Path("set.json").write_text(json.dumps(held))
+    store_set("set.json", **models)
     return write("mirror.csv", ",".join(columns), *columns.values())
 
 
+def of_channel(written: dict[str, Floats], name: str, quantity: str) -> Floats:
+    """Return the one column of a channel with a quantity."""
+    [values] = [
+        column for key, column in written.items()
+        if name in key.split("_") and quantity in key
+    ]  # fmt: skip
+    return values
+
+
 def test_identify_makes_the_model_of_each_channel(channels: Path) -> None:
-    done("identify", channels, *SIDES, *QUICK, "-o", "models.json", "-q")
-    held = json.loads(Path("models.json").read_text())
+    words = (*SIDES, *QUICK, "-o", "models.json", "--summary", "s.json")
+    outcome = done("identify", channels, *words)
+    held = load("models.json")
     assert (held["format"], held["version"]) == ("dbo-model-set", 1)
     assert list(held["models"]) == list(NAMES)
+    summaries = load("s.json")["summaries"]
+    assert list(summaries) == list(NAMES) and summaries["a"]["rmse"] >= 0.0
+    assert all(any(f" {n}: " in f" {line}" for line in outcome.said) for n in NAMES)
     alone = ("--voltage", "Vc_V", "--displacement", "Dc_um")
     done("identify", channels, *alone, *QUICK, "-o", "alone.json", "-q")
-    single = json.loads(Path("alone.json").read_text())
-    last = list(held["models"].values())[-1]
-    assert last["stages"] == single["stages"]
+    assert held["models"]["c"]["stages"] == load("alone.json")["stages"]
+    words = (*SIDES, "--prior", "models.json", "--force", "-o", "again.json")
+    done("identify", channels, *words)
+    line = refused(1, "identify", channels, *alone, "--prior", "set.json")
+    assert "set.json" in line and "set.json::" in line
 
 
-def test_simulate_writes_all_channels_side_by_side(channels: Path) -> None:
+def test_simulate_and_compensate_write_all_channels_side_by_side(
+    channels: Path,
+) -> None:
     done("simulate", "set.json", channels, "--input", "V{}_V", "-o", "out.csv", "-q")
-    written = table("out.csv")
+    moved = table("out.csv")
+    names = (f"{kind}_{n}_{unit}" for n in NAMES for kind, unit in KINDS)
+    assert list(moved) == ["time_s", *names]
+    words = ("--v-max", 9, "--on-limit", "clip", "-q")
+    line = ("compensate", "set.json", channels, "--displacement", "D{}_um", *words)
+    done(*line, "-o", "drives.csv")
+    drives = table("drives.csv")
     for name in NAMES:
         alone = ("--input", f"V{name}_V", "-q")
         single = table(done("simulate", f"set.json::{name}", channels, *alone))
-        ours = [
-            key for key in written if name in key.split("_") and "displacement" in key
-        ]
-        assert len(ours) == 1, list(written)
-        np.testing.assert_allclose(
-            written[ours[0]], single["displacement_um"], atol=1e-12
-        )
-
-
-def test_compensate_drives_each_channel_within_limits(channels: Path) -> None:
-    words = ("--displacement", "D{}_um", "--v-max", 9, "--on-limit", "clip", "-q")
-    done("compensate", "set.json", channels, *words, "-o", "drives.csv")
-    written = table("drives.csv")
-    for name in NAMES:
-        ours = [key for key in written if name in key.split("_") and "voltage" in key]
-        assert len(ours) == 1, list(written)
-        assert written[ours[0]].max() <= 9.0
-        single = ("--displacement", f"D{name}_um", *words[2:])
-        done("compensate", f"set.json::{name}", channels, *single, "-o", "one.csv")
-        np.testing.assert_allclose(
-            written[ours[0]], table("one.csv")["voltage_V"], atol=1e-12
-        )
+        ours = of_channel(moved, name, "displacement")
+        np.testing.assert_allclose(ours, single["displacement_um"], atol=1e-12)
+        alone = ("--displacement", f"D{name}_um", *words, "-o", "one.csv")
+        done("compensate", f"set.json::{name}", channels, *alone)
+        ours = of_channel(drives, name, "voltage")
+        assert ours.max() <= 9.0
+        np.testing.assert_allclose(ours, table("one.csv")["voltage_V"], atol=1e-12)
 
 
 def test_a_pattern_that_finds_nothing_is_refused(channels: Path) -> None:
     error = refused(1, "simulate", "set.json", channels, "--input", "Q{}")
     assert "mirror.csv" in error and "Q{}" in error
+
+
+@pytest.mark.parametrize("header", ["t_s,x_um,y_um", "t_s,Vx_V,Vy_V,x_um,y_um"])
+def test_a_bare_pattern_takes_the_columns_of_its_role(
+    channels: Path, header: str
+) -> None:
+    held = json.loads(Path("set.json").read_text())
+    held["models"] = dict(zip("xy", held["models"].values(), strict=False))
+    Path("xy.json").write_text(json.dumps(held))
+    moves = [2.0 + 0.2 * swings(number) for number in range(2)]
+    volts = [swings(2), swings(3)] if "V" in header else []
+    write("xy.csv", header, TIME, *volts, *moves)
+    command = ("compensate", "xy.json", "xy.csv", "--on-limit", "clip", "-q")
+    bare = done(*command, "--displacement", "{}")
+    assert bare.out == done(*command, "--displacement", "{}_um").out
+    error = refused(1, "simulate", "xy.json", "xy.csv", "--input", "{}_A")
+    assert "no column" in error
 
 
 def test_a_channel_that_the_set_lacks_is_named(channels: Path) -> None:
@@ -96,7 +124,11 @@ def test_a_channel_that_the_set_lacks_is_named(channels: Path) -> None:
     assert "b" in error and "set.json" in error
 
 
-def test_an_error_of_one_channel_names_it(channels: Path) -> None:
+def test_an_error_and_a_warning_of_one_channel_name_it(channels: Path) -> None:
+    words = ("--displacement", "D{}_um", "--v-max", "7", "--on-limit", "clip")
+    warned = dbo("compensate", "set.json", channels, *words, "-o", "x.csv").err
+    for name in NAMES:
+        assert f"warning: channel {name}: " in warned
     lines = channels.read_text().splitlines()
     cells = lines[50].split(",")
     cells[3] = "OVLD"  # the drive of channel b
@@ -106,11 +138,25 @@ def test_an_error_of_one_channel_names_it(channels: Path) -> None:
     assert "Vb" in error and "OVLD" in error
 
 
-def test_a_warning_names_the_channel(channels: Path) -> None:
-    words = ("--displacement", "D{}_um", "--v-max", "7", "--on-limit", "clip")
-    warned = dbo("compensate", "set.json", channels, *words, "-o", "x.csv").err
-    for name in NAMES:
-        assert f"warning: channel {name}: " in warned
+def test_channels_keep_an_uneven_clock(channels: Path) -> None:
+    columns = table(channels)
+    columns["time_s"] = TIME + 4e-4 * np.sin(np.arange(len(TIME)))
+    write("uneven.csv", ",".join(columns), *columns.values())
+    words = ("--max-slew", 60, "--on-limit", "clip", "-q")
+    line = ("compensate", "set.json", "uneven.csv", "--displacement", "D{}_um", *words)
+    done(*line, "-o", "set.csv")
+    line = (
+        "compensate",
+        "set.json::b",
+        "uneven.csv",
+        "--displacement",
+        "Db_um",
+        *words,
+    )
+    done(*line, "-o", "one.csv")
+    ours, alone = table("set.csv"), table("one.csv")
+    np.testing.assert_allclose(ours["voltage_b_V"], alone["voltage_V"], atol=1e-12)
+    np.testing.assert_array_equal(ours["time_s"], alone["time_s"])
 
 
 # --- a scanner as one thing: every option, one table, one lead ---
@@ -122,13 +168,10 @@ SCANNER = ("--displacement", "D{}_um", "--on-limit", "clip")
 def scanner(folder: Path) -> Path:
     """Return two axes of 0 to 10 V, one with relaxation and a delay, and write ``scanner.json``."""
     quick, slow = values_of("small"), values_of("small")
-    slow["stages"][0]["relaxation"] = {
-        "on": "input", "reference": 0.0, "tau": [0.05], "gain": [0.02]
-    }  # fmt: skip
+    term = {"on": "input", "reference": 0.0, "tau": [0.05], "gain": [0.02]}
+    slow["stages"][0]["relaxation"] = term
     slow["stages"].append({"type": "delay", "seconds": 0.004})
-    models = {"x": quick, "y": slow}
-    held = {"format": "dbo-model-set", "version": 1, "models": models}
-    Path("scanner.json").write_text(json.dumps(held))
+    store_set("scanner.json", x=quick, y=slow)
     phase = 2.0 * np.pi * np.arange(600) / 600
     axes = [5.0 - 2.0 * np.cos(phase), 5.0 + 1.5 * np.sin(phase)]
     return write("wish.csv", "time_s,Dx_um,Dy_um", TIME, *axes)
@@ -136,9 +179,8 @@ def scanner(folder: Path) -> Path:
 
 def drives_of(*words: object) -> dict[str, Floats]:
     """Return the drives of both axes in one table; their lengths and clocks are one."""
-    done(
-        "compensate", "scanner.json", "wish.csv", *SCANNER, *words, "-o", "d.csv", "-q"
-    )
+    line = ("compensate", "scanner.json", "wish.csv", *SCANNER, *words)
+    done(*line, "-o", "d.csv", "-q")
     return table("d.csv")
 
 
@@ -175,62 +217,56 @@ def test_what_stands_around_the_move_takes_equally_long(
         assert (written["voltage_x_V"][0], written["voltage_y_V"][0]) == (9.0, 0.5)
 
 
+def played(columns: dict[str, Floats]) -> Path:
+    """Write a recording of both axes: the drives, and displacements by their columns."""
+    drives = table("d.csv")
+    volts = {f"v{axis}_V": drives[f"voltage_{axis}_V"] for axis in "xy"}
+    all_columns = {"time_s": drives["time_s"], **columns, **volts}
+    return write("track.csv", ",".join(all_columns), *all_columns.values())
+
+
 def test_a_channel_of_a_set_is_driven_as_if_alone(scanner: Path) -> None:
     """The axis with the longest way is the one that a single drive gives, to the bit."""
     words = ("--from", "0", "--approach", "auto", "--condition")
-    both = drives_of(*words)
+    both = drives_of(*words)["voltage_y_V"]
     alone = ("--displacement", "Dy_um", *SCANNER[2:], *words, "-q", "-o", "one.csv")
     done("compensate", "scanner.json::y", scanner, *alone)
-    one = table("one.csv")
-    count = one["voltage_V"].size
-    assert both["voltage_y_V"].size >= count
-    np.testing.assert_allclose(
-        both["voltage_y_V"][-count:], one["voltage_V"], atol=1e-9
-    )
-
-
-def test_a_line_and_an_expected_error_a_channel(scanner: Path) -> None:
-    outcome = done("compensate", "scanner.json", scanner, *SCANNER, "-o", "d.csv")
-    for axis in "xy":
-        assert any(f" {axis}: " in f" {line}" for line in outcome.said), outcome.err
+    one = table("one.csv")["voltage_V"]
+    assert both.size >= one.size
+    np.testing.assert_allclose(both[-one.size :], one, atol=1e-9)
 
 
 def test_states_and_summaries_of_a_set_are_sets(scanner: Path) -> None:
-    words = ("--save-state", "s.json", "--summary", "sum.json")
-    first = drives_of(*words)
-    states = json.loads(Path("s.json").read_text())
+    words = ("--save-state", "s.json", "--summary", "sum.json", "-o", "d.csv")
+    outcome = done("compensate", "scanner.json", scanner, *SCANNER, *words)
+    for axis in "xy":  # a line and an expected error a channel
+        assert any(f" {axis}: " in f" {line}" for line in outcome.said), outcome.err
+    states = load("s.json")
     assert (states["format"], states["version"]) == ("dbo-state-set", 1)
     assert list(states["states"]) == ["x", "y"]
-    summaries = json.loads(Path("sum.json").read_text())["summaries"]
-    assert summaries["y"]["rows"] == first["time_s"].size
-    again = drives_of("--state", "s.json")
-    assert again["voltage_x_V"].size == 600
-    done("simulate", "scanner.json", "d.csv", "--input", "voltage_{}", "--save-state",
-         "t.json", "-o", "m.csv", "-q")  # fmt: skip
-    done("simulate", "scanner.json", "d.csv", "--input", "voltage_{}", "--state",
-         "t.json", "-o", "m.csv", "-q")  # fmt: skip
+    rows = load("sum.json")["summaries"]["y"]["rows"]
+    assert rows == table("d.csv")["time_s"].size
+    assert drives_of("--state", "s.json")["voltage_x_V"].size == 600
+    line = ("simulate", "scanner.json", "d.csv", "--input", "voltage_{}", "-q")
+    done(*line, "--save-state", "t.json")
+    done(*line, "--state", "t.json")
     del states["states"]["y"]
-    Path("s.json").write_text(json.dumps(states))
-    error = refused(1, "compensate", "scanner.json", scanner, *SCANNER, "--state",
-                    "s.json", "-o", "x.csv")  # fmt: skip
+    store("s.json", states)
+    words = ("--state", "s.json", "-o", "x.csv")
+    error = refused(1, "compensate", "scanner.json", scanner, *SCANNER, *words)
     assert "s.json" in error and "y" in error
 
 
 def test_a_scanner_is_learned_and_looped(scanner: Path) -> None:
-    done("compensate", "scanner.json", scanner, *SCANNER, "--periodic", "--passes", 2,
-         "--from", "x=0", "--from", "y=1", "--approach", "auto", "-o", "l.csv", "-q")  # fmt: skip
-    loop = table("l.csv")
-    assert (loop["voltage_x_V"][0], loop["voltage_y_V"][0]) == (0.0, 1.0)
-    played = drives_of()
-    measured = {f"m{axis}_um": 1.01 * played[f"desired_{axis}_um"] for axis in "xy"}
-    columns = {"time_s": played["time_s"], **measured}
-    for axis in "xy":
-        columns[f"v{axis}_V"] = played[f"voltage_{axis}_V"]
-    write("track.csv", ",".join(columns), *columns.values())
+    loop = ("--periodic", "--passes", 2, "--from", "x=0", "--from", "y=1")
+    drives = drives_of(*loop, "--approach", "auto")
+    assert (drives["voltage_x_V"][0], drives["voltage_y_V"][0]) == (0.0, 1.0)
+    desired = drives_of()
+    played({f"m{axis}_um": 1.01 * desired[f"desired_{axis}_um"] for axis in "xy"})
+    tracked = ("--tracked", "track.csv", "--voltage", "v{}", "--measured", "m{}")
     for _ in range(2):
-        drives_of("--tracked", "track.csv", "--voltage", "v{}", "--measured", "m{}",
-                  "--history", "h.json")  # fmt: skip
-    histories = json.loads(Path("h.json").read_text())
+        drives_of(*tracked, "--history", "h.json")
+    histories = load("h.json")
     assert histories["format"] == "dbo-history-set"
     assert len(histories["histories"]["y"]["passes"]) == 1
 
@@ -244,8 +280,8 @@ def test_a_limit_of_a_channel_is_typed_with_its_name(scanner: Path) -> None:
     ):
         assert "--v-max" in refused(2, *words, *wrong.split())
     done(*words, "--v-max", "x=12", "--v-max", "y=10", "--extrapolate")
-    refused(2, "compensate", "scanner.json::x", scanner, "--displacement", "Dx_um",
-            "--v-max", "x=9", "-o", "x.csv")  # fmt: skip
+    line = ("compensate", "scanner.json::x", scanner, "--displacement", "Dx_um")
+    refused(2, *line, "--v-max", "x=9", "-o", "x.csv")
 
 
 def test_check_looks_at_every_channel(scanner: Path) -> None:
@@ -259,24 +295,13 @@ def test_check_looks_at_every_channel(scanner: Path) -> None:
     done(*words, "--against", "d.csv")
 
 
-def test_identify_states_the_figures_of_each_channel(channels: Path) -> None:
-    words = (*SIDES, *QUICK, "-o", "models.json", "--summary", "s.json")
-    outcome = done("identify", channels, *words)
-    summaries = json.loads(Path("s.json").read_text())["summaries"]
-    assert list(summaries) == list(NAMES) and summaries["a"]["rmse"] >= 0.0
-    assert all(any(f" {n}: " in f" {line}" for line in outcome.said) for n in NAMES)
-    words = (*SIDES, "--prior", "models.json", "--force", "-o", "again.json")
-    done("identify", channels, *words)
-
-
 def test_waveforms_of_all_channels(scanner: Path) -> None:
     drives = drives_of("--from", "0", "--approach", "auto")
     words = ("waveform", "d.csv", "--voltage", "voltage_{}", "--to")
     done(*words, "npy", "-o", "d.npy")
     volts = np.load("d.npy")
-    np.testing.assert_array_equal(
-        volts, np.column_stack([drives["voltage_x_V"], drives["voltage_y_V"]])
-    )
+    stacked = np.column_stack([drives["voltage_x_V"], drives["voltage_y_V"]])
+    np.testing.assert_array_equal(volts, stacked)
     done(*words, "wav", "-o", "d.wav")
     with wave.open("d.wav") as file:
         assert (file.getnchannels(), file.getnframes()) == (2, volts.shape[0])
@@ -293,11 +318,8 @@ def test_waveforms_of_all_channels(scanner: Path) -> None:
 
 
 def test_report_of_every_channel(scanner: Path) -> None:
-    played = drives_of("--summary", "sum.json")
-    measured = {f"m{axis}_um": played[f"desired_{axis}_um"] + 0.01 for axis in "xy"}
-    drives = {f"v{axis}_V": played[f"voltage_{axis}_V"] for axis in "xy"}
-    columns = {"time_s": played["time_s"], **measured, **drives}
-    write("track.csv", ",".join(columns), *columns.values())
+    desired = drives_of("--summary", "sum.json")
+    played({f"m{axis}_um": desired[f"desired_{axis}_um"] + 0.01 for axis in "xy"})
     words = ("report", "track.csv", "--measured", "m{}", "--voltage", "v{}")
     by_model = done(*words, "--model", "scanner.json", "--format", "json").json
     for axis in "xy":
@@ -310,24 +332,3 @@ def test_report_of_every_channel(scanner: Path) -> None:
     done(*words, "-o", "r.html")
     assert Path("r_x.html").exists() and Path("r_y.html").exists()
     assert dbo(*words, "--max-rmse", "5nm", "-o", "r.txt").code == 3
-
-
-def test_a_set_is_no_prior_of_one_log(channels: Path) -> None:
-    """It was passed over in silence."""
-    alone = ("--voltage", "Vc_V", "--displacement", "Dc_um")
-    line = refused(1, "identify", channels, *alone, "--prior", "set.json")
-    assert "set.json" in line and "set.json::" in line
-
-
-def test_channels_keep_an_uneven_clock(channels: Path) -> None:
-    columns = table(channels)
-    columns["time_s"] = TIME + 4e-4 * np.sin(np.arange(len(TIME)))
-    write("uneven.csv", ",".join(columns), *columns.values())
-    words = ("--max-slew", 60, "--on-limit", "clip", "-q")
-    done("compensate", "set.json", "uneven.csv", "--displacement", "D{}_um", *words,
-         "-o", "set.csv")  # fmt: skip
-    done("compensate", "set.json::b", "uneven.csv", "--displacement", "Db_um", *words,
-         "-o", "one.csv")  # fmt: skip
-    ours, alone = table("set.csv"), table("one.csv")
-    np.testing.assert_allclose(ours["voltage_b_V"], alone["voltage_V"], atol=1e-12)
-    np.testing.assert_array_equal(ours["time_s"], alone["time_s"])

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from .conftest import creep_log
-from .program import Outcome, done, refused, table, write
+from .program import Outcome, done, load, refused, table, write
 
 KEYS = """name words rmse expected_rmse validation_rmse parameters forward_ns inverse_ns
 refused""".split()
@@ -24,11 +23,11 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Any]:
         log, other = creep_log("log.csv"), creep_log("other.csv", seed=2)
         part = ("--rows", "1:1000")
         done("compare", log, "--validate", other, *part, "-o", "table.json", "-q")
-        values = table(log)
-        write("bare.csv", "voltage_V,displacement_um", values["voltage_V"][:401],
-              values["displacement_um"][:401])  # fmt: skip
+        _, *columns = table(log).values()
+        header = "voltage_V,displacement_um"
+        write("bare.csv", header, *(values[:401] for values in columns))
         text = done("compare", "bare.csv")
-    return text, json.loads((folder / "table.json").read_text())
+    return text, load(folder / "table.json")
 
 
 def test_there_is_a_row_for_each_operator(compared: tuple[Outcome, Any]) -> None:
@@ -38,25 +37,16 @@ def test_there_is_a_row_for_each_operator(compared: tuple[Outcome, Any]) -> None
     names = [row["name"] for row in told["models"]]
     assert names == "dbo line pi modified rate extended asymmetric".split()
     assert [list(row) for row in told["models"]] == [KEYS] * len(names)
-
-
-def test_errors_parameters_and_costs(compared: tuple[Outcome, Any]) -> None:
-    for row in compared[1]["models"]:
+    errors = {}
+    for row in told["models"]:
         if row["refused"]:
             continue
         assert 0.0 < row["rmse"] < 1.0
         assert 0.0 < row["validation_rmse"] < 1.0
         assert row["parameters"] >= 1
         assert row["forward_ns"] is None or row["forward_ns"] > 0.0
-
-
-def test_the_dbo_is_the_best_where_there_is_creep(
-    compared: tuple[Outcome, Any],
-) -> None:
-    rows = compared[1]["models"]
-    errors = {row["name"]: row["validation_rmse"] for row in rows if not row["refused"]}
-    best = min(errors, key=lambda name: errors[name])
-    assert "dbo" in best.lower() or "backlash" in best.lower()
+        errors[row["name"]] = row["validation_rmse"]
+    assert min(errors, key=lambda name: errors[name]) == "dbo"  # where there is creep
 
 
 def test_the_table_is_aligned_text(compared: tuple[Outcome, Any]) -> None:

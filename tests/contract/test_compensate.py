@@ -12,9 +12,14 @@ import pytest
 
 import dbo_cli
 
-from .program import Floats, dbo, done, model, refused, rms, table, values_of, write
+from .program import (
+    DRIVE, MOVE, Floats, compensated, dbo, done, load, model, refused, rms, simulated, store, table,
+    values_of, write,
+)  # fmt: skip
 
 TIME = np.arange(400) / 1000.0
+PHASE = 2.0 * np.pi * np.arange(400) / 400
+SMALL = ("compensate", model("small"), "wish.csv")
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 
 
@@ -23,81 +28,70 @@ def sine(top: float, low: float = 2.0) -> Floats:
     return low + 0.5 * (top - low) * (1.0 - np.cos(2.0 * np.pi * 5.0 * TIME))
 
 
-def move(name: str, wanted: Floats) -> Path:
-    return write(name, "time_s,displacement_um", TIME, wanted)
-
-
-def drive_of(
-    *words: object, name: str = "small", wish: str = "wish.csv"
-) -> dict[str, Floats]:
-    """Return what ``compensate`` writes."""
-    done("compensate", model(name), wish, *words, "-o", "drive.csv", "-q")
-    return table("drive.csv")
+def move(wanted: Floats, name: str = "wish.csv") -> Path:
+    return write(name, MOVE, TIME, wanted)
 
 
 def summary_of(*words: object, name: str = "small") -> Any:
     """Return the summary of a drive."""
-    drive_of(*words, "--summary", "summary.json", name=name)
-    return json.loads(Path("summary.json").read_text())
+    compensated(name, *words, "--summary", "summary.json")
+    return load("summary.json")
 
 
 # --- what limits cut off ---
 
 
-def test_what_costs_little_is_clipped_and_said() -> None:
-    move("wish.csv", sine(9.1))
-    outcome = done("compensate", model("small"), "wish.csv", "-o", "drive.csv")
-    voltage = table("drive.csv")["voltage_V"]
-    assert voltage.max() == 10.0
+def test_what_costs_little_is_clipped_and_said_unless_error_was_typed() -> None:
+    move(sine(9.1))
+    outcome = done(*SMALL, "-o", "drive.csv")
+    assert table("drive.csv")["voltage_V"].max() == 10.0
     clipped = int(np.sum(sine(9.1) > 9.0))
     assert any(f"{clipped}" in line and "clip" in line for line in outcome.lines)
+    refused(3, *SMALL, "--on-limit", "error", "-o", "x.csv")
 
 
 def test_what_costs_much_is_refused_unless_asked_for() -> None:
-    move("wish.csv", sine(11.0))
-    words = ("compensate", model("small"), "wish.csv", "-o", "drive.csv")
-    error = refused(3, *words, "--summary", "s.json")
+    wish = move(sine(11.0)).read_bytes()
+    error = refused(3, *SMALL, "-o", "drive.csv", "--summary", "s.json")
     lost = rms(np.maximum(sine(11.0) - 9.0, 0.0))
     assert f"{lost:.3g}" in error and "--on-limit" in error
-    assert done(*words, "--on-limit", "clip").code == 0
-    assert table("drive.csv")["voltage_V"].max() == 10.0
-
-
-def test_error_refuses_whatever_it_costs() -> None:
-    move("wish.csv", sine(9.001))
-    words = ("compensate", model("small"), "wish.csv", "-o", "drive.csv")
-    refused(3, *words, "--on-limit", "error")
-    assert done(*words).code == 0
-
-
-def test_to_stdout_auto_clips_and_says_so() -> None:
-    """Rows already sent cannot be taken back."""
-    wish = move("wish.csv", sine(11.0)).read_bytes()
+    clipped = compensated("small", "--on-limit", "clip")
+    assert clipped["voltage_V"].max() == 10.0
+    # rows that were sent cannot be taken back: to stdout, auto clips and says so
     outcome = done("compensate", model("small"), "-", stdin=wish)
     assert table(outcome)["voltage_V"].max() == 10.0
     assert any("clip" in line for line in outcome.warnings)
 
 
 def test_extrapolate_leaves_the_identified_range_as_far_as_typed() -> None:
-    move("wish.csv", sine(9.5))
-    voltage = drive_of("--v-max", 12, "--on-limit", "clip")["voltage_V"]
-    assert voltage.max() == 10.0
-    voltage = drive_of("--v-max", 12, "--extrapolate")["voltage_V"]
-    assert 10.0 < voltage.max() < 12.0
+    move(sine(9.5))
+    words = ("--v-max", 12)
+    assert compensated("small", *words, "--on-limit", "clip")["voltage_V"].max() == 10.0
+    assert (
+        10.0 < compensated("small", *words, "--extrapolate")["voltage_V"].max() < 12.0
+    )
 
 
 def test_a_slew_limit_holds_for_every_step() -> None:
-    move("wish.csv", sine(8.0))
-    free = drive_of()["voltage_V"]
+    move(sine(8.0, 3.0))
+    free = compensated("small")["voltage_V"]
     slew = 0.5 * np.abs(np.diff(free)).max() * 1000.0
-    words = ("--max-slew", slew, "--on-limit", "clip")
-    limited = drive_of(*words)["voltage_V"]
-    assert np.abs(np.diff(limited)).max() <= slew / 1000.0 * (1.0 + 1e-12)
-    assert not np.array_equal(limited, free)
+    words = ("--max-slew", slew, "--on-limit", "clip", "--return", 1.5)
+    written = compensated("small", *words)
+    voltage = written["voltage_V"]
+    assert np.abs(np.diff(voltage)).max() <= slew / 1000.0 * (1.0 + 1e-12)
+    assert not np.array_equal(voltage[:400], free)
+    assert voltage[-1] == pytest.approx(1.5, abs=1e-9)
+    assert written["time_s"][-1] > TIME[-1]
+    # from 0 V the first step would be too far: held back, or refused
+    outcome = dbo(*SMALL, "--from", 0, *words[:4], "-o", "drive.csv")
+    assert outcome.code in (0, 3)
+    if outcome.code == 0:
+        assert table("drive.csv")["voltage_V"][0] <= slew / 1000.0 * (1.0 + 1e-9)
 
 
-def test_limits_take_units() -> None:
-    move("wish.csv", sine(8.0))
+def test_limits_and_trajectories_take_units() -> None:
+    move(sine(8.0))
     same = {
         "--v-max 8V": "--v-max 8",
         "--v-max 8000mV": "--v-max 8",
@@ -106,18 +100,13 @@ def test_limits_take_units() -> None:
         "--max-slew 50V/s": "--max-slew 50",
     }
     for typed, plain in same.items():
-        first = drive_of(*typed.split(), "--on-limit", "clip")
-        second = drive_of(*plain.split(), "--on-limit", "clip")
+        first = compensated("small", *typed.split(), "--on-limit", "clip")
+        second = compensated("small", *plain.split(), "--on-limit", "clip")
         assert np.array_equal(first["voltage_V"], second["voltage_V"]), typed
     for wrong in ("--v-max 8um", "--v-max 8V/s", "--max-slew 5Hz", "--v-max nan"):
-        words = wrong.split()
-        assert words[0] in refused(2, "compensate", model("small"), "wish.csv", *words)
-
-
-def test_another_unit_of_displacement_is_converted() -> None:
-    move("wish.csv", sine(8.0))
+        assert wrong.split()[0] in refused(2, *SMALL, *wrong.split())
     write("nm.csv", "time_s,displacement_nm", TIME, 1000.0 * sine(8.0))
-    first, second = drive_of(), drive_of(wish="nm.csv")
+    first, second = compensated("small"), compensated("small", wish="nm.csv")
     assert "desired_um" in second
     np.testing.assert_allclose(second["voltage_V"], first["voltage_V"], atol=1e-9)
 
@@ -126,30 +115,17 @@ def test_another_unit_of_displacement_is_converted() -> None:
 
 
 def test_an_approach_leads_from_where_the_amplifier_stands() -> None:
-    move("wish.csv", sine(8.0, 3.0))
-    words = ("--from", 0, "--approach", 0.2)
-    written = drive_of(*words)
-    time, voltage = written["time_s"], written["voltage_V"]
+    move(sine(8.0, 3.0))
+    assert "add --approach auto" in done(*SMALL, "--from", 0, "-o", "drive.csv").err
+    outcome = done(*SMALL, "--from", 0, "--approach", 0.2, "-o", "drive.csv")
+    assert "warning" not in outcome.err
+    time, desired, voltage = table("drive.csv").values()
     before = time < -1e-9
     assert abs(before.sum() - 200) <= 1
     assert abs(voltage[0]) < 0.5
     assert np.abs(np.diff(voltage)).max() < 0.5
     np.testing.assert_allclose(time[~before], TIME, atol=1e-12)
-    np.testing.assert_allclose(
-        written["desired_um"][~before], sine(8.0, 3.0), atol=1e-12
-    )
-
-
-def test_without_an_approach_a_step_beyond_the_slew_limit_is_not_taken() -> None:
-    """The first row is held within the slew of where the amplifier stands, or the move is refused."""
-    move("wish.csv", sine(8.0, 3.0))
-    words = ("--from", 0, "--max-slew", 400, "-o", "drive.csv")
-    outcome = dbo(
-        "compensate", model("small"), "wish.csv", *words, "--on-limit", "clip"
-    )
-    assert outcome.code in (0, 3)
-    if outcome.code == 0:
-        assert table("drive.csv")["voltage_V"][0] <= 0.4 * (1.0 + 1e-9)
+    np.testing.assert_allclose(desired[~before], sine(8.0, 3.0), atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["small", "creep"])
@@ -157,46 +133,26 @@ def test_condition_sweeps_the_range_first(name: str) -> None:
     values = values_of(name)
     low, high = values["input"]["min"], values["input"]["max"]
     top = values["output"]["max"]
-    move("wish.csv", sine(0.8 * top, 0.4 * top))
-    written = drive_of("--condition", name=name)
-    before = written["time_s"] < -1e-9
-    sweep = written["voltage_V"][before]
+    move(sine(0.8 * top, 0.4 * top))
+    time, desired, voltage = compensated(name, "--condition").values()
+    before = time < -1e-9
+    sweep = voltage[before]
     assert sweep.min() < low + 0.05 * (high - low)
     assert sweep.max() > high - 0.05 * (high - low)
     join = int(before.sum())
-    steps = np.abs(np.diff(written["voltage_V"]))
+    steps = np.abs(np.diff(voltage))
     assert steps[join - 3 : join + 3].max() <= steps.max() * (1.0 + 1e-9)
-    came = table(done("simulate", model(name), "drive.csv", "--state", "full"))
-    error = came["displacement_um"][~before] - written["desired_um"][~before]
-    assert np.abs(error[1:]).max() < 0.02 * top
+    error = simulated(name, "drive.csv", "--state", "full") - desired
+    assert np.abs(error[~before][1:]).max() < 0.02 * top
 
 
 def test_condition_makes_the_past_known() -> None:
     """From any start the conditioned move ends up the same, to the last digits."""
-    move("wish.csv", sine(7.0, 4.0))
-    drive_of("--condition")
-    came = []
-    for state in ("empty", "full", "settled"):
-        written = table(done("simulate", model("small"), "drive.csv", "--state", state))
-        came.append(written["displacement_um"][-len(TIME) :])
-    np.testing.assert_allclose(came[1], came[0], atol=1e-9)
-    np.testing.assert_allclose(came[2], came[0], atol=1e-9)
-
-
-def test_a_first_row_far_from_where_the_amplifier_stands_is_said() -> None:
-    move("wish.csv", sine(7.0, 4.0))
-    words = ("compensate", model("small"), "wish.csv", "--from", 0, "-o", "drive.csv")
-    assert "add --approach auto" in done(*words).err
-    assert "warning" not in done(*words, "--approach", "auto").err
-
-
-def test_return_ends_at_a_voltage() -> None:
-    move("wish.csv", sine(8.0, 3.0))
-    written = drive_of("--return", 1.5, "--max-slew", 400, "--on-limit", "clip")
-    voltage, time = written["voltage_V"], written["time_s"]
-    assert voltage[-1] == pytest.approx(1.5, abs=1e-9)
-    assert time[-1] > TIME[-1]
-    assert np.abs(np.diff(voltage)).max() <= 0.4 * (1.0 + 1e-9)
+    move(sine(7.0, 4.0))
+    compensated("small", "--condition")
+    starts = ("empty", "full", "settled")
+    came = [simulated("small", "drive.csv", "--state", one)[-400:] for one in starts]
+    np.testing.assert_allclose(came[1:], [came[0]] * 2, atol=1e-9)
 
 
 def test_the_way_in_may_use_the_rating() -> None:
@@ -204,23 +160,31 @@ def test_the_way_in_may_use_the_rating() -> None:
     values = values_of("small")
     values["input"] |= {"min": 0.236, "max": 3.424}
     values["stages"][0] |= {"x0": 0.236, "dx": [0.797] * 4}
-    Path("narrow.json").write_text(json.dumps(values))
-    move("wish.csv", sine(8.0))
+    store("narrow.json", values)
+    move(sine(4.0))
     words = ("--from", 0, "--v-min", 0, "--v-max", 5, "--approach", 0.1)
     done("compensate", "narrow.json", "wish.csv", *words, "-o", "drive.csv")
-    written = table("drive.csv")
-    lead = written["time_s"] < -1e-9
-    assert written["voltage_V"][lead].min() < 0.236
-    assert written["voltage_V"][~lead].min() >= 0.236
+    time, _, voltage = table("drive.csv").values()
+    lead = time < -1e-9
+    assert voltage[lead].min() < 0.236 <= voltage[~lead].min()
 
 
-@pytest.mark.parametrize("name", ["moving", "late"])
-def test_a_lead_is_never_long(name: str) -> None:
-    move("wish.csv", sine(4.0, 1.5))
-    words = ("--lead", "auto", "--condition", "--from", 0, "--approach", "auto")
-    written = drive_of(*words, name=name)
-    assert written["time_s"][0] < 0.0
-    assert -written["time_s"][0] <= 60.0
+def test_rows_before_the_move_do_not_count_in_the_expected_error() -> None:
+    """A sweep is played, and the error to expect is that of the move behind it."""
+    from dbo_cli.model.expect import expected_error
+
+    actuator = dbo_cli.read_model(model("known"))
+    span = actuator.output.max - actuator.output.min
+    wanted = actuator.output.min + span * (0.4 + 0.1 * np.sin(20.0 * TIME))
+    swept: dict[str, Any] = {"condition": True, "return_": actuator.input.min}
+    drive = actuator.compensate(wanted, time=TIME, details=True, **swept)
+    assert drive.lead_rows > 1000
+    played = drive.voltage[: drive.move.stop]
+    alone = expected_error(drive.model, played, 1e-3, drive.lead_rows)
+    whole = expected_error(drive.model, played, 1e-3)
+    assert alone is not None and whole is not None
+    assert drive.expected_error == alone.known != whole.known
+    assert drive.expected_unrested == alone.rms(past_known=True)
 
 
 # --- dynamics and delay ---
@@ -228,40 +192,35 @@ def test_a_lead_is_never_long(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["moving", "late"])
 def test_delay_and_dynamics_are_undone(name: str) -> None:
-    move("wish.csv", sine(4.0, 1.5))
-    drive_of("--lead", "auto", name=name)
-    written, drive = (
-        table(done("simulate", model(name), "drive.csv")),
-        table("drive.csv"),
-    )
-    middle = (drive["time_s"] > 0.02) & (drive["time_s"] < 0.38)
-    error = written["displacement_um"] - drive["desired_um"]
+    move(sine(4.0, 1.5))
+    time, desired, _ = compensated(name, "--lead", "auto").values()
+    middle = (time > 0.02) & (time < 0.38)
+    error = simulated(name, "drive.csv") - desired
     assert rms(error[middle]) < 0.002 * 2.5
+    words = ("--lead", "auto", "--condition", "--from", 0, "--approach", "auto")
+    assert 0.0 < -compensated(name, *words)["time_s"][0] <= 60.0
 
 
-def test_an_uneven_clock_is_refused_for_dynamics() -> None:
+def test_what_the_clock_cannot_carry_is_refused() -> None:
+    """Dynamics need an even clock, and a resonance well below half its rate."""
     time = TIME + 0.0003 * np.sin(np.arange(400))
-    write("wish.csv", "time_s,displacement_um", time, sine(4.0, 1.5))
-    error = refused(1, "compensate", model("moving"), "wish.csv", "-o", "drive.csv")
-    assert "--resample" in error
-
-
-def test_a_resonance_near_half_the_rate_is_refused() -> None:
+    write("wish.csv", MOVE, time, sine(4.0, 1.5))
+    words = ("wish.csv", "-o", "drive.csv")
+    assert "--resample" in refused(1, "compensate", model("moving"), *words)
     values = values_of("moving")
     values["stages"][1]["sections"][1]["frequency"] = 310.0
-    Path("fast.json").write_text(json.dumps(values))
-    move("wish.csv", sine(4.0, 1.5))
-    assert "310" in refused(1, "compensate", "fast.json", "wish.csv", "-o", "drive.csv")
+    store("fast.json", values)
+    move(sine(4.0, 1.5))
+    assert "310" in refused(1, "compensate", "fast.json", *words)
 
 
 @pytest.mark.parametrize("name", ["creep", "moving"])
 def test_a_long_file_gives_what_one_array_gives(name: str) -> None:
     """Block by block through the shell, whole in the library: the same voltages to rounding."""
-    time = np.arange(80_000) / 1000.0
+    time = np.arange(70_000) / 1000.0
     wanted = 2.5 + np.sin(3.0 * time) * np.cos(0.7 * time)
-    write("wish.csv", "time_s,displacement_um", time, wanted)
-    words = ("--on-limit", "clip", "--max-slew", 300)
-    written = drive_of(*words, name=name)["voltage_V"]
+    write("wish.csv", MOVE, time, wanted)
+    written = compensated(name, "--on-limit", "clip", "--max-slew", 300)["voltage_V"]
     whole = dbo_cli.read_model(model(name)).compensate(
         wanted, time=time, on_limit="clip", max_slew=300.0
     )
@@ -275,46 +234,50 @@ def test_a_long_file_gives_what_one_array_gives(name: str) -> None:
 def test_a_periodic_drive_closes(name: str) -> None:
     """Played again and again, the settled drive of a loop brings the wish in every pass."""
     top = values_of(name)["output"]["max"]
-    phase = 2.0 * np.pi * np.arange(400) / 400
-    wanted = 0.5 * top + 0.25 * top * np.sin(2.0 * phase)
-    move("wish.csv", wanted)
-    written = drive_of("--periodic", name=name)
-    loop = written["voltage_V"][-400:]
+    wanted = 0.5 * top + 0.25 * top * np.sin(2.0 * PHASE)
+    move(wanted)
+    loop = compensated(name, "--periodic")["voltage_V"][-400:]
     time = np.arange(400 * 12) / 1000.0
-    write("played.csv", "time_s,voltage_V", time, np.tile(loop, 12))
-    came = table(done("simulate", model(name), "played.csv"))["displacement_um"]
+    came = simulated(name, write("played.csv", DRIVE, time, np.tile(loop, 12)))
     last, one_before = came[-400:], came[-800:-400]
     assert np.abs(last - one_before).max() < 1e-3 * top
     assert rms(last - last.mean() - (wanted - wanted.mean())) < 2e-3 * top
 
 
+@pytest.mark.parametrize(
+    ("name", "slew", "code"), [("small", 30, 3), ("small", 100, 0), ("creep", 300, 0)]
+)
+def test_a_loop_keeps_the_slew_over_its_seam(name: str, slew: float, code: int) -> None:
+    """Too fast for the limit, it is clipped in every pass alike, or refused where it does not close."""
+    top = values_of(name)["output"]["max"]
+    move(0.5 * top + 0.4 * top * np.sin(PHASE + 1.0))
+    words = ("--periodic", "--max-slew", slew, "-o", "drive.csv")
+    line = ("compensate", model(name), "wish.csv", *words, "--on-limit")
+    refused(3, *line, "error")
+    outcome = dbo(*line, "clip")
+    assert outcome.code == code, outcome.err
+    if code == 0:
+        loop = table("drive.csv")["voltage_V"]
+        steps = np.abs(np.diff(np.append(loop, loop[0])))
+        assert steps.max() <= slew / 1000.0 * (1.0 + 1e-9)
+
+
 def test_passes_come_before_the_settled_one() -> None:
-    phase = 2.0 * np.pi * np.arange(400) / 400
-    wanted = 2.5 + np.sin(phase)
-    move("wish.csv", wanted)
-    one = drive_of("--periodic", name="creep")
-    three = drive_of("--periodic", "--passes", 2, name="creep")
-    assert len(three["time_s"]) - len(one["time_s"]) in (400, 800)
-    came = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
-    assert rms(came[-400:] - wanted) < 0.01
+    move(2.5 + np.sin(PHASE))
+    rows = [
+        compensated("creep", "--periodic", *more)["time_s"].size
+        for more in ((), ("--passes", 2))
+    ]
+    assert rows[1] - rows[0] in (400, 800)
+    assert rms(simulated("creep", "drive.csv")[-400:] - (2.5 + np.sin(PHASE))) < 0.01
 
 
-def test_an_option_without_its_partner_is_refused() -> None:
-    move("wish.csv", np.linspace(3.0, 7.0, 400))
-    for option in ("--passes 2", "--voltage 2", "--measured 2", "--history h.json"):
-        words = (*option.split(), "-o", "d.csv")
-        refused(2, "compensate", model("small"), "wish.csv", *words)
-    Path("h.json").write_bytes(bytes(range(128, 256)))
-    done("compensate", model("small"), "wish.csv", "-o", "drive.csv", "-q")
-    done("simulate", model("small"), "drive.csv", "-o", "came.csv", "-q")
-    words = ("--tracked", "came.csv", "--history", "h.json", "-o", "d.csv")
-    assert "h.json" in refused(1, "compensate", model("small"), "wish.csv", *words)
-
-
-def test_a_loop_that_does_not_close_is_refused() -> None:
-    move("wish.csv", np.linspace(3.0, 7.0, 400))
-    outcome = dbo("compensate", model("small"), "wish.csv", "--periodic", "-o", "d.csv")
+def test_a_loop_that_does_not_close_and_options_without_a_partner_are_refused() -> None:
+    move(np.linspace(3.0, 7.0, 400))
+    outcome = dbo(*SMALL, "--periodic", "-o", "d.csv")
     assert outcome.code in (1, 3) and "period" in outcome.lines[-1]
+    for option in ("--passes 2", "--voltage 2", "--measured 2", "--history h.json"):
+        refused(2, *SMALL, *option.split(), "-o", "d.csv")
 
 
 @pytest.fixture
@@ -323,46 +286,37 @@ def wrong_model() -> Path:
     values = values_of("creep")
     values["stages"][1]["dy"] = [1.05 * dy for dy in values["stages"][1]["dy"]]
     values["output"]["max"] = sum(values["stages"][1]["dy"])
-    path = Path("wrong.json")
-    path.write_text(json.dumps(values))
-    return path
+    return store("wrong.json", values)
 
 
 def test_learning_brings_the_error_down(wrong_model: Path) -> None:
     """Three passes on an actuator that is not the model; the history keeps each error."""
-    move("wish.csv", sine(4.0, 1.5))
-    done("compensate", wrong_model, "wish.csv", "-o", "drive.csv", "-q")
+    move(sine(4.0, 1.5))
+    words = ("compensate", wrong_model, "wish.csv", "-o", "drive.csv", "-q")
+    done(*words)
     errors = []
     for _ in range(3):
         done("simulate", model("creep"), "drive.csv", "-o", "came.csv", "-q")
-        played, came = table("drive.csv"), table("came.csv")
-        error = came["displacement_um"] - played["desired_um"]
+        error = table("came.csv")["displacement_um"] - table("drive.csv")["desired_um"]
         errors.append(rms(error - error.mean()))
-        tracked = ("--tracked", "came.csv", "--history", "passes.json")
-        done("compensate", wrong_model, "wish.csv", *tracked, "-o", "drive.csv", "-q")
+        done(*words, "--tracked", "came.csv", "--history", "passes.json")
     assert errors[2] < 0.3 * errors[0]
-    history = json.loads(Path("passes.json").read_text())
-    assert "rmse" in json.dumps(history)
+    assert "rmse" in json.dumps(load("passes.json"))
 
 
-def test_bandwidth_rounds_the_corners() -> None:
-    corners = np.interp(TIME, [0.0, 0.1, 0.3, 0.4], [2.0, 2.0, 7.0, 7.0])
-    move("wish.csv", corners)
-    sharp = drive_of()["voltage_V"]
-    round_ = drive_of("--bandwidth", 20)["voltage_V"]
-    bend = [np.abs(np.diff(one, 2)).max() for one in (sharp, round_)]
+def test_bandwidth_rounds_the_corners_and_resample_writes_at_the_card_s_rate() -> None:
+    move(np.interp(TIME, [0.0, 0.1, 0.3, 0.4], [2.0, 2.0, 7.0, 7.0]))
+    bend = [
+        np.abs(np.diff(compensated("small", *more)["voltage_V"], 2)).max()
+        for more in ((), ("--bandwidth", 20))
+    ]
     assert bend[1] < bend[0]
-
-
-def test_resample_writes_at_the_rate_of_the_card() -> None:
-    move("wish.csv", sine(8.0))
-    written = drive_of("--resample", "2kHz")
+    written = compensated("small", "--resample", "2kHz")
     np.testing.assert_allclose(np.diff(written["time_s"]), 0.0005, rtol=1e-9)
     assert len(written["time_s"]) == 799
 
 
 # --- what is said of it ---
-
 
 SUMMARY = (
     "format version model unit rows voltage_range move_range limits lead clipped lost_rms lost_most "
@@ -373,13 +327,13 @@ SUMMARY = (
 def test_a_summary_is_of_this_drive() -> None:
     """Figures as the written rows have them, limits as typed, and the model by its name."""
     wanted = sine(9.5)
-    move("wish.csv", wanted)
+    move(wanted)
     limits = ("--v-min", -1, "--v-max", 12, "--max-slew", 5000, "--on-limit", "clip")
     told = summary_of(*limits, "--from", -0.5, "--approach", 0.1)
     assert set(SUMMARY) <= set(told)
     assert (told["format"], told["version"], told["unit"]) == ("dbo-summary", 1, "um")
-    drive = table("drive.csv")
-    voltage, before = drive["voltage_V"], drive["time_s"] < -1e-9
+    time, _, voltage = table("drive.csv").values()
+    before = time < -1e-9
     assert told["rows"] == len(voltage)
     assert told["voltage_range"] == [voltage.min(), voltage.max()]
     assert told["move_range"] == pytest.approx([2.0, 9.5], abs=1e-3)
@@ -388,8 +342,8 @@ def test_a_summary_is_of_this_drive() -> None:
     assert told["limits"]["rating"] == [-1.0, 12.0]
     assert told["limits"]["move"] == told["limits"]["identified"] == [0.0, 10.0]
     assert told["limits"]["max_slew"] == 5000.0
-    came = table(done("simulate", model("small"), "drive.csv", "--state", "empty"))
-    lost = (wanted - came["displacement_um"][~before])[1:]
+    came = simulated("small", "drive.csv", "--state", "empty")
+    lost = (wanted - came[~before])[1:]
     assert told["lost_rms"] == pytest.approx(np.sqrt(np.sum(lost**2) / 400), rel=1e-6)
     assert told["lost_most"] == pytest.approx(lost.max(), rel=1e-9)
     assert told["clipped"] == np.sum(lost > 1e-9)
@@ -397,27 +351,26 @@ def test_a_summary_is_of_this_drive() -> None:
     assert len(told["model"]) == 64 and told["expected_rmse"] is None
 
 
-def simulated(drive: dict[str, Floats], stages: Any, state: str = "auto") -> Floats:
+def played_by(stages: Any, drive: dict[str, Floats], state: str = "auto") -> Floats:
     """Return what other stages of the stored model ``known`` make of a drive."""
     values = values_of("known") | {"stages": stages, "candidates": []}
-    Path("other.json").write_text(json.dumps(values))
-    other = dbo_cli.read_model("other.json")
+    other = dbo_cli.read_model(store("other.json", values))
     return other.simulate(drive["voltage_V"], time=drive["time_s"], state=state)
 
 
 def test_a_summary_states_what_to_expect() -> None:
     """Left out, the spread of candidates and, for an unknown past, that of the starts (theory, 7)."""
-    move("wish.csv", sine(4.0, 1.5))
+    move(sine(4.0, 1.5))
     unknown = summary_of(name="known")
     drive, stored = table("drive.csv"), values_of("known")
-    came = simulated(drive, stored["stages"])
+    came = played_by(stored["stages"], drive)
     square = stored["fit"]["left_out_rmse"] ** 2
     for candidate in stored["candidates"]:
-        spread = simulated(drive, candidate["stages"]) - came
+        spread = played_by(candidate["stages"], drive) - came
         square += candidate["weight"] * rms(spread) ** 2
     assert unknown["expected_rmse_past_known"] == pytest.approx(square**0.5, rel=1e-6)
     for start in ("empty", "full", "settled"):
-        square += rms(simulated(drive, stored["stages"], start) - came) ** 2 / 3.0
+        square += rms(played_by(stored["stages"], drive, start) - came) ** 2 / 3.0
     assert unknown["expected_rmse"] > square**0.5  # and what memories may hold
     known = summary_of("--condition", name="known")
     assert (unknown["past_known"], known["past_known"]) == (False, True)
@@ -426,8 +379,8 @@ def test_a_summary_states_what_to_expect() -> None:
 
 
 def test_hdf5_holds_units_model_and_limits() -> None:
-    move("wish.csv", sine(8.0))
-    done("compensate", model("small"), "wish.csv", "--v-max", 9.5, "-o", "drive.h5")
+    move(sine(8.0))
+    done(*SMALL, "--v-max", 9.5, "-o", "drive.h5")
     with h5py.File("drive.h5") as file:
         assert set(file) == {"time", "desired", "voltage"}
         assert file["voltage"].attrs["units"] == "V"
@@ -435,17 +388,18 @@ def test_hdf5_holds_units_model_and_limits() -> None:
         attributes = {key: str(value) for key, value in file.attrs.items()}
         stored = file["voltage"][:]
     assert "9.5" in json.dumps(attributes)
-    np.testing.assert_array_equal(stored, drive_of("--v-max", 9.5)["voltage_V"])
+    np.testing.assert_array_equal(
+        stored, compensated("small", "--v-max", 9.5)["voltage_V"]
+    )
 
 
 def test_a_saved_state_joins_two_moves() -> None:
-    first, second = TIME[:200], TIME[200:]
     wanted = sine(4.0, 1.5)
-    write("first.csv", "time_s,displacement_um", first, wanted[:200])
-    write("second.csv", "time_s,displacement_um", second, wanted[200:])
-    move("wish.csv", wanted)
-    whole = drive_of(name="creep")["voltage_V"]
-    one = drive_of("--save-state", "s.json", name="creep", wish="first.csv")
-    two = drive_of("--state", "s.json", name="creep", wish="second.csv")
+    write("first.csv", MOVE, TIME[:200], wanted[:200])
+    write("second.csv", MOVE, TIME[200:], wanted[200:])
+    move(wanted)
+    whole = compensated("creep")["voltage_V"]
+    one = compensated("creep", "--save-state", "s.json", wish="first.csv")
+    two = compensated("creep", "--state", "s.json", wish="second.csv")
     joined = np.concatenate([one["voltage_V"], two["voltage_V"]])
     np.testing.assert_allclose(joined, whole, atol=1e-9)

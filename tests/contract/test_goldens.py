@@ -8,7 +8,6 @@ it they depended on whether the clock was typed or read.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +17,8 @@ import pytest
 import dbo_cli
 
 from .program import (
-    GOLDENS,
-    Floats,
-    changed_model,
-    done,
-    model,
-    table,
-    values_of,
-    write,
-)
+    DRIVE, GOLDENS, MOVE, Floats, compensated, done, load, model, simulated, store, table, values_of, write,
+)  # fmt: skip
 
 NAMES = ("small", "creep", "bent", "moving", "late")
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
@@ -50,7 +42,7 @@ def limits_of(name: str) -> tuple[float, float]:
 @pytest.mark.parametrize("name", NAMES)
 def test_simulate(name: str) -> None:
     stored = golden(name)
-    write("drive.csv", "time_s,voltage_V", stored["time_s"], stored["voltage_V"])
+    write("drive.csv", DRIVE, stored["time_s"], stored["voltage_V"])
     written = table(done("simulate", model(name), "drive.csv"))
     assert list(written) == ["time_s", "voltage_V", "displacement_um"]
     close(written["displacement_um"], stored["displacement_um"])
@@ -60,18 +52,15 @@ def test_simulate(name: str) -> None:
 def test_compensate(name: str) -> None:
     """Free, by the inverse model, and within limits."""
     stored = golden(name)
-    write("wish.csv", "time_s,displacement_um", stored["time_s"], stored["desired_um"])
-    done("compensate", model(name), "wish.csv", "-o", "drive.csv")
-    written = table("drive.csv")
+    write("wish.csv", MOVE, stored["time_s"], stored["desired_um"])
+    written = compensated(name)
     assert list(written) == ["time_s", "desired_um", "voltage_V"]
     close(written["voltage_V"], stored["drive_V"])
     done("invert", model(name), "-o", "inverse.json")
-    written = table(done("simulate", "inverse.json", "wish.csv"))
-    close(written["voltage_V"], stored["drive_V"])
+    close(simulated(Path("inverse.json"), "wish.csv"), stored["drive_V"])
     highest, slew = limits_of(name)
     words = ("--v-max", highest, "--max-slew", slew, "--on-limit", "clip")
-    done("compensate", model(name), "wish.csv", *words, "-o", "drive.csv")
-    close(table("drive.csv")["voltage_V"], stored["limited_V"])
+    close(compensated(name, *words)["voltage_V"], stored["limited_V"])
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -92,25 +81,20 @@ def test_the_library_gives_the_stored_numbers(name: str) -> None:
 def test_the_drive_brings_the_wish(name: str) -> None:
     """Forward after inverse is exact to rounding, where nothing is read ahead."""
     stored = golden(name)
-    write("wish.csv", "time_s,displacement_um", stored["time_s"], stored["desired_um"])
+    write("wish.csv", MOVE, stored["time_s"], stored["desired_um"])
     start = ("--state", "full" if name == "bent" else "empty")
-    done("compensate", model(name), "wish.csv", *start, "-o", "drive.csv")
-    written = done("simulate", model(name), "drive.csv", *start)
-    span = values_of(name)["output"]["max"]
-    error = table(written)["displacement_um"] - stored["desired_um"]
-    assert np.abs(error).max() < 1e-12 * span
+    compensated(name, *start)
+    error = simulated(name, "drive.csv", *start) - stored["desired_um"]
+    assert np.abs(error).max() < 1e-12 * values_of(name)["output"]["max"]
 
 
 def test_the_small_model_by_hand() -> None:
     """Four gears of 1, 2, 3 and 4 V: up to 10 V, and back to 3 V through the first two gears."""
-    write("drive.csv", "voltage_V", [0.0, 5.0, 10.0, 3.0])
-    written = table(done("simulate", model("small"), "drive.csv"))
-    assert written["displacement_um"].tolist() == [1.0, 4.2, 9.0, 4.0]
-    write("wish.csv", "displacement_um", [1.0, 4.2, 9.0, 4.0])
-    done("compensate", model("small"), "wish.csv", "-o", "back.csv")
-    np.testing.assert_allclose(
-        table("back.csv")["voltage_V"], [0.0, 5.0, 10.0, 3.0], atol=1e-12
-    )
+    volts, microns = [0.0, 5.0, 10.0, 3.0], [1.0, 4.2, 9.0, 4.0]
+    moved = simulated("small", write("drive.csv", "voltage_V", volts))
+    assert moved.tolist() == microns
+    write("wish.csv", "displacement_um", microns)
+    np.testing.assert_allclose(compensated("small")["voltage_V"], volts, atol=1e-12)
 
 
 REPORTS: dict[str, dict[str, float]] = {
@@ -162,33 +146,24 @@ def test_repeated_values_are_the_list_that_they_stand_for() -> None:
     values = values_of("creep")
     gears: dict[str, Any] = values["stages"][0]
     gears["dx"] = [2.5] * 40
-    Path("long.json").write_text(json.dumps(values))
+    store("long.json", values)
     stored = golden("creep")
-    write("drive.csv", "time_s,voltage_V", stored["time_s"], stored["voltage_V"])
+    write("drive.csv", DRIVE, stored["time_s"], stored["voltage_V"])
     long = done("simulate", "long.json", "drive.csv")
     assert long.raw == done("simulate", model("creep"), "drive.csv").raw
 
 
-def test_an_inverse_has_its_ranges_exchanged() -> None:
-    values = done("invert", model("bent")).json
-    forward = values_of("bent")
-    assert values["direction"] == "inverse"
-    assert (values["input"], values["output"]) == (forward["output"], forward["input"])
-    kinds = [stage["type"] for stage in values["stages"]]
+def test_an_inverse_has_its_ranges_exchanged_and_inverted_again_is_the_model() -> None:
+    done("invert", model("bent"), "-o", "inverse.json")
+    inverse, forward = load("inverse.json"), values_of("bent")
+    assert inverse["direction"] == "inverse"
+    ranges = inverse["output"], inverse["input"]
+    assert ranges == (forward["input"], forward["output"])
+    kinds = [stage["type"] for stage in inverse["stages"]]
     assert kinds == [stage["type"] for stage in reversed(forward["stages"])]
-
-
-def test_inverting_twice_gives_the_model_back() -> None:
-    once = done("invert", model("bent"), "-o", "inverse.json")
-    assert once.raw == b""
-    twice = done("invert", "inverse.json").json
-    forward = values_of("bent")
+    done("invert", "inverse.json", "-o", "twice.json")
+    twice = load("twice.json")
     assert twice["direction"] == "forward"
-    for stage, original in zip(twice["stages"], forward["stages"], strict=True):
-        assert stage["type"] == original["type"]
-    changed_model("bent")
+    assert kinds[::-1] == [stage["type"] for stage in twice["stages"]]
     write("drive.csv", "voltage_V", [-20.0, 30.0, 111.0, 7.0, 60.0])
-    Path("twice.json").write_text(json.dumps(twice))
-    first = table(done("simulate", "changed.json", "drive.csv"))
-    second = table(done("simulate", "twice.json", "drive.csv"))
-    close(second["displacement_um"], first["displacement_um"])
+    close(simulated(Path("twice.json"), "drive.csv"), simulated("bent", "drive.csv"))

@@ -1,8 +1,11 @@
-"""``dbo identify``: errors within bounds, sign, delay, what is refused and what is said."""
+"""``dbo identify``: errors within bounds, sign, delay, past, what is refused and what is said."""
 
 from __future__ import annotations
 
 import json
+import math
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,32 +13,27 @@ import jsonschema
 import numpy as np
 import pytest
 
+import dbo_cli
+from dbo_cli.errors import FitError
 from dbo_cli.library import Fit
 
 from .conftest import creep_log
 from .program import (
-    SAMPLES,
-    Floats,
-    dbo,
-    done,
-    model,
-    refused,
-    rms,
-    table,
-    values_of,
-    write,
-)
+    DRIVE, LOG, SAMPLES, Floats, dbo, done, load, model, refused, rms, simulated, store, table,
+    values_of, write,
+)  # fmt: skip
 
+pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 QUICK = "--gears 20 --points 0 --delay 0 --relaxation 0 --dynamics 0".split()
 """A structure that is fitted in a moment."""
-LOG = "time_s,voltage_V,displacement_um"
-SCHEMA = SAMPLES.parent / "docs" / "model-file.schema.json"
+ROOT = SAMPLES.parent
+FITTED = Path("model.json")
 
 
 def identified(*words: object) -> Any:
     """Identify into ``model.json`` and return its values."""
-    done("identify", *words, "-o", "model.json", "-q")
-    return json.loads(Path("model.json").read_text())
+    done("identify", *words, "-o", FITTED, "-q")
+    return load(FITTED)
 
 
 def swings(rows: int = 1200) -> tuple[Floats, Floats]:
@@ -46,23 +44,18 @@ def swings(rows: int = 1200) -> tuple[Floats, Floats]:
     return time, 50.0 - size * np.cos(2.0 * np.pi * 2.5 * time)
 
 
-def played(time: Floats, drive: Floats) -> Floats:
+def played(drive: Floats) -> Floats:
     """Return where the gears of the stored model ``creep`` alone go: 0 to 5.12 um, no memory of time."""
     values = values_of("creep")
     del values["stages"][0]["relaxation"], values["stages"][1]
-    Path("gears.json").write_text(json.dumps(values))
-    write("played.csv", "time_s,voltage_V", time, drive)
-    moved = table(done("simulate", "gears.json", "played.csv", "-q"))["displacement_um"]
-    Path("played.csv").unlink()
-    Path("gears.json").unlink()
-    return moved
+    return dbo_cli.read_model(store("gears.json", values)).simulate(drive)
 
 
-def moved_log(name: str, noise: float = 0.002) -> Path:
+def moved_log(name: str = "log.csv", noise: float = 0.002) -> Path:
     """Write a log of those gears, with noise of a sensor (um)."""
     time, drive = swings()
     error = np.random.default_rng(4).normal(0.0, noise, len(time))
-    return write(name, LOG, time, drive, played(time, drive) + error)
+    return write(name, LOG, time, drive, played(drive) + error)
 
 
 # --- the sample log ---
@@ -72,7 +65,7 @@ def test_the_sample_is_followed_within_a_hundredth_of_a_percent(
     sample_model: Path,
 ) -> None:
     """Sensor noise is 5 nm, the range 12 um; a straight line leaves 0.6 um."""
-    fit = json.loads(sample_model.read_text())["fit"]
+    fit = load(sample_model)["fit"]
     assert fit["sign"] == "rising"
     assert 0.003 < fit["rmse"] < 0.012
     seen = np.hypot(fit["expected_rmse"], fit["noise_rms"])  # by this sensor
@@ -84,7 +77,7 @@ def test_the_sample_s_bench_follows_the_drive(sample_model: Path) -> None:
     """Compensated on the bench that is no DBO, from rest at 0 V: what is stated comes, noise beside it."""
     from virtual_actuator import VirtualActuator
 
-    noise = json.loads(sample_model.read_text())["fit"]["noise_rms"]
+    noise = load(sample_model)["fit"]["noise_rms"]
     words = (sample_model, SAMPLES / "trajectory.csv", "--from", 0, "-q")
     stated = []
     for state in ("empty", "auto"):
@@ -94,16 +87,16 @@ def test_the_sample_s_bench_follows_the_drive(sample_model: Path) -> None:
         came = VirtualActuator().play(drive["time_s"], drive["voltage_V"], 2)
         error = rms(came - drive["desired_um"])
         assert error < 0.05
-        stated.append(json.loads(Path("summary.json").read_text())["expected_rmse"])
+        stated.append(load("summary.json")["expected_rmse"])
     assert 0.8 < error / np.hypot(stated[0], noise) < 1.2
     assert stated[1] > 2.0 * stated[0]  # where the past is unknown
 
 
-def test_the_sample_s_model_fits_the_schema_and_knows_lag_and_range(
+def test_the_sample_s_model_fits_the_schema_and_holds_what_a_model_does(
     sample_model: Path,
 ) -> None:
-    values = json.loads(sample_model.read_text())
-    schema = json.loads(SCHEMA.read_text())
+    values = load(sample_model)
+    schema = load(ROOT / "docs" / "model-file.schema.json")
     for found in (values, done("invert", sample_model).json):
         assert jsonschema.Draft202012Validator(schema).is_valid(found)
     assert set(values["fit"]) <= set(Fit.__annotations__)
@@ -112,10 +105,6 @@ def test_the_sample_s_model_fits_the_schema_and_knows_lag_and_range(
     assert values["output"]["unit"] == "um"
     gears = next(one for one in values["stages"] if one["type"] == "backlash")
     assert gears["relaxation"]["tau"]
-
-
-def test_candidates_and_origin_travel_with_the_model(sample_model: Path) -> None:
-    values = json.loads(sample_model.read_text())
     candidates = values["candidates"]
     assert 1 <= len(candidates) <= 5
     assert sum(one["weight"] for one in candidates) == pytest.approx(1.0, abs=1e-6)
@@ -128,161 +117,149 @@ def test_candidates_and_origin_travel_with_the_model(sample_model: Path) -> None
 
 
 def test_a_log_of_gears_is_followed_to_its_noise() -> None:
-    fit = identified(moved_log("log.csv"), "--relaxation", 0, "--delay", 0)["fit"]
+    fit = identified(moved_log(), "--relaxation", 0, "--delay", 0)["fit"]
     assert fit["rmse"] < 0.03 and fit["line_rmse"] > 0.2
 
 
-def test_a_falling_actuator() -> None:
+@pytest.mark.parametrize(
+    ("sign", "words", "ends"),
+    [
+        (-1.0, "", (6.0, 6.0 - 5.144)),
+        (1.0, "--zero first", (0.0, 5.144)),
+        (1.0, "--zero 2.5", (3.5, 8.644)),
+    ],
+)
+def test_sign_and_zero(sign: float, words: str, ends: tuple[float, float]) -> None:
+    """Where the displacement counts from; 6 um stood at 0 V."""
     time, drive = swings()
-    moved = played(time, drive)
-    write("log.csv", LOG, time, drive, 6.0 - moved)
-    values = identified("log.csv", *QUICK)
-    assert values["fit"]["sign"] == "falling"
-    write("ends.csv", "voltage_V", [0.0, 100.0])
-    came = table(done("simulate", "model.json", "ends.csv"))["displacement_um"]
-    np.testing.assert_allclose(came, [6.0, 6.0 - 5.144], atol=0.05)
+    write("log.csv", LOG, time, drive, 6.0 + sign * played(drive))
+    fit = identified("log.csv", *QUICK, *words.split())["fit"]
+    assert fit["sign"] == ("rising" if sign > 0.0 else "falling")
+    came = simulated(FITTED, write("ends.csv", "voltage_V", [0.0, 100.0]))
+    np.testing.assert_allclose(came, ends, atol=0.05)
 
 
 @pytest.mark.parametrize(("sign", "code"), [("rising", 0), ("falling", 3)])
 def test_the_other_sign_is_refused(sign: str, code: int) -> None:
-    words = ("identify", moved_log("log.csv"), *QUICK, "--sign", sign, "-o", "m.json")
-    outcome = dbo(*words)
-    assert outcome.code == code
-    assert Path("m.json").exists() == (code == 0)
+    words = ("identify", moved_log(), *QUICK, "--sign", sign, "-o", FITTED)
+    assert dbo(*words).code == code
+    assert FITTED.exists() == (code == 0)
 
 
 def test_a_delay_is_found() -> None:
-    time, drive = swings(1200)
-    late = np.interp(time - 0.006, time, drive)
-    write("log.csv", LOG, time, drive, played(time, late))
+    time, drive = swings()
+    write("log.csv", LOG, time, drive, played(np.interp(time - 0.006, time, drive)))
     stages = identified("log.csv", "--relaxation", 0, "--dynamics", 0)["stages"]
     delays = [one["seconds"] for one in stages if one["type"] == "delay"]
     assert delays and abs(delays[0] - 0.006) < 0.001
 
 
-def test_a_delay_that_is_typed_is_taken() -> None:
-    words = [*QUICK[:4], "--delay", 0.004, "--relaxation", 0, "--dynamics", 0]
-    stages = identified(moved_log("log.csv"), *words, "--force")["stages"]
-    assert [one["seconds"] for one in stages if one["type"] == "delay"] == [0.004]
+def test_a_structure_that_is_typed_is_taken() -> None:
+    words = (
+        "--points",
+        6,
+        "--gears",
+        64,
+        "--relaxation",
+        "0.01,300ms",
+        "--delay",
+        0.004,
+    )
+    stages = identified(moved_log(), *words, "--dynamics", 0, "--force")["stages"]
+    kinds = [one["type"] for one in stages]
+    assert done("show", FITTED, "--format", "json").json["gears"] == 64
+    assert kinds.count("point") == 1
+    assert stages[kinds.index("delay")]["seconds"] == 0.004
+    relaxation = stages[kinds.index("backlash")]["relaxation"]
+    assert relaxation["tau"] == pytest.approx([0.01, 0.3])
 
 
-def test_a_sensor_s_delay_is_taken_off() -> None:
+def test_a_sensor_s_delay_is_no_delay_of_the_actuator() -> None:
     time, drive = swings()
-    moved = played(time, drive)
-    write("log.csv", LOG, time, drive, np.interp(time - 0.004, time, moved))
-    words = ("--sensor-delay", 0.004, *QUICK)
-    with_it = identified("log.csv", *words)["fit"]["rmse"]
-    without = identified("log.csv", *QUICK, "--force")["fit"]["rmse"]
-    assert with_it < without
-
-
-def test_gears_and_points_that_are_typed() -> None:
-    words = ("--points", 6, "--gears", 64, *QUICK[4:], "--force")
-    stages = identified(moved_log("log.csv"), *words)["stages"]
-    assert done("show", "model.json", "--format", "json").json["gears"] == 64
-    points = [one for one in stages if one["type"] == "point"]
-    assert len(points) == 1
-
-
-def test_time_constants_that_are_typed() -> None:
-    words = ("--relaxation", "0.01,300ms", *QUICK[:6])
-    stages = identified(creep_log("log.csv"), *words)["stages"]
-    gears = next(one for one in stages if one["type"] == "backlash")
-    assert gears["relaxation"]["tau"] == pytest.approx([0.01, 0.3])
+    late = np.interp(time - 0.004, time, played(drive))
+    write("log.csv", LOG, time, drive, late)
+    with_it = identified("log.csv", *QUICK, "--sensor-delay", 0.004)["fit"]["rmse"]
+    assert with_it < identified("log.csv", *QUICK, "--force")["fit"]["rmse"]
 
 
 def test_a_model_with_memory_is_better_where_there_is_creep() -> None:
-    log = creep_log("log.csv")
+    log, other = creep_log("log.csv"), creep_log("other.csv", seed=2)
     plain = identified(log, *QUICK, "--force")["fit"]["rmse"]
-    timed = identified(log, *QUICK[:6], "--relaxation", "0.01,0.3")["fit"]["rmse"]
-    assert timed < 0.8 * plain
+    words = (*QUICK[:6], "--relaxation", "0.01,0.3", "--validate", other)
+    fit = identified(log, *words)["fit"]
+    assert fit["rmse"] < 0.8 * plain
+    [judged] = fit["validation"]
+    assert judged["name"] == "other.csv" and 0.001 < judged["rmse"] < 0.1
 
 
 def test_several_logs_are_fitted_together() -> None:
-    first, second = creep_log("a.csv"), creep_log("b.csv", seed=2)
-    values = identified(first, second, *QUICK, "--force")
-    origin = json.dumps(values["provenance"])
-    assert "a.csv" in origin and "b.csv" in origin
-    assert [one["name"] for one in values["fit"]["logs"]] == ["a.csv", "b.csv"]
-
-
-def test_another_log_judges() -> None:
-    log, other = creep_log("a.csv"), creep_log("b.csv", seed=2)
-    words = (*QUICK[:6], "--relaxation", "0.01,0.3", "--validate", other)
-    found = identified(log, *words)["fit"]["validation"]
-    assert found[0]["name"] == "b.csv" and 0.001 < found[0]["rmse"] < 0.1
-
-
-@pytest.mark.parametrize(("zero", "shift"), [("first", 1.0), ("2.5", 2.5)])
-def test_zero(zero: str, shift: float) -> None:
-    """What the displacement counts from; 1 um stood at 0 V."""
-    time, drive = swings()
-    write("log.csv", LOG, time, drive, 1.0 + played(time, drive))
-    identified("log.csv", *QUICK, "--zero", zero, "--force")
-    write("ends.csv", "voltage_V", [0.0])
-    came = table(done("simulate", "model.json", "ends.csv"))["displacement_um"]
-    assert came[0] == pytest.approx(1.0 - shift, abs=0.05)
+    """Their error is that of all rows, the sample period the shortest."""
+    first = table(creep_log("a.csv"))
+    second = {name: values[:1400:2].copy() for name, values in first.items()}
+    second["displacement_um"] += np.random.default_rng(5).normal(0.0, 0.3, 700)
+    write("b.csv", LOG, *second.values())
+    for names in (("a.csv", "b.csv"), ("b.csv", "a.csv")):
+        values = identified(*names, *QUICK, "--force", "--summary", "s.json")
+        origin = json.dumps(values["provenance"])
+        assert "a.csv" in origin and "b.csv" in origin
+        fit = load("s.json")
+        assert fit["sample_period"] == pytest.approx(0.002, rel=1e-9)
+        errors = {log["name"]: log["rmse"] for log in fit["logs"]}
+        assert list(errors) == list(names) and errors["b.csv"] > 2.0 * errors["a.csv"]
+        squares = sum(log["rows"] * log["rmse"] ** 2 for log in fit["logs"])
+        rows = sum(log["rows"] for log in fit["logs"])
+        assert rows == 700 + len(first["time_s"])
+        assert fit["rmse"] == pytest.approx(math.sqrt(squares / rows), rel=1e-9)
 
 
 def test_skip_leaves_out_the_beginning() -> None:
-    log = moved_log("log.csv")
-    lines = log.read_text().splitlines()
-    for row in range(1, 60):
-        cells = lines[row].split(",")
-        lines[row] = ",".join([*cells[:2], "50"])
-    log.write_text("\n".join(lines) + "\n")
+    columns = table(moved_log())
+    columns["displacement_um"][:59] = 50.0
+    log = write("log.csv", LOG, *columns.values())
     fit = identified(log, *QUICK, "--skip", 0.2)["fit"]
     assert fit["rmse"] < 0.1
     assert fit["logs"][0]["rows"] == 1200 - 100
 
 
+def test_spikes_do_not_spoil_a_model() -> None:
+    log = moved_log()
+    clean = identified(log, *QUICK)["fit"]["rmse"]
+    columns = table(log)
+    columns["displacement_um"][[300, 555, 901]] += 30.0
+    write("log.csv", LOG, *columns.values())
+    assert identified("log.csv", *QUICK)["fit"]["rmse"] < 1.3 * clean
+
+
 def test_a_prior_is_rescaled_from_a_short_log() -> None:
-    """The shape is kept; gain and offset come from half a second."""
-    log = creep_log("log.csv")
-    values = table(log)
-    some = slice(0, 500)
-    scaled = 1.2 * values["displacement_um"] - 0.5
-    write(
-        "short.csv",
-        LOG,
-        values["time_s"][some],
-        values["voltage_V"][some],
-        scaled[some],
-    )
+    """The shape is kept; gain and offset come from a second."""
+    time, volts, moved = table(creep_log("log.csv")).values()
+    scaled = 1.2 * moved - 0.5
+    write("short.csv", LOG, time[:500], volts[:500], scaled[:500])
     written = identified("short.csv", "--prior", model("creep"))
     assert "candidates" not in written
-    write("all.csv", "time_s,voltage_V", values["time_s"], values["voltage_V"])
-    came = table(done("simulate", "model.json", "all.csv"))["displacement_um"]
-    assert rms(came - scaled) < 0.06
+    assert rms(simulated(FITTED, write("all.csv", DRIVE, time, volts)) - scaled) < 0.06
 
 
 def test_the_method_of_the_paper() -> None:
     words = ("--method", "paper", "--gears", 25, "--zero", "mean", "--rows", "401:800")
     stages = identified(creep_log("log.csv"), *words, "--force")["stages"]
     gears = next(one for one in stages if one["type"] == "backlash")
-    assert done("show", "model.json", "--format", "json").json["gears"] == 25
+    assert done("show", FITTED, "--format", "json").json["gears"] == 25
     assert gears["x0"] == pytest.approx(0.0, abs=5.0)
 
 
-def test_spikes_do_not_spoil_a_model() -> None:
-    log = moved_log("log.csv")
-    clean = identified(log, *QUICK)["fit"]["rmse"]
-    values = table(log)
-    for row in (300, 555, 901):
-        values["displacement_um"][row] += 30.0
-    write("log.csv", LOG, *values.values())
-    assert identified("log.csv", *QUICK)["fit"]["rmse"] < 1.3 * clean
-
-
-def test_the_sample_period_of_several_logs_is_the_shortest(log: Path) -> None:
-    columns = table(log)
-    thinned = [values[::2] for values in columns.values()]
-    write("slow.csv", "time_s,voltage_V,displacement_um", *thinned)
-    for names in (("log.csv", "slow.csv"), ("slow.csv", "log.csv")):
-        outputs = ("-o", "m.json", "--summary", "s.json", "-q")
-        done("identify", *names, *QUICK, *outputs)
-        stated = json.loads(Path("s.json").read_text())["sample_period"]
-        assert stated == pytest.approx(0.002, rel=1e-9)
+def test_other_units_and_quantities() -> None:
+    time, volts, moved = table(moved_log()).values()
+    micro = identified("log.csv", *QUICK)["fit"]["rmse"]
+    write("log.csv", "time_s,voltage_V,displacement_nm", time, volts, 1000.0 * moved)
+    found = identified("log.csv", *QUICK)
+    assert found["output"]["unit"] == "nm"
+    assert found["fit"]["rmse"] == pytest.approx(1000.0 * micro, rel=1e-3)
+    write("muscle.csv", "time_s,pressure_bar,angle_mrad", time, volts, moved)
+    words = ("--voltage", "pressure_bar", "--displacement", "angle_mrad")
+    found = identified("muscle.csv", *words, *QUICK)
+    assert (found["input"]["quantity"], found["input"]["unit"]) == ("pressure", "bar")
+    assert found["output"]["unit"] == "mrad"
 
 
 # --- refusals ---
@@ -293,92 +270,162 @@ def test_a_line_is_refused_and_force_keeps_it() -> None:
     time, drive = swings()
     noise = np.random.default_rng(6).normal(0.0, 1.0, len(time))
     write("log.csv", LOG, time, drive, noise)
-    error = refused(1, "identify", "log.csv", *QUICK, "-o", "model.json")
+    error = refused(1, "identify", "log.csv", *QUICK, "-o", FITTED)
     assert "--force" in error
-    assert dbo("identify", "log.csv", *QUICK, "--force", "-o", "m.json").code == 0
+    identified("log.csv", *QUICK, "--force")
 
 
-REFUSED: dict[str, tuple[Floats, Floats]] = {
-    "a drive that stands still": (np.full(500, 5.0), np.linspace(0.0, 1.0, 500)),
-    "a displacement that stands still": (
-        5.0 + 5.0 * np.sin(np.arange(500) / 20.0),
-        np.full(500, 3.0),
-    ),
-    "a drive that only rises": (
-        np.linspace(0.0, 10.0, 500),
-        np.linspace(0.0, 1.0, 500),
-    ),
-    "a few rows": (np.arange(9.0) % 4, np.arange(9.0) % 4),
-}
+RAMP, STILL = np.linspace(0.0, 10.0, 500), np.full(500, 5.0)
+SINE = 5.0 + 5.0 * np.sin(np.arange(500) / 20.0)
 
 
-@pytest.mark.parametrize("case", REFUSED)
-def test_a_log_that_shows_nothing_is_refused(case: str) -> None:
-    drive, moved = REFUSED[case]
+@pytest.mark.parametrize(
+    ("drive", "moved"),
+    [(STILL, RAMP), (SINE, STILL), (RAMP, 0.1 * RAMP), (np.arange(9.0) % 4, np.arange(9.0) % 4)],
+    ids=["a drive at rest", "a displacement at rest", "a drive that only rises", "a few rows"],
+)  # fmt: skip
+def test_a_log_that_shows_nothing_is_refused(drive: Floats, moved: Floats) -> None:
     write("log.csv", LOG, np.arange(len(drive)) / 500.0, drive, moved)
-    error = refused(1, "identify", "log.csv", "-o", "model.json")
-    assert "log.csv" in error
+    assert "log.csv" in refused(1, "identify", "log.csv", "-o", FITTED)
 
 
-def test_logs_of_different_units_are_not_mixed() -> None:
+def test_logs_of_different_units_are_not_mixed_and_a_model_is_no_log() -> None:
     first = moved_log("a.csv")
     text = first.read_text().replace("displacement_um", "displacement_mrad")
     Path("b.csv").write_text(text)
     words = ("--displacement", "3", *QUICK)
-    error = refused(1, "identify", first, "b.csv", *words, "-o", "model.json")
+    error = refused(1, "identify", first, "b.csv", *words, "-o", FITTED)
     assert "um" in error and "mrad" in error
-
-
-def test_a_model_is_no_log() -> None:
-    assert "small.json" in refused(1, "identify", model("small"), "-o", "model.json")
+    assert "small.json" in refused(1, "identify", model("small"), "-o", FITTED)
 
 
 # --- what is said and written ---
 
 
-def test_what_to_expect_is_said() -> None:
-    outcome = done("identify", moved_log("log.csv"), *QUICK, "-o", "model.json")
+def test_what_to_expect_is_said_and_stands_in_a_summary() -> None:
+    words = ("-o", FITTED, "--summary", "summary.json")
+    outcome = done("identify", moved_log(), *QUICK, *words)
     last = outcome.said[-1]
     assert "model.json" in last and "expected error" in last and "um" in last
     assert "rising" in outcome.said[0]
-
-
-def test_a_summary_of_the_fit() -> None:
-    log = moved_log("log.csv")
-    done("identify", log, *QUICK, "-o", "model.json", "--summary", "summary.json", "-q")
-    told = json.loads(Path("summary.json").read_text())
+    told, fit = load("summary.json"), load(FITTED)["fit"]
     assert (told["format"], told["version"], told["unit"]) == ("dbo-summary", 1, "um")
-    fit = json.loads(Path("model.json").read_text())["fit"]
     assert told["rmse"] == fit["rmse"] and told["expected_rmse"] == fit["expected_rmse"]
 
 
 def test_one_amplitude_is_warned_of() -> None:
     time = np.arange(1500) / 500.0
     drive = 50.0 - 50.0 * np.cos(2.0 * np.pi * 2.0 * time)
-    moved = played(time, drive)
     noise = np.random.default_rng(3).normal(0.0, 0.01, len(time))
-    write("log.csv", LOG, time, drive, moved + noise)
-    outcome = done("identify", "log.csv", *QUICK, "--force", "-o", "model.json")
+    write("log.csv", LOG, time, drive, played(drive) + noise)
+    outcome = done("identify", "log.csv", *QUICK, "--force", "-o", FITTED)
     assert any("amplitude" in line for line in outcome.warnings)
 
 
-def test_other_units_and_quantities() -> None:
-    values = table(moved_log("log.csv"))
-    head = "time_s,pressure_bar,angle_mrad"
-    write("muscle.csv", head, *values.values())
-    words = ("--voltage", "pressure_bar", "--displacement", "angle_mrad")
-    found = identified("muscle.csv", *words, *QUICK)
-    assert (found["input"]["quantity"], found["input"]["unit"]) == ("pressure", "bar")
-    assert found["output"]["unit"] == "mrad"
+# --- the past of a log is unknown, and the stated error is the one that a user meets ---
+
+RATE = 100.0
+TIME = np.arange(1200) / RATE
+REACH = np.linspace(0.0, 40.0, 9)
+SPRINGS = np.linspace(2.0, 0.4, 9)
+FADING = 50.0 - 50.0 * np.cos(2.0 * np.pi * 0.5 * TIME) * np.exp(-TIME / 6.0)
 
 
-def test_nanometres_are_the_same_model_in_another_unit() -> None:
-    values = table(moved_log("log.csv"))
-    micro = identified("log.csv", *QUICK)
-    nano = 1000.0 * values["displacement_um"]
-    head = "time_s,voltage_V,displacement_nm"
-    write("log.csv", head, values["time_s"], values["voltage_V"], nano)
-    found = identified("log.csv", *QUICK)
-    assert found["output"]["unit"] == "nm"
-    ratio = found["fit"]["rmse"] / micro["fit"]["rmse"]
-    assert ratio == pytest.approx(1000.0, rel=1e-3)
+def moved_by(drive: Floats, before: float = 100.0) -> Floats:
+    """Return a sum of plays of a drive that was at 0 and then at ``before`` first."""
+    plays = np.clip(np.full(9, before), before - REACH, before + REACH)
+    rows = []
+    for value in drive:
+        plays = np.clip(plays, value - REACH, value + REACH)
+        rows.append(plays)
+    return 0.05 * np.asarray(rows) @ SPRINGS
+
+
+def fitted(drive: Floats, moved: Floats) -> dbo_cli.Model:
+    plain: dict[str, Any] = {"relaxation": (0.0,), "delay": 0.0}
+    return dbo_cli.identify(drive, moved, sample_rate=RATE, **plain)
+
+
+def error_behind_the_first_swings(
+    model: dbo_cli.Model, drive: Floats, came: Floats
+) -> float:
+    """Return the error (RMS) where no past shows."""
+    left = model.simulate(drive, sample_rate=RATE) - came
+    return float(np.std(left[300:]))
+
+
+@pytest.mark.parametrize("cut", [0.02, 0.05])
+def test_a_beginning_that_is_cut_off_makes_little_difference(cut: float) -> None:
+    came = moved_by(FADING)
+    first = int(cut * len(FADING))
+    test = 50.0 - 45.0 * np.cos(2.0 * np.pi * 0.4 * TIME) * (0.6 + 0.4 * TIME / 12.0)
+    truth = moved_by(test)
+    models = fitted(FADING, came), fitted(FADING[first:], came[first:])
+    errors = [error_behind_the_first_swings(one, test, truth) for one in models]
+    assert errors[1] < 2.0 * errors[0] + 2e-3 * np.ptp(came)
+
+
+def test_a_log_that_begins_inside_its_range_keeps_all_its_rows() -> None:
+    drive = np.concatenate([np.linspace(60.0, 0.0, 100), FADING])[: len(TIME)]
+    came = moved_by(drive, 0.0)
+    model = fitted(drive, came)
+    assert not any("left out" in note for note in model.fit["notes"])
+    assert model.fit["logs"][0]["rows"] == len(drive)
+    error = error_behind_the_first_swings(model, FADING, moved_by(FADING))
+    assert error < 0.01 * np.ptp(came)
+
+
+def test_walks_apart_and_a_drift_above_the_range_are_refused() -> None:
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        drive, other = np.cumsum(rng.standard_normal((2, 800)), axis=1)
+        with pytest.raises(FitError, match="force"):
+            fitted(drive, other)
+    came = moved_by(FADING)
+    with pytest.raises(FitError, match="drift"):
+        fitted(FADING, came + 3.0 * np.ptp(came) * TIME / TIME[-1])
+
+
+def test_noise_of_the_sensor_is_no_error_of_the_actuator() -> None:
+    came = moved_by(FADING)
+    size = 0.02 * float(np.ptp(came))
+    model = fitted(FADING, came + size * np.random.default_rng(1).normal(size=1200))
+    assert model.fit["noise_rms"] == pytest.approx(size, rel=0.15)
+    assert model.fit["expected_rmse"] < 0.8 * size < model.fit["rmse"]
+
+
+def test_memories_that_may_have_rested_elsewhere_are_in_the_stated_error() -> None:
+    from dbo_cli.model import Candidate, Cascade, Gears, Quantity, Relaxation
+    from dbo_cli.model.expect import expected_error
+
+    width = np.full(100, 1.0)
+    gears = Gears(width, 0.1 * width, 0.0, 0.0, Relaxation(0.0, (1e4,), (0.02,)))
+    volts = Quantity("voltage", "V", 0.0, 100.0)
+    microns = Quantity("d", "um", 0.0, 12.0)
+    model = Cascade("forward", volts, microns, (gears,), fit={"left_out_rmse": 0.01},
+                    candidates=(Candidate(1.0, (gears,)),))  # fmt: skip
+    error = expected_error(model, 50.0 + 10.0 * np.sin(TIME), 0.01)
+    assert error is not None
+    assert error.known == pytest.approx(0.01)
+    # 100 V times 0.02 um/V, equally likely anywhere: a twelfth of the square
+    unknown = error.rms(past_known=True)
+    assert unknown == pytest.approx(2.0 / np.sqrt(12.0), rel=0.01)
+
+
+def test_the_range_is_that_of_the_drive_and_not_of_its_noise() -> None:
+    came = moved_by(FADING)
+    noisy = FADING + 0.5 * np.random.default_rng(2).normal(size=FADING.size)
+    for drive in (FADING, np.round(FADING, 2)):
+        found = fitted(drive, came).input
+        assert (found.min, found.max) == (drive.min(), drive.max())
+    low = fitted(noisy, came).input.min
+    assert -0.7 < low < 0.7
+    assert noisy.min() <= low <= noisy.min() + 2.0
+
+
+def test_the_development_table_refuses_a_constant_that_is_none(tmp_path: Path) -> None:
+    script = ROOT / "benchmarks" / "identification.py"
+    command = [sys.executable, script, tmp_path, "none", "--set", "search.BENDS=()"]
+    run = subprocess.run([*command, "--set", "search.NOPE=1"], capture_output=True)
+    assert run.returncode != 0
+    assert b"NOPE" in run.stderr and b"BENDS" not in run.stderr.splitlines()[-1]

@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import struct
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from .program import Floats, dbo, done, model, refused, table, write
+from .program import DRIVE, Floats, compensated, dbo, done, model, refused, table, write
 
 TIME = np.arange(1000) / 1000.0
-DRIVE = 50.0 - 40.0 * np.cos(2.0 * np.pi * 4.0 * TIME)
+VOLTS = 50.0 - 40.0 * np.cos(2.0 * np.pi * 4.0 * TIME)
 
 
-@pytest.fixture
-def drive_file() -> Path:
-    return write("drive.csv", "time_s,voltage_V", TIME, DRIVE)
+@pytest.fixture(autouse=True)
+def drive_file(folder: Path) -> Path:
+    return write("drive.csv", DRIVE, TIME, VOLTS)
 
 
 # --- trajectory ---
 
 SMALL = ("--model", model("small"))
+WORDS = ("--rate", 1000, "--range", "2:8", "--frequency", 5)
 
 
 def shape(*words: object) -> dict[str, Floats]:
@@ -31,11 +32,7 @@ def shape(*words: object) -> dict[str, Floats]:
 
 @pytest.mark.parametrize("kind", ["sine", "triangle"])
 def test_periodic_shapes(kind: str) -> None:
-    words = ("--rate", 1000, "--range", "2:8", "--frequency", 5, "--duration", 1)
-    written = shape(kind, *words)
-    time, *rest = written.values()
-    assert len(rest) == 1
-    moved = rest[0]
+    time, moved = shape(kind, *WORDS, "--duration", 1).values()
     assert moved.min() == pytest.approx(2.0, abs=0.1)
     assert moved.max() == pytest.approx(8.0, abs=0.1)
     np.testing.assert_allclose(np.diff(time), 0.001, rtol=1e-9)
@@ -45,9 +42,7 @@ def test_periodic_shapes(kind: str) -> None:
 
 
 def test_a_staircase_dwells_at_each_level() -> None:
-    words = ("--rate", 1000, "--range", "2:8", "--steps", 4, "--dwell", 0.1)
-    written = shape("staircase", *words)
-    moved = next(reversed(written.values()))
+    _, moved = shape("staircase", *WORDS[:4], "--steps", 4, "--dwell", 0.1).values()
     levels, counts = np.unique(np.round(moved, 9), return_counts=True)
     dwelt = levels[counts >= 95]
     assert dwelt[0] == pytest.approx(2.0) and dwelt[-1] == pytest.approx(8.0)
@@ -57,8 +52,7 @@ def test_a_staircase_dwells_at_each_level() -> None:
 @pytest.mark.parametrize("kind", ["raster", "spiral"])
 def test_two_axes(kind: str) -> None:
     size = ("--lines", 8) if kind == "raster" else ("--duration", 2)
-    words = ("--rate", 1000, "--range", "2:8", "--frequency", 5, *size)
-    written = shape(kind, *words)
+    written = shape(kind, *WORDS, *size)
     assert [name.split("_")[0] for name in written] == ["time", "x", "y"]
     for moved in list(written.values())[1:]:
         assert 1.5 <= moved.min() and moved.max() <= 8.5
@@ -68,31 +62,26 @@ def test_two_axes(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["raster", "triangle", "sine"])
 def test_a_loop_goes_on_where_it_ended(kind: str) -> None:
     size = ("--lines", 8) if kind == "raster" else ()
-    words = ("--rate", 1000, "--range", "2:8", "--frequency", 5, *size, "--loop")
-    written = shape(kind, *words)
-    for moved in list(written.values())[1:]:
+    for moved in list(shape(kind, *WORDS, *size, "--loop").values())[1:]:
         inside = np.abs(np.diff(moved)).max()
         assert abs(moved[0] - moved[-1]) <= 2.0 * inside + 1e-9
 
 
 def test_bandwidth_rounds_corners() -> None:
-    words = ("triangle", "--rate", 5000, "--range", "2:8", "--frequency", 5)
-    sharp = next(reversed(shape(*words).values()))
-    smooth = next(reversed(shape(*words, "--bandwidth", 50).values()))
-    assert np.abs(np.diff(smooth, 2)).max() < 0.5 * np.abs(np.diff(sharp, 2)).max()
+    words = ("triangle", "--rate", 5000, *WORDS[2:])
+    bends = [
+        np.abs(np.diff(list(shape(*words, *more).values())[-1], 2)).max()
+        for more in ((), ("--bandwidth", 50))
+    ]
+    assert bends[1] < 0.5 * bends[0]
 
 
-def test_what_the_model_does_not_reach_is_refused() -> None:
-    words = ("sine", "--rate", 1000, "--range", "2:12", "--frequency", 5, *SMALL)
-    outcome = dbo("trajectory", *words)
+def test_what_the_model_reaches_is_compensated_as_it_is_and_more_is_refused() -> None:
+    done("trajectory", "sine", *WORDS, *SMALL, "-o", "move.csv", "-q")
+    assert compensated("small", wish="move.csv")["voltage_V"].max() <= 10.0
+    words = ("--rate", 1000, "--range", "2:12", "--frequency", 5, *SMALL)
+    outcome = dbo("trajectory", "sine", *words)
     assert outcome.code in (1, 2, 3) and "9" in outcome.lines[-1]
-
-
-def test_a_trajectory_is_compensated_as_it_is() -> None:
-    words = ("--rate", 1000, "--range", "2:8", "--frequency", 5, *SMALL)
-    done("trajectory", "sine", *words, "-o", "move.csv", "-q")
-    done("compensate", model("small"), "move.csv", "-o", "drive.csv")
-    assert table("drive.csv")["voltage_V"].max() <= 10.0
 
 
 # --- waveform ---
@@ -103,50 +92,49 @@ def waveform(form: str, name: str, *words: object) -> bytes:
     return Path(name).read_bytes()
 
 
-def test_numpy_reads_npy(drive_file: Path) -> None:
+def test_numpy_reads_npy_and_the_gain_is_divided_out() -> None:
     waveform("npy", "d.npy")
-    np.testing.assert_allclose(np.load("d.npy").ravel(), DRIVE, rtol=1e-12)
+    np.testing.assert_allclose(np.load("d.npy").ravel(), VOLTS, rtol=1e-12)
+    words = ("--to", "npy", "--gain", 20, "-o", "d.npy")
+    outcome = done("waveform", "drive.csv", *words)
+    written = np.load("d.npy").ravel()
+    np.testing.assert_allclose(written, VOLTS / 20.0, rtol=1e-12)
+    said = re.search(r"([\d.]+) Vpp, offset ([\d.]+) V at gain 20", outcome.err)
+    assert said is not None
+    assert float(said[1]) == pytest.approx(np.ptp(written), rel=1e-4)
+    middle = 0.5 * (written.max() + written.min())
+    assert float(said[2]) == pytest.approx(middle, rel=1e-4)
 
 
-def test_gain_of_the_amplifier_is_divided_out(drive_file: Path) -> None:
-    waveform("npy", "d.npy", "--gain", 20)
-    np.testing.assert_allclose(np.load("d.npy").ravel(), DRIVE / 20.0, rtol=1e-12)
-
-
-def test_scipy_reads_wav(drive_file: Path) -> None:
+def test_scipy_reads_wav() -> None:
     waveform("wav", "d.wav")
     rate, samples = wavfile.read("d.wav")
     assert rate == 1000 and len(samples) == 1000
-    scaled = np.interp(
-        samples.astype(float).ravel(), *ends(samples.astype(float).ravel())
-    )
-    assert np.abs(scaled - DRIVE).max() < 0.01
+    codes = samples.astype(float).ravel()
+    ends = [codes.min(), codes.max()], [VOLTS.min(), VOLTS.max()]
+    assert np.abs(np.interp(codes, *ends) - VOLTS).max() < 0.01
 
 
-def ends(samples: Floats) -> tuple[list[float], list[float]]:
-    """Return the least and greatest sample, and the voltages that they mean."""
-    return [samples.min(), samples.max()], [DRIVE.min(), DRIVE.max()]
-
-
-@pytest.mark.parametrize(("form", "kind"), [("int16", "<i2"), ("uint16", "<u2")])
-def test_codes_of_a_converter(drive_file: Path, form: str, kind: str) -> None:
+@pytest.mark.parametrize(
+    ("form", "kind", "first", "last"),
+    [
+        ("int16", "<i2", -32768, 32767),
+        ("uint16", "<u2", 0, 65535),
+        ("uint16", "<u2", 0, 4095),
+    ],
+)
+def test_codes_of_a_converter(form: str, kind: str, first: int, last: int) -> None:
     """0 to 5 V before an amplifier of 20 are all the codes."""
-    waveform(form, "d.bin", "--gain", 20, "--volts", "0:5")
-    codes = np.fromfile("d.bin", dtype=kind).astype(float)
-    first = -32768.0 if form == "int16" else 0.0
-    volts = (codes - first) / 65535.0 * 100.0
-    assert np.abs(volts - DRIVE).max() <= 100.0 / 65535.0
+    words = ("--gain", 20, "--volts", "0:5", "--codes", f"{first}:{last}")
+    written = waveform(form, "d.bin", *words)
+    assert done("waveform", "drive.csv", "--to", form, *words).raw == written
+    codes = np.frombuffer(written, dtype=kind).astype(float)
+    assert codes.size == 1000 and codes.max() <= last
+    step = 100.0 / (last - first)
+    assert np.abs((codes - first) * step - VOLTS).max() <= step
 
 
-def test_codes_of_fewer_bits(drive_file: Path) -> None:
-    words = ("--gain", 20, "--volts", "0:5", "--codes", "0:4095")
-    waveform("uint16", "d.bin", *words)
-    codes = np.fromfile("d.bin", dtype="<u2")
-    assert codes.max() <= 4095
-    assert np.abs(codes / 4095.0 * 100.0 - DRIVE).max() <= 100.0 / 4095.0
-
-
-def test_keysight_arb_is_text(drive_file: Path) -> None:
+def test_keysight_arb_is_text() -> None:
     text = waveform("keysight-arb", "d.arb", "--gain", 20).decode()
     head, body = text.split("Data:\r\n")
     assert head.startswith("File Format:1.10\r\n")
@@ -155,15 +143,15 @@ def test_keysight_arb_is_text(drive_file: Path) -> None:
     assert (len(codes), min(codes), max(codes)) == (1000, -32767, 32767)
 
 
-def test_pi_gcs_is_text(drive_file: Path) -> None:
+def test_pi_gcs_is_text() -> None:
     lines = waveform("pi-gcs", "d.txt", "--gain", 20).decode().splitlines()
     assert lines[0].startswith("WAV 1 X PNT 1 10 0.5 ")
     assert lines[1].startswith("WAV 1 & PNT 11 10 ")
     points = [float(word) for line in lines for word in line.split()[6:]]
-    np.testing.assert_allclose(points, DRIVE / 20.0, rtol=1e-12)
+    np.testing.assert_allclose(points, VOLTS / 20.0, rtol=1e-12)
 
 
-def test_another_number_of_points(drive_file: Path) -> None:
+def test_another_number_of_points() -> None:
     waveform("npy", "d.npy", "--points", 500)
     points = np.load("d.npy").ravel()
     assert len(points) == 500
@@ -171,28 +159,17 @@ def test_another_number_of_points(drive_file: Path) -> None:
 
 
 @pytest.mark.parametrize("limits", ["--v-max 89", "--v-min 11", "--max-slew 900"])
-def test_no_file_of_a_drive_beyond_limits(drive_file: Path, limits: str) -> None:
+def test_no_file_of_a_drive_beyond_limits(limits: str) -> None:
     words = ("drive.csv", "--to", "npy", *limits.split(), "-o", "d.npy")
     refused(3, "waveform", *words)
 
 
-def test_codes_that_do_not_reach_are_refused(drive_file: Path) -> None:
-    words = ("drive.csv", "--to", "uint16", "--gain", 20, "--volts", "0:4")
-    error = refused(3, "waveform", *words, "-o", "d.bin")
+def test_codes_that_do_not_reach_or_round_too_far_are_refused() -> None:
+    words = ("waveform", "drive.csv", "--to", "uint16", "-o", "d.bin")
+    error = refused(3, *words, "--gain", 20, "--volts", "0:4")
     assert "--volts" in error and "0.5 to 4.5 V" in error
-
-
-def test_rounding_beyond_a_bound_is_refused(drive_file: Path) -> None:
-    words = ("--to", "uint16", "--volts", "0:100", "--codes", "0:63")
-    refused(3, "waveform", "drive.csv", *words, "--max-rounding", 0.1, "-o", "d.bin")
-
-
-def test_stdout_takes_the_bytes(drive_file: Path) -> None:
-    written = done(
-        "waveform", "drive.csv", "--to", "int16", "--volts", "0:100", "-q"
-    ).raw
-    assert len(written) == 2000
-    assert struct.unpack("<h", written[:2])
+    coarse = ("--volts", "0:100", "--codes", "0:63")
+    refused(3, *words, *coarse, "--max-rounding", 0.1)
 
 
 # --- excite ---
@@ -235,12 +212,9 @@ def test_an_excitation_has_several_amplitudes_and_levels() -> None:
     assert len(np.unique(np.round(turns))) >= 6
 
 
-def test_other_units_of_drive() -> None:
+def test_other_units_of_drive_and_limits_that_are_too_slow() -> None:
     written = table(done("excite", "--v-max", "4bar"))
     name = next(reversed(written))
     assert name.endswith("_bar") and written[name].max() <= 4.0
-
-
-def test_an_excitation_too_fast_for_its_limits_is_refused() -> None:
     words = ("excite", "--v-max", 100, "--max-slew", 1, "--duration", 5)
     assert dbo(*words).code in (2, 3)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from .program import Floats, dbo, done, model, refused, rms, table, write
+from .program import (
+    DRIVE, LOG, MOVE, PAIR, PASS, Floats, dbo, done, load, model, refused, rms, simulated, store, store_set,
+    table, values_of, write,
+)  # fmt: skip
 
 STEP = 1e-3
 TIME = STEP * np.arange(6000)
+FIRST = ("compensate", model("creep"), "traj.csv", "--from", 0)
+SWEPT = (*FIRST, "--condition")
 
 
 def pink(rng: np.random.Generator, rows: int) -> Floats:
@@ -40,12 +43,10 @@ def recorded(seed: int) -> tuple[dict[str, Floats], Floats]:
     span = 6.0
     size = rng.uniform(0.2, 0.35) * span
     desired = 0.5 * span + size * np.sin(2.0 * np.pi * 0.5 * TIME + rng.uniform(0, 6))
-    write("traj.csv", "time_s,displacement_um", TIME, desired)
-    # fmt: off
-    done("compensate", model("creep"), "traj.csv", "--condition", "--from", 0, "-o", "drive.csv")
-    # fmt: on
+    write("traj.csv", MOVE, TIME, desired)
+    done(*SWEPT, "-o", "drive.csv")
     drive = table("drive.csv")
-    moved = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
+    moved = simulated("creep", "drive.csv")
     lagging = sum(moved - creep(moved, tau) for tau in (0.1, 1.0, 10.0))
     moved = moved - rng.uniform(1e-3, 2e-3) * lagging
     moved += 1e-3 * span * pink(rng, len(moved)) * rng.uniform(0.3, 1.0)
@@ -54,25 +55,28 @@ def recorded(seed: int) -> tuple[dict[str, Floats], Floats]:
     return drive, moved
 
 
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("start", [0.0, 1.7e9])
+def reported(trajectory: str, *words: object) -> dict[str, float]:
+    """Return the figures of ``pass.csv`` beside a trajectory or a drive."""
+    line = ("report", "pass.csv", "--trajectory", trajectory, "--format", "json")
+    return done(*line, *words).json["logs"][0]
+
+
+@pytest.mark.parametrize(
+    ("seed", "start"), [(0, 0.0), (1, 1.7e9), (2, 0.0), (3, 1.7e9)]
+)
 def test_a_recorder_that_counts_from_elsewhere_is_reported_as_by_rows(
     seed: int, start: float
 ) -> None:
-    """Five rows off, 46 nm for 22.7, it was: creep and 1/f noise pull on a fit of loops."""
+    """Creep and 1/f noise pull on a fit of loops: it was five rows off, 46 nm for 22.7."""
     drive, moved = recorded(seed)
     stamps = start + STEP * np.arange(len(moved))
-    read_back = drive["voltage_V"] + 0.02 * np.random.default_rng(9).standard_normal(
-        len(moved)
-    )
-    write("pass.csv", "time_s,voltage_V,measured_um", stamps, read_back, moved)
+    rng = np.random.default_rng(9)
+    volts = drive["voltage_V"] + 0.02 * rng.standard_normal(len(moved))
+    write("pass.csv", PASS, stamps, volts, moved)
     move = drive["time_s"] > -0.5 * STEP
     truth = rms((moved - drive["desired_um"])[move])
     for trajectory in ("traj.csv", "drive.csv"):
-        # fmt: off
-        found = done("report", "pass.csv", "--trajectory", trajectory, "--format", "json")
-        # fmt: on
-        log = found.json["logs"][0]
+        log = reported(trajectory)
         assert log["rmse"] == pytest.approx(truth, rel=0.01), trajectory
         ahead = start - drive["time_s"][0]
         assert log["clock_offset_s"] == pytest.approx(ahead, abs=0.02 * STEP)
@@ -82,18 +86,11 @@ def test_a_drive_lays_recordings_over_each_other_to_a_part_of_a_row() -> None:
     """The actuator is late by 3.4 ms, which is an error; the recorder by .4 rows, which is none."""
     drive, _ = recorded(1)
     ahead, late = 0.4 * STEP, 3.4e-3
-    time = drive["time_s"]
-    stamps = time + ahead
-    write(
-        "pass.csv",
-        "time_s,voltage_V,measured_um",
-        stamps[5:-5],
-        np.interp(time, time, drive["voltage_V"])[5:-5],
-        np.interp(time - late, time, drive["desired_um"])[5:-5],
-    )
-    log = done(
-        "report", "pass.csv", "--trajectory", "drive.csv", "--format", "json"
-    ).json["logs"][0]
+    time, desired, volts = drive.values()
+    volts = volts[5:-5]
+    moved = np.interp(time - late, time, desired)[5:-5]
+    write("pass.csv", PASS, (time + ahead)[5:-5], volts, moved)
+    log = reported("drive.csv")
     assert log["clock_offset_s"] == pytest.approx(ahead, abs=0.01 * STEP)
     assert log["lag_left_s"] == pytest.approx(late, abs=0.01 * STEP)
 
@@ -101,7 +98,7 @@ def test_a_drive_lays_recordings_over_each_other_to_a_part_of_a_row() -> None:
 def test_another_drive_is_said() -> None:
     drive, moved = recorded(2)
     other = 50.0 + 40.0 * np.sin(np.arange(len(moved)) / 77.0)
-    write("pass.csv", "time_s,voltage_V,measured_um", drive["time_s"], other, moved)
+    write("pass.csv", PASS, drive["time_s"], other, moved)
     outcome = dbo("report", "pass.csv", "--trajectory", "drive.csv")
     assert outcome.code == 0
     assert any("drive is not that of drive.csv" in text for text in outcome.warnings)
@@ -127,13 +124,12 @@ def test_a_pass_is_learned_from_wherever_its_recorder_counts_from(
     """It was refused: "its drive belongs to another trajectory"."""
     drive, moved = recorded(0)
     stamps = drive["time_s"]
-    words = ("compensate", model("creep"), "traj.csv", "--condition", "--from", 0)
-    write("true.csv", "time_s,voltage_V,measured_um", stamps, drive["voltage_V"], moved)
-    known = table(done(*words, "--tracked", "true.csv"))["voltage_V"]
+    write("true.csv", PASS, stamps, drive["voltage_V"], moved)
+    known = table(done(*SWEPT, "--tracked", "true.csv"))["voltage_V"]
     if start is not None:
         stamps = start + STEP * np.arange(len(moved))
-    write("pass.csv", "time_s,voltage_V,measured_um", stamps, drive["voltage_V"], moved)
-    outcome = done(*words, "--tracked", "pass.csv", "--verbose")
+    write("pass.csv", PASS, stamps, drive["voltage_V"], moved)
+    outcome = done(*SWEPT, "--tracked", "pass.csv", "--verbose")
     np.testing.assert_allclose(table(outcome)["voltage_V"], known, atol=1e-9)
     off = rms((moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP])
     assert "of it noise" in outcome.err
@@ -197,9 +193,7 @@ def test_what_was_learned_moves_the_first_value_and_no_row(start: float | None) 
 
 def test_both_axes_of_a_raster_are_laid_over_by_their_drives() -> None:
     """A slow axis is a ramp, and a ramp that is late looks like one that is lower: 65 % off."""
-    one = json.loads(Path(model("creep")).read_text())
-    held = {"format": "dbo-model-set", "version": 1, "models": {"x": one, "y": one}}
-    Path("xy.json").write_text(json.dumps(held))
+    store_set("xy.json", x=values_of("creep"), y=values_of("creep"))
     words = ("--rate", 1000, "--range", "1:5", "--lines", 16, "--frequency", 5)
     done("trajectory", "raster", *words, "--bandwidth", 50, "-o", "raster.csv")
     words = ("xy.json", "raster.csv", "--displacement", "{}_um", "--condition")
@@ -209,8 +203,7 @@ def test_both_axes_of_a_raster_are_laid_over_by_their_drives() -> None:
     rng = np.random.default_rng(1)
     for axis in "xy":
         column = f"voltage_{axis}"
-        played = done("simulate", model("creep"), "scan.csv", "--input", column)
-        moved = 1.004 * table(played)["displacement_um"]
+        moved = 1.004 * simulated("creep", "scan.csv", "--input", column)
         moved += 0.003 * rng.standard_normal(len(moved))
         columns[f"V{axis}_V"] = scan[f"{column}_V"]
         columns[f"D{axis}_um"] = moved
@@ -228,21 +221,63 @@ def test_both_axes_of_a_raster_are_laid_over_by_their_drives() -> None:
     done("compensate", *words, "--from", 0, "--tracked", "pass.csv", *recorded_as)
 
 
+def test_a_raster_recorded_without_its_drive_repeats_only_as_far_as_the_recording_reaches() -> (
+    None
+):
+    """Late by a line it looks alike, but then lines would be missing: .1 s were left in, 1.8 um."""
+    words = ("--rate", 1000, "--range", "1:5", "--lines", 32, "--frequency", 5)
+    done("trajectory", "raster", *words, "--bandwidth", 50, "-o", "raster.csv")
+    for axis in "xy":
+        words = ("raster.csv", "--displacement", f"{axis}_um", "--from", 0)
+        done("compensate", model("creep"), *words, "--approach", 0.1, "-o", "d.csv")
+        drive = table("d.csv")
+        moved = table(done("simulate", model("creep"), "d.csv"))["displacement_um"]
+        moved = 1.004 * moved + 0.003 * np.random.default_rng(1).standard_normal(
+            len(moved)
+        )
+        write("pass.csv", "time_s,measured_um", STEP * np.arange(len(moved)), moved)
+        asked = ("--trajectory", "raster.csv", "--desired", f"{axis}_um")
+        outcome = done("report", "pass.csv", *asked, "--format", "json")
+        (log,) = outcome.json["logs"]
+        off = rms((moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP])
+        assert log["rmse"] == pytest.approx(off, rel=0.01), axis
+        assert outcome.warnings == []
+
+
+def test_what_was_learned_between_harmonics_ends_no_learning() -> None:
+    """The second pass was learned below 1.3 Hz for 25, and the third was refused: its error grew."""
+    time = STEP * np.arange(4000)
+    fast = 0.05 * np.sin(2.0 * np.pi * 24.0 * time)
+    desired = 3.0 + 1.5 * np.sin(2.0 * np.pi * time) + fast
+    write("sines.csv", "time_s,displacement_um", time, desired)
+    words = ["compensate", model("creep"), "sines.csv", "--from", 0, "--approach", 1]
+    done(*words, "-o", "pass.csv")
+    errors = []
+    for seed in range(3):
+        drive = table("pass.csv")
+        moved = table(done("simulate", model("creep"), "pass.csv"))["displacement_um"]
+        moved += 0.03 * np.sin(moved) + 0.03 * (creep(moved, 0.03) - moved)
+        moved += 1e-3 * np.random.default_rng(seed).standard_normal(len(moved))
+        columns = drive["time_s"], drive["voltage_V"], moved
+        write("seen.csv", "time_s,voltage_V,measured_um", *columns)
+        error = (moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP]
+        errors.append(np.std(error))
+        learned = ("--tracked", "seen.csv", "--history", "passes.json", "--verbose")
+        outcome = done(*words, *learned, "-o", "pass.csv")
+        cutoff = outcome.err.split("learned below")[1].split()[0]
+        assert float(cutoff) == pytest.approx(25.4, rel=0.01)
+    assert errors[2] < 1.05 * errors[1] < 0.1 * errors[0]
+
+
 def test_a_pass_with_another_past_is_refused() -> None:
     drive, moved = recorded(1)
-    header = "time_s,voltage_V,measured_um"
-    write("swept.csv", header, drive["time_s"], drive["voltage_V"], moved)
-    words = ("compensate", model("creep"), "traj.csv", "--from", 0)
-    told = refused(1, *words, "--approach", 1, "--tracked", "swept.csv")
+    write("swept.csv", PASS, drive["time_s"], drive["voltage_V"], moved)
+    told = refused(1, *FIRST, "--approach", 1, "--tracked", "swept.csv")
     assert "past" in told and "--condition" in told
-    done(*words, "--approach", 1, "-o", "plain.csv")
-    plain = table("plain.csv")
-    write(
-        "plain_pass.csv",
-        header,
-        *(plain[key] for key in ("time_s", "voltage_V", "desired_um")),
-    )
-    told = refused(1, *words, "--condition", "--tracked", "plain_pass.csv")
+    done(*FIRST, "--approach", 1, "-o", "plain.csv")
+    time, desired, volts = table("plain.csv").values()
+    write("plain_pass.csv", PASS, time, volts, desired)
+    told = refused(1, *SWEPT, "--tracked", "plain_pass.csv")
     assert "past" in told and "--condition" in told
 
 
@@ -255,7 +290,7 @@ def two_recorders(delay: float, both: bool) -> None:
     played = table("drive.csv")
     time = played["time_s"]
     rows = np.arange(0.3, time[-1], STEP)
-    moved = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
+    moved = simulated("creep", "drive.csv")
     columns = {
         "displacement_um": np.interp(rows - delay, time, moved),
         "voltage_V": np.interp(rows, time, played["voltage_V"]),
@@ -278,8 +313,43 @@ def test_clocks_of_two_recorders_are_found(both: bool) -> None:
     assert f"moved by -1.{'3' if both else '29'}" in outcome.err
     assert ("by the drive" if both else "delay included") in outcome.err
     assert not both or "50 ppm fast" in outcome.err
-    stages = json.loads(Path("m.json").read_text())["stages"]
+    stages = load("m.json")["stages"]
     assert any(stage["type"] == "delay" for stage in stages) == both
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.03, -0.03])
+@pytest.mark.parametrize("swings", ["many", "one"])
+def test_a_recorder_that_began_a_little_late_is_told_of_where_it_shows(
+    offset: float, swings: str
+) -> None:
+    """Up to 50 ms were taken in silence; one swing that repeats is as well a wider loop."""
+    done("excite", "--v-max", 100, "--sample-rate", 500, "-o", "drive.csv")
+    if swings == "one":
+        time = np.arange(0.0, 40.0, 2e-3)
+        write("drive.csv", "time_s,voltage_V", time, 100.0 * abs(0.2 * time % 2 - 1))
+    moved = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
+    moved += 1e-3 * np.random.default_rng(0).standard_normal(len(moved))
+    stamps = offset + table("drive.csv")["time_s"]
+    write("sensor.csv", "time_s,displacement_um", stamps, moved)
+    words = ("sensor.csv", "--voltage", "drive.csv::voltage_V")
+    outcome = done("identify", *words, "--gears", 40, "-o", "m.json", "--force")
+    told = [text for text in outcome.warnings if "do not line up" in text]
+    assert len(told) == (offset != 0.0 and swings == "many")
+    for text in told:
+        assert f"{offset:+.2g}"[:4] in text and "--clock-offset auto" in text
+        assert ("or 0 if" in text) == (offset > 0.0)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.03])
+def test_what_a_report_cannot_tell_from_a_late_actuator_is_said(offset: float) -> None:
+    desired = 3.0 + 2.0 * np.sin(2.0 * np.pi * 0.5 * TIME) * np.exp(-0.3 * TIME)
+    rng = np.random.default_rng(4)
+    write("traj.csv", "time_s,displacement_um", TIME, desired)
+    measured = desired + 2e-3 * rng.standard_normal(len(TIME))
+    write("pass.csv", "time_s,measured_um", TIME + offset, measured)
+    outcome = done("report", "pass.csv", "--trajectory", "traj.csv")
+    assert ("0.03 s late" in outcome.out) == (offset > 0.0)
+    assert outcome.warnings == []
 
 
 def test_a_late_sensor_is_no_error() -> None:
@@ -287,35 +357,26 @@ def test_a_late_sensor_is_no_error() -> None:
     late = 8e-3
     done("excite", "--v-max", 100, "-o", "drive.csv")
     time, volts = (table("drive.csv")[key] for key in ("time_s", "voltage_V"))
-    moved = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
-    write("log.csv", "time_s,voltage_V,displacement_um", time, volts,
-          np.interp(time - late, time, moved))  # fmt: skip
-    # fmt: off
+    moved = simulated("creep", "drive.csv")
+    write("log.csv", LOG, time, volts, np.interp(time - late, time, moved))
     done("identify", "log.csv", "--sensor-delay", "8ms", "-o", "m.json")
-    write("move.csv", "time_s,displacement_um", TIME, 3.0 - 2.0 * np.cos(np.pi * TIME))
-    done("compensate", "m.json", "move.csv", "--condition", "--from", 0, "-o", "d.csv",
-         "--summary", "s.json")
-    # fmt: on
-    for file, key in (("m.json", "fit"), ("s.json", None)):
-        values = json.loads(Path(file).read_text())
-        assert (values[key] if key else values)["sensor_delay"] == late
-    drive = table("d.csv")
-    stamps = drive["time_s"]
-    truth = table(done("simulate", model("creep"), "d.csv"))["displacement_um"]
-    seen = np.interp(stamps - late, stamps, truth)
-    header = "time_s,voltage_V,measured_um"
-    write("pass.csv", header, stamps, drive["voltage_V"], seen)
-    off = rms((truth - drive["desired_um"])[stamps > -0.5 * STEP])
-    report = ("report", "pass.csv", "--trajectory", "d.csv", "--format", "json")
-    plain = done(*report).json["logs"][0]["rmse"]
-    known = done(*report, "--expected", "s.json").json["logs"][0]
-    assert plain > 1.3 * off
+    write("move.csv", MOVE, TIME, 3.0 - 2.0 * np.cos(np.pi * TIME))
+    words = ("compensate", "m.json", "move.csv", "--condition", "--from", 0)
+    done(*words, "-o", "d.csv", "--summary", "s.json")
+    assert (
+        load("m.json")["fit"]["sensor_delay"] == late == load("s.json")["sensor_delay"]
+    )
+    stamps, desired, volts = table("d.csv").values()
+    truth = simulated("creep", "d.csv")
+    write("pass.csv", PASS, stamps, volts, np.interp(stamps - late, stamps, truth))
+    off = rms((truth - desired)[stamps > -0.5 * STEP])
+    assert reported("d.csv")["rmse"] > 1.3 * off
+    known = reported("d.csv", "--expected", "s.json")
     assert known["rmse"] == pytest.approx(off, rel=0.05)
-    words = ("--condition", "--from", 0, "--tracked", "pass.csv", "-o", "next.csv")
-    done("compensate", "m.json", "move.csv", *words)
-    again = table("next.csv")
-    truth = table(done("simulate", model("creep"), "next.csv"))["displacement_um"]
-    assert rms((truth - again["desired_um"])[again["time_s"] > -0.5 * STEP]) < off
+    done(*words, "--tracked", "pass.csv", "-o", "next.csv")
+    stamps, desired, _ = table("next.csv").values()
+    truth = simulated("creep", "next.csv")
+    assert rms((truth - desired)[stamps > -0.5 * STEP]) < off
 
 
 # --- why an error is larger than expected ---
@@ -323,10 +384,10 @@ def test_a_late_sensor_is_no_error() -> None:
 
 def told_of(measured: Floats, desired: Floats, expected: float) -> list[str]:
     """Return the warnings of a report of a move with an expected error (um)."""
-    write("run.csv", "time_s,desired_um,measured_um", TIME, desired, measured)
+    write("run.csv", PAIR, TIME, desired, measured)
     summary = {"format": "dbo-summary", "version": 1, "unit": "um", "model": "0" * 64}
     figures = {"expected_rmse": expected, "move_range": [desired.min(), desired.max()]}
-    Path("s.json").write_text(json.dumps({**summary, **figures}))
+    store("s.json", {**summary, **figures})
     return dbo("report", "run.csv", "--expected", "s.json").warnings
 
 
@@ -359,21 +420,16 @@ def test_the_largest_cause_of_an_error_is_named_and_noise_is_none() -> None:
 def test_a_loop_keeps_its_period_at_other_points() -> None:
     """200 rows of 1 ms are 0.2 s; 100 points were 0.20101 s, with a step over the seam."""
     phase = 2.0 * np.pi * np.arange(200) / 200.0
-    write(
-        "loop.csv",
-        "time_s,voltage_V",
-        STEP * np.arange(200),
-        50.0 + 40.0 * np.sin(phase),
-    )
+    volts = 50.0 + 40.0 * np.sin(phase)
+    write("loop.csv", DRIVE, STEP * np.arange(200), volts)
     words = ("waveform", "loop.csv", "--to", "npy", "--points", 100, "-o", "loop.npy")
     outcome = done(*words, "--loop")
     assert "500 Hz, 0.2 s" in outcome.err and "offset 50 V" in outcome.err
     points = np.load("loop.npy")
-    assert points == pytest.approx(50.0 + 40.0 * np.sin(phase[::2]), abs=1e-9)
+    assert points == pytest.approx(volts[::2], abs=1e-9)
     done(*words[:-4], "--rate", 500, "-o", "rate.npy", "--loop")
     assert np.array_equal(np.load("rate.npy"), points)
     ramp = np.linspace(0.0, 100.0, 200)
-    write("open.csv", "time_s,voltage_V", STEP * np.arange(200), ramp)
-    assert "loop" in refused(
-        3, "waveform", "open.csv", "--to", "npy", "-o", "x.npy", "--loop"
-    )
+    write("open.csv", DRIVE, STEP * np.arange(200), ramp)
+    words = ("waveform", "open.csv", "--to", "npy", "-o", "x.npy", "--loop")
+    assert "loop" in refused(3, *words)

@@ -14,7 +14,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from .program import PROGRAM, dbo, done, listing, model, refused, table, write
+from .program import (
+    PAIR,
+    PASS,
+    PROGRAM,
+    dbo,
+    done,
+    listing,
+    model,
+    refused,
+    table,
+    write,
+)
 
 SMALL = model("small")
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals and pipes")
@@ -26,8 +37,8 @@ def files(wish: Path, log: Path, drive: Path) -> None:
     shutil.copy(SMALL, "mm.json")
     time = np.arange(200) / 100.0
     desired = 5.0 + np.sin(time)
-    write("pair.csv", "time_s,desired_um,measured_um", time, desired, desired + 0.01)
-    write("track.csv", "time_s,voltage_V,measured_um", time, desired, desired)
+    write("pair.csv", PAIR, time, desired, desired + 0.01)
+    write("track.csv", PASS, time, desired, desired)
     words = ("compensate", "mm.json", "wish.csv", "-o", "o.csv", "-q")
     done(*words, "--save-state", "st.json", "--summary", "sm.json")
     Path("o.csv").unlink()
@@ -85,13 +96,11 @@ def test_a_state_and_a_history_may_be_replaced_by_their_next(files: None) -> Non
     Path("st.json").write_text(f"{before}\n")
     words = ("compensate", "mm.json", "wish.csv", "-o", "out.csv", "-q")
     done(*words, "--state", "st.json", "--save-state", "st.json")
-    done("simulate", "mm.json", "out.csv", "-o", "s.csv", "--input", "voltage_V", "--state",
-         "st.json", "--save-state", "st.json", "-q")  # fmt: skip
+    line = ("simulate", "mm.json", "out.csv", "--input", "voltage_V", "-o", "s.csv")
+    done(*line, "--state", "st.json", "--save-state", "st.json", "-q")
     assert Path("st.json").read_text() == before
-    played = table("out.csv")
-    write(
-        "track.csv", "voltage_V,measured_um", played["voltage_V"], played["desired_um"]
-    )
+    _, desired, volts = table("out.csv").values()
+    write("track.csv", "voltage_V,measured_um", volts, desired)
     for passes in (1, 1):  # learned twice from the same pass: forgotten the second time
         done(*words, "--tracked", "track.csv", "--history", "h.json")
         assert Path("h.json").read_text().count("rmse") == passes
@@ -123,22 +132,20 @@ def test_an_exported_model_is_not_replaced_by_its_export(files: None) -> None:
 def test_figures_follow_no_link_and_replace_no_input(files: None) -> None:
     Path("figures").mkdir()
     Path("precious").write_text("precious\n")
+    shutil.copy("mm.json", "figures/model-loop.png")
+    outcome = dbo("show", "figures/model-loop.png", "--figures", "figures")
+    assert outcome.code == 1 and os.listdir("figures") == ["model-loop.png"]
+    assert Path("figures/model-loop.png").read_bytes() == SMALL.read_bytes()
+    os.remove("figures/model-loop.png")
+    os.symlink("../precious", "figures/.model-loop.png.part")
     done("show", "mm.json", "--figures", "figures")
-    names = os.listdir("figures")
-    for name in names:
-        os.symlink("../precious", f"figures/.{name}.part")
-    done("show", "mm.json", "--figures", "figures")
+    drawn = set(os.listdir("figures"))
+    assert {"model-loop.png", "model-loop.svg"} <= drawn
     assert Path("precious").read_text() == "precious\n"
-    png = sorted(names)[0]
-    shutil.copy("mm.json", f"figures/{png}")
-    outcome = dbo("show", f"figures/{png}", "--figures", "figures")
-    assert outcome.code == 1
-    assert Path(f"figures/{png}").read_bytes() == SMALL.read_bytes()
 
 
 @posix
 @pytest.mark.parametrize("words", [
-    ("show", "mm.json", "--figures", "figures"),
     ("report", "pair.csv", "--figures", "figures", "-o", "page.html"),
     ("compensate", "mm.json", "wish.csv", "-o", "out.h5", "--summary", "s.json"),
     ("compensate", "mm.json", "wish.csv", "-o", "out.csv", "--save-state", "s.json"),

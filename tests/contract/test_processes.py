@@ -21,20 +21,18 @@ SMALL = model("small")
 HEADER = b"voltage_V,displacement_um\n"
 
 
-def test_the_module_is_the_program() -> None:
+def test_the_module_is_the_program_between_pipes() -> None:
     ended = process("--version")
-    assert (ended.returncode, ended.stdout, ended.stderr) == (
-        0,
-        f"dbo {__version__}\n".encode(),
-        b"",
-    )
-
-
-def test_pipe_in_and_out() -> None:
+    said = f"dbo {__version__}\n".encode()
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, said, b"")
     ended = process("simulate", SMALL, "-", input=b"voltage_V\n0\n5\n10\n3\n")
     assert ended.returncode == 0
     assert ended.stdout == HEADER + b"0.0,1.0\n5.0,4.2\n10.0,9.0\n3.0,4.0\n"
     assert all(line.startswith(b"dbo: ") for line in ended.stderr.splitlines())
+    ended = process("simulate", "none.json", "none.csv")
+    assert ended.returncode == 1
+    assert ended.stderr.startswith(b"dbo: error: none.json: ")
+    assert ended.stderr.count(b"\n") == 1
 
 
 def test_three_commands_in_one_pipe() -> None:
@@ -46,13 +44,6 @@ def test_three_commands_in_one_pipe() -> None:
     assert ended.stderr == b""
     drive = np.loadtxt(ended.stdout.decode().splitlines(), delimiter=",", skiprows=1)
     np.testing.assert_allclose(drive[:, 1], [0.0, 5.0, 10.0, 3.0], atol=1e-12)
-
-
-def test_an_error_is_one_line_and_a_code() -> None:
-    ended = process("simulate", "none.json", "none.csv")
-    assert ended.returncode == 1
-    assert ended.stderr.startswith(b"dbo: error: none.json: ")
-    assert ended.stderr.count(b"\n") == 1
 
 
 @posix

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import re
 from pathlib import Path
 from typing import Any
@@ -12,11 +11,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from .program import Floats, dbo, done, model, refused, rms, table, write
+from .program import (
+    DRIVE,
+    LOG,
+    MOVE,
+    PAIR,
+    Floats,
+    dbo,
+    done,
+    load,
+    model,
+    refused,
+    rms,
+    simulated,
+    write,
+)
 
 TIME = np.arange(600) / 500.0
 WANTED = 5.0 + 3.0 * np.sin(2.0 * np.pi * 2.0 * TIME)
-PAIR = "time_s,desired_um,measured_um"
 
 
 def noise(size: float, seed: int = 1) -> Floats:
@@ -27,11 +39,15 @@ def noise(size: float, seed: int = 1) -> Floats:
 def logs(folder: Path) -> None:
     write("good.csv", PAIR, TIME, WANTED, WANTED + noise(0.01))
     write("bad.csv", PAIR, TIME, WANTED, WANTED + 0.1 + noise(0.3, seed=2))
+    write("wish.csv", MOVE, TIME, WANTED)
 
 
 def merits(*words: object) -> Any:
     """Return the figures of the first log."""
     return done("report", *words, "--format", "json", "-q").json["logs"][0]
+
+
+# --- forms ---
 
 
 def test_three_logs_side_by_side() -> None:
@@ -46,29 +62,15 @@ def test_three_logs_side_by_side() -> None:
     assert good["nrmse_percent"] == pytest.approx(100.0 * good["rmse"] / 6.0, rel=1e-3)
 
 
-def test_text_has_a_verdict_and_aligned_columns() -> None:
+def test_text_is_aligned_and_csv_is_a_line_a_log() -> None:
     page = done("report", "bad.csv", "good.csv").out
     assert "bad.csv" in page and "good.csv" in page
     assert "0.01" in page and "um" in page
     assert max(map(len, page.splitlines())) <= 120
-
-
-def test_csv_is_a_line_a_log() -> None:
-    rows = list(
-        csv.DictReader(
-            io.StringIO(done("report", "bad.csv", "good.csv", "--format", "csv").out)
-        )
-    )
-    assert len(rows) == 2
-    assert any(
-        float(value) == merits("good.csv")["rmse"]
-        for value in rows[1].values()
-        if is_number(value)
-    )
-
-
-def is_number(text: str) -> bool:
-    return re.fullmatch(r"-?\d+(\.\d+)?(e-?\d+)?", text) is not None
+    text = done("report", "bad.csv", "good.csv", "--format", "csv").out
+    bad, good = csv.DictReader(io.StringIO(text))
+    assert repr(merits("good.csv")["rmse"]) in good.values()
+    assert repr(merits("bad.csv")["rmse"]) in bad.values()
 
 
 def test_the_form_follows_the_name() -> None:
@@ -81,22 +83,17 @@ def test_the_form_follows_the_name() -> None:
         done("report", "good.csv", "-o", name)
         text = Path(name).read_text()
         assert text.startswith(start) and "good.csv" in text
-    assert json.loads(Path("r.json").read_text())["format"] == "dbo-report"
+    assert load("r.json")["format"] == "dbo-report"
 
 
-def test_a_page_reaches_for_no_network_and_holds_the_verdict() -> None:
-    done("report", "bad.csv", "good.csv", "-o", "r.html")
+def test_a_page_reaches_for_no_network_and_figures_are_png_and_svg() -> None:
+    words = ("report", "bad.csv", "good.csv", "-o", "r.html")
+    done(*words, "--figures", "figures")
     page = Path("r.html").read_text()
     assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", page)
     assert "<svg" in page or "data:image" in page
     assert "viewport" in page and "prefers-color-scheme" in page
     assert "dbo report bad.csv good.csv" in page
-    done("report", "bad.csv", "good.csv", "-o", "r.html")
-    assert Path("r.html").read_text() == page
-
-
-def test_figures_are_png_and_svg() -> None:
-    done("report", "good.csv", "--figures", "figures", "-o", "r.txt")
     drawn = {path.name: path.read_bytes() for path in Path("figures").iterdir()}
     stems = {Path(name).stem for name in drawn}
     assert len(stems) >= 3
@@ -105,20 +102,27 @@ def test_figures_are_png_and_svg() -> None:
         assert content.startswith(b"\x89PNG" if name.endswith("png") else b"<?xml")
 
 
-def test_a_bound_that_is_missed_is_exit_3_and_the_report_is_written() -> None:
-    codes = {
-        "--max-rmse 0.5": 0,
-        "--max-rmse 0.2": 3,
-        "--max-rmse 200nm": 3,
-        "--max-rmse 0.001mm": 0,
-        "--max-nrmse-percent 10": 0,
-        "--max-nrmse-percent 5": 3,
-    }
-    for bound, code in codes.items():
-        outcome = dbo("report", "bad.csv", *bound.split(), "-o", "r.json")
-        assert outcome.code == code, outcome.err
-        assert json.loads(Path("r.json").read_text())["passed"] is (code == 0)
-        assert not code or "bad.csv" in outcome.lines[-1]
+@pytest.mark.parametrize(
+    ("bound", "code"),
+    [
+        ("--max-rmse 0.5", 0),
+        ("--max-rmse 0.2", 3),
+        ("--max-rmse 200nm", 3),
+        ("--max-rmse 0.001mm", 0),
+        ("--max-nrmse-percent 10", 0),
+        ("--max-nrmse-percent 5", 3),
+    ],
+)
+def test_a_bound_that_is_missed_is_exit_3_and_the_report_is_written(
+    bound: str, code: int
+) -> None:
+    outcome = dbo("report", "bad.csv", *bound.split(), "-o", "r.json")
+    assert outcome.code == code, outcome.err
+    assert load("r.json")["passed"] is (code == 0)
+    assert not code or "bad.csv" in outcome.lines[-1]
+
+
+# --- rows, lag and offset ---
 
 
 @pytest.mark.parametrize("late", [3, -4])
@@ -130,6 +134,9 @@ def test_a_late_sensor_is_late_in_samples_and_seconds(late: int) -> None:
     assert found["lag_left_s"] == pytest.approx(late / 500.0, abs=5e-4)
     if late > 0:
         assert merits("late.csv", "--lag", late)["rmse"] < 1e-9
+        found = merits("late.csv", "--lag", late - 2)
+        assert (found["lag_samples"], found["lag_s"]) == (1, pytest.approx(0.002))
+        assert found["lag_left_s"] == pytest.approx(0.004, abs=5e-4)
 
 
 def test_rows_and_the_lag_count_rows_of_desired() -> None:
@@ -148,144 +155,12 @@ def test_offset_removed() -> None:
     assert merits("up.csv")["mean"] == pytest.approx(0.25)
 
 
-# --- the wish in a file of its own ---
-
-
-def test_a_trajectory_of_its_own() -> None:
-    write("wish.csv", "time_s,displacement_um", TIME, WANTED)
-    write("measured.csv", "time_s,displacement_um", TIME, WANTED + noise(0.01))
-    found = merits("measured.csv", "--trajectory", "wish.csv")
-    assert found["rmse"] == pytest.approx(rms(noise(0.01)), rel=1e-9)
-
-
-def test_a_drive_serves_as_trajectory_and_rows_before_the_move_do_not_count() -> None:
-    write("wish.csv", "time_s,displacement_um", TIME, WANTED)
-    words = ("--condition", "-o", "drive.csv", "-q")
-    done("compensate", model("small"), "wish.csv", *words)
-    done("simulate", model("small"), "drive.csv", "-o", "measured.csv", "-q")
-    found = merits("measured.csv", "--trajectory", "drive.csv")
-    assert found["samples"] <= 601
-    assert found["rmse"] < 0.05
-
-
-@pytest.mark.parametrize("early", [0.3, 1.0])
-def test_a_recorder_that_began_early_is_aligned(early: float) -> None:
-    before = round(early * 500)
-    moved = np.concatenate([np.full(before, WANTED[0]), WANTED + noise(0.001)])
-    clock = np.arange(len(moved)) / 500.0
-    write("measured.csv", "time_s,displacement_um", clock, moved)
-    write("wish.csv", "time_s,displacement_um", TIME, WANTED)
-    found = merits("measured.csv", "--trajectory", "wish.csv")
-    assert found["rmse"] < 0.02
-    assert abs(found["clock_offset_s"]) == pytest.approx(early, abs=0.002)
-
-
-def test_rows_of_two_rates_are_not_matched() -> None:
-    half = np.arange(300) / 250.0
-    write("measured.csv", "time_s,displacement_um", half, np.interp(half, TIME, WANTED))
-    write("wish.csv", "time_s,displacement_um", TIME, WANTED)
-    words = ("report", "measured.csv", "--trajectory", "wish.csv")
-    error = refused(1, *words, "--match", "rows")
-    assert "--match" in error or "rate" in error
-    assert merits(*words[1:], "--match", "time")["rmse"] < 1e-3
-
-
-# --- a model in the place of the wish ---
-
-
-def model_log(name: str = "log.csv") -> Floats:
-    drive = 5.0 - 5.0 * np.cos(2.0 * np.pi * 2.0 * TIME) * np.linspace(1.0, 0.5, 600)
-    write("drive.csv", "time_s,voltage_V", TIME, drive)
-    moved = table(done("simulate", model("small"), "drive.csv", "-q"))[
-        "displacement_um"
-    ]
-    write(name, "time_s,voltage_V,displacement_um", TIME, drive, moved + noise(0.02))
-    return noise(0.02)
-
-
-def test_an_option_without_its_partner_is_refused() -> None:
-    model_log()
-    log = ("log.csv", "--desired", "displacement", "--measured", "voltage")
-    assert "--state" in refused(2, "report", *log, "--state", "full")
-    assert "--match" in refused(2, "report", *log, "--match", "rows")
-    assert "log.csv" in refused(1, "report", *log)  # V beside um
-
-
-def test_a_model_s_prediction() -> None:
-    error = model_log()
-    found = merits("log.csv", "--model", model("small"))
-    assert found["rmse"] == pytest.approx(rms(error), rel=1e-9)
-
-
-def test_rows_of_a_prediction_are_scored_in_a_run_from_the_first_row() -> None:
-    error = model_log()
-    words = ("--model", model("small"), "--rows", "401:500")
-    assert merits("log.csv", *words)["rmse"] == pytest.approx(
-        rms(error[400:500]), rel=1e-9
-    )
-
-
-def test_an_inverse_model_predicts_no_displacement() -> None:
-    model_log()
-    done("invert", model("small"), "-o", "inverse.json")
-    assert "inver" in refused(1, "report", "log.csv", "--model", "inverse.json")
-
-
-# --- what was expected ---
-
-
-def test_an_error_beside_the_expected_one() -> None:
-    wanted = 2.5 - np.cos(2.0 * np.pi * 2.0 * TIME)
-    write("wish.csv", "time_s,displacement_um", TIME, wanted)
-    words = ("--summary", "summary.json", "-o", "drive.csv", "-q")
-    done("compensate", model("known"), "wish.csv", *words)
-    expected = json.loads(Path("summary.json").read_text())["expected_rmse"]
-    write("came.csv", PAIR, TIME, wanted, wanted + 20.0 * expected)
-    outcome = done(
-        "report", "came.csv", "--expected", "summary.json", "--format", "json"
-    )
-    told = outcome.json
-    assert told["logs"][0]["expected_rmse"] == pytest.approx(expected)
-    assert any("20" in text for text in [*told["warnings"], *outcome.lines])
-
-
-# --- refusals ---
-
-
-def test_refusals_name_what_is_wrong() -> None:
-    write("wish.csv", "time_s,displacement_um", TIME, WANTED)
-    write("late.csv", "time_s,displacement_um", TIME + 50.0, WANTED)
-    write("bare.csv", "displacement_um", WANTED)
-    wrong = {
-        "good.csv --lag 600": "--lag",
-        "good.csv --figures good.csv": "--figures",
-        "late.csv --trajectory wish.csv --match time": "--match",
-        "bare.csv --trajectory wish.csv --match time": "bare.csv: has no time",
-        "wish.csv --trajectory bare.csv --match time": "bare.csv: has no time",
-        "missing.csv": "missing.csv",
-        "good.csv --desired nothing": "nothing",
-        "good.csv --trajectory missing.csv": "missing.csv",
-        "good.csv --model missing.json": "missing.json",
-        "good.csv --expected missing.json": "missing.json",
-        "good.csv --rows 601:700": "601",
-        "good.csv -o no/where.html": "no/where.html",
-    }
-    for words, held in wrong.items():
-        assert held in refused(1, "report", *words.split())
-
-
-def test_a_log_without_desired_is_told_of_the_ways() -> None:
-    write("measured.csv", "time_s,displacement_um", TIME, WANTED)
-    error = refused(1, "report", "measured.csv")
-    assert "--trajectory" in error or "--desired" in error
-
-
 def test_units_of_the_two_are_brought_together() -> None:
     write("nm.csv", "time_s,desired_um,measured_nm", TIME, WANTED, 1000.0 * WANTED)
     assert merits("nm.csv")["rmse"] < 1e-9
 
 
-def test_one_channel_without_a_number_is_counted() -> None:
+def test_a_row_without_a_number_is_counted_or_refused() -> None:
     lines = Path("good.csv").read_text().splitlines()
     lines[100] = ",".join([*lines[100].split(",")[:2], "nan"])
     Path("gap.csv").write_text("\n".join(lines) + "\n")
@@ -295,3 +170,97 @@ def test_one_channel_without_a_number_is_counted() -> None:
     else:
         assert outcome.code == 1 and "--skip-bad" in outcome.err
     assert merits("gap.csv", "--skip-bad")["samples"] == 599
+
+
+# --- the wish in a file of its own ---
+
+
+def test_a_drive_serves_as_trajectory_and_rows_before_the_move_do_not_count() -> None:
+    words = ("--condition", "-o", "drive.csv", "-q")
+    done("compensate", model("small"), "wish.csv", *words)
+    done("simulate", model("small"), "drive.csv", "-o", "measured.csv", "-q")
+    found = merits("measured.csv", "--trajectory", "drive.csv")
+    assert found["samples"] <= 601
+    assert found["rmse"] < 0.05
+
+
+@pytest.mark.parametrize("early", [0.0, 0.3, 1.0])
+def test_a_recorder_that_began_early_is_aligned(early: float) -> None:
+    error, before = noise(0.001), round(early * 500)
+    moved = np.concatenate([np.full(before, WANTED[0]), WANTED + error])
+    write("measured.csv", MOVE, np.arange(len(moved)) / 500.0, moved)
+    found = merits("measured.csv", "--trajectory", "wish.csv")
+    assert found["rmse"] < 0.02
+    if early:
+        assert abs(found["clock_offset_s"]) == pytest.approx(early, abs=0.002)
+    else:
+        assert found["rmse"] == pytest.approx(rms(error), rel=1e-9)
+
+
+def test_rows_of_two_rates_are_not_matched() -> None:
+    half = np.arange(300) / 250.0
+    write("measured.csv", MOVE, half, np.interp(half, TIME, WANTED))
+    words = ("report", "measured.csv", "--trajectory", "wish.csv")
+    error = refused(1, *words, "--match", "rows")
+    assert "--match" in error or "rate" in error
+    assert merits(*words[1:], "--match", "time")["rmse"] < 1e-3
+
+
+# --- a model in the place of the wish, and what was expected ---
+
+
+def test_a_model_s_prediction_runs_from_the_first_row() -> None:
+    drive = 5.0 - 5.0 * np.cos(2.0 * np.pi * 2.0 * TIME) * np.linspace(1.0, 0.5, 600)
+    moved = simulated("small", write("drive.csv", DRIVE, TIME, drive))
+    error = noise(0.02)
+    write("log.csv", LOG, TIME, drive, moved + error)
+    words = ("log.csv", "--model", model("small"))
+    assert merits(*words)["rmse"] == pytest.approx(rms(error), rel=1e-9)
+    some = merits(*words, "--rows", "401:500")["rmse"]
+    assert some == pytest.approx(rms(error[400:500]), rel=1e-9)
+    done("invert", model("small"), "-o", "inverse.json")
+    assert "inver" in refused(1, "report", "log.csv", "--model", "inverse.json")
+    columns = ("log.csv", "--desired", "displacement", "--measured", "voltage")
+    assert "log.csv" in refused(1, "report", *columns)  # V beside um
+    for option, value in (("--state", "full"), ("--match", "rows")):
+        assert option in refused(2, "report", *columns, option, value)
+
+
+def test_an_error_beside_the_expected_one() -> None:
+    wanted = 2.5 - np.cos(2.0 * np.pi * 2.0 * TIME)
+    write("wish.csv", MOVE, TIME, wanted)
+    words = ("--summary", "summary.json", "-o", "drive.csv", "-q")
+    done("compensate", model("known"), "wish.csv", *words)
+    expected = load("summary.json")["expected_rmse"]
+    write("came.csv", PAIR, TIME, wanted, wanted + 20.0 * expected)
+    words = ("--expected", "summary.json", "--format", "json")
+    outcome = done("report", "came.csv", *words)
+    told = outcome.json
+    assert told["logs"][0]["expected_rmse"] == pytest.approx(expected)
+    assert any("20" in text for text in [*told["warnings"], *outcome.lines])
+
+
+# --- refusals ---
+
+REFUSED = {
+    "good.csv --lag 600": "--lag",
+    "good.csv --figures good.csv": "--figures",
+    "late.csv --trajectory wish.csv --match time": "--match",
+    "bare.csv --trajectory wish.csv --match time": "bare.csv: has no time",
+    "wish.csv --trajectory bare.csv --match time": "bare.csv: has no time",
+    "wish.csv": "--desired FILE::COLUMN",
+    "missing.csv": "missing.csv",
+    "good.csv --desired nothing": "nothing",
+    "good.csv --trajectory missing.csv": "missing.csv",
+    "good.csv --model missing.json": "missing.json",
+    "good.csv --expected missing.json": "missing.json",
+    "good.csv --rows 601:700": "601",
+    "good.csv -o no/where.html": "no/where.html",
+}
+
+
+def test_refusals_name_what_is_wrong() -> None:
+    write("late.csv", MOVE, TIME + 50.0, WANTED)
+    write("bare.csv", "displacement_um", WANTED)
+    for words, held in REFUSED.items():
+        assert held in refused(1, "report", *words.split())

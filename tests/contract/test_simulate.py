@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,20 @@ import pytest
 
 import dbo_cli
 
-from .program import dbo, done, model, refused, table, values_of, write
+from .program import (
+    DRIVE,
+    MOVE,
+    dbo,
+    done,
+    load,
+    model,
+    refused,
+    simulated,
+    store,
+    table,
+    values_of,
+    write,
+)
 
 MOVES = [0.0, 5.0, 10.0, 3.0, 8.0, 2.0, 6.0]
 CLOCKED = ("creep", "moving", "late", "soft")
@@ -26,68 +38,53 @@ def signal(rows: int, seed: int = 3) -> np.ndarray:
 def test_a_saved_state_goes_on_where_it_ended(name: str) -> None:
     time = np.arange(400) / 1000.0
     drive = signal(400) / (10.0 if name == "small" else 1.0)
-    write("whole.csv", "time_s,voltage_V", time, drive)
-    whole = table(done("simulate", model(name), "whole.csv"))["displacement_um"]
+    whole = simulated(name, write("whole.csv", DRIVE, time, drive))
     for cut in (1, 77):
-        write("first.csv", "time_s,voltage_V", time[:cut], drive[:cut])
-        write("second.csv", "time_s,voltage_V", time[cut:], drive[cut:])
-        parts = []
-        for word, part in (("--save-state", "first.csv"), ("--state", "second.csv")):
-            written = table(done("simulate", model(name), part, word, "state.json"))
-            parts.append(written["displacement_um"])
+        first = write("first.csv", DRIVE, time[:cut], drive[:cut])
+        second = write("second.csv", DRIVE, time[cut:], drive[cut:])
+        parts = (
+            simulated(name, first, "--save-state", "state.json"),
+            simulated(name, second, "--state", "state.json"),
+        )
         np.testing.assert_allclose(np.concatenate(parts), whole, rtol=0, atol=1e-12)
+    assert load("state.json")["version"] == 1
+    other = model("creep" if name == "small" else "small")  # a state is of one model
+    words = ("simulate", other, "second.csv", "--state", "state.json")
+    assert "state.json" in refused(1, *words)
+    actuator = dbo_cli.read_model(model(name))  # and a clock may begin anew
+    _, state = actuator.simulate(drive[:77], time[:77], return_state=True)
+    again = actuator.simulate(drive[77:], time[: 400 - 77], state=state)
+    np.testing.assert_allclose(again, whole[77:], rtol=0, atol=1e-12)
 
 
 def test_an_inverse_model_goes_on_from_a_state() -> None:
     time = np.arange(300) / 1000.0
     wanted = 3.0 + np.sin(20.0 * np.minimum(time, 0.1))
     done("invert", model("moving"), "-o", "inverse.json")
-    write("first.csv", "time_s,displacement_um", time[:200], wanted[:200])
-    write("second.csv", "time_s,displacement_um", time[200:], wanted[200:])
-    write("whole.csv", "time_s,displacement_um", time, wanted)
-    whole = table(done("simulate", "inverse.json", "whole.csv"))["voltage_V"]
-    done("simulate", "inverse.json", "first.csv", "--save-state", "s.json", "-q")
-    second = table(done("simulate", "inverse.json", "second.csv", "--state", "s.json"))
-    np.testing.assert_allclose(second["voltage_V"], whole[200:], rtol=0, atol=1e-3)
-
-
-def test_a_state_goes_on_under_a_clock_that_begins_anew() -> None:
-    creep = dbo_cli.read_model(model("creep"))
-    time, drive = np.arange(50) / 1000.0, signal(100)
-    _, state = creep.simulate(drive[:50], time, return_state=True)
-    again = creep.simulate(drive[50:], time, state=state)
-    np.testing.assert_allclose(again, creep.simulate(drive, sample_rate=1e3)[50:])
-
-
-def test_a_state_belongs_to_one_model(drive: Path) -> None:
-    done("simulate", model("small"), drive, "--save-state", "s.json", "-o", "o.csv")
-    values = json.loads(Path("s.json").read_text())
-    assert values["version"] == 1
-    error = refused(1, "simulate", model("creep"), drive, "--state", "s.json")
-    assert "s.json" in error
+    inverse = Path("inverse.json")
+    write("first.csv", MOVE, time[:200], wanted[:200])
+    write("second.csv", MOVE, time[200:], wanted[200:])
+    whole = simulated(inverse, write("whole.csv", MOVE, time, wanted))
+    simulated(inverse, "first.csv", "--save-state", "s.json")
+    second = simulated(inverse, "second.csv", "--state", "s.json")
+    np.testing.assert_allclose(second, whole[200:], rtol=0, atol=1e-3)
 
 
 def test_where_a_run_starts() -> None:
-    """At 2 V: coming from 0 V, from 10 V, or after swings that faded."""
+    """At 2 V: coming from 0 V, from 10 V, or after swings that faded; at an end it is clear."""
     write("drive.csv", "voltage_V", [2.0, 2.0])
-    first = {}
-    for state in ("auto", "empty", "full", "settled"):
-        written = table(done("simulate", model("small"), "drive.csv", "--state", state))
-        first[state] = written["displacement_um"][0]
+    states = ("auto", "empty", "full", "settled")
+    first = {one: simulated("small", "drive.csv", "--state", one)[0] for one in states}
     rising, falling = 2.0, 3.0
     assert first["empty"] == pytest.approx(rising)
     assert first["full"] == pytest.approx(falling)
-    assert rising < first["settled"] < falling
-    assert first["auto"] == first["settled"]
-
-
-def test_auto_is_empty_at_the_lower_end() -> None:
+    assert rising < first["settled"] == first["auto"] < falling
     write("drive.csv", "voltage_V", MOVES)
-    auto = done("simulate", model("small"), "drive.csv").raw
-    assert done("simulate", model("small"), "drive.csv", "--state", "empty").raw == auto
-    other = done("simulate", model("small"), "drive.csv", "--state", "full")
-    first = table(other)["displacement_um"]
-    assert first[0] == pytest.approx(1.0)
+    auto, empty, full = (
+        simulated("small", "drive.csv", "--state", one) for one in states[:3]
+    )
+    np.testing.assert_array_equal(auto, empty)
+    assert full[0] == pytest.approx(1.0)
 
 
 OUTSIDE = {"extend": [9.0, 10.0, 0.6], "hold": [9.0, 9.0, 1.0]}
@@ -116,36 +113,29 @@ def test_beyond_the_range_may_be_an_error() -> None:
 
 
 def test_a_model_that_needs_time_asks_for_it() -> None:
-    write("drive.csv", "voltage_V", signal(20))
+    write("drive.csv", "voltage_V", MOVES)
     error = refused(1, "simulate", model("creep"), "drive.csv")
     assert "--sample-rate" in error and "--time" in error
     rated = done("simulate", model("creep"), "drive.csv", "--sample-rate", "1kHz")
     assert table(rated)["time_s"][:3].tolist() == [0.0, 0.001, 0.002]
-
-
-def test_a_model_without_time_needs_none() -> None:
-    write("drive.csv", "voltage_V", MOVES)
-    assert list(table(done("simulate", model("small"), "drive.csv"))) == [
-        "voltage_V",
-        "displacement_um",
-    ]
+    free = done("simulate", model("small"), "drive.csv")
+    assert list(table(free)) == ["voltage_V", "displacement_um"]
 
 
 def test_uneven_stamps_count_as_they_are() -> None:
     """A held drive creeps the same whether its stamps are near or far."""
     fine = np.arange(0.0, 1.0005, 0.001)
     coarse = np.concatenate([fine[:101], [0.5, 1.0]])
-    for name, time in (("fine.csv", fine), ("coarse.csv", coarse)):
+    moved = []
+    for time in (fine, coarse):
         drive = np.interp(time, [0.0, 0.1], [0.0, 80.0])
-        write(name, "time_s,voltage_V", time, drive)
-    one = table(done("simulate", model("creep"), "fine.csv"))["displacement_um"]
-    two = table(done("simulate", model("creep"), "coarse.csv"))["displacement_um"]
-    assert two[-1] == pytest.approx(one[-1], abs=1e-9)
-    assert two[-1] > two[100] + 0.01
+        moved.append(simulated("creep", write("drive.csv", DRIVE, time, drive)))
+    assert moved[1][-1] == pytest.approx(moved[0][-1], abs=1e-9)
+    assert moved[1][-1] > moved[1][100] + 0.01
 
 
 def test_time_that_goes_backwards_is_refused() -> None:
-    write("drive.csv", "time_s,voltage_V", [0.0, 0.1, 0.05, 0.2], [0, 1, 2, 3])
+    write("drive.csv", DRIVE, [0.0, 0.1, 0.05, 0.2], [0, 1, 2, 3])
     error = refused(1, "simulate", model("small"), "drive.csv")
     assert "0.05" in error and ("4" in error or "3" in error)
 
@@ -153,27 +143,18 @@ def test_time_that_goes_backwards_is_refused() -> None:
 @pytest.mark.parametrize("name", ["small", "moving"])
 def test_long_files_give_what_short_blocks_give(name: str) -> None:
     """More than one block of the reader: the same values as the library on arrays."""
-    rows = 80_000
-    time = np.arange(rows) / 10_000.0
-    drive = np.round(signal(rows), 3) / (10.0 if name == "small" else 1.0)
-    write("long.csv", "time_s,voltage_V", time, drive)
-    written = table(done("simulate", model(name), "long.csv"))
-    actuator = dbo_cli.read_model(model(name))
-    expected = actuator.simulate(drive, time=time)
-    np.testing.assert_allclose(written["displacement_um"], expected, rtol=0, atol=1e-9)
+    time = np.arange(70_000) / 10_000.0
+    drive = np.round(signal(time.size), 3) / (10.0 if name == "small" else 1.0)
+    written = simulated(name, write("long.csv", DRIVE, time, drive))
+    expected = dbo_cli.read_model(model(name)).simulate(drive, time=time)
+    np.testing.assert_allclose(written, expected, rtol=0, atol=1e-9)
 
 
 def test_units_of_the_log_become_those_of_the_model() -> None:
     write("volts.csv", "voltage_V", MOVES)
     write("millivolts.csv", "voltage_mV", 1000.0 * np.array(MOVES))
-    one = table(done("simulate", model("small"), "volts.csv"))
-    two = table(done("simulate", model("small"), "millivolts.csv"))
-    np.testing.assert_allclose(
-        two["displacement_um"], one["displacement_um"], atol=1e-12
-    )
-
-
-def test_kinds_that_do_not_match_are_refused() -> None:
+    one, two = (simulated("small", f"{kind}.csv") for kind in ("volts", "millivolts"))
+    np.testing.assert_allclose(two, one, atol=1e-12)
     write("log.csv", "voltage_um", MOVES)
     error = refused(1, "simulate", model("small"), "log.csv", "--input", "voltage_um")
     assert "um" in error and "V" in error
@@ -191,7 +172,7 @@ def test_other_quantities_keep_their_names() -> None:
     values = values_of("small")
     values["input"] |= {"quantity": "pressure", "unit": "bar"}
     values["output"] |= {"quantity": "angle", "unit": "mrad"}
-    Path("muscle.json").write_text(json.dumps(values))
+    store("muscle.json", values)
     write("log.csv", "pressure_mbar", [0.0, 5000.0, 10000.0])
     written = table(done("simulate", "muscle.json", "log.csv"))
     assert list(written)[1] == "angle_mrad"
@@ -202,10 +183,10 @@ def test_negative_gains_come_back_exactly() -> None:
     """A memory with a negative gain: the drive of a wish brings the wish."""
     time = np.arange(300) / 500.0
     wanted = 2.0 + 1.5 * np.sin(2.0 * np.pi * 7.0 * time)
-    write("wish.csv", "time_s,displacement_um", time, wanted)
+    write("wish.csv", MOVE, time, wanted)
     done("compensate", model("soft"), "wish.csv", "--state", "full", "-o", "drive.csv")
-    written = table(done("simulate", model("soft"), "drive.csv", "--state", "full"))
-    np.testing.assert_allclose(written["displacement_um"][1:], wanted[1:], atol=1e-11)
+    came = simulated("soft", "drive.csv", "--state", "full")
+    np.testing.assert_allclose(came[1:], wanted[1:], atol=1e-11)
 
 
 def test_the_step_behind_a_gap_of_a_joined_log_is_the_gap() -> None:
@@ -213,9 +194,9 @@ def test_the_step_behind_a_gap_of_a_joined_log_is_the_gap() -> None:
     time = np.arange(400) / 500.0
     voltage = 50.0 - 50.0 * np.cos(8.0 * time)
     recorded = (time < 0.2) | (time > 0.5)
-    write("base.csv", "time_s,displacement_um", time, 0.1 * voltage)
-    write("guest.csv", "time_s,voltage_V", time[recorded], voltage[recorded])
-    write("one.csv", "time_s,voltage_V", time[recorded], voltage[recorded])
+    write("base.csv", MOVE, time, 0.1 * voltage)
+    write("guest.csv", DRIVE, time[recorded], voltage[recorded])
+    write("one.csv", DRIVE, time[recorded], voltage[recorded])
     creep = model("creep")
     words = ("simulate", creep, "base.csv", "--input", "guest.csv::voltage_V")
     joined = table(done(*words, "--time", "time_s"))

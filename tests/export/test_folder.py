@@ -38,17 +38,6 @@ def test_an_export_is_replaced_whole_with_what_a_compiler_made_of_it(tmp_path):
     assert content(folder)["a.c"] == "int b;\n"
 
 
-@pytest.mark.parametrize("name", ["mine.txt", "src/mine.c"])
-def test_a_folder_with_anything_else_is_not_overwritten(tmp_path, name):
-    folder = tmp_path / "fw"
-    write_folder(str(folder), FILES, {"name": "a"})
-    (folder / name).parent.mkdir(exist_ok=True)
-    (folder / name).write_text("x")
-    with pytest.raises(OutputError, match="another folder"):
-        write_folder(str(folder), FILES, {"name": "a"})
-    assert (folder / name).read_text() == "x"
-
-
 def test_files_and_missing_folders_are_refused(tmp_path):
     (tmp_path / "file").write_text("")
     for name in ("file", "no/fw"):

@@ -7,6 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dbo_cli.errors import FitError
+from dbo_cli.identification import search
+from dbo_cli.identification.averaging import Average
 from dbo_cli.identification.basis import (
     Cells,
     PreparedLog,
@@ -18,10 +21,11 @@ from dbo_cli.identification.basis import (
     sums_of,
     time_constants,
 )
-from dbo_cli.identification.problem import groups_of, prepare
+from dbo_cli.identification.problem import Problem, groups_of, prepare
 from dbo_cli.identification.recording import Options, Recording, Swings
 from dbo_cli.identification.solve import (
     Equations,
+    Fit,
     minimum,
     solve,
     travelled,
@@ -81,6 +85,34 @@ def test_unknowns_that_are_alike_are_solved(width: float) -> None:
         gradient = matrix @ x - right
         assert x.min() >= 0.0 and gradient.min() > -1e-9
         assert np.abs(gradient[x > 0.0]).max() < 1e-9
+
+
+def test_a_solution_beyond_all_numbers_is_refused() -> None:
+    matrix = np.eye(3)
+    matrix[0, 1] = matrix[1, 0] = 1.0 - 1e-15
+    right = np.array([1e300, -1e300, 1.0])
+    bounded = np.array([False, False, True])
+    for guess in (None, np.ones(3, bool)):
+        with pytest.raises(FitError), np.errstate(all="ignore"):
+            minimum(matrix, right, bounded, guess)
+
+
+def test_a_fit_without_a_score_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unjudged(problem: Problem, fit: Fit, equations: Equations) -> Fit:
+        score = fit.rmse if fit.structure.bend else np.nan
+        return replace(fit, score=score, left=tuple(fit.error for _ in problem.parts))
+
+    monkeypatch.setattr(search, "cross_validate", unjudged)
+    log = Recording("log", DRIVE, hysteresis(DRIVE), TIME)
+    problem, choices = search.choices_for(prepare([log], Options()), Options())
+    choices = replace(choices, bends=(0.25,), memories=("",))
+    found = search.Search(problem, choices)
+    with pytest.raises(FitError):
+        found.run()
+    base = Structure(bend=0.25, memories="")
+    found.path(base, [np.inf])
+    assert len(found.fits) == 1
+    assert np.isfinite(Average.of(found.fits).weights).all()
 
 
 def test_travelled_parts_add_up() -> None:

@@ -9,7 +9,6 @@ import pytest
 
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.logs import Block, Log, Reading, open_log
-from dbo_cli.logs.settings import stated_clock
 
 VOLTAGE: dict[str, str | None] = {"voltage": None}
 
@@ -46,6 +45,13 @@ def test_uneven_time_gives_each_step(tmp_path: Path) -> None:
     assert len(texts) == 2
     assert "1 of 6 time stamps" in texts[0]
     assert "2 gaps" in texts[1] and "row 3" in texts[1] and "0.016 s" in texts[1]
+
+
+def test_a_gap_does_not_change_the_rate_that_is_told(tmp_path: Path) -> None:
+    times = [f"{0.001 * n:.3f}" for n in range(600) if not 300 <= n < 340]
+    with pytest.warns(DboWarning, match="1 gap in time"):
+        _, log = read(write(tmp_path, times))
+    assert "560 rows, 0.6 s at about 1 kHz" in log.line()
 
 
 @pytest.mark.parametrize(
@@ -120,23 +126,6 @@ def test_polars_reads_stamps_as_the_cells_are_read(tmp_path: Path) -> None:
     assert table.time is not None
     np.testing.assert_array_equal(table.time, np.arange(20_000) * 3 / 1000)
     assert log.clock.origin == 1767394770.0
-
-
-def test_statements_of_a_rate() -> None:
-    clock = stated_clock([("fs", "10 kHz", ""), ("dt", 0.1, "ms")])
-    assert (clock.rate, clock.remarks) == (10_000.0, [])
-    clock = stated_clock([("Sample Interval", 0.002, ""), ("t0", 0.5, "")])
-    assert (clock.rate, clock.start) == (500.0, 0.5)
-    assert clock.remarks == ["'Sample Interval' 0.002 has no unit: s is assumed"]
-    clock = stated_clock([("SampleTime[ms]", "0,5", ""), ("ts", "2026-01-02", "")])
-    assert clock.rate == 2000.0
-    for bad in (
-        [("fs", 1, ""), ("dt", 2, "")],
-        [("fs", "3 rpm", "")],
-        [("fs", "1,000 Hz", "")],
-    ):
-        clock = stated_clock(bad)
-        assert clock.rate is None and "`sample_rate`" in clock.problem
 
 
 @pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs import Reading, columns_of, open_log
+from dbo_cli.logs import Reading, frame_table, open_log
 from dbo_cli.logs.columns import _candidates, role_of
 from dbo_cli.logs.table import Column
 from dbo_cli.units import split_header
@@ -81,12 +82,6 @@ def test_a_column_is_named(selector: str, tmp_path: Path) -> None:
         assert log.read()["voltage"].tolist() == [1.0, 1.001, 1.002]
 
 
-def test_one_column_for_two_roles_is_refused(tmp_path: Path) -> None:
-    path = write(tmp_path, "time_s,a,b")
-    with pytest.raises(InputError, match="cannot be both"):
-        open_log(path, {"voltage": "a", "displacement": "a"})
-
-
 def test_scales(tmp_path: Path) -> None:
     path = write(tmp_path, "time_s,voltage_V,sensor_V")
     reading = Reading(scale={"voltage": "20", "displacement": "10um/V"})
@@ -105,11 +100,10 @@ def test_scales(tmp_path: Path) -> None:
             open_log(path, BOTH, Reading(scale=scale))
     with pytest.raises(InputError, match="`scale`"):
         open_log(path, BOTH, Reading(scale={"voltage": "2um/A"}))
+    with pytest.raises(InputError, match="cannot be both"):
+        open_log(path, {"voltage": "1", "displacement": "1"})
 
 
-def test_optional_roles(tmp_path: Path) -> None:
-    path = write(tmp_path, "time_s,voltage_V")
-    with open_log(path, BOTH, optional=("time", "displacement")) as log:
-        assert log.provided("voltage") and log.provided("time")
-        assert not log.provided("displacement")
-    assert [column.name for column in columns_of(path)] == ["time_s", "voltage_V"]
+def test_a_frame_without_columns_is_refused() -> None:
+    with pytest.raises(InputError, match="which column is the voltage"):
+        open_log(frame_table(pd.DataFrame()), BOTH)

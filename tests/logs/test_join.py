@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 import warnings
 from pathlib import Path
 from typing import NamedTuple
@@ -61,13 +58,9 @@ class Pair(NamedTuple):
 
 PAIRS = {
     "5 and 2 kHz": Pair(5000.0, 2000.0, 2.0, 5.0),
-    "2 and 5 kHz": Pair(2000.0, 5000.0, 2.0, 5.0),
-    "100 Hz beside 100 kHz": Pair(100.0, 100_000.0, 0.8, 2.0),
     "100 kHz beside 1 kHz": Pair(100_000.0, 1000.0, 0.5, 8.0),
-    "rates that do not divide": Pair(441.0, 1000.0, 4.0, 3.0),
     "another start": Pair(500.0, 400.0, 5.0, 2.0, later=1.3),
     "a gap": Pair(500.0, 400.0, 5.0, 2.0, gap=(2.0, 2.5)),
-    "2 s typed": Pair(500.0, 400.0, 8.0, 1.0, offset=2.0, asked=2.0),
     "-2 s typed": Pair(500.0, 400.0, 8.0, 1.0, offset=-2.0, asked=-2.0),
     "2 s found": Pair(200.0, 500.0, 12.0, 0.7, offset=2.0, asked="auto"),
     "-2 s, another start": Pair(500.0, 200.0, 12.0, 0.7, offset=-2.0, later=1.0, asked="auto"),
@@ -138,7 +131,7 @@ def test_two_recorders_are_joined_by_time(name: str, tmp_path: Path) -> None:
 
 
 def test_the_drive_as_the_first_file_changes_nothing(tmp_path: Path) -> None:
-    displacement, voltage = recorded(PAIRS["2 and 5 kHz"], tmp_path)
+    displacement, voltage = recorded(PAIRS["5 and 2 kHz"], tmp_path)
     _, table = read(displacement, voltage)
     roles = {"voltage": None, "displacement": f"{displacement}::displacement_um"}
     with open_log(voltage, roles) as log:
@@ -157,23 +150,13 @@ def test_clocks_that_are_apart_are_told_of(tmp_path: Path) -> None:
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "identification.csv"
 
 
-def split_sample(folder: Path, offset: float, noise: float = 0.0) -> tuple[Path, Path]:
+def split_sample(folder: Path, offset: float) -> tuple[Path, Path]:
     """Split the sample log in two: a sensor of 500 Hz, a drive of 800 Hz with an early clock."""
     time, volts, moved = np.loadtxt(SAMPLE, delimiter=",", skiprows=1).T
     sent = np.arange(0.0, time[-1], 1.0 / 800.0)
-    moved = moved + noise * np.random.default_rng(2).normal(size=time.size)
     seen = write(folder / "sensor.csv", "time_s,displacement_um", time, moved)
     volts = np.interp(sent, time, volts)
     return seen, write(folder / "drive.csv", "time_s,voltage_V", sent - offset, volts)
-
-
-@pytest.mark.parametrize(("offset", "noise"), [(0.37, 0.0), (-0.37, 0.02)])
-def test_the_sample_in_two_files(offset: float, noise: float, tmp_path: Path) -> None:
-    """It begins at its lower end; a lag of 2.8 ms and creep are part of the offset."""
-    log, _ = read(*split_sample(tmp_path, offset, noise), Reading(clock_offset="auto"))
-    assert log.clock_offset is not None
-    assert abs(log.clock_offset.seconds - offset - 0.003) < 0.0004
-    assert log.clock_offset.holds_delay
 
 
 @pytest.mark.parametrize("offset", [0.37, -0.37, -0.02, 0.0])
@@ -201,20 +184,6 @@ def test_where_it_cannot_tell_how_much_it_still_tells_that(tmp_path: Path) -> No
         read(seen, sent)
     with pytest.raises(InputError, match="fit equally"):
         read(seen, sent, Reading(clock_offset="auto"))
-
-
-def test_units_sign_and_drift_do_not_matter(tmp_path: Path) -> None:
-    """A correlation takes this loop for many samples; plays beside the drive do not."""
-    time = np.arange(0.0, 12.0, 2e-3)
-    sent = write(
-        tmp_path / "drive.csv", "time_s,voltage_V", time - 0.371, drive(time, 0.7)
-    )
-    for scale in (1.0, -0.4):
-        moved = scale * sensor(time, 0.7) + 0.01 * time
-        seen = write(tmp_path / "sensor.csv", "time_s,displacement_um", time, moved)
-        log, _ = read(seen, sent, Reading(clock_offset="auto"))
-        assert log.clock_offset is not None
-        assert abs(log.clock_offset.seconds - 0.371) < 4e-4
 
 
 def test_what_cannot_tell_is_refused(tmp_path: Path) -> None:
@@ -263,6 +232,14 @@ def test_files_that_cannot_be_joined(tmp_path: Path) -> None:
         open_log(seen, roles, Reading(clock_offset=1.0))
 
 
+def test_a_model_of_a_found_offset_has_no_delay(tmp_path: Path) -> None:
+    seen, sent = split_sample(tmp_path, 0.37)
+    log = {"voltage": f"{sent}::voltage_V", "clock_offset": "auto"}
+    frame = dbo_cli.read_log(seen, **log)
+    assert frame.attrs["holds_delay"]
+    assert dbo_cli.identify(frame).actuator.delay is None
+
+
 def test_stamps_of_two_files_are_one_clock(tmp_path: Path) -> None:
     def stamped(name: str, first: int, header: str) -> Path:
         lines = [f"time,{header}"]
@@ -278,20 +255,3 @@ def test_stamps_of_two_files_are_one_clock(tmp_path: Path) -> None:
     assert table.rows == 30
     assert table.time is not None
     assert table.time[0] == 10.0
-
-
-def test_a_model_of_a_found_offset_has_no_delay(tmp_path: Path) -> None:
-    seen, sent = split_sample(tmp_path, 0.37)
-    words = ["identify", seen.name, "--voltage", f"{sent.name}::voltage_V"]
-    words += ["--clock-offset", "auto", "-o", "model.json"]
-    line = [sys.executable, "-m", "dbo_cli", *words]
-    done = subprocess.run(
-        line, capture_output=True, text=True, check=True, cwd=tmp_path
-    )
-    assert "moved by 0.37" in done.stderr
-    model = json.loads((tmp_path / "model.json").read_text())
-    assert "delay" not in [stage["type"] for stage in model["stages"]]
-    log = {"voltage": f"{sent}::voltage_V", "clock_offset": "auto"}
-    frame = dbo_cli.read_log(seen, **log)
-    assert frame.attrs["holds_delay"]
-    assert dbo_cli.identify(frame).actuator.delay is None

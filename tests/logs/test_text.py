@@ -48,9 +48,6 @@ def test_blocks_and_ways_of_reading_give_the_same(
     with open_log(str(path), BOTH) as log:
         blocks = list(log.blocks(rows=700))
     assert max(map(len, blocks)) <= 700
-    assert [b.first_row for b in blocks] == np.cumsum(
-        [1, *map(len, blocks[:-1])]
-    ).tolist()
     assert all(b.dt == pytest.approx(0.001) for b in blocks)
     voltage = np.concatenate([b.values["voltage"] for b in blocks])
     np.testing.assert_array_equal(voltage, np.arange(4000.0))

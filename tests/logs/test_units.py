@@ -1,17 +1,19 @@
-"""Units: spellings, headers, conversions and figures with units."""
+"""Units: spellings, headers, ratios and figures with units."""
 
 from __future__ import annotations
+
+from fractions import Fraction
 
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.units import (
-    conversion,
     drive_unit,
     kind_of,
     parse_quantity,
     parse_unit,
     quantity_name,
+    ratio,
     spell,
     split_header,
     time_unit,
@@ -62,14 +64,14 @@ def test_spellings() -> None:
     assert (um.text, um.base) == ("um", "m")
 
 
-def test_conversions() -> None:
-    assert conversion("um", "nm") == 1000.0
-    assert conversion("ms", "s") == 0.001
-    assert conversion("bar", "kPa") == 100.0
-    assert conversion(None, "V") == conversion("foo", "foo") == 1.0
+def test_ratios() -> None:
+    assert ratio("um", "nm") == 1000.0
+    assert ratio("ms", "s") == Fraction(1, 1000)
+    assert ratio("bar", "kPa") == 100.0
+    assert ratio(None, "V") == ratio("foo", "foo") == 1.0
     for start, end in (("V", "um"), ("foo", "V"), ("K", "degC"), ("mm", "mV")):
         with pytest.raises(InputError):
-            conversion(start, end)
+            ratio(start, end)
 
 
 def test_figures() -> None:

@@ -59,16 +59,6 @@ def test_numbers_read_back_to_the_bit_from_any_blocks(
     assert only(tmp_path) == [name]
 
 
-@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.h5"])
-def test_the_same_numbers_give_the_same_bytes(tmp_path: Path, name: str) -> None:
-    for folder in ("one", "two"):
-        (tmp_path / folder).mkdir()
-        with create(tmp_path / folder / name, COLUMNS, {"n": 1.5}) as out:
-            out.write(*rows())
-    first, second = tmp_path / "one" / name, tmp_path / "two" / name
-    assert first.read_bytes() == second.read_bytes()
-
-
 def test_a_few_rows_read_back_without_polars(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,25 +98,6 @@ def test_no_row_that_is_no_number_is_written(tmp_path: Path) -> None:
         out.write(*rows())
         out.write([1.0, 2.0, 3.0], [0.0, 0.0, np.nan], [0.0, 0.0, 0.0])
     assert only(tmp_path) == []
-
-
-@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.h5"])
-@pytest.mark.parametrize("old", [None, b"what stood there"])
-@pytest.mark.parametrize("problem", [KeyboardInterrupt])
-def test_a_failure_leaves_everything_as_it_was(
-    tmp_path: Path, name: str, old: bytes | None, problem: type[BaseException]
-) -> None:
-    path = tmp_path / name
-    if old is not None:
-        path.write_bytes(old)
-    with pytest.raises(problem), create(path, COLUMNS) as out:
-        out.write(*rows())
-        raise problem
-    if old is None:
-        assert only(tmp_path) == []
-    else:
-        assert only(tmp_path) == [name]
-        assert path.read_bytes() == old
 
 
 def test_permissions_links_and_inputs(tmp_path: Path) -> None:
@@ -191,13 +162,3 @@ def test_a_redirection_that_appends_is_not_cut(tmp_path: Path) -> None:
             command = [sys.executable, "-c", textwrap.dedent(PIPED), name]
             subprocess.run(command, stdout=stream, stdin=subprocess.DEVNULL, check=True)
     assert path.read_text() == "first\n" + 2 * "x_V\n0.0\n1.0\n2.0\n"
-
-
-def test_a_named_pipe_is_written_to_and_stays(tmp_path: Path) -> None:
-    path = tmp_path / "fifo.csv"
-    os.mkfifo(path)
-    reader = subprocess.Popen(["cat", str(path)], stdout=subprocess.PIPE)
-    with create(path, [("x", "V")]) as out:
-        out.write([1.0])
-    assert reader.communicate(timeout=600)[0] == b"x_V\n1.0\n"
-    assert only(tmp_path) == ["fifo.csv"]

@@ -134,37 +134,17 @@ def test_sets(tmp_path: Path) -> None:
         read_models(written(tmp_path, json.dumps(broken)))
 
 
-def _drop(values: dict[str, Any], key: str) -> None:
-    del values[key]
-
-
 BROKEN: list[tuple[Change, str, bool]] = [
-    (lambda m: m["stages"][1].update(dx=[-0.1]), "stages[1].dx[0]: -0.1", True),
     (lambda m: m["stages"][1].update(dx=[{"repeat": 0, "value": 1.0}]), "stages[1].dx[0].repeat", True),
     (lambda m: m["stages"][1].update(dx=[{"repeat": 10**7, "value": 1.0}]), "stages[1].dx[0].repeat", True),
-    (lambda m: m["stages"][1]["dy"].pop(), "stages[1].dy: has 49", False),
     (lambda m: m["stages"][1].update(x0=1e99), "stages[1].x0: 1e+99", True),
     (lambda m: m["stages"][1].update(x0=True), "stages[1].x0: true", True),
-    (lambda m: m["stages"][1].update(colour=1), "stages[1].colour: is not a known key", True),
     (lambda m: m["stages"][1]["relaxation"].update(tau=[0.1]), "stages[1].relaxation.gain", False),
     (lambda m: m["stages"][1]["relaxation"].update(tau=[0.1, 0.0]), "stages[1].relaxation.tau[1]", True),
-    (lambda m: m["stages"][1]["relaxation"].update(gain=[0.1, -0.99]), "stages[1].relaxation.gain: ", False),
     (lambda m: m["stages"][1]["relaxation"].update(on="output"), "stages[1].relaxation.", False),
-    (lambda m: m["stages"][3].update(gain=0), "stages[3].gain", True),
     (lambda m: m["stages"][4]["sections"][0].update(damping=1.0), "stages[4].sections[0].damping", True),
     (lambda m: m["stages"][4]["sections"][2].update(lead=1.0), "stages[4].sections[2].lead", False),
-    (lambda m: m["stages"][5].update(type="plays"), "stages", True),
     (lambda m: m["stages"].reverse(), "stages[", False),
-    (lambda m: _drop(m, "output"), "output: is missing", True),
-    (lambda m: m["input"].update(max=0.0), "input.max: 0.0", False),
-    (lambda m: m["input"].update(unit=3), "input.unit: 3", True),
-    (lambda m: m.update(version=3), "version: 3", True),
-    (lambda m: m.update(version=True), "version: true", True),
-    (lambda m: m.update(direction="sideways"), "direction: 'sideways'", True),
-    (lambda m: m["fit"].update(rmse=-1.0), "fit.rmse: -1.0", True),
-    (lambda m: m["fit"].update(rmse="small"), 'fit.rmse: "small"', True),
-    (lambda m: m.update(candidates=m["candidates"] * 3), "candidates: 6 are more than 5", True),
-    (lambda m: m["candidates"][1].update(weight=0), "candidates[1].weight: 0", True),
     (lambda m: m["candidates"][1]["stages"][0].update(y0="a"), "candidates[1].stages[0].y0", True),
     (lambda m: m["candidates"][1].update(stages=[]), "candidates[1].stages", True),
 ]  # fmt: skip

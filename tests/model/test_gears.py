@@ -205,22 +205,6 @@ def test_lags_are_those_of_the_model() -> None:
     assert memory == pytest.approx(done.state.memory)
 
 
-@pytest.mark.parametrize(
-    ("dx", "dy", "text"),
-    [
-        ([], [], "dx: is empty"),
-        ([1.0, -0.1], [1.0, 1.0], "dx[1]: -0.1"),
-        ([1.0, 1.0], [1.0], "dy: has 1 entries"),
-        ([1.0, 1e-15], [1.0, 1.0], "dx[1]: 1e-15"),
-        ([1.0, float("nan")], [1.0, 1.0], "dx[1]: nan"),
-    ],
-)
-def test_bad_widths_are_named(dx: list[float], dy: list[float], text: str) -> None:
-    with pytest.raises(ModelError) as problem:
-        Gears(dx, dy)
-    assert str(problem.value).startswith(text)
-
-
 def test_negative_gains_must_leave_three_percent_of_the_mean_slope() -> None:
     dx, dy = [1.0, 1.0], [1.0, 3.0]  # mean slope 2, least 1
     Gears(dx, dy, 0, 0, Relaxation(0.0, (1.0, 1.0), (-0.5, -0.43)))

@@ -6,12 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import (
     Amplifier,
-    Candidate,
     Cascade,
     Delay,
     Dynamics,
@@ -25,7 +23,6 @@ from dbo_cli.model import (
     Scale,
     Stage,
     State,
-    steps_of,
 )
 from tests.model.random_models import DT, Floats, random_drive, random_model
 
@@ -198,35 +195,6 @@ def test_a_model_of_many_gears_runs() -> None:
     assert replace(model, fit={}).digest == model.digest
 
 
-# ---- limits ----
-
-
-moves = st.lists(st.floats(-50.0, 80.0), min_size=1, max_size=60)
-
-
-def test_a_drive_without_clipping_reaches_what_is_wanted() -> None:
-    model = plant(relaxation=None)
-    wanted = 9.0 + 6.0 * np.sin(np.arange(500) * 0.05)
-    state = model.start_drive(9.0)
-    done = model.drive(wanted, state, DT, (0.0, 10.0))
-    reached, _ = model.simulate(done.y, dt=DT)
-    assert done.clipped == 0
-    np.testing.assert_allclose(reached[1:], wanted[1:], rtol=0, atol=1e-12)
-    assert abs(wanted[0] - reached[0]) < 0.3  # one gear
-
-
-def test_clipped_rows_are_counted() -> None:
-    done = plant(relaxation=None).drive(
-        [5.0, 6.0, 50.0, 7.0, -9.0],
-        State(0, drive=1.0),
-        DT,
-        (0.0, 10.0),
-    )
-    assert (done.clipped, done.first_clipped) == (2, 2)
-    assert done.y[2] == 10.0
-    assert done.y[4] == 0.0
-
-
 # ---- starts ----
 
 
@@ -269,26 +237,6 @@ def test_undoing_goes_on_behind_played_voltages() -> None:
 # ---- what is outside, and what is refused ----
 
 
-def test_clocks() -> None:
-    assert steps_of(np.round(np.arange(1000) / 3000, 9)) == pytest.approx(1 / 3000)
-    assert steps_of(1.7e9 + np.arange(50) * 0.001) == pytest.approx(1e-3)
-    uneven = steps_of([0.0, 1.0, 3.0])
-    assert isinstance(uneven, np.ndarray)
-    assert uneven.tolist() == [0.0, 1.0, 2.0]
-    with pytest.raises(InputError, match="row 3"):
-        steps_of([0.0, 1.0, 0.5])
-
-
-def test_signs_and_digests() -> None:
-    model = plant()
-    falling = model.with_stages((*model.stages, Scale(-2.0, 1.0)))
-    assert (model.sign, falling.sign) == ("rising", "falling")
-    assert falling.inverse().digest == falling.digest != model.digest
-    assert falling.inverse().sign == "falling"
-    with pytest.raises(ModelError, match="invert"):
-        falling.require("inverse")
-
-
 @pytest.mark.parametrize(
     ("stages", "place"),
     [
@@ -304,15 +252,3 @@ def test_bad_cascades_are_named(stages: tuple[Stage, ...], place: str) -> None:
     with pytest.raises(ModelError) as problem:
         Cascade("forward", VOLTAGE, DISPLACEMENT, stages)
     assert str(problem.value).startswith(place)
-
-
-def test_candidates_are_models_of_the_same_quantities() -> None:
-    model = plant()
-    other = Candidate(0.4, (Gears([10.0], [20.0]),))
-    both = replace(model, candidates=(other,))
-    ((weight, candidate),) = both.candidate_models
-    assert weight == 0.4
-    assert candidate.input == model.input
-    assert both.inverse().candidates == ()
-    with pytest.raises(ModelError, match="candidates"):
-        replace(model, candidates=(other,) * 6)

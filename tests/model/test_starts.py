@@ -14,8 +14,6 @@ from dbo_cli.model import (
     Quantity,
     Relaxation,
     Scale,
-    dumps_state,
-    read_state,
 )
 from tests.model.random_models import DT, Floats, random_drive
 
@@ -112,16 +110,6 @@ def test_a_range_that_ends_inside_a_gear() -> None:
     wanted = shifted.simulate([5.0])[0] + [0.0, 1.0]
     back, _ = shifted.inverse().simulate(wanted)
     np.testing.assert_allclose(shifted.simulate(back)[0], wanted, rtol=0, atol=1e-9)
-
-
-def test_a_state_of_spare_gears_is_kept(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> None:
-    _, spare = plain_and_spare(1)
-    _, state = spare.simulate([2.0, 11.0, 4.0], dt=DT)
-    path = tmp_path_factory.mktemp("state") / "s.json"
-    path.write_text(dumps_state(state, spare))
-    assert read_state(str(path), spare).bits == state.bits
 
 
 def test_a_start_ends_where_the_range_is_small_beside_the_gears_origin() -> None:

@@ -100,18 +100,6 @@ def test_match_by_rows_takes_the_trajectory_s_time():
     assert any("10 rows fewer" in note for note in pair.notes)
 
 
-def test_match_by_time_interpolates():
-    wanted_time = np.arange(11.0)
-    recorded = np.arange(0.5, 12.0, 0.5)
-    pair = match(
-        "run", 2.0 * recorded, 2.0 * wanted_time, measured_time=recorded,
-        desired_time=wanted_time, match="time",
-    )  # fmt: skip
-    assert len(pair) == 20
-    assert np.abs(pair.desired - pair.measured).max() < 1e-12
-    assert any("3 rows outside" in note for note in pair.notes)
-
-
 @pytest.mark.parametrize("ahead", [0.3, -0.3, 1.7])
 @pytest.mark.parametrize("rate", [1000.0, 777.0, 500.0])
 @pytest.mark.parametrize("loop", [0.0, 0.18])

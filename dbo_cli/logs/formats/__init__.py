@@ -14,10 +14,9 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.formats.arrow import ARROW
 from dbo_cli.logs.formats.excel import EXCEL
 from dbo_cli.logs.formats.matlab import MATLAB
-from dbo_cli.logs.formats.npy import NUMPY
+from dbo_cli.logs.formats.npy import NUMPY, ZIP
 from dbo_cli.logs.formats.stored import FileFormat, TableReader
 from dbo_cli.logs.formats.tdms import TDMS
-from dbo_cli.logs.formats.zipped import ZIP
 from dbo_cli.logs.table import Reading, Table
 
 
@@ -28,7 +27,7 @@ def _read_hdf5(path: str, inner: str, reading: Reading) -> Table:
     return open_hdf5(path, inner, reading)
 
 
-_HDF5 = FileFormat("HDF5", (b"\x89HDF\r\n\x1a\n",), (), _read_hdf5, offsets=(0, 512))
+_HDF5 = FileFormat((b"\x89HDF\r\n\x1a\n",), _read_hdf5, offsets=(0, 512))
 _FORMATS = (_HDF5, NUMPY, ZIP, MATLAB, ARROW, EXCEL, TDMS)
 """In the order in which they are asked."""
 

@@ -1,4 +1,4 @@
-"""Workbooks: a sheet becomes text with tabs, which is open_workbook as any text."""
+"""Workbooks: a sheet becomes text with tabs, which is read as any text."""
 
 from __future__ import annotations
 
@@ -47,4 +47,4 @@ def _sheet_as_text(book: Any, name: str) -> bytes:
     return written.encode()
 
 
-EXCEL = FileFormat("Excel before 2007", (b"\xd0\xcf\x11\xe0",), (), open_workbook)
+EXCEL = FileFormat((b"\xd0\xcf\x11\xe0",), open_workbook)  # before 2007

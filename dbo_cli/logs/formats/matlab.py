@@ -15,13 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.logs.formats.stored import (
-    FileFormat,
-    arrays_as_table,
-    fenced,
-    no_columns,
-    refuse_part,
-)
+from dbo_cli.logs.formats.stored import FileFormat, StoredTable, fenced, refuse_part
 from dbo_cli.logs.table import Reading, Table
 
 _HEADER = 128  # bytes of text, version and byte order
@@ -86,7 +80,8 @@ class Elements:
     def next(self) -> tuple[int, bytes]:
         """Return the type and the bytes of the next element."""
         start = self.position
-        kind, size = self.integers(start, 2)
+        tag = np.frombuffer(self.data, self.order + "u4", 2, start)
+        kind, size = map(int, tag)
         begin = start + 8
         self.position = begin + size
         if kind >> 16:  # four bytes at most stand in the tag
@@ -97,13 +92,6 @@ class Elements:
         if begin + size > len(self.data) or (begin == start + 4 and size > 4):
             raise ValueError("it ends early")
         return kind, self.data[begin : begin + size]
-
-    def integers(self, start: int, count: int) -> list[int]:
-        """Return unsigned integers of four bytes from a place on."""
-        if start + 4 * count > len(self.data):
-            raise ValueError("it ends early")
-        values = np.frombuffer(self.data, self.order + "u4", count, start)
-        return [int(value) for value in values]
 
     def numbers(self) -> NDArray[Any]:
         """Return the numbers of the next element."""
@@ -144,7 +132,7 @@ def _variable_of(elements: Elements) -> Variable:
         kind = _CLASSES.get(number, "complex")
         return Variable(name, kind, shape, _fields_of(elements, kind))
     values = elements.numbers()
-    if min(shape, default=0) < 0 or np.prod(shape, dtype=object) != len(values):
+    if np.prod(shape, dtype=object) != len(values):
         raise ValueError(f"{name} has another size than its values")
     return Variable(name, "double", shape, (), values.reshape(shape, order="F"))
 
@@ -163,18 +151,22 @@ def _fields_of(elements: Elements, kind: str) -> tuple[str, ...]:
 def _read(path: str, inner: str, reading: Reading) -> Table:
     """Read the vectors and matrices of a file before version 7.3 (InputError)."""
     refuse_part(path, inner)
+    table = StoredTable(path)
+    arrays: dict[str, Any] = {}
     with open(path, "rb") as file, fenced(path, "MATLAB"):
         data = file.read()
         if 0 in data[:4]:
-            return arrays_as_table(path, _version_4(path))
+            arrays = _version_4(path)
+            table.add_arrays(arrays)
+            return table.require_numbers(arrays)
         variables = [variable for variable in variables_of(data) if variable.name]
-    arrays = {v.name: np.squeeze(v.values) for v in variables if v.values is not None}
     lines = [variable.advice() for variable in variables if variable.advice()]
-    hint = f": in MATLAB, {lines[0]}" if lines else ""
-    if all(array.size < 2 for array in arrays.values()):
-        contents = [variable.describe() for variable in variables]
-        raise no_columns(path, contents, hint)
-    return arrays_as_table(path, arrays, hint)
+    table.hint = f": in MATLAB, {lines[0]}" if lines else ""
+    for variable in variables:
+        if variable.values is not None:
+            arrays[variable.name] = np.squeeze(variable.values)
+    table.add_arrays(arrays)
+    return table.require_numbers(variable.describe() for variable in variables)
 
 
 def _version_4(path: str) -> dict[str, Any]:
@@ -188,4 +180,4 @@ def _version_4(path: str) -> dict[str, Any]:
     return {name: array for name, array in contents.items() if name[:2] != "__"}
 
 
-MATLAB = FileFormat("MATLAB", (b"MATLAB",), (".mat",), _read)
+MATLAB = FileFormat((b"MATLAB",), _read, (".mat",))

@@ -1,9 +1,10 @@
-"""What the formats share: columns that a library hands out by rows, and a fence around libraries."""
+"""What the formats share: a table of named arrays, and a fence around the libraries that read them."""
 
 from __future__ import annotations
 
 import contextlib
 import importlib
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,17 +14,21 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, InputError
 from dbo_cli.logs.settings import Statement, is_clock_setting, stated_clock
-from dbo_cli.logs.table import BLOCK_ROWS, Column, Reading, Table
+from dbo_cli.logs.table import ROWS_A_BLOCK, Column, Reading, Table
 
 TableReader = Callable[[str, str, Reading], Table]
 """Takes a path, the part behind ``::`` and how to read."""
 Fetch = Callable[[int, int], Any]
 """Returns rows from a start to a stop, counted from 0."""
+_KINDS = defaultdict(
+    lambda: "text", f="number", i="number", u="number", b="number", M="stamp"
+)
+"""The kind of a column by NumPy's letter of its type."""
 
 
 @dataclass(frozen=True)
 class FileFormat:
-    """A format: its name, how its files are known, and what reads them.
+    """A format: how its files are known, and what reads them.
 
     Attributes
     ----------
@@ -33,10 +38,9 @@ class FileFormat:
         What is enough where the first bytes say nothing.
     """
 
-    name: str
     magics: tuple[bytes, ...]
-    suffixes: tuple[str, ...]
     read: TableReader
+    suffixes: tuple[str, ...] = ()
     offsets: tuple[int, ...] = (0,)
 
     def has_magic(self, start: bytes) -> bool:
@@ -72,62 +76,70 @@ def refuse_part(path: str, inner: str) -> None:
         raise InputError(f"{path}::{inner}: this format has no parts: type {path}")
 
 
-@dataclass(frozen=True)
-class StoredColumn:
-    """A column whose rows come from ``fetch(start, stop)``, counted from 0.
-
-    ``fetch`` is None where they are stored in other files; ``problem`` says why they may
-    not be what they are taken for.
-    """
-
-    name: str
-    length: int
-    fetch: Fetch | None
-    unit: str | None = None
-    kind: str = "number"
-    problem: str = ""
-
-
 class StoredTable(Table):
-    """Columns that a library hands out by rows.
+    """A table of named arrays, in memory or handed out by a library.
 
     Parameters
     ----------
     path
         The file, for messages.
-    stored
-        Its columns.
-    statements
-        What it states beside them of the sample rate and the first row's time.
     close
         Called at the end.
 
     Attributes
     ----------
+    block_rows
+        Rows of a block.
     doubt
         What is remarked behind the last row.
     """
 
     has_paths = True
+    block_rows = ROWS_A_BLOCK
     doubt = ""
 
-    def __init__(
-        self,
-        path: str,
-        stored: Sequence[StoredColumn],
-        statements: Sequence[Statement] = (),
-        close: Callable[[], object] = lambda: None,
-    ) -> None:
-        super().__init__(path, stated_clock(statements))
-        self._stored: list[StoredColumn] = []
+    def __init__(self, path: str, close: Callable[[], object] = lambda: None) -> None:
+        super().__init__(path)
+        self._lengths: list[int] = []
+        self._fetches: list[Fetch] = []
         self._close = close
-        for column in stored:
-            self.add(column)
 
-    def add(self, stored: StoredColumn) -> Column:
-        """Add a column."""
-        self._stored.append(stored)
-        return self.add_column(stored.name, stored.unit, stored.kind)
+    def add(
+        self,
+        name: str,
+        length: int,
+        fetch: Fetch,
+        unit: str | None = None,
+        kind: str = "number",
+    ) -> Column:
+        """Add a column of so many rows."""
+        self._lengths.append(length)
+        self._fetches.append(fetch)
+        return self.add_column(name, unit, kind)
+
+    def add_array(self, name: str, stored: Any, unit: str | None = None) -> None:
+        """Add the columns of an array; see ``parts_of``."""
+        for label, length, fetch, kind in parts_of(name, stored):
+            self.add(label, length, fetch, unit, kind)
+
+    def add_arrays(self, arrays: Mapping[str, Any]) -> None:
+        """Add arrays by name; a single value is no column, but may state the clock."""
+        statements: list[Statement] = []
+        for name, array in arrays.items():
+            if np.size(array) > 1:
+                self.add_array(name, np.asarray(array))
+            elif is_clock_setting(name) and np.size(array):
+                statements.append((name, np.ravel(array)[0].item(), ""))
+        self.stated = stated_clock(statements)
+
+    def require_numbers(self, contents: Iterable[str]) -> StoredTable:
+        """Return the table; refuse (InputError) one without columns of numbers, whose contents are these."""
+        if any(column.kind == "number" for column in self.columns):
+            return self
+        text = ", ".join(contents) or "nothing"
+        raise InputError(
+            f"{self.name}: no columns of numbers: it has {text[:300]}{self.hint}"
+        )
 
     def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of some columns; see ``Table``.
@@ -137,26 +149,21 @@ class StoredTable(Table):
         InputError
             The columns are of unequal length, or the library fails.
         """
-        lengths = [self._stored[column.number - 1].length for column in columns]
+        lengths = [self._lengths[column.number - 1] for column in columns]
         if len(set(lengths)) > 1:
             pairs = zip(columns, lengths, strict=True)
-            text = ", ".join(f"{column.label} {rows}" for column, rows in pairs)
+            text = ", ".join(f"{column.label} {rows:,} rows" for column, rows in pairs)
             raise InputError(f"{self.name}: the columns are of unequal length: {text}")
-        for start in range(0, lengths[0], BLOCK_ROWS):
-            stop = min(lengths[0], start + BLOCK_ROWS)
+        for start in range(0, lengths[0], self.block_rows):
+            stop = min(lengths[0], start + self.block_rows)
             yield [self._rows(column, start, stop) for column in columns]
         if self.doubt:
             self.remarks.append(self.doubt)
 
     def _rows(self, column: Column, start: int, stop: int) -> NDArray[Any]:
         """Read rows of one column as float64, or dates as int64 nanoseconds."""
-        fetch = self._stored[column.number - 1].fetch
-        if fetch is None:
-            raise InputError(
-                f"{self.name}: {column.label} is stored in other files: copy them into one with h5repack"
-            )
         with fenced(self.name, column.label):
-            stored = np.asarray(fetch(start, stop))
+            stored = np.asarray(self._fetches[column.number - 1](start, stop))
             if stored.dtype.kind == "M":
                 stored = stored.astype("datetime64[ns]").astype(np.int64)
             elif column.kind == "number":
@@ -170,59 +177,40 @@ class StoredTable(Table):
         self._close()
 
 
-def array_columns(name: str, array: Any) -> list[StoredColumn]:
-    """Take a vector, a matrix (its longer axis is time) or records apart; nothing for text."""
-    columns: list[StoredColumn] = []
-    if array.dtype.names is not None:
-        for label in array.dtype.names:
-            columns += array_columns(label, array[label])
-        return columns
-    if array.dtype.kind not in "fiubM" or array.ndim not in (1, 2) or not array.size:
-        return []
-    matrix = array[:, None] if array.ndim == 1 else array
-    if matrix.shape[0] < matrix.shape[1]:
-        matrix = matrix.T
-    rows, width = matrix.shape
-    kind = "stamp" if array.dtype.kind == "M" else "number"
-    for number in range(width):
-        label = f"{name}[{number + 1}]" if name and width > 1 else name
-        fetch = rows_of(matrix[:, number])
-        columns.append(StoredColumn(label, rows, fetch, kind=kind))
-    return columns
+def parts_of(name: str, stored: Any) -> Iterator[tuple[str, int, Fetch, str]]:
+    """Take an array or a dataset apart: a vector, a matrix whose longer axis is time, or records.
 
-
-def rows_of(stored: Any) -> Fetch:
-    """Return what fetches rows of an array, a dataset or a channel."""
-    return lambda start, stop: stored[start:stop]
-
-
-def arrays_as_table(path: str, arrays: Mapping[str, Any], hint: str = "") -> Table:
-    """Return a table of arrays by name; a single value beside longer ones is a statement.
-
-    Parameters
-    ----------
-    hint
-        What refusals say of the rest of the file.
+    Yields
+    ------
+    label, length, fetch, kind
+        Of each column; nothing of what holds neither numbers, nor dates, nor a row of texts.
     """
-    columns: list[StoredColumn] = []
-    statements: list[Statement] = []
-    for name, array in arrays.items():
-        stored = array_columns(name, np.asarray(array))
-        if is_clock_setting(name) and np.size(array) == 1:
-            statements.append((name, np.ravel(array)[0].item(), ""))
-        elif stored and stored[0].length > 1:
-            columns += stored
-    if not columns:
-        names = [
-            f"{name} ({np.asarray(array).dtype})" for name, array in arrays.items()
-        ]
-        raise no_columns(path, names, hint)
-    table = StoredTable(path, columns, statements)
-    table.hint = hint
-    return table
+    kind, shape = stored.dtype, stored.shape
+    if kind.names is not None and len(shape) == 1:
+        for label in kind.names:
+            if not kind[label].shape:
+                yield (
+                    label,
+                    shape[0],
+                    _field_of(stored, label),
+                    _KINDS[kind[label].kind],
+                )
+    elif len(shape) == 1:
+        yield name, shape[0], lambda start, stop: stored[start:stop], _KINDS[kind.kind]
+    elif len(shape) == 2 and _KINDS[kind.kind] != "text":
+        along = 0 if shape[0] >= shape[1] else 1
+        width = shape[1 - along]
+        for number in range(width):
+            label = f"{name}[{number + 1}]" if name and width > 1 else name
+            fetch = _column_of(stored, along, number)
+            yield label, shape[along], fetch, _KINDS[kind.kind]
 
 
-def no_columns(path: str, contents: Iterable[str], hint: str = "") -> InputError:
-    """Return the refusal of a file without columns of numbers."""
-    text = ", ".join(contents) or "nothing"
-    return InputError(f"{path}: no columns of numbers: it has {text[:300]}{hint}")
+def _field_of(stored: Any, label: str) -> Fetch:
+    return lambda start, stop: stored[start:stop][label]
+
+
+def _column_of(stored: Any, along: int, number: int) -> Fetch:
+    if along == 0:
+        return lambda start, stop: stored[start:stop, number]
+    return lambda start, stop: stored[number, start:stop]

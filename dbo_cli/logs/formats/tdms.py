@@ -9,37 +9,33 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.logs.formats.stored import (
+    Fetch,
     FileFormat,
-    StoredColumn,
     StoredTable,
     fenced,
     import_extra,
-    no_columns,
-    rows_of,
 )
-from dbo_cli.logs.settings import Statement
+from dbo_cli.logs.settings import Statement, stated_clock
 from dbo_cli.logs.table import Reading, Table
 
-_LEAD_IN = (
-    28  # bytes: mark, contents, version, bytes to the next segment, bytes to the data
-)
+_LEAD_IN = 28
+"""Bytes: mark, contents, version, bytes to the next segment, bytes to the data."""
 
 
 def _read(path: str, inner: str, reading: Reading) -> Table:
     """Read a TDMS file, or one group of it (``FILE::GROUP``) (InputError)."""
     nptdms = import_extra("nptdms", "tdms", path)
     stream = open(path, "rb")
+    table = StoredTable(path, stream.close)
     try:
         with fenced(path, "TDMS"):
             file = nptdms.TdmsFile.open(stream)
             groups = [group for group in file.groups() if inner in ("", group.name)]
-            columns, statements = _channels(groups)
-        if not columns:
-            raise no_columns(path, [f"::{group.name}" for group in file.groups()])
+            _add_channels(table, groups)
+            table.require_numbers(f"::{group.name}" for group in file.groups())
     except BaseException:
         stream.close()
         raise
-    table = StoredTable(path, columns, statements, stream.close)
     if _is_cut(path):
         table.doubt = "the file ends within a segment: was the record cut there?"
     if len(groups) > 1:
@@ -58,9 +54,8 @@ def _is_cut(path: str) -> bool:
     return position > size
 
 
-def _channels(groups: Sequence[Any]) -> tuple[list[StoredColumn], list[Statement]]:
-    """Return the channels of numbers, and what they state of their rate."""
-    columns: list[StoredColumn] = []
+def _add_channels(table: StoredTable, groups: Sequence[Any]) -> None:
+    """Add the channels of numbers, and what they state of their rate."""
     statements: list[Statement] = []
     for group in groups:
         for channel in group.channels():
@@ -70,10 +65,13 @@ def _channels(groups: Sequence[Any]) -> tuple[list[StoredColumn], list[Statement
             unit = properties.get("unit_string") or properties.get("NI_UnitDescription")
             name = channel.name if len(groups) == 1 else f"{group.name}/{channel.name}"
             kind = "stamp" if channel.dtype.kind == "M" else "number"
-            rows = rows_of(channel)
-            columns.append(StoredColumn(name, len(channel), rows, unit, kind))
+            table.add(name, len(channel), _fetch_of(channel), unit, kind)
             statements += _statements(properties)
-    return columns, statements
+    table.stated = stated_clock(statements)
+
+
+def _fetch_of(channel: Any) -> Fetch:
+    return lambda start, stop: channel[start:stop]
 
 
 def _statements(properties: Any) -> list[Statement]:
@@ -91,4 +89,4 @@ def _statements(properties: Any) -> list[Statement]:
     return statements
 
 
-TDMS = FileFormat("TDMS", (b"TDSm",), (), _read)
+TDMS = FileFormat((b"TDSm",), _read)
