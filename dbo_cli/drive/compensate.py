@@ -387,7 +387,8 @@ class Driver:
 
         def lead_to(first: float) -> Floats:
             lead_in = LeadIn(self.model, first, dt, self.limits, self.lead)
-            return lead_in.planned(self.hold)[1]
+            _, voltage, still = lead_in.planned(self.hold)
+            return np.append(voltage, np.full(still, voltage[-1]))
 
         return lead_to
 

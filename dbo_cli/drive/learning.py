@@ -138,6 +138,8 @@ class RepeatedMove:
             A recording is not of this trajectory, or the error grew.
         """
         name, unit = recordings[0].name, self.model.output.suffix
+        if not np.ptp(self.desired) > 0.0:
+            raise InputError(f"{name}: the trajectory holds still: nothing is learned")
         voltage, modelled, measured = self._mean_of(recordings)
         self._require_same_move(name, modelled)
         error = self.desired - measured

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -193,6 +196,31 @@ def test_what_was_learned_moves_the_first_value_and_no_row(start: float | None) 
         write("pass.csv", header, stamps, drive["voltage_V"], moved)
         words[6:] = ["--tracked", "pass.csv", "--history", "h.json", "-o", "drive.csv"]
     assert max(errors[1:]) < 0.5 * errors[0], errors
+
+
+@pytest.mark.parametrize("name", ["late", "moving", "creep"])
+def test_rows_at_rest_behind_a_sweep_are_none_of_the_move(name: str) -> None:
+    """A delay keeps some rows still behind the sweep: the move was taken to begin before them."""
+    low, high = (
+        json.loads(Path(model(name)).read_text())["output"][end]
+        for end in ("min", "max")
+    )
+    time = TIME[:3000]
+    hump = np.sin(np.pi * np.clip((time - 0.5) / 2.0, 0.0, 1.0)) ** 2
+    desired = low + (high - low) * (0.3 + 0.4 * hump)
+    write("traj.csv", "time_s,displacement_um", time, desired)
+    words = ("compensate", model(name), "traj.csv", "--condition", "-o")
+    done(*words, "drive.csv")
+    drive = table("drive.csv")
+    moved = table(done("simulate", model(name), "drive.csv"))["displacement_um"]
+    moved += 1e-3 * (high - low) * np.sin(np.arange(len(moved)) / 50.0)
+    error = (moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP]
+    stamps = STEP * np.arange(len(moved))
+    header = "time_s,voltage_V,measured_um"
+    write("pass.csv", header, stamps, drive["voltage_V"], moved)
+    outcome = done(*words, "next.csv", "--tracked", "pass.csv", "--bandwidth", 20)
+    told = next(line for line in outcome.lines if "expected error" in line)
+    assert float(told.split()[3]) == pytest.approx(np.std(error), rel=0.05)
 
 
 def test_both_axes_of_a_raster_are_laid_over_by_their_drives() -> None:

@@ -154,6 +154,8 @@ def test_recordings_that_do_not_belong() -> None:
     for wrong in ([short], [other], [slow], [good, other]):
         with pytest.raises(InputError, match=r"pass\.csv"):
             plan(model, wanted, DT, limits, state="empty", tracked=wrong)
+    with pytest.raises(InputError, match="holds still"):
+        plan(model, np.full(y.size, 5.0), DT, limits, tracked=[good])
     with pytest.raises(UsageError):
         plan(model, wanted, DT, limits, history=[PassRecord("", 1.0)])
 
