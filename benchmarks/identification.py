@@ -272,10 +272,11 @@ def cell(value: float | None, width: int = 7) -> str:
 
 
 def over(result: Result, stated: float | None) -> float | None:
-    """Return the error that a user meets, the sensor's noise included, over the stated one."""
+    """Return the error that a user meets over the stated one, the sensor's noise added to both."""
     if result.rmse is None or not stated:
         return None
-    return math.hypot(result.rmse, result.noise) / stated
+    met = math.hypot(result.rmse, result.noise)
+    return met / math.hypot(stated, result.noise)
 
 
 HEAD = (

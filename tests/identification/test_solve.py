@@ -26,6 +26,7 @@ from dbo_cli.identification.recording import Options, Recording, Swings
 from dbo_cli.identification.solve import (
     Equations,
     Fit,
+    Rows,
     minimum,
     solve,
     travelled,
@@ -85,6 +86,28 @@ def test_unknowns_that_are_alike_are_solved(width: float) -> None:
         gradient = matrix @ x - right
         assert x.min() >= 0.0 and gradient.min() > -1e-9
         assert np.abs(gradient[x > 0.0]).max() < 1e-9
+
+
+def test_a_gain_is_believed_as_far_as_the_log_shows_it() -> None:
+    drive = (DRIVE - DRIVE.min()) / np.ptp(DRIVE)
+    table = columns(log_of(drive, Cells.of()), [0.02, 100.0])
+    noise = np.random.default_rng(3).standard_normal(len(drive))
+    slow = table[:, -3] - table[:, -3].mean()
+    gains = []
+    for size in (1e-4, 1e-2, 1e-1):
+        output = drive + 0.5 * slow + size * noise
+        rows = Rows(
+            table,
+            output,
+            np.full(len(drive), 1.0 / len(drive)),
+            np.zeros((len(drive), 0)),
+            Cells.of().shares,
+            2,
+        )
+        gains.append(float(solve(rows, Structure(memories="t")).gains[1]))
+    assert gains[0] == pytest.approx(0.5, rel=0.05)
+    assert gains[0] > gains[1] > gains[2]
+    assert gains[2] < 0.1
 
 
 def test_a_solution_beyond_all_numbers_is_refused() -> None:
