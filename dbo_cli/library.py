@@ -76,7 +76,7 @@ Logs = Signal | Path | Sequence[Signal | Path]
 """A file, a frame, or a list of them."""
 Figured = float | str
 """A number, or a text with a unit: ``"1.2kV"``, ``"2V/ms"``, ``"5kHz"``."""
-Seconds = float | str | None
+Duration = float | str | None
 """A number of s, a text with a unit, or ``auto``."""
 StateLike = str | Path | room.State
 """``auto``, ``empty``, ``full``, ``settled``, a state that was returned, or a state file."""
@@ -129,9 +129,9 @@ class Move(TypedDict, total=False):
     on_limit: OnLimit
     from_: Figured | None
     return_: Figured | None
-    approach: Seconds
+    approach: Duration
     condition: bool
-    lead: Seconds
+    lead: Duration
     bandwidth: Figured | None
     periodic: bool
     passes: int
@@ -341,9 +341,9 @@ class Model:
         on_limit: OnLimit = "auto",
         from_: Figured | None = None,
         return_: Figured | None = None,
-        approach: Seconds = None,
+        approach: Duration = None,
         condition: bool = False,
-        lead: Seconds = None,
+        lead: Duration = None,
         bandwidth: Figured | None = None,
         periodic: bool = False,
         passes: int = 0,
@@ -372,7 +372,7 @@ class Model:
             Where the amplifier stands before the move, and where it goes after it; as
             limits are.
         approach, lead : float, str or "auto", optional
-            Seconds of the way to the first value, and of a rest there.
+            Duration of the way to the first value, and of a rest there.
         condition : bool
             Sweep the move's range first, so that the past is known.
         bandwidth : float or str, optional
@@ -469,7 +469,7 @@ class Model:
         extrapolate: bool = False,
         state: StateLike = "auto",
         from_: Figured | None = None,
-        lookahead: Seconds = None,
+        lookahead: Duration = None,
     ) -> Controller:
         """Return a live controller: one sample at a time; see ``Controller``.
 
@@ -480,7 +480,7 @@ class Model:
         v_min, v_max, max_slew, extrapolate, from_, state
             As of ``compensate``.
         lookahead : float, str or "auto", optional
-            Seconds by which what is passed is wanted later.
+            Duration by which what is passed is wanted later.
         """
         from dbo_cli.drive.live import Controller
 
@@ -585,7 +585,7 @@ def read_log(
     decimal: str | None = None,
     skip_lines: int | None = None,
     encoding: str | None = None,
-    clock_offset: Seconds = None,
+    clock_offset: Duration = None,
 ) -> pd.DataFrame:
     """Read a log into a DataFrame.
 
@@ -609,7 +609,7 @@ def read_log(
     delimiter, decimal, skip_lines, encoding
         How a text is written.
     clock_offset
-        Seconds that are added to the clock of a second file, or ``auto``.
+        Duration that are added to the clock of a second file, or ``auto``.
 
     Returns
     -------
@@ -707,7 +707,7 @@ def identify(
     sign : {"rising", "falling"}
         Refuse logs whose displacement goes the other way.
     skip, sensor_delay, delay
-        Seconds, or a text with a unit; ``delay`` may be ``auto``.
+        Duration, or a text with a unit; ``delay`` may be ``auto``.
     zero : {"none", "mean", "first"} or float
         The displacement to call 0, in its unit.
     gears, points, dynamics

@@ -84,7 +84,7 @@ def check(
             doubts=log.doubtful,
         )
         if against is not None:
-            steps = step_of(meant), step_of(signal)
+            steps = step_between(meant), step_between(signal)
             check_played(result, meant["voltage"], recorded, steps, allowed)
         detail(*log.doubtful)
     is_json = opt.form_of(form, output) == "json"
@@ -137,7 +137,7 @@ def tolerance_in(unit: str | None, text: str | None) -> float | None:
     return tolerance
 
 
-def step_of(table: Block) -> float | None:
+def step_between(table: Block) -> float | None:
     """Return the seconds from row to row; None where they are uneven, or no clock is known."""
     return table.dt if isinstance(table.dt, float) else None
 

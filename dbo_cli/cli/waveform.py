@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.check import limits_in, read_drive, step_of
+from dbo_cli.cli.check import limits_in, read_drive, step_between
 from dbo_cli.cli.options import Text, Texts, flag, option
 from dbo_cli.cli.say import detail, say, say_output
 from dbo_cli.errors import InputError
@@ -57,7 +57,7 @@ def waveform(
                 f"{drive}: the drive is in {unit}, not V: add `scale` voltage=FACTORV/{unit}"
             )
         volt = None if unit is None else "V"  # a limit's unit needs one in the file
-        step = step_of(signal)
+        step = step_between(signal)
         if step is None:
             raise InputError(
                 f"{drive}: needs an even clock: add `resample` HZ, or `sample_rate` HZ if it has none"

@@ -36,20 +36,20 @@ GROWTH = 1.2  # times the error of the last pass: beyond, learning diverges; cho
 FROM_BEST = 2.0  # times the best pass's error: growth by less a pass shows after a few
 START_PROBLEM = 8.0  # times the expected error: a mean beyond it is no sensor's zero
 # of the drive's range (RMS): recordings further apart are not of one drive
-SAME_DRIVE = 0.02
-SAME_RATE = 1e-3  # of a step
-GAP = 1.5  # steps: a longer one lacks rows
+ONE_DRIVE = 0.02
+RATE_SLACK = 1e-3  # of a step
+LONG_STEP = 1.5  # steps: a longer one lacks rows
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
 # of what differs by the stamps: with less by the drive, the recorder counts from elsewhere
-CLEARLY_BETTER = 0.5
+MUCH_CLOSER = 0.5
 NEAR_ROWS = 2  # behind a sweep the first row is found to one: so near, the stamps count
 LOOKS = 6  # for the first row behind a sweep; two or three are usual
-SWEPT = 1.7  # ranges that the drive travels in a sweep there and back
+SWEEP_TRAVEL = 1.7  # ranges that the drive travels in a sweep there and back
 # of what was asked, in a third of an octave: a pass takes two thirds off
 TRUSTED_ERROR = 1.0 / 3.0
 # of the strongest third of an octave (amplitude): with less a band says nothing
-ENERGY = 1e-3
+BAND_ENERGY = 1e-3
 RESONANCE_PART = 3.0  # a model is trusted to its lowest resonance over this
 # how far off a resonance may be: a payload of half the moving mass does that
 MISTUNED = 0.25
@@ -195,7 +195,7 @@ class RepeatedMove:
 
     def _is_same_drive(self, voltage: Floats, other: Floats) -> bool:
         """Return whether two recordings are of one drive, but for what a monitor adds."""
-        return rms(voltage - other) <= SAME_DRIVE * self.model.input.span
+        return rms(voltage - other) <= ONE_DRIVE * self.model.input.span
 
     def _pass_of(self, recording: Tracked) -> tuple[Floats, Floats, Floats]:
         """Return drive, modelled and measured displacement of the rows that belong to the trajectory."""
@@ -268,7 +268,7 @@ class RepeatedMove:
         if difference * self.step <= ACTUATOR_LAG:
             return by_stamps  # what was learned may be as early
         by_drive = self._mismatch(voltage, row)
-        if by_drive < CLEARLY_BETTER * self._mismatch(voltage, by_stamps):
+        if by_drive < MUCH_CLOSER * self._mismatch(voltage, by_stamps):
             return row
         return by_stamps
 
@@ -342,14 +342,14 @@ class RepeatedMove:
         if time is None or time.size < 2:
             return 0
         step = mean_step(time)
-        if abs(step / self.step - 1.0) > SAME_RATE:
+        if abs(step / self.step - 1.0) > RATE_SLACK:
             raise InputError(
                 f"{name}: {1.0 / max(step, 1e-300):.6g} Hz, the trajectory {1.0 / self.step:.6g} Hz: "
                 "record at its rate, or `resample` HZ"
             )
         steps = np.diff(time)
         longest = int(np.argmax(steps))
-        if steps[longest] > GAP * step:
+        if steps[longest] > LONG_STEP * step:
             raise InputError(
                 f"{name}: rows are missing behind row {longest + 1:,}: record each row"
             )
@@ -364,7 +364,7 @@ class RepeatedMove:
         if self.lead_to is not None:
             span = float(np.ptp(self.lead_to(float(self.desired[0]))))
         extremes = lead[turns(lead, 0.1 * span)]
-        was_swept = float(np.abs(np.diff(extremes)).sum()) > SWEPT * span
+        was_swept = float(np.abs(np.diff(extremes)).sum()) > SWEEP_TRAVEL * span
         if was_swept == is_swept:
             return
         text = "with a sweep before the move, which makes another past: add `condition`"
@@ -532,7 +532,7 @@ def _trusted_by_bands(
     strongest = int(np.argmax(energy))
     good = -1
     for k in range(strongest, energy.size):
-        if energy[k] <= ENERGY * energy[strongest]:
+        if energy[k] <= BAND_ENERGY * energy[strongest]:
             continue
         if error_energy[k] > TRUSTED_ERROR * energy[k]:
             break
