@@ -30,6 +30,7 @@ RULES = {
     "search.OTHER_SMOOTHNESS=()": "no candidates that one amplitude cannot judge",
     "search.ONE_WAY=0": "a curve from a single way up and down",
     "cross_validation.PRICE=0.0": "terms for nothing",
+    "cross_validation.DRIFT_PRICE=0.1": "a drift as cheap as a memory",
     "problem.SMALL=0.0": "no small swings left out",
     "averaging.MOST_MISFIT=0.0": "the best structure, no average",
     "basis.CELLS=48": "half the cells",
