@@ -43,13 +43,13 @@ class Average:
         order = np.argsort(-weights, kind="stable")
         order = order[weights[order] > LEAST_WEIGHT]
         some = weights[order] / weights[order].sum()
-        return Average(tuple(fits[place] for place in order), some)
+        return Average(tuple(fits[index] for index in order), some)
 
-    def left(self, number: int) -> Floats:
+    def residuals(self, number: int) -> Floats:
         """Return what the mean prediction leaves of a part that was left out."""
-        parts = [fit.left[number] for fit in self.fits]
-        left: Floats = np.einsum("k,kr->r", self.weights, np.stack(parts))
-        return left
+        parts = [fit.residuals[number] for fit in self.fits]
+        residuals: Floats = np.einsum("k,kr->r", self.weights, np.stack(parts))
+        return residuals
 
     def words(self) -> list[str]:
         """Return in words what has most of the weight."""
@@ -102,14 +102,14 @@ def average_model(problem: Problem, average: Average) -> Fit:
     invented = invented_log(problem)
     mean = np.zeros(len(problem.output) + len(invented.rows))
     tables: dict[tuple[float, float], Floats] = {}
-    for part, weight in zip(average.fits, average.weights, strict=True):
-        if frame(part) not in tables:
-            tables[frame(part)] = _table(problem, invented, part.structure)
-        mean += weight * part.predict(tables[frame(part)])
+    for member, weight in zip(average.fits, average.weights, strict=True):
+        if frame(member) not in tables:
+            tables[frame(member)] = _table(problem, invented, member.structure)
+        mean += weight * member.predict(tables[frame(member)])
     weights = np.full(len(mean), INVENTED_WEIGHT)
     weights[: len(problem.output)] = 1.0
     weights /= weights.sum()
-    least, nearest = math.inf, best
+    lowest, nearest = math.inf, best
     for delay, bend in dict.fromkeys(average.frames(problem.dt)):
         structure = replace(_widest(average), delay=delay, bend=bend)
         table = _table(problem, invented, structure)
@@ -120,9 +120,9 @@ def average_model(problem: Problem, average: Average) -> Fit:
             fit = solve(rows, replace(structure, smooth_curve=smooth), fit)
         assert fit is not None
         misfit = math.sqrt(float(weights @ fit.error**2))
-        if misfit < least:
-            least, nearest = misfit, fit
-    return best if least > MOST_MISFIT * error_left_out(best.left) else nearest
+        if misfit < lowest:
+            lowest, nearest = misfit, fit
+    return best if lowest > MOST_MISFIT * error_left_out(best.residuals) else nearest
 
 
 def _table(problem: Problem, invented: PreparedLog, structure: Structure) -> Floats:

@@ -108,8 +108,8 @@ class Cells:
     def of(gears: int | None = None, cells: int = CELLS) -> Cells:
         """Return groups of gears, finer for small distances; without spare ones where they are counted."""
         count = GEARS if gears is None else gears
-        part = np.linspace(0.0, 1.0, min(cells, count) + 1) ** CELL_GROWTH
-        edges = np.unique(np.round(count * part).astype(np.int64))
+        fraction = np.linspace(0.0, 1.0, min(cells, count) + 1) ** CELL_GROWTH
+        edges = np.unique(np.round(count * fraction).astype(np.int64))
         return Cells(np.diff(edges), int(SPARE * count) if gears is None else 0)
 
     @property
@@ -123,7 +123,7 @@ class Cells:
         return int(self.gears.sum())
 
     @property
-    def beyond(self) -> float:
+    def overshoot(self) -> float:
         """How far the gears go beyond either end, in units of the range."""
         return self.spare / self.inside
 
@@ -145,7 +145,7 @@ class Cells:
     def reach(self) -> Floats:
         """Reach of the plays at the cells' edges: half the distance; shape (cells + 1,)."""
         reach: Floats = np.concatenate(([0.0], np.cumsum(self.widths))) / 2.0
-        reach[-1] = 0.5 + self.beyond
+        reach[-1] = 0.5 + self.overshoot
         return reach
 
 
@@ -172,8 +172,8 @@ def bent(drive: Floats, bend: float) -> Floats:
     inside: Floats = np.interp(drive, grid, curve)
     slope = np.diff(curve) * BEND_SEGMENTS
     below, above = np.minimum(drive, 0.0), np.maximum(drive - 1.0, 0.0)
-    whole: Floats = inside + slope[0] * below + slope[-1] * above
-    return whole
+    extended: Floats = inside + slope[0] * below + slope[-1] * above
+    return extended
 
 
 def time_constants(logs: Sequence[PreparedLog]) -> Floats:
@@ -191,18 +191,18 @@ def columns_of(log: PreparedLog, sums: Floats, cells: Cells, delay: float) -> Fl
     """
     position = _late(log, delay, np.concatenate((log.rows, log.ends)))
     inside = np.maximum(position, 0.0)
-    whole = np.minimum(inside.astype(np.int64), len(log.drive) - 1)
-    before, behind = sums[whole], sums[whole + 1]
-    late = before + (inside - whole)[:, None] * (behind - before)
-    late += np.minimum(position, 0.0)[:, None] * sums[1]
-    begun, ended = np.split(late, 2)
+    index = np.minimum(inside.astype(np.int64), len(log.drive) - 1)
+    before, after = sums[index], sums[index + 1]
+    shifted = before + (inside - index)[:, None] * (after - before)
+    shifted += np.minimum(position, 0.0)[:, None] * sums[1]
+    started, ended = np.split(shifted, 2)
     first_rows, last_rows = np.split(position, 2)
-    table = (ended - begun) / (last_rows - first_rows)[:, None]
+    table = (ended - started) / (last_rows - first_rows)[:, None]
     plays = cells.count + 1
-    lags, beyond = table[:, plays:-1], table[:, -1:]
+    lags, overshoot = table[:, plays:-1], table[:, -1:]
     engaged = table[:, : plays - 1] - table[:, 1:plays]
-    engaged[:, -1:] += beyond
-    return np.hstack((engaged, lags, table[:, :1] + beyond - lags))
+    engaged[:, -1:] += overshoot
+    return np.hstack((engaged, lags, table[:, :1] + overshoot - lags))
 
 
 def past_columns(log: PreparedLog, cells: Cells) -> Floats:
@@ -243,7 +243,7 @@ def sums_of(log: PreparedLog, cells: Cells, taus: Floats, bend: float) -> Floats
     """Return the sums of plays, lags and what is beyond the gears over the rows before each row."""
     compiled = kernel.extension
     drive, reach = bent(log.drive, bend), cells.reach
-    inside = np.clip(drive, -cells.beyond, 1.0 + cells.beyond)
+    inside = np.clip(drive, -cells.overshoot, 1.0 + cells.overshoot)
     table, state = _play_table(reach, float(inside[0]))
     seconds = tuple(taus.tolist()) or (1.0,)  # the kernel wants one at least
     lag = Relaxation(0.0, seconds, (0.0,) * len(seconds))
@@ -280,9 +280,9 @@ def _late(log: PreparedLog, delay: float, places: Integers) -> Floats:
         return places.astype(np.float64) - delay / log.dt
     clock = np.append(log.time, log.time[-1] + log.dt)
     clock = clock + RISING * log.dt * np.arange(len(clock))
-    late = clock[places] - delay
-    within: Floats = np.interp(late, clock, np.arange(len(clock), dtype=float))
-    position: Floats = within + np.minimum(late - clock[0], 0.0) / log.dt
+    shifted = clock[places] - delay
+    within: Floats = np.interp(shifted, clock, np.arange(len(clock), dtype=float))
+    position: Floats = within + np.minimum(shifted - clock[0], 0.0) / log.dt
     return position
 
 

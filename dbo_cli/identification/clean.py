@@ -63,8 +63,8 @@ def without_sensor_delay(log: Recording, delay: float) -> Recording:
             "`sensor_delay` needs a clock: add `time` COLUMN or `sample_rate` HZ"
         )
     displacement = np.interp(log.time + delay, log.time, log.displacement)
-    known = log.time <= log.time[-1] - delay
-    return replace(log, displacement=displacement, good=log.usable & known)
+    measured = log.time <= log.time[-1] - delay
+    return replace(log, displacement=displacement, good=log.usable & measured)
 
 
 def not_skipped(log: Recording, seconds: float) -> Booleans:
@@ -75,8 +75,8 @@ def not_skipped(log: Recording, seconds: float) -> Booleans:
         raise FitError(
             f"{log.name}: `skip` needs a clock: add `time` COLUMN or `sample_rate` HZ"
         )
-    late: Booleans = log.time - log.time[0] >= seconds
-    return late
+    settled: Booleans = log.time - log.time[0] >= seconds
+    return settled
 
 
 def faulty_rows(log: Recording, notes: list[str]) -> Booleans:
@@ -104,14 +104,14 @@ def spiked_rows(displacement: Floats) -> Booleans:
     around = np.sort(
         np.lib.stride_tricks.sliding_window_view(padded, SPIKE_WINDOW), axis=1
     )
-    away = np.abs(displacement - around[:, half])
+    deviation = np.abs(displacement - around[:, half])
     spread = around[:, -1 - SPIKE_WINDOW // 3] - around[:, SPIKE_WINDOW // 3]
     sigma = 0.0
-    if (away > 0.0).any():
-        sigma = OF_NORMAL * float(np.median(away[away > 0.0]))
-    spiked = (away > SPIKE_SIGMAS * sigma) & (away > SPIKE_SPREAD * spread)
+    if (deviation > 0.0).any():
+        sigma = OF_NORMAL * float(np.median(deviation[deviation > 0.0]))
+    spiked = (deviation > SPIKE_SIGMAS * sigma) & (deviation > SPIKE_SPREAD * spread)
     low, high = np.percentile(displacement, [1.0, 99.0])
-    spiked &= away > LEAST_SPIKE * float(high - low)
+    spiked &= deviation > LEAST_SPIKE * float(high - low)
     if spiked.mean() > MOST_SPIKES:
         return np.zeros(len(displacement), bool)
     return spiked
@@ -125,6 +125,6 @@ def stuck_rows(log: Recording) -> Booleans:
     ends = np.concatenate((edges, [len(y)]))
     path = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(log.voltage)))))
     travelled = path[ends - 1] - path[begins]
-    usual = float(np.percentile(travelled, 90.0))
-    far = travelled > max(STUCK_PATH * float(np.ptp(log.voltage)), 4.0 * usual)
+    typical = float(np.percentile(travelled, 90.0))
+    far = travelled > max(STUCK_PATH * float(np.ptp(log.voltage)), 4.0 * typical)
     return np.repeat(far, ends - begins)

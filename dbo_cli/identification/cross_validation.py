@@ -28,37 +28,41 @@ def cross_validate(problem: Problem, fit: Fit, equations: Equations) -> Fit:
     rows = equations.rows
     table = equations.table(fit)
     groups, of_row = problem.groups
-    grams = np.stack([products(table[of_row == place]) for place in range(len(groups))])
+    grams = np.stack([products(table[of_row == index]) for index in range(len(groups))])
     total = np.add.reduce(grams)
-    left = []
+    residuals = []
     for number, mask in enumerate(problem.parts):
-        rest = total - np.add.reduce(grams[groups[:, number]])
+        remaining = total - np.add.reduce(grams[groups[:, number]])
         error = fit.error
         try:
             share = float(rows.weights[mask].sum())
-            error = equations.fit_of(equations.step(rest / (1.0 - share), fit)).error
+            error = equations.fit_of(
+                equations.step(remaining / (1.0 - share), fit)
+            ).error
         except FitError:
             pass
-        left.append(without_lost_offsets(error, mask, problem)[mask])
-    return replace(fit, left=tuple(left), score=score(problem, fit, left))
+        residuals.append(without_lost_offsets(error, mask, problem)[mask])
+    return replace(
+        fit, residuals=tuple(residuals), score=score(problem, fit, residuals)
+    )
 
 
 def without_lost_offsets(error: Floats, mask: Booleans, problem: Problem) -> Floats:
     """Return errors less their mean over each log that was left out as a whole."""
     owner, error = problem.owner, error.copy()
-    for place in range(len(problem.logs)):
-        mine = owner == place
+    for index in range(len(problem.logs)):
+        mine = owner == index
         if len(problem.logs) > 1 and not (mine & ~mask).any():
             error[mine] -= error[mine].mean()
     return error
 
 
-def error_left_out(left: Sequence[Floats]) -> float:
+def error_left_out(residuals: Sequence[Floats]) -> float:
     """Return the RMS over all parts, each as heavy as another, of what was left of them."""
-    return math.sqrt(float(np.mean([np.mean(error**2) for error in left])))
+    return math.sqrt(float(np.mean([np.mean(error**2) for error in residuals])))
 
 
-def score(problem: Problem, fit: Fit, left: Sequence[Floats]) -> float:
+def score(problem: Problem, fit: Fit, residuals: Sequence[Floats]) -> float:
     """Return the logarithm of what is left of a part, the mean of the RMS errors, and the price of the terms.
 
     Not the mean of their squares, since a part that nothing predicts must not decide alone.
@@ -66,7 +70,7 @@ def score(problem: Problem, fit: Fit, left: Sequence[Floats]) -> float:
     """
     floor = FLOOR * float(problem.output.std())
     errors = []
-    for mask, error in zip(problem.parts, left, strict=True):
+    for mask, error in zip(problem.parts, residuals, strict=True):
         square = float(np.average(error**2, weights=problem.known[mask]))
         errors.append(math.sqrt(square))
     return math.log(max(float(np.mean(errors)), floor)) + price(problem, fit)

@@ -47,7 +47,7 @@ UNEXPLAINED = 0.1  # of what the fast rows do: more is a warning
 
 
 def find(
-    static: Cascade, fast: Sequence[FastPart], wanted: str | int
+    static: Cascade, fast: Sequence[FastPart], order: str | int
 ) -> tuple[tuple[Section, ...], float, dict[str, Any]]:
     """Return sections, delay (s) and figures of the dynamics that the fast rows ask for.
 
@@ -66,14 +66,14 @@ def find(
         Resonances are asked for, and no log has fast rows.
     """
     if not fast:
-        if wanted == "auto":
+        if order == "auto":
             return (), 0.0, {}
         raise FitError(
-            f"`dynamics` {wanted}: no log has a sweep: record a drive of dbo excite with `sweep_to` HZ"
+            f"`dynamics` {order}: no log has a sweep: record a drive of dbo excite with `sweep_to` HZ"
         )
     band = _band(fast)
     signals = _signals(static, fast)
-    best = _with_delay(signals, band, wanted, _chosen(signals, band, wanted, 0.0))
+    best = _with_delay(signals, band, order, _chosen(signals, band, order, 0.0))
     if not best.form.resonances:
         return (), 0.0, {"warnings": _unexplained(signals, fast, best)}
     return sections_of(best, signals), best.delay, _figures(best, signals, fast)
@@ -84,7 +84,7 @@ def refine(
     fast: Sequence[FastPart],
     sections: Sequence[Section],
     delay: float,
-    wanted: str | int = "auto",
+    order: str | int = "auto",
     creep: Sequence[Lag] = (),
 ) -> tuple[tuple[Section, ...], float, dict[str, Any]]:
     """Return sections, delay and figures fitted again around those found, with a static model that knew them.
@@ -97,7 +97,7 @@ def refine(
     signals = _signals(static, fast, creep)
     form, start = parameters_of(sections, delay, signals)
     best = fitted(signals, [start], form, band)
-    if wanted == "auto" and form.resonances < MOST_RESONANCES and not best.white:
+    if order == "auto" and form.resonances < MOST_RESONANCES and not best.white:
         best = _one_more(signals, best, band) or best
     return sections_of(best, signals), best.delay, _figures(best, signals, fast)
 
@@ -121,11 +121,11 @@ def without_fast_lags(model: Cascade, shortest: float) -> Cascade:
         pair for pair in zip(terms.tau, terms.gain, strict=True) if pair[0] >= shortest
     ]
     added = sum(terms.gain) - sum(gain for _, gain in kept)
-    rest = None
+    remaining = None
     if kept:
-        rest = Relaxation(terms.reference, *map(tuple, zip(*kept, strict=True)))
+        remaining = Relaxation(terms.reference, *map(tuple, zip(*kept, strict=True)))
     y0 = gears.y0 + added * (gears.x0 - terms.reference)
-    steeper = Gears(gears.dx, gears.dy + added * gears.dx, gears.x0, y0, rest)
+    steeper = Gears(gears.dx, gears.dy + added * gears.dx, gears.x0, y0, remaining)
     stages = [steeper if stage is gears else stage for stage in model.stages]
     return model.with_stages(tuple(stages))
 
@@ -135,30 +135,32 @@ def _signals(
 ) -> list[Signals]:
     """Return the fast parts beside a static model without fast memories."""
     still = without_fast_lags(static.static, least_relaxation(fast))
-    return [Signals(still, part, creep) for part in fast]
+    return [Signals(still, segment, creep) for segment in fast]
 
 
 def _band(fast: Sequence[FastPart]) -> Band:
     """Return the lowest and the highest frequency swept (Hz)."""
-    return min(part.band[0] for part in fast), max(part.band[1] for part in fast)
+    return min(segment.band[0] for segment in fast), max(
+        segment.band[1] for segment in fast
+    )
 
 
 # --- which dynamics ---
 
 
 def _chosen(
-    signals: Sequence[Signals], band: Band, wanted: str | int, delay: float
+    signals: Sequence[Signals], band: Band, order: str | int, delay: float
 ) -> Fitted:
     """Return the dynamics that earn their place, or with as many resonances as are asked for."""
     starts = []
     for lag in (0.02, 0.3):
         starts.append(np.log([delay, lag / band[1]] if delay else [lag / band[1]]))
     best = fitted(signals, starts, Form(0, delay=delay > 0.0), band)
-    most = MOST_RESONANCES if wanted == "auto" else int(wanted)
-    while best.form.resonances < most:
-        if wanted == "auto" and best.form.resonances and best.white:
+    limit = MOST_RESONANCES if order == "auto" else int(order)
+    while best.form.resonances < limit:
+        if order == "auto" and best.form.resonances and best.white:
             break
-        more = _one_more(signals, best, band, always=wanted != "auto")
+        more = _one_more(signals, best, band, always=order != "auto")
         if more is None:
             break
         best = more
@@ -166,7 +168,7 @@ def _chosen(
 
 
 def _with_delay(
-    signals: Sequence[Signals], band: Band, wanted: str | int, without: Fitted
+    signals: Sequence[Signals], band: Band, order: str | int, without: Fitted
 ) -> Fitted:
     """Return dynamics with a pure delay behind them where the fast rows ask for it, else those without.
 
@@ -175,11 +177,11 @@ def _with_delay(
     """
     if without.form.resonances and without.white:
         return without
-    late = phase_delay(signals, band)
-    if late * band[1] < SEEN_DELAY:
+    phase_lag = phase_delay(signals, band)
+    if phase_lag * band[1] < SEEN_DELAY:
         return without
-    behind = _chosen(signals, band, wanted, late)
-    return behind if behind.left_out <= EARNED * without.left_out else without
+    delayed = _chosen(signals, band, order, phase_lag)
+    return delayed if delayed.left_out <= EARNED * without.left_out else without
 
 
 def _one_more(
@@ -192,15 +194,15 @@ def _one_more(
     """
     count = best.form.resonances
     form = Form(count + 1, False, best.form.delay)
-    *known, lag = best.parameters.tolist()
-    tail = [known.pop()] if form.delay else []
+    *leading, lag = best.parameters.tolist()
+    tail = [leading.pop()] if form.delay else []
     tail.append(max(lag, float(np.log(0.02 / band[1]))))
     peak = peak_of(signals, best, band)
     starts = []
     for damping in DAMPINGS:
         for frequency in (peak, 0.8 * band[1])[: 1 + (count > 0)]:
             pair = np.log([frequency, damping]).tolist()
-            starts.append(np.array([*known[: 2 * count], *pair, *tail]))
+            starts.append(np.array([*leading[: 2 * count], *pair, *tail]))
     more = fitted(signals, starts, form, band)
     if not count:
         starts = [more.parameters]
@@ -208,8 +210,8 @@ def _one_more(
     for start in starts:
         frequency, damping = start[2 * count : 2 * count + 2]
         for side in (-NEAR, NEAR):
-            beside = [frequency + side, damping]
-            notched.append(np.array([*start[: 2 * count + 2], *beside, *tail]))
+            notch = [frequency + side, damping]
+            notched.append(np.array([*start[: 2 * count + 2], *notch, *tail]))
     with_notch = Form(count + 1, True, form.delay)
     other = fitted(signals, notched, with_notch, band)
     if _earned(signals, other, more, band):
@@ -226,10 +228,10 @@ def _earned(signals: Sequence[Signals], more: Fitted, best: Fitted, band: Band) 
         return True
     if not best.form.resonances:
         return False
-    rows = sum(part.measured.size for part in signals)
+    rows = sum(segment.measured.size for segment in signals)
     gained = rows * (best.left_out**2 - more.left_out**2)
-    beyond = rows * (best.left_out**2 - best.noise)
-    return gained >= max(SURE * best.noise, MOST_OF_IT * beyond)
+    excess = rows * (best.left_out**2 - best.noise)
+    return gained >= max(SURE * best.noise, MOST_OF_IT * excess)
 
 
 def _is_inside(resonance: Resonance, band: Band) -> bool:
@@ -239,12 +241,12 @@ def _is_inside(resonance: Resonance, band: Band) -> bool:
         return False
     if resonance.damping < INSIDE * LEAST_DAMPING:
         return False
-    beside = resonance.antiresonance
-    if beside is None:
+    notch = resonance.antiresonance
+    if notch is None:
         return True
-    if max(resonance.damping, beside.damping) > MOST_BESIDE / INSIDE:
+    if max(resonance.damping, notch.damping) > MOST_BESIDE / INSIDE:
         return False
-    return lowest < beside.frequency < highest
+    return lowest < notch.frequency < highest
 
 
 # --- warnings ---
@@ -257,7 +259,7 @@ def _figures(
     return {
         "rmse": best.rmse,
         "left_out_rmse": best.left_out,
-        "logs": [part.recording.name for part in fast],
+        "logs": [segment.recording.name for segment in fast],
         "warnings": _unexplained(signals, fast, best),
     }
 
@@ -267,14 +269,14 @@ def _unexplained(
 ) -> list[str]:
     """Return a warning for each fast part of which much is not explained; noise aside."""
     warnings = []
-    for part, one in zip(fast, signals, strict=True):
-        left = one.left(best.parameters, best.form)
-        beyond = max(float(np.var(left)) - white_noise([left]), 0.0)
-        share = float(np.sqrt(beyond / np.var(one.measured)))
+    for segment, one in zip(fast, signals, strict=True):
+        residuals = one.residuals(best.parameters, best.form)
+        excess = max(float(np.var(residuals)) - white_noise([residuals]), 0.0)
+        share = float(np.sqrt(excess / np.var(one.measured)))
         if share > UNEXPLAINED:
-            low, high = part.band
+            low, high = segment.band
             warnings.append(
-                f"{part.recording.name}: rows {part.rows.start + 1} to {part.rows.stop}, {low:.3g} to "
-                f"{high:.3g} Hz: {100.0 * share:.0f} % unexplained: slow moves only; try a larger sweep"
+                f"{segment.recording.name}: rows {segment.rows.start + 1} to {segment.rows.stop}, {low:.3g} "
+                f"to {high:.3g} Hz: {100.0 * share:.0f} % unexplained: slow moves only; try a larger sweep"
             )
     return warnings

@@ -61,7 +61,9 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPa
     slowest = max((half for half in halves if half is not None), default=0.0)
     slow: list[Recording] = []
     fast: list[FastPart] = []
-    for log, sweep, rest, half in zip(recordings, sweeps, rests, halves, strict=True):
+    for log, sweep, slow_rows, half in zip(
+        recordings, sweeps, rests, halves, strict=True
+    ):
         step = even_step(log)
         if step is not None and half is not None and FASTER * half <= slowest:
             fast.append(
@@ -70,7 +72,7 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPa
             continue
         if sweep is not None:
             fast.append(sweep)
-        slow.append(rest)
+        slow.append(slow_rows)
     return slow, fast
 
 
@@ -82,8 +84,8 @@ def even_step(log: Recording) -> float | None:
     step = float(time[-1] - time[0]) / (time.size - 1)
     if not step > 0.0:
         return None
-    away = np.abs(time - (time[0] + step * np.arange(time.size)))
-    return step if float(away.max()) <= 0.5 * step else None
+    deviation = np.abs(time - (time[0] + step * np.arange(time.size)))
+    return step if float(deviation.max()) <= 0.5 * step else None
 
 
 def _median_half_period(log: Recording, span: float, fast_rows: slice) -> float | None:

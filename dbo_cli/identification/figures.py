@@ -52,15 +52,15 @@ def left_out_figures(
         They are predicted no better than by a line or an offset, or not at all within
         swings.
     """
-    left, line = left_out_rmse(problem, average), line_left_out(problem, average)
+    error, line = left_out_rmse(problem, average), line_left_out(problem, average)
     unexplained = unexplained_share(problem, average)
     if not options.force:
-        refuse_no_better(left, line, logs)
+        refuse_no_better(error, line, logs)
         _refuse_unrelated(unexplained, logs)
     return {
         "method": "least-squares",
         "left_out_rmse": left_out_rmse(problem, average, past_known=True),
-        "unknown_past_rmse": left,
+        "unknown_past_rmse": error,
         "left_out_line_rmse": line,
         "unexplained": unexplained,
     }
@@ -115,11 +115,11 @@ def left_out_rmse(
     With ``past_known`` rows weigh the less, the more another past of the gears would
     change them.
     """
-    left = [average.left(number) for number in range(len(problem.parts))]
+    residuals = [average.residuals(number) for number in range(len(problem.parts))]
     if not past_known:
-        return abs(problem.scale) * error_left_out(left)
+        return abs(problem.scale) * error_left_out(residuals)
     squares = total = 0.0
-    for mask, error in zip(problem.parts, left, strict=True):
+    for mask, error in zip(problem.parts, residuals, strict=True):
         squares += float(problem.known[mask] @ error**2)
         total += float(problem.known[mask].sum())
     return abs(problem.scale) * math.sqrt(squares / total)
@@ -135,13 +135,13 @@ def line_left_out(problem: Problem, average: Average) -> float:
     drive = [means(log.drive, log.rows, log.ends) for log in problem.logs]
     errors = []
     for table in (offset, np.column_stack((offset, np.concatenate(drive)))):
-        left = []
+        residuals = []
         for mask in problem.parts:
             kept = ~mask
             weights = np.linalg.lstsq(table[kept], problem.output[kept], rcond=None)[0]
             error = problem.output - table @ weights
-            left.append(without_lost_offsets(error, mask, problem)[mask])
-        errors.append(error_left_out(left))
+            residuals.append(without_lost_offsets(error, mask, problem)[mask])
+        errors.append(error_left_out(residuals))
     return abs(problem.scale) * min(errors)
 
 
@@ -152,12 +152,12 @@ def unexplained_share(problem: Problem, average: Average) -> float:
     swing. About 1: the displacement does not follow the drive. Windows from swing to
     swing and from mid-swing to mid-swing; the smaller share counts.
     """
-    left = [average.left(number) for number in range(len(problem.parts))]
+    residuals = [average.residuals(number) for number in range(len(problem.parts))]
     shares = []
-    for late in (0.0, 0.5):
-        windows = _windows(problem, late)
+    for shift in (0.0, 0.5):
+        windows = _windows(problem, shift)
         squares = np.zeros(2)
-        for mask, error in zip(problem.parts, left, strict=True):
+        for mask, error in zip(problem.parts, residuals, strict=True):
             squares += (
                 _variance_within(error, windows[mask]),
                 _variance_within(problem.output[mask], windows[mask]),
@@ -166,11 +166,11 @@ def unexplained_share(problem: Problem, average: Average) -> float:
     return min(shares)
 
 
-def _windows(problem: Problem, late: float) -> Integers:
+def _windows(problem: Problem, shift: float) -> Integers:
     """Return the number of each row's swing; swings begin a part ``late`` of themselves later."""
     numbers, first = [], 0
     for log, swings in zip(problem.logs, problem.swings, strict=True):
-        begins = swings.turns[:-1] + late * swings.rows
+        begins = swings.turns[:-1] + shift * swings.rows
         numbers.append(first + np.searchsorted(begins, log.rows, side="right"))
         first += len(begins) + 1
     return np.concatenate(numbers)
@@ -178,9 +178,9 @@ def _windows(problem: Problem, late: float) -> Integers:
 
 def _variance_within(values: Floats, windows: Integers) -> float:
     """Return the mean square of values less their mean over each window."""
-    _, place = np.unique(windows, return_inverse=True)
-    mean = np.bincount(place, values) / np.bincount(place)
-    return float(np.mean((values - mean[place]) ** 2))
+    _, index = np.unique(windows, return_inverse=True)
+    mean = np.bincount(index, values) / np.bincount(index)
+    return float(np.mean((values - mean[index]) ** 2))
 
 
 def noise_rms(model: Cascade, logs: Sequence[Recording]) -> float:
@@ -191,10 +191,10 @@ def noise_rms(model: Cascade, logs: Sequence[Recording]) -> float:
     """
     squares = rows = 0.0
     for log in logs:
-        left = (log.displacement - predicted(model, log))[log.usable]
-        white = 2.0 * noise(left) ** 2 - noise(left[::2]) ** 2
-        squares += len(left) * max(white, 0.0)
-        rows += len(left)
+        residuals = (log.displacement - predicted(model, log))[log.usable]
+        white = 2.0 * noise(residuals) ** 2 - noise(residuals[::2]) ** 2
+        squares += len(residuals) * max(white, 0.0)
+        rows += len(residuals)
     return math.sqrt(squares / rows)
 
 
@@ -308,8 +308,8 @@ def _warnings(model: Cascade, figures: dict[str, Any]) -> list[str]:
 def predicted(model: Cascade, log: Recording) -> Floats:
     """Return what a model makes of a log's drive."""
     dt = None if log.time is not None else 1.0
-    played, _ = model.simulate(log.voltage, time=log.time, dt=dt)
-    return played
+    simulated, _ = model.simulate(log.voltage, time=log.time, dt=dt)
+    return simulated
 
 
 def residual_of(
@@ -322,23 +322,23 @@ def residual_of(
     not swept yet: gears that wide still hold what was before the log.
     """
     rows = log.usable
-    left = (log.displacement - predicted(model, log))[rows]
-    weights = np.ones(len(left))
+    residuals = (log.displacement - predicted(model, log))[rows]
+    weights = np.ones(len(residuals))
     if past_known:
         voltage = log.voltage[rows]
         swept = np.maximum.accumulate(voltage) - np.minimum.accumulate(voltage)
         weights = known_weights(0.5 * np.maximum(1.0 - swept / model.input.span, 0.0))
-    left = left - np.average(left, weights=weights)
+    residuals = residuals - np.average(residuals, weights=weights)
     drift = 0.0
     if log.time is not None and len(Swings.of(log.voltage[rows]).sizes) >= FEW_SWINGS:
-        place = log.time[rows] - float(np.average(log.time[rows], weights=weights))
-        squares = float(np.sum(weights * place**2))
-        rate = float(np.sum(weights * place * left)) / max(squares, 1e-300)
-        left = left - rate * place
-        drift = rate * float(np.ptp(place))
-    rmse = math.sqrt(float(np.average(left**2, weights=weights)))
+        centred = log.time[rows] - float(np.average(log.time[rows], weights=weights))
+        squares = float(np.sum(weights * centred**2))
+        rate = float(np.sum(weights * centred * residuals)) / max(squares, 1e-300)
+        residuals = residuals - rate * centred
+        drift = rate * float(np.ptp(centred))
+    rmse = math.sqrt(float(np.average(residuals**2, weights=weights)))
     name = os.path.basename(log.name)
-    return {"name": name, "rows": len(left), "rmse": rmse, "drift": drift}
+    return {"name": name, "rows": len(residuals), "rmse": rmse, "drift": drift}
 
 
 def pooled(residuals: Sequence[dict[str, Any]]) -> float:

@@ -69,19 +69,19 @@ def _searched(logs: Sequence[Recording], options: Options, notes: list[str]) -> 
     problem, choices = choices_for(prepare(slow, options), options)
     search = Search(problem, choices)
     fits = search.run()
-    moved = None
+    dynamic = None
     if options.dynamics != 0 and (fast or options.dynamics != "auto"):
-        moved = moving(problem, fits, slow, fast, options)
-        problem, fits = moved.problem, moved.fits
+        dynamic = moving(problem, fits, slow, fast, options)
+        problem, fits = dynamic.problem, dynamic.fits
     average = Average.of(fits)
     figures = left_out_figures(problem, average, slow, options)
     fit = average_model(problem, average)
     others = list(zip(average.weights.tolist(), average.fits, strict=True))
     few = problem.one_amplitude or problem.different_swings < FEWEST_SWINGS
-    if few and moved is None:
+    if few and dynamic is None:
         others = search.unjudged(average.fits[0])
     model = model_of(problem, fit, slow[0], options, candidates(others))
-    if moved is not None:
-        model = moved.applied(model)
+    if dynamic is not None:
+        model = dynamic.applied(model)
     notes += average.words()
     return stated(model, problem, figures, logs)

@@ -113,14 +113,14 @@ def moving(
     """
     best = fits[0]
     static = model_of(problem, best, logs[0], options)
-    wanted = options.dynamics
-    sections, delay, figures = find(static, fast, wanted)
+    order = options.dynamics
+    sections, delay, figures = find(static, fast, order)
     if not sections:
         return Moving(problem, fits, (), 0.0, figures)
     slower = problem.taus[problem.taus >= least_relaxation(fast)]
     problem = replace(problem, taus=slower)
-    late = delay + lateness(sections)
-    fits = _around(problem, best, late)
+    total_delay = delay + lateness(sections)
+    fits = _around(problem, best, total_delay)
     best = fits[0]
     creep: tuple[Lag, ...] = ()
     if options.taus is None and len(slower) and all(map(even_step, logs)):
@@ -129,22 +129,22 @@ def moving(
             problem, fits, creep = freed, others, lags
             best = min(fits, key=lambda fit: fit.score)
     static = model_of(problem, best, logs[0], options)
-    sections, delay, figures = refine(static, fast, sections, delay, wanted, creep)
+    sections, delay, figures = refine(static, fast, sections, delay, order, creep)
     return Moving(problem, fits, (*creep, *sections), delay, figures)
 
 
 def lateness(sections: Sequence[Section]) -> float:
     """Return how late slow moves are behind sections (s)."""
-    late = 0.0
+    total_delay = 0.0
     for section in sections:
         if isinstance(section, Lag):
-            late += section.seconds - section.lead
+            total_delay += section.seconds - section.lead
             continue
-        late += section.damping / (math.pi * section.frequency)
-        beside = section.antiresonance
-        if beside is not None:
-            late -= beside.damping / (math.pi * beside.frequency)
-    return late
+        total_delay += section.damping / (math.pi * section.frequency)
+        notch = section.antiresonance
+        if notch is not None:
+            total_delay -= notch.damping / (math.pi * notch.frequency)
+    return total_delay
 
 
 def _around(problem: Problem, best: Fit, delay: float) -> list[Fit]:
@@ -224,17 +224,17 @@ def _shares(
     for log, prepared in zip(logs, problem.logs, strict=True):
         bare, _ = model.simulate(log.voltage, dt=prepared.dt)
         table = np.empty((len(prepared.rows), count + 3))
-        for place, tau in enumerate(taus.tolist()):
+        for index, tau in enumerate(taus.tolist()):
             lag = Relaxation(0.0, (tau,), (0.0,))
-            late, _ = lag.lags(bare, prepared.dt)
-            table[:, place] = (late[:, 0] - bare)[prepared.rows]
+            lagged, _ = lag.lags(bare, prepared.dt)
+            table[:, index] = (lagged[:, 0] - bare)[prepared.rows]
         table[:, count] = bare[prepared.rows]
         table[:, count + 1 :] = 1.0, -1.0
         size = abs(problem.scale)
         tables.append(table / size)
         targets.append(log.displacement[prepared.rows] / size)
-    whole = np.vstack(tables)
-    gains, _ = nnls(whole, np.concatenate(targets), maxiter=100 * whole.shape[1])
+    stacked = np.vstack(tables)
+    gains, _ = nnls(stacked, np.concatenate(targets), maxiter=100 * stacked.shape[1])
     shares: Floats = gains[:count] / max(float(gains[count]), 1e-300)
     return shares
 
@@ -246,9 +246,9 @@ def _lags_of(taus: Floats, shares: Floats) -> tuple[Lag, ...]:
     if not taus.size or float(shares.sum()) >= MOST_SHARE:
         return ()
     numerator = (1.0 - shares.sum()) * np.poly(-1.0 / taus)
-    for place, share in enumerate(shares):
-        others = np.poly(-1.0 / np.delete(taus, place))
-        numerator[1:] += share / taus[place] * others
+    for index, share in enumerate(shares):
+        others = np.poly(-1.0 / np.delete(taus, index))
+        numerator[1:] += share / taus[index] * others
     leads = np.sort(-1.0 / np.roots(numerator).real)
     pairs = zip(np.sort(taus).tolist(), leads.tolist(), strict=True)
     return tuple(Lag(tau, lead) for tau, lead in pairs)

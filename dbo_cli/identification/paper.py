@@ -26,7 +26,7 @@ GEARS = 25  # the paper's
 FINE_GEARS, GROUP = 1280, 20  # gears of the fine operator, and how many share a slope
 SEGMENTS = 2
 """Of the curve behind the gears: 1, 2 and 4 leave 0.89, 0.90, 1.04 um on the authors' other log."""
-SHRUNK = tuple(part / 20 for part in range(20, 5, -1))  # amplitudes, over the cycle's
+SHRUNK = tuple(k / 20 for k in range(20, 5, -1))  # amplitudes, over the cycle's
 CYCLE_WEIGHT = 10.0  # of the cycle's own amplitude, over each smaller one
 LEAST_SLOPE = 0.3  # of a gear, of the mean slope
 LEAST_CURVE = 0.03  # slope of a segment's inverse, of the mean slope
@@ -58,9 +58,9 @@ def identify_paper(recording: Recording, options: Options) -> Cascade:
     segments = SEGMENTS if options.points == "auto" else max(int(options.points), 1)
 
     low, swing = float(voltage.min()), float(np.ptp(voltage))
-    least, stroke = float(displacement.min()), float(np.ptp(displacement))
+    lowest, stroke = float(displacement.min()), float(np.ptp(displacement))
     drive = (voltage - low) / swing
-    output = (displacement - least) / stroke
+    output = (displacement - lowest) / stroke
     fine, curve = _fine_slopes(drive, output, segments)
     edges = 0.5 - 0.5 * np.cos(np.pi * np.arange(count + 1) / count)
     heights = _few_heights(drive, fine, np.diff(edges))
@@ -71,7 +71,7 @@ def identify_paper(recording: Recording, options: Options) -> Cascade:
         parts = np.full(segments, swing / segments)
         stages.append(Points(swing * curve, parts, 0.0, 0.0))
     shift = zero_of(recording, options)
-    stages.append(Scale(stroke / swing, least - shift))
+    stages.append(Scale(stroke / swing, lowest - shift))
     fit = {
         "method": "paper",
         "expected_rmse": None,
@@ -107,14 +107,14 @@ def _fine_slopes(drive: Floats, output: Floats, segments: int) -> tuple[Floats, 
     cells = engaged.shape[1]
     edges = np.arange(segments) / segments
     travelled = np.clip(output[:, None] - edges, 0.0, 1.0 / segments)
-    least = LEAST_CURVE * travelled.sum(axis=1)
+    lowest = LEAST_CURVE * travelled.sum(axis=1)
     growing = engaged @ np.tril(np.ones((cells, cells))) / cells
     offset = np.ones((drive.size, 1))
     table = np.hstack([growing, offset, -offset, -travelled])
     ends = np.zeros(table.shape[1])
     ends[-segments:] = EXACT
-    goal = np.append(least, EXACT * segments * (1.0 - LEAST_CURVE))
-    unknown, _ = nnls(np.vstack([table, ends]), goal, maxiter=100 * table.shape[1])
+    bound = np.append(lowest, EXACT * segments * (1.0 - LEAST_CURVE))
+    unknown, _ = nnls(np.vstack([table, ends]), bound, maxiter=100 * table.shape[1])
     slopes = np.cumsum(unknown[:cells]) / cells
     inverse = LEAST_CURVE + unknown[-segments:]
     return slopes, inverse / inverse.sum()
@@ -137,18 +137,18 @@ def _few_heights(drive: Floats, fine: Floats, widths: Floats) -> Floats:
     the state.
     """
     rows, count = drive.size, widths.size
-    shrunk = [np.tile(0.5 + part * (drive - 0.5), 2) for part in SHRUNK]
-    whole = np.concatenate(shrunk)
+    shrunk = [np.tile(0.5 + amplitude * (drive - 0.5), 2) for amplitude in SHRUNK]
+    repeated = np.concatenate(shrunk)
     counts = np.tile(np.repeat([False, True], rows), len(SHRUNK))
-    target = (_engaged(_fine_gears(), whole, GROUP) @ fine)[counts]
-    parts = _engaged(Gears(widths, widths, 0.0, 0.0), whole, 1)[counts]
+    target = (_engaged(_fine_gears(), repeated, GROUP) @ fine)[counts]
+    parts = _engaged(Gears(widths, widths, 0.0, 0.0), repeated, 1)[counts]
     growing = (parts * widths) @ np.tril(np.ones((count, count)))
     offsets = np.repeat(np.eye(len(SHRUNK)), rows, axis=0)
     table = np.hstack([growing, offsets, -offsets])
     squares = np.ones(len(SHRUNK))
     squares[0] = CYCLE_WEIGHT
     weight = np.sqrt(np.repeat(squares, rows))
-    goal = weight * (target - LEAST_SLOPE * (parts @ widths))
-    unknown, _ = nnls(weight[:, None] * table, goal, maxiter=100 * table.shape[1])
+    bound = weight * (target - LEAST_SLOPE * (parts @ widths))
+    unknown, _ = nnls(weight[:, None] * table, bound, maxiter=100 * table.shape[1])
     heights: Floats = widths * (LEAST_SLOPE + np.cumsum(unknown[:count]))
     return heights

@@ -60,7 +60,7 @@ class Prediction:
     rows: NDArray[np.intp]
     swings: int
 
-    def late(self, signal: Floats, delay: float) -> Floats:
+    def delayed(self, signal: Floats, delay: float) -> Floats:
         """Return a signal ``delay`` seconds later, for the rows that count."""
         time = self.log.time
         if time is None or delay == 0.0:
@@ -70,13 +70,13 @@ class Prediction:
     def columns(self, delay: float) -> Floats:
         """Return the columns of gain, offset, delay, drift and past; shape (rows, 5)."""
         table = np.zeros((self.rows.size, 5))
-        table[:, 0] = self.late(self.middle, delay)
+        table[:, 0] = self.delayed(self.middle, delay)
         table[:, 1] = 1.0
         if self.log.time is not None:
             speed = np.gradient(self.middle, self.log.time)
-            table[:, 2] = -self.late(np.nan_to_num(speed), delay)
+            table[:, 2] = -self.delayed(np.nan_to_num(speed), delay)
             table[:, 3] = np.linspace(-1.0, 1.0, self.rows.size)
-        table[:, 4] = self.late(self.past, delay)
+        table[:, 4] = self.delayed(self.past, delay)
         return table
 
 
@@ -110,7 +110,7 @@ def rescale(
     predictions = [_prediction(prior, log) for log in recordings]
     fitted, shrunk = _changes(prior, predictions)
     warnings = _check_shape(prior, fitted, predictions, options.force)
-    return _refreshed(prior, shrunk, _left_over(prior, shrunk, predictions), warnings)
+    return _refreshed(prior, shrunk, _residuals(prior, shrunk, predictions), warnings)
 
 
 def _prediction(prior: Cascade, log: Recording) -> Prediction:
@@ -119,13 +119,13 @@ def _prediction(prior: Cascade, log: Recording) -> Prediction:
     By the row by which the drive has been at both ends of its range, the past only
     shifts the displacement.
     """
-    lower = _played(prior, log, prior.input.min, "empty")
-    upper = _played(prior, log, prior.input.max, "full")
+    lower = _simulated(prior, log, prior.input.min, "empty")
+    upper = _simulated(prior, log, prior.input.max, "full")
     voltage, rows = log.voltage, np.flatnonzero(log.usable)
     wiped = max(int(np.argmin(voltage)), int(np.argmax(voltage)))
-    known = rows[rows >= wiped]
-    if known.size >= max(LEAST_KNOWN * rows.size, FEWEST_ROWS):
-        rows = known
+    settled = rows[rows >= wiped]
+    if settled.size >= max(LEAST_KNOWN * rows.size, FEWEST_ROWS):
+        rows = settled
     turns = voltage[Swings.of(voltage).turns]
     levels = np.round(turns / (SAME_LEVEL * float(np.ptp(voltage)))).tolist()
     different = set(pairwise(levels))
@@ -133,23 +133,23 @@ def _prediction(prior: Cascade, log: Recording) -> Prediction:
     return Prediction(log, middle, past, rows, len(different))
 
 
-def _played(prior: Cascade, log: Recording, before: float, start: str) -> Floats:
+def _simulated(prior: Cascade, log: Recording, before: float, start: str) -> Floats:
     """Return a prediction without delay, after a long rest at a voltage and a jump to the log's first."""
     voltage = np.concatenate([[before], log.voltage])
     steps = None
     if log.time is not None:
         steps = np.concatenate([[0.0, 0.0], np.diff(log.time)])
-    moved, _ = prior.static.simulate(voltage, dt=steps, state=start)
-    moved = moved[1:]
+    output, _ = prior.static.simulate(voltage, dt=steps, state=start)
+    output = output[1:]
     if prior.dynamics is not None and log.time is not None:
-        moved = prior.dynamics.run(moved, State(), steps_of(log.time)).y
-    return moved
+        output = prior.dynamics.run(output, State(), steps_of(log.time)).y
+    return output
 
 
-def _stated(prior: Cascade) -> float:
+def _stated_error(prior: Cascade) -> float:
     """Return the error (RMS) that the prior states of itself, at least ``EXACT``."""
-    stated = prior.fit.get("expected_rmse") or prior.fit.get("rmse") or 0.0
-    return max(float(stated), EXACT * prior.output.span)
+    stated_error = prior.fit.get("expected_rmse") or prior.fit.get("rmse") or 0.0
+    return max(float(stated_error), EXACT * prior.output.span)
 
 
 def _stated_of_logs(prior: Cascade, predictions: Sequence[Prediction]) -> float:
@@ -158,8 +158,9 @@ def _stated_of_logs(prior: Cascade, predictions: Sequence[Prediction]) -> float:
     for each in predictions:
         log = each.log
         steps = None if log.time is None else steps_of(log.time)
-        stated = expected_error(prior, log.voltage, steps)
-        squares.append((_stated(prior) if stated is None else stated.known) ** 2)
+        expected = expected_error(prior, log.voltage, steps)
+        error = _stated_error(prior) if expected is None else expected.known
+        squares.append(error**2)
     return max(float(np.sqrt(np.mean(squares))), EXACT * prior.output.span)
 
 
@@ -175,15 +176,15 @@ def _changes(
     middle = float(np.mean([each.middle[each.rows].mean() for each in predictions]))
     delay = 0.0
     for _ in range(STEPS):
-        late = prior.delay_seconds + delay
-        table = np.vstack([each.columns(late) for each in predictions])
+        total = prior.delay_seconds + delay
+        table = np.vstack([each.columns(total) for each in predictions])
         target = np.concatenate(
             [each.log.displacement[each.rows] for each in predictions]
         )
         target = target - table[:, 0]
         table[:, 0] -= middle
         swings = sum(each.swings for each in predictions)
-        numbers, errors = _solved(table, target, swings, _stated(prior))
+        numbers, errors = _solved(table, target, swings, _stated_error(prior))
         delay = float(np.clip(delay + numbers[2], -longest, longest))
     numbers[2] = delay
     if numbers[0] <= -1.0:
@@ -195,8 +196,8 @@ def _changes(
     sure = np.abs(numbers) > within
     shrunk[sure] = numbers[sure] - within[sure] ** 2 / numbers[sure]
     changes = []
-    for gain, offset, late in (numbers[:3].tolist(), shrunk[:3].tolist()):
-        changes.append(Change(1.0 + gain, offset - gain * middle, late))
+    for gain, offset, extra in (numbers[:3].tolist(), shrunk[:3].tolist()):
+        changes.append(Change(1.0 + gain, offset - gain * middle, extra))
     return changes[0], changes[1]
 
 
@@ -208,7 +209,7 @@ def _longest_delay(log: Recording) -> float:
 
 
 def _solved(
-    table: Floats, target: Floats, swings: int, known: float
+    table: Floats, target: Floats, swings: int, stated_error: float
 ) -> tuple[Floats, Floats]:
     """Return the unknowns of least squares and their standard errors; 0 for a column of zeros.
 
@@ -216,48 +217,48 @@ def _solved(
     count as s. Their size is what the prior states of itself, or what is left where that
     is more. The past lies anywhere between both ends, -1 and 1: its variance is a third.
     """
-    rows, size = len(target), known**2
+    rows, size = len(target), stated_error**2
     for _ in range(2):
         weight = swings / rows / size
         curvature = weight * (table.T @ table)
         curvature[-1, -1] += 3.0
         covariance = np.linalg.pinv(curvature, hermitian=True)
         numbers: Floats = covariance @ (weight * (table.T @ target))
-        size = max(known**2, float(np.mean((target - table @ numbers) ** 2)))
+        size = max(stated_error**2, float(np.mean((target - table @ numbers) ** 2)))
     return numbers, np.sqrt(np.diag(covariance))
 
 
-def _left_over(
+def _residuals(
     prior: Cascade, change: Change, predictions: Sequence[Prediction]
 ) -> list[Floats]:
     """Return what a change leaves of each log, drift and past aside."""
-    left = []
+    residuals = []
     for each in predictions:
         table = each.columns(max(prior.delay_seconds + change.delay, 0.0))
-        moved = change.gain * table[:, 0] + change.offset
-        rest = each.log.displacement[each.rows] - moved
-        beside = np.linalg.lstsq(table[:, 3:], rest, rcond=None)[0]
-        beside[1] = min(max(beside[1], -1.0), 1.0)
-        left.append(rest - table[:, 3:] @ beside)
-    return left
+        scaled = change.gain * table[:, 0] + change.offset
+        residual = each.log.displacement[each.rows] - scaled
+        nuisance = np.linalg.lstsq(table[:, 3:], residual, rcond=None)[0]
+        nuisance[1] = min(max(nuisance[1], -1.0), 1.0)
+        residuals.append(residual - table[:, 3:] @ nuisance)
+    return residuals
 
 
 def _check_shape(
     prior: Cascade, change: Change, predictions: Sequence[Prediction], force: bool
 ) -> list[str]:
     """Refuse logs that the prior's shape does not follow, the sensor's noise aside; warn where forced."""
-    left = _left_over(prior, change, predictions)
-    stated, unit = (
+    residuals = _residuals(prior, change, predictions)
+    stated_error, unit = (
         change.gain * _stated_of_logs(prior, predictions),
         prior.output.suffix,
     )
-    squares = float(np.mean(np.concatenate(left) ** 2))
-    shape = float(np.sqrt(max(squares - white_noise(left), 0.0)))
-    if shape <= BROKEN * stated:
+    squares = float(np.mean(np.concatenate(residuals) ** 2))
+    shape = float(np.sqrt(max(squares - white_noise(residuals), 0.0)))
+    if shape <= BROKEN * stated_error:
         return []
     text = (
-        f"{predictions[0].log.name}: error {shape:.4g}{unit}, the prior states {stated:.4g}: its shape has"
-        " changed; identify again without it"
+        f"{predictions[0].log.name}: error {shape:.4g}{unit}, the prior states {stated_error:.4g}: its "
+        "shape has changed; identify again without it"
     )
     if not force:
         raise FitError(f"{text} (`force` keeps the shape)")
@@ -265,15 +266,15 @@ def _check_shape(
 
 
 def _refreshed(
-    prior: Cascade, change: Change, left: Sequence[Floats], warnings: list[str]
+    prior: Cascade, change: Change, residuals: Sequence[Floats], warnings: list[str]
 ) -> Cascade:
     """Return the prior's model, candidates and figures with the change."""
     candidates = []
     for candidate in prior.candidates:
-        stages = _moved(candidate.stages, change)
+        stages = _changed(candidate.stages, change)
         candidates.append(Candidate(candidate.weight, stages))
     gain = change.gain
-    rmse = float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
+    rmse = float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
     fit: dict[str, Any] = dict(prior.fit)
     for key in ("expected_rmse", "left_out_rmse", "unknown_past_rmse"):
         if isinstance(fit.get(key), float):
@@ -293,13 +294,13 @@ def _refreshed(
     output = replace(
         prior.output, min=gain * low + change.offset, max=gain * high + change.offset
     )
-    stages = _moved(prior.stages, change)
+    stages = _changed(prior.stages, change)
     return replace(
         prior, stages=stages, output=output, fit=fit, candidates=tuple(candidates)
     )
 
 
-def _moved(stages: Sequence[Any], change: Change) -> tuple[Any, ...]:
+def _changed(stages: Sequence[Any], change: Change) -> tuple[Any, ...]:
     """Return stages with another gain, offset and delay."""
     seconds = change.delay
     static: list[Any] = []

@@ -134,10 +134,10 @@ class Problem:
     def past(self) -> Floats:
         """What an unknown past of each log may add to the fitted rows; (rows, k)."""
         owner, columns = self.owner, []
-        for place, log in enumerate(self.logs):
+        for index, log in enumerate(self.logs):
             table = past_columns(log, self.cells)
             padded = np.zeros((len(owner), table.shape[1]))
-            padded[owner == place] = table
+            padded[owner == index] = table
             columns.append(padded)
         return np.hstack(columns)
 
@@ -195,14 +195,14 @@ class Problem:
         """Return offsets of all logs but the first, and straight drifts where asked for; (rows, k)."""
         owner = self.owner
         columns = []
-        for place, log in enumerate(self.logs):
+        for index, log in enumerate(self.logs):
             clock = log.time[log.rows]
             ramp = np.zeros(len(owner))
-            ramp[owner == place] = (
+            ramp[owner == index] = (
                 2.0 * (clock - clock.mean()) / max(np.ptp(clock), 1e-300)
             )
-            if place:
-                columns.append((owner == place).astype(float))
+            if index:
+                columns.append((owner == index).astype(float))
             if straight:
                 columns.append(ramp)
         return np.array(columns).reshape(-1, len(owner)).T
@@ -245,8 +245,8 @@ def prepare(recordings: Sequence[Recording], options: Options) -> Problem:
         if float(np.abs(gaps - steps).max()) > 1e-6 * steps:
             steps = np.concatenate(([0.0], gaps))
         output = (log.displacement - offset) / scale
-        most = max(round(STEADY * Swings.of(drive).usual_rows), 1)
-        rows, ends = groups_of(log.usable, stride, min(stride, most))
+        limit = max(round(STEADY * Swings.of(drive).usual_rows), 1)
+        rows, ends = groups_of(log.usable, stride, min(stride, limit))
         logs.append(PreparedLog(log.name, drive, output, time, steps, rows, ends))
     clock = all(log.time is not None for log in recordings)
     taus = np.zeros(0)
@@ -286,8 +286,8 @@ def thinned(logs: Sequence[Recording]) -> list[Recording]:
         return list(logs)
 
     def mean(values: Floats) -> Floats:
-        whole = len(values) // size * size
-        averages: Floats = values[:whole].reshape(-1, size).mean(axis=1)
+        complete = len(values) // size * size
+        averages: Floats = values[:complete].reshape(-1, size).mean(axis=1)
         return averages
 
     shorter = []
@@ -312,8 +312,10 @@ def groups_of(rows: Booleans, stride: int, size: int) -> tuple[Integers, Integer
     begins, ends = [], []
     for begin, end in edges.reshape(-1, 2).tolist():
         places = np.arange(begin, end, stride)
-        part = np.arange(len(places)) * GOLDEN % 1.0
-        places = np.minimum(places + (part * (stride - size + 1)).astype(int), end - 1)
+        fraction = np.arange(len(places)) * GOLDEN % 1.0
+        places = np.minimum(
+            places + (fraction * (stride - size + 1)).astype(int), end - 1
+        )
         begins.append(places)
         ends.append(np.minimum(places + size, end))
     return np.concatenate(begins), np.concatenate(ends)

@@ -215,8 +215,8 @@ class Search:
             trials.append(replace(structure, past=not structure.past))
         if choices.delay is None and self.problem.clock:
             dt, swing = self.problem.dt, self.problem.swing
-            for part in DELAYS:
-                steps = max(round(swing * part / dt), 1)
+            for fraction in DELAYS:
+                steps = max(round(swing * fraction / dt), 1)
                 trials.append(replace(structure, delay=steps * dt))
         for trial in trials:
             if trial != structure:
@@ -226,8 +226,8 @@ class Search:
         """Try a delay beside the best one."""
         if self.choices.delay is not None:
             return
-        late = [fit for fit in self.fits if fit.structure.delay > 0.0]
-        if late:
-            best = min(late, key=lambda fit: fit.score).structure
+        delayed = [fit for fit in self.fits if fit.structure.delay > 0.0]
+        if delayed:
+            best = min(delayed, key=lambda fit: fit.score).structure
             trial = replace(best, delay=best.delay * factor)
             self.path(trial, [best.smooth_curve])

@@ -81,14 +81,14 @@ class Signals:
     """Of one fast part: what the static model predicts, and what was measured."""
 
     def __init__(
-        self, static: Cascade, part: FastPart, creep: Sequence[Lag] = ()
+        self, static: Cascade, segment: FastPart, creep: Sequence[Lag] = ()
     ) -> None:
-        log, rows = part.recording, part.rows
-        moved, _ = static.simulate(log.voltage[: rows.stop], dt=part.dt)
+        log, rows = segment.recording, segment.rows
+        modelled, _ = static.simulate(log.voltage[: rows.stop], dt=segment.dt)
         if creep:
-            moved = Dynamics(tuple(creep)).run(moved, State(), part.dt).y
-        self.dt = part.dt
-        self.predicted = np.asarray(moved[rows], dtype=np.float64)
+            modelled = Dynamics(tuple(creep)).run(modelled, State(), segment.dt).y
+        self.dt = segment.dt
+        self.predicted = np.asarray(modelled[rows], dtype=np.float64)
         self.measured = log.displacement[rows]
         size = self.measured.size
         self.block = np.arange(size) * BLOCKS // size
@@ -98,25 +98,25 @@ class Signals:
 
     def free(self, signal: Floats) -> Floats:
         """Return what an offset and an even drift do not explain of a signal."""
-        left: Floats = signal - self._drift @ (self._drift.T @ signal)
-        return left
+        residuals: Floats = signal - self._drift @ (self._drift.T @ signal)
+        return residuals
 
-    def moved(self, parameters: Floats, form: Form) -> Floats:
+    def modelled(self, parameters: Floats, form: Form) -> Floats:
         """Return the prediction through lag, resonances and delay."""
         sections: list[Section] = [Lag(float(np.exp(parameters[-1])))]
         sections += resonances_of(parameters, form)
-        moved = Dynamics(tuple(sections)).run(self.predicted, State(), self.dt).y
+        modelled = Dynamics(tuple(sections)).run(self.predicted, State(), self.dt).y
         if form.delay:
-            late = Delay(float(np.exp(parameters[-2])))
-            moved = late.run(moved, State(), self.dt).y
-        return np.asarray(moved, dtype=np.float64)
+            pure_delay = Delay(float(np.exp(parameters[-2])))
+            modelled = pure_delay.run(modelled, State(), self.dt).y
+        return np.asarray(modelled, dtype=np.float64)
 
-    def left(self, parameters: Floats, form: Form) -> Floats:
+    def residuals(self, parameters: Floats, form: Form) -> Floats:
         """Return what the best gain, offset and drift of the prediction leave of the measured."""
-        moved = self.free(self.moved(parameters, form))
+        modelled = self.free(self.modelled(parameters, form))
         measured = self.free(self.measured)
-        gain = float(moved @ measured) / max(float(moved @ moved), 1e-300)
-        return measured - gain * moved
+        gain = float(modelled @ measured) / max(float(modelled @ modelled), 1e-300)
+        return measured - gain * modelled
 
 
 def fitted(
@@ -126,7 +126,9 @@ def fitted(
     low, high = _bounds(signals, form, band)
 
     def error(parameters: Floats) -> Floats:
-        return np.concatenate([part.left(parameters, form) for part in signals])
+        return np.concatenate(
+            [segment.residuals(parameters, form) for segment in signals]
+        )
 
     def refined(start: Floats, steps: int) -> tuple[float, Floats]:
         # no bound on the gradient: it has the displacement's unit
@@ -146,7 +148,7 @@ def _bounds(
     signals: Sequence[Signals], form: Form, band: Band
 ) -> tuple[Floats, Floats]:
     """Return the bounds of the logarithms of the parameters."""
-    step = min(part.dt for part in signals)
+    step = min(segment.dt for segment in signals)
     pairs = form.resonances + form.antiresonance
     damping = MOST_BESIDE if form.antiresonance else MOST_DAMPING
     low = [band[0], LEAST_DAMPING] * pairs
@@ -161,25 +163,28 @@ def _bounds(
 
 def _judged(signals: Sequence[Signals], parameters: Floats, form: Form) -> Fitted:
     """Return a fit with its error on blocks left out, each one step from the whole fit."""
-    parts = [part.left(parameters, form) for part in signals]
-    left = np.concatenate(parts)
+    parts = [segment.residuals(parameters, form) for segment in signals]
+    residuals = np.concatenate(parts)
     columns = []
     for direction in np.eye(parameters.size):
-        beside = [part.left(parameters + SMALL * direction, form) for part in signals]
-        columns.append((np.concatenate(beside) - left) / SMALL)
+        stepped = [
+            segment.residuals(parameters + SMALL * direction, form)
+            for segment in signals
+        ]
+        columns.append((np.concatenate(stepped) - residuals) / SMALL)
     along = np.column_stack(columns)
-    block = np.concatenate([part.block for part in signals])
+    block = np.concatenate([segment.block for segment in signals])
     squares = 0.0
     for fold in range(FOLDS):
         out = block % FOLDS == fold
         kept = along[~out]
-        step = -np.linalg.lstsq(kept, left[~out], rcond=1e-9)[0]
-        squares += float(np.sum((left[out] + along[out] @ step) ** 2))
+        step = -np.linalg.lstsq(kept, residuals[~out], rcond=1e-9)[0]
+        squares += float(np.sum((residuals[out] + along[out] @ step) ** 2))
     return Fitted(
         form,
         parameters,
-        float(np.sqrt(np.mean(left**2))),
-        float(np.sqrt(squares / left.size)),
+        float(np.sqrt(np.mean(residuals**2))),
+        float(np.sqrt(squares / residuals.size)),
         white_noise(parts),
     )
 
@@ -202,15 +207,15 @@ def resonances_of(parameters: Floats, form: Form) -> list[Resonance]:
         found.append(Resonance(frequency, min(damping, MOST_DAMPING)))
     if form.antiresonance:
         frequency, damping = np.exp(parameters[2 * count : 2 * count + 2]).tolist()
-        beside = Mode(frequency, min(damping, MOST_DAMPING))
-        found[-1] = Resonance(found[-1].frequency, found[-1].damping, beside)
+        notch = Mode(frequency, min(damping, MOST_DAMPING))
+        found[-1] = Resonance(found[-1].frequency, found[-1].damping, notch)
     return found
 
 
 def sections_of(best: Fitted, signals: Sequence[Signals]) -> tuple[Section, ...]:
     """Return the sections, a lag first where there is one."""
     lag = float(np.exp(best.parameters[-1]))
-    if lag <= NO_LAG * min(part.dt for part in signals):
+    if lag <= NO_LAG * min(segment.dt for segment in signals):
         return tuple(best.resonances)
     return (Lag(lag), *best.resonances)
 
@@ -220,18 +225,18 @@ def parameters_of(
 ) -> tuple[Form, Floats]:
     """Return form and parameters of sections."""
     values: list[float] = []
-    beside: list[float] = []
-    lag = NO_LAG * min(part.dt for part in signals)
+    notch: list[float] = []
+    lag = NO_LAG * min(segment.dt for segment in signals)
     for section in sections:
         if isinstance(section, Lag):
             lag = section.seconds
             continue
         values += [section.frequency, section.damping]
         if section.antiresonance is not None:
-            beside = [section.antiresonance.frequency, section.antiresonance.damping]
-    form = Form(len(values) // 2, bool(beside), delay > 0.0)
-    late = [delay] if delay > 0.0 else []
-    return form, np.log([*values, *beside, *late, lag])
+            notch = [section.antiresonance.frequency, section.antiresonance.damping]
+    form = Form(len(values) // 2, bool(notch), delay > 0.0)
+    pure_delay = [delay] if delay > 0.0 else []
+    return form, np.log([*values, *notch, *pure_delay, lag])
 
 
 # --- spectra: where a resonance is to be looked for, and how late all is ---
@@ -251,22 +256,22 @@ def spectra(
 
 def longest(signals: Sequence[Signals]) -> Signals:
     """Return the fast part with the most rows."""
-    return max(signals, key=lambda part: part.measured.size)
+    return max(signals, key=lambda segment: segment.measured.size)
 
 
 def peak_of(signals: Sequence[Signals], best: Fitted, band: Band) -> float:
     """Return where the measured departs most from the best found (Hz), away from its resonances."""
     one = longest(signals)
-    moved = one.moved(best.parameters, best.form)
-    left = one.left(best.parameters, best.form)
-    frequency, power, both = spectra(moved, left, one.dt, band)
-    away = np.ones(frequency.size, dtype=bool)
-    for known in best.resonances:
-        away &= np.abs(np.log(frequency / known.frequency)) > APART
-    if not away.any():
+    modelled = one.modelled(best.parameters, best.form)
+    residuals = one.residuals(best.parameters, best.form)
+    frequency, power, both = spectra(modelled, residuals, one.dt, band)
+    distant = np.ones(frequency.size, dtype=bool)
+    for resonance in best.resonances:
+        distant &= np.abs(np.log(frequency / resonance.frequency)) > APART
+    if not distant.any():
         return 0.7 * band[1]
-    ratio = np.abs(both[away]) / power[away]
-    return float(frequency[away][np.argmax(ratio)])
+    ratio = np.abs(both[distant]) / power[distant]
+    return float(frequency[distant][np.argmax(ratio)])
 
 
 def phase_delay(signals: Sequence[Signals], band: Band) -> float:

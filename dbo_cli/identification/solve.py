@@ -75,8 +75,8 @@ class Fit:
     drift : shape (k,)
     error : shape (rows,), what it leaves
     penalised : what was minimised
-    left : what is left of each part where that was left out (``judge``)
-    score : logarithm of the mean of that, and the price of the terms (``judge``)
+    residuals : what each part leaves where it was left out (``cross_validate``)
+    score : logarithm of the mean of that, and the price of the terms (``score``)
     """
 
     structure: Structure
@@ -87,7 +87,7 @@ class Fit:
     drift: Floats
     error: Floats
     penalised: float = np.inf
-    left: tuple[Floats, ...] = ()
+    residuals: tuple[Floats, ...] = ()
     score: float = np.inf
 
     @property
@@ -114,10 +114,10 @@ def times(table: Floats, weights: Floats) -> Floats:
 def travelled(u: Floats, segments: int) -> Floats:
     """Return the part of each segment of [0, 1] that lies below u; the outer ones go on; (rows, segments)."""
     width = 1.0 / segments
-    part = np.clip(u[:, None] - width * np.arange(segments), 0.0, width)
-    part[:, 0] += np.minimum(u, 0.0)
-    part[:, -1] += np.maximum(u - 1.0, 0.0)
-    return part
+    fraction = np.clip(u[:, None] - width * np.arange(segments), 0.0, width)
+    fraction[:, 0] += np.minimum(u, 0.0)
+    fraction[:, -1] += np.maximum(u - 1.0, 0.0)
+    return fraction
 
 
 def bending(columns: Floats) -> Floats:
@@ -153,9 +153,9 @@ def minimum(
         positive, _ = nnls(factor[free:, free:], target[free:], maxiter=30 * len(right))
     except RuntimeError as problem:
         raise FitError(NOT_SOLVED) from problem
-    rest = target[:free] - factor[:free, free:] @ positive
+    remainder = target[:free] - factor[:free, free:] @ positive
     x = np.empty(len(right))
-    x[order] = np.append(solve_triangular(factor[:free, :free], rest), positive)
+    x[order] = np.append(solve_triangular(factor[:free, :free], remainder), positive)
     if not np.isfinite(x).all():
         raise FitError(NOT_SOLVED)
     return x * scale
@@ -250,10 +250,10 @@ class Equations:
     @property
     def floor(self) -> float:
         """What a mean slope of 1 above the floor raises all slopes by."""
-        least = LEAST_SLOPE
+        lowest = LEAST_SLOPE
         if "r" in self.structure.memories:
-            least = LEAST_WITH_NEGATIVE
-        return least / (1.0 - least)
+            lowest = LEAST_WITH_NEGATIVE
+        return lowest / (1.0 - lowest)
 
     def _slopes(self, steps: Floats, gains: Floats) -> Floats:
         """Return slopes for their steps above the floor, and the gains beside them."""
@@ -270,9 +270,9 @@ class Equations:
         memories = self.columns[:, self.rows.cells :]
         drive = self.columns[:, : self.rows.cells].sum(axis=1)
         shown = np.column_stack((drive, memories)) * self.roots[:, None]
-        beside = np.column_stack((np.ones(len(drive)), self.rows.drift))
-        beside *= self.roots[:, None]
-        shown -= beside @ np.linalg.lstsq(beside, shown, rcond=EXACT)[0]
+        nuisance = np.column_stack((np.ones(len(drive)), self.rows.drift))
+        nuisance *= self.roots[:, None]
+        shown -= nuisance @ np.linalg.lstsq(nuisance, shown, rcond=EXACT)[0]
         squares = np.sum(shown**2, axis=0)
         ratios: Floats = squares[0] / np.maximum(squares[1:], RIDGE * squares[0])
         return ratios
@@ -297,10 +297,10 @@ class Equations:
         steps = self._in_steps(np.eye(self.inner))[:cells, :cells]
         matrix[:cells, :cells] = self.structure.smooth_slopes * bending(steps)
         if self.curved:
-            place = slice(self.inner, self.free)
+            index = slice(self.inner, self.free)
             bent = bending(np.eye(self.segments))
-            matrix[place, place] = self.structure.smooth_curve * bent
-            matrix[place, place] += HOLD / self.segments**2
+            matrix[index, index] = self.structure.smooth_curve * bent
+            matrix[index, index] += HOLD / self.segments**2
         costs = np.full(self.size, RIDGE)
         costs[self.size - self.rows.past :] += PAST_COST
         matrix[np.diag_indices(self.size)] += costs
@@ -336,12 +336,12 @@ class Equations:
             cost += self.structure.smooth_curve * _bent(fit.curve)
         return replace(fit, error=error, penalised=squares + cost)
 
-    def between(self, fit: Fit, goal: Fit, part: float) -> Fit:
+    def between(self, fit: Fit, full_step: Fit, fraction: float) -> Fit:
         """Return a fit a part of the way to another one."""
         values = {}
         for name in ("slopes", "gains", "curve", "offset", "drift"):
-            here, there = getattr(fit, name), getattr(goal, name)
-            values[name] = here + part * (there - here)
+            here, there = getattr(fit, name), getattr(full_step, name)
+            values[name] = here + fraction * (there - here)
         return self._measured(replace(fit, **values))
 
     def start(self, first: Fit | None) -> Fit:
@@ -367,8 +367,8 @@ class Equations:
         """Return the linearised rows at a fit, weighted, the target last: (rows, unknowns + 1)."""
         u = fit.inner(self.columns)
         table = np.empty((len(u), self.size + 1))
-        place = np.clip((u * self.segments).astype(np.int64), 0, self.segments - 1)
-        steepness = fit.curve[place]
+        index = np.clip((u * self.segments).astype(np.int64), 0, self.segments - 1)
+        steepness = fit.curve[index]
         table[:, : self.inner] = self._stepped * steepness[:, None]
         if self.curved:
             table[:, self.inner : self.free] = travelled(u, self.segments)
@@ -386,32 +386,32 @@ class Equations:
         right = gram[:-1, -1] / self.variance
         if self.curved:
             right[self.inner : self.free] += HOLD / self.segments
-        least = np.zeros(self.size)
-        least[self.inner : self.free] = LEAST_CURVE
-        x = minimum(matrix, right - matrix @ least, self.bounded, self.positive)
+        lowest = np.zeros(self.size)
+        lowest[self.inner : self.free] = LEAST_CURVE
+        x = minimum(matrix, right - matrix @ lowest, self.bounded, self.positive)
         self.positive = (x > 0.0) | ~self.bounded
-        return x + least
+        return x + lowest
 
     def solve(self, first: Fit | None = None, steps: int = STEPS) -> Fit:
         """Return the fit at the least penalised squares that Gauss-Newton reaches."""
         fit = self.start(first)
         for number in range(steps):
             fit = self.believe(fit)
-            goal = self.fit_of(self.step(products(self.table(fit)), fit))
+            full_step = self.fit_of(self.step(products(self.table(fit)), fit))
             before = fit.penalised
-            fit = self._shortened(fit, goal, forced=number == 0 and first is None)
+            fit = self._shortened(fit, full_step, forced=number == 0 and first is None)
             if number and not fit.penalised < before * (1.0 - ENOUGH):
                 break
             if number and not self.curved and not self.structure.memories:
                 break
         return fit
 
-    def _shortened(self, fit: Fit, goal: Fit, forced: bool) -> Fit:
+    def _shortened(self, fit: Fit, full_step: Fit, forced: bool) -> Fit:
         """Return the first fit on the way back from a goal that is better than where it began."""
-        if forced or goal.penalised < fit.penalised:
-            return goal
+        if forced or full_step.penalised < fit.penalised:
+            return full_step
         for halving in range(1, HALVINGS):
-            trial = self.between(fit, goal, 0.5**halving)
+            trial = self.between(fit, full_step, 0.5**halving)
             if trial.penalised < fit.penalised:
                 return trial
         return fit

@@ -75,7 +75,7 @@ def _gears_of(problem: Problem, fit: Fit, height: float, base: float) -> Gears:
     least = float(rests.sum()) + LEAST_WITH_NEGATIVE * mean * bool(rests.any())
     slopes = np.maximum(fit.slopes + rests.sum(), max(least, FLATTEST))
     empty = fit.offset - float(fit.slopes @ cells.widths) / 2.0
-    empty -= cells.beyond * float(slopes[-1])
+    empty -= cells.overshoot * float(slopes[-1])
     gains = height * (lags - rests) / span
     used = gains != 0.0
     relaxation = None
@@ -85,7 +85,7 @@ def _gears_of(problem: Problem, fit: Fit, height: float, base: float) -> Gears:
     return Gears(
         np.full(int(counts.sum()), span / cells.inside),
         np.repeat(slopes, counts) * (height / cells.inside),
-        problem.low - cells.beyond * span,
+        problem.low - cells.overshoot * span,
         base + height * empty,
         relaxation,
     )

@@ -70,17 +70,17 @@ def expected_error(
     if isinstance(dt, np.ndarray):
         steps = dt[:last]
 
-    def played(candidate: Cascade, start: str = "auto") -> Floats:
+    def simulated(candidate: Cascade, start: str = "auto") -> Floats:
         return candidate.simulate(drive, dt=steps, state=start)[0][begin:]
 
-    expected = played(model)
+    expected = simulated(model)
     squares = float(left) ** 2
     for weight, candidate in model.candidate_models:
-        squares += weight * _mean_square(played(candidate) - expected)
+        squares += weight * _mean_square(simulated(candidate) - expected)
     past = max(float(model.fit.get("unknown_past_rmse") or 0.0) ** 2 - left**2, 0.0)
     if model.input.min < float(drive[0]) < model.input.max:
         for start in STARTS:
-            past += _mean_square(played(model, start) - expected) / len(STARTS)
+            past += _mean_square(simulated(model, start) - expected) / len(STARTS)
     memory = 0.0
     if model.gears.relaxation is not None:
         memory = _spread_of_memory(model, drive, steps, begin)
@@ -98,13 +98,13 @@ def _spread_of_memory(
     """
     relaxation = model.gears.relaxation
     assert relaxation is not None
-    state, played = model.start(float(drive[0])), []
+    state, simulated = model.start(float(drive[0])), []
     for voltage in (model.input.min, model.input.max):
-        rest = value_through(model.head, voltage) - relaxation.reference
-        rested = replace(state, memory=(rest,) * len(relaxation.tau))
-        played.append(model.simulate(drive, dt=dt, state=rested)[0][begin:])
-    place = (float(drive[0]) - model.input.min) / model.input.span
-    return (1.0 / 12.0 + (place - 0.5) ** 2) * _mean_square(played[1] - played[0])
+        remaining = value_through(model.head, voltage) - relaxation.reference
+        rested = replace(state, memory=(remaining,) * len(relaxation.tau))
+        simulated.append(model.simulate(drive, dt=dt, state=rested)[0][begin:])
+    index = (float(drive[0]) - model.input.min) / model.input.span
+    return (1.0 / 12.0 + (index - 0.5) ** 2) * _mean_square(simulated[1] - simulated[0])
 
 
 def _mean_square(values: Floats) -> float:
@@ -132,9 +132,9 @@ def move_warnings(
             f"{speed:.3g} {unit}/s, the logs at most {float(fastest):.3g}: the error may be larger; "
             "identify with a faster log"
         )
-    rest, hold = fit.get("longest_rest"), longest_rest(voltage, steps)
-    slowest = max(float(rest or 0.0), float(fit.get("longest_swing") or 0.0))
-    if rest is not None and hold > UNLIKE * slowest:
+    remaining, hold = fit.get("longest_rest"), longest_rest(voltage, steps)
+    slowest = max(float(remaining or 0.0), float(fit.get("longest_swing") or 0.0))
+    if remaining is not None and hold > UNLIKE * slowest:
         texts.append(
             f"holds for {hold:.3g} s, the logs take at most {slowest:.3g} for a rest or a swing: the error "
             f"may be larger; identify with a longer hold (excite `rest` {hold:.2g})"
@@ -148,11 +148,11 @@ def fastest_drive(voltage: Floats, steps: Floats) -> float:
     Of the way and not of the rows, so that no rest hides the jumps.
     """
     way = np.abs(np.diff(voltage))
-    moved = (way > 0.0) & (steps > 0.0)
-    if not moved.any():
+    output = (way > 0.0) & (steps > 0.0)
+    if not output.any():
         return 0.0
-    way = way[moved]
-    rates = way / steps[moved]
+    way = way[output]
+    rates = way / steps[output]
     order = np.argsort(-rates, kind="stable")
     gone = np.cumsum(way[order])
     return float(rates[order[np.searchsorted(gone, FAST_WAY * gone[-1])]])
@@ -165,7 +165,7 @@ def longest_rest(voltage: Floats, steps: Floats) -> float:
     for shift in (0.0, 0.5):  # a hold at the edge of one band is within the other
         still = np.diff(np.floor(voltage / band + shift)) == 0.0
         time = np.concatenate(([0.0], np.cumsum(np.where(still, steps, 0.0))))
-        moved = np.where(np.append(True, ~still), time, 0.0)
-        held = time - np.maximum.accumulate(moved)
+        output = np.where(np.append(True, ~still), time, 0.0)
+        held = time - np.maximum.accumulate(output)
         longest = max(longest, float(held.max()))
     return longest

@@ -123,7 +123,9 @@ def test_a_solution_beyond_all_numbers_is_refused() -> None:
 def test_a_fit_without_a_score_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     def unjudged(problem: Problem, fit: Fit, equations: Equations) -> Fit:
         score = fit.rmse if fit.structure.bend else np.nan
-        return replace(fit, score=score, left=tuple(fit.error for _ in problem.parts))
+        return replace(
+            fit, score=score, residuals=tuple(fit.error for _ in problem.parts)
+        )
 
     monkeypatch.setattr(search, "cross_validate", unjudged)
     log = Recording("log", DRIVE, hysteresis(DRIVE), TIME)
