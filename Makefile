@@ -117,6 +117,9 @@ paper: $(VENV)/installed
 	  echo "make paper DATA=FOLDER: the authors' recordings (README.md says where they are public)"; exit 2; }
 	$(BIN)/python benchmarks/paper.py "$(DATA)" paper
 
+# one thread, as the program has: more fight for the cores
+evidence bench: export OPENBLAS_NUM_THREADS := 1
+
 evidence: $(VENV)/installed
 	@test -n "$(DATA)" || { echo "make evidence DATA=FOLDER: a folder of recordings (docs/evidence.md)"; exit 2; }
 	@mkdir -p evidence
