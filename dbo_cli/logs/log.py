@@ -32,7 +32,7 @@ from dbo_cli.logs.table import (
     parse_rows,
 )
 from dbo_cli.logs.text import open_text
-from dbo_cli.units import multiplied
+from dbo_cli.units import multiplied, split_header
 
 _Numbers = NDArray[np.int64]  # of rows, from 1
 _Arrays = list[NDArray[Any]]
@@ -70,8 +70,10 @@ class Log:
     ) -> None:
         self.name = source.name
         self.columns = {r: replace(picks[r], unit=scales[r][1]) for r in picks}
-        unstated = {role for role, column in picks.items() if column.unit is None}
-        self._without_unit = unstated - set(reading.scale)
+        self._labels = {}
+        for role, column in picks.items():
+            assumed = None if role in reading.scale else scales[role][1]
+            self._labels[role] = _label(role, column, assumed)
         self.clock = clock
         self.remarks = source.remarks
         self.doubtful: list[str] = []
@@ -109,6 +111,7 @@ class Log:
         self.clock = base.clock
         kept = {r: base.columns[r] for r in base.columns if r not in taken}
         self.columns = kept | {role: guest.columns[role] for role in taken}
+        self._labels = base._labels | {role: guest._labels[role] for role in taken}
         self.remarks = [*base.remarks, *guest.remarks, *self.clock.remarks[noted:]]
         self.doubtful = [*base.doubtful, *guest.doubtful]
         left_out = len(rows) - len(self._rows)
@@ -261,12 +264,7 @@ class Log:
 
     def line(self) -> str:
         """Return one line on what was read; complete after the last block."""
-        names = []
-        for role, column in self.columns.items():
-            name = column.name or f"column {column.number} ({role})"
-            if role in self._without_unit and column.unit is not None:
-                name += f" ({column.unit} assumed)"
-            names.append(name)
+        names = [self._labels[role] for role in self.columns]
         s = "" if self._count == 1 else "s"
         line = f"{self.name}: {self._count:,} row{s}, {self.clock.describe()}"
         if self.clock_offset is not None:
@@ -347,6 +345,14 @@ def open_log(
         if reading.resample is not None:
             log.resample(reading.resample)
     return log
+
+
+def _label(role: str, column: Column, assumed: str | None) -> str:
+    """Return the name of a column with its unit, and with what is assumed where the file states none."""
+    name = column.name or f"column {column.number} ({role})"
+    if column.unit is None:
+        return f"{name} ({assumed} assumed)" if assumed else name
+    return name if split_header(name)[1] else f"{name} ({column.unit})"
 
 
 def _open_second(

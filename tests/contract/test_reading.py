@@ -385,11 +385,15 @@ def test_what_a_library_logs_is_no_line_of_the_program() -> None:
     assert all(said.startswith(b"dbo: ") for said in ended.stderr.splitlines())
 
 
-def test_a_unit_that_is_assumed_stands_in_the_first_line() -> None:
+def test_the_first_line_tells_each_unit_and_whether_it_is_assumed() -> None:
     text("run.csv", "time_s,voltage\n", "{:.4f},{:.4f}", TIME, VOLTS)
     assert "; voltage (V assumed)" in done("simulate", model("small"), "run.csv").err
     scaled = done("simulate", model("small"), "run.csv", "--scale", "input=2V/mV")
     assert "assumed" not in scaled.err
+    with h5py.File("run.h5", "w") as file:
+        file["time"], file["drive"] = TIME, 1000.0 * VOLTS
+        file["time"].attrs["units"], file["drive"].attrs["units"] = "s", "mV"
+    assert "; drive (mV)" in done("simulate", model("small"), "run.h5").err
 
 
 def test_a_rate_without_an_end_is_no_rate() -> None:
