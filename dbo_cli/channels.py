@@ -370,11 +370,8 @@ def write_drives(outputs: Outputs, output: str, drives: Mapping[str, Drive]) -> 
     """Write drives side by side: the time, then displacement and voltage of each channel."""
     results: list[Result] = []
     for name, drive in drives.items():
-        into, out, ending = (
-            drive.model.input,
-            drive.model.output,
-            f"_{name}" * bool(name),
-        )
+        into, out = drive.model.input, drive.model.output
+        ending = f"_{name}" if name else ""
         results.append((f"desired{ending}", out.unit, drive.desired))
         results.append((f"{into.quantity}{ending}", into.unit, drive.voltage))
     first = next(iter(drives.values()))

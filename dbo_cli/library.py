@@ -372,7 +372,7 @@ class Model:
             Where the amplifier stands before the move, and where it goes after it; as
             limits are.
         approach, lead : float, str or "auto", optional
-            Duration of the way to the first value, and of a rest there.
+            Seconds of the way to the first value, and of a rest there.
         condition : bool
             Sweep the move's range first, so that the past is known.
         bandwidth : float or str, optional
@@ -480,7 +480,7 @@ class Model:
         v_min, v_max, max_slew, extrapolate, from_, state
             As of ``compensate``.
         lookahead : float, str or "auto", optional
-            Duration by which what is passed is wanted later.
+            Seconds by which what is passed is wanted later.
         """
         from dbo_cli.drive.live import Controller
 
@@ -609,7 +609,7 @@ def read_log(
     delimiter, decimal, skip_lines, encoding
         How a text is written.
     clock_offset
-        Duration that are added to the clock of a second file, or ``auto``.
+        Seconds that are added to the clock of a second file, or ``auto``.
 
     Returns
     -------
@@ -707,7 +707,7 @@ def identify(
     sign : {"rising", "falling"}
         Refuse logs whose displacement goes the other way.
     skip, sensor_delay, delay
-        Duration, or a text with a unit; ``delay`` may be ``auto``.
+        Seconds, or a text with a unit; ``delay`` may be ``auto``.
     zero : {"none", "mean", "first"} or float
         The displacement to call 0, in its unit.
     gears, points, dynamics

@@ -342,20 +342,20 @@ def check_played(
     found = lag(recorded, drive)
     delay = 0.0 if found is None else found.seconds
     overlaid = [_overlaid(drive, recorded, rows) for rows in (round(delay), delay)]
-    lag_rows, desired, recorded = min(
+    lag_rows, meant, played = min(
         overlaid, key=lambda rows: float(np.abs(rows[2] - rows[1]).max())
     )
-    gain, offset = 1.0, float(np.mean(recorded - desired))
-    if np.ptp(desired) > 0.0:
-        gain, offset = np.polyfit(desired, recorded, 1).tolist()
-    largest = float(np.abs(recorded - desired).max())
+    gain, offset = 1.0, float(np.mean(played - meant))
+    if np.ptp(meant) > 0.0:
+        gain, offset = np.polyfit(meant, played, 1).tolist()
+    largest = float(np.abs(played - meant).max())
     if abs(offset) < 1e-9 * allowed:
         offset = 0.0
-    shared = desired.size if lag_rows == round(lag_rows) else desired.size + 1
+    shared = meant.size if lag_rows == round(lag_rows) else meant.size + 1
     unit = f" {checked.unit}" if checked.unit else ""
     seconds = None if recorded_step is None else lag_rows * recorded_step
     checked.played = Played(shared, lag_rows, seconds, gain, offset, largest, allowed)
-    if _correlation(desired, recorded) < ANOTHER:
+    if _correlation(meant, played) < ANOTHER:
         checked.problems.append("another drive was played: the two do not correlate")
         return
     if shared < drive.size:

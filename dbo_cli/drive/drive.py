@@ -51,6 +51,9 @@ class Drive:
         RMS of the error to expect, what is clipped included; the same if the past were
         known; and, behind a sweep, if the actuator was not at rest before it. None where
         the model does not know.
+    mean_left_out : float, optional
+        Of a move that is learned but for its mean: the mean error of the last pass, which
+        the error to expect leaves out.
     starts_at : float, optional
         The first voltage, where nobody said where the amplifier stands.
     past_known : bool
@@ -86,6 +89,7 @@ class Drive:
     expected_error: float | None = None
     expected_known: float | None = None
     expected_unrested: float | None = None
+    mean_left_out: float | None = None
     starts_at: float | None = None
     past_known: bool = False
     is_loop: bool = False
@@ -114,7 +118,10 @@ class Drive:
         if self.expected_error is None:
             return ""
         error = f"{self.expected_error:.2g}"
-        text = f"expected error {error}{self.model.output.suffix} RMS"
+        unit = self.model.output.suffix
+        text = f"expected error {error}{unit} RMS"
+        if self.mean_left_out is not None:
+            return f"{text} without the mean, {self.mean_left_out:.2g}{unit} (`absolute` learns it)"
         if self.past_known:
             unrested = f"{self.expected_unrested or self.expected_error:.2g}"
             if unrested == error:

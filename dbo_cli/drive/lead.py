@@ -34,9 +34,8 @@ LONGEST_REST = 10.0
 SLEW_SPARE = 0.9
 """Of the slew limit: what the digits of time stamps take away (since 1970, 0.2 us each)."""
 WAY_HALVINGS = 40  # of the move's range, to find where a move goes on: to 1e-12 of it
-SECANTS = (
-    4  # steps of a secant that begins there; what creeps on the way is a small part
-)
+SECANTS = 4
+"""Steps of a secant that begins there; what creeps on the way is a small part."""
 SECANT_SLACK = 1e-8  # of the move's range, around what a secant finds
 LONGEST_CHOSEN = 60.0  # s that the program may put before a move; a user may type more
 MOST_LEAD_ROWS = 100_000_000

@@ -169,6 +169,7 @@ class RepeatedMove:
             expected_error=passed.rmse,
             expected_known=None,
             expected_unrested=None,
+            mean_left_out=None if self.absolute else -zero,
             history=(*before, passed),
             notes=(note, *drive.notes),
             warnings=(*warnings, *drive.warnings),

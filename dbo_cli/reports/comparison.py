@@ -302,17 +302,19 @@ def _beyond(expected: Expected, pair: Pair, figures: Merits) -> str:
     error = math.sqrt(max(figures.rmse**2 - white**2, 0.0))
     if expected.rmse is None or error <= BEYOND_EXPECTED * expected.rmse:
         return ""
-    return f"the error is {error / expected.rmse:.2g} times the expected one{_cause(pair, figures, white)}"
+    cause = _cause(pair, figures, white, expected.past_known)
+    return f"the error is {error / expected.rmse:.2g} times the expected one{cause}"
 
 
-def _cause(pair: Pair, figures: Merits, white: float) -> str:
+def _cause(pair: Pair, figures: Merits, white: float, past_known: bool) -> str:
     """Return the largest cause of an error, what it would leave, and what to do about it."""
     error = pair.measured - pair.desired - figures.offset
+    sweep = "" if past_known else "sweep the range before the move, "
     causes = [
         (
             _left(error - np.mean(error), white),
             f"its mean is {figures.mean:.3g}",
-            "set the sensor's zero, sweep the range before the move, or `remove_offset`",
+            f"set the sensor's zero, {sweep}or `remove_offset`",
         )
     ]
     lag = figures.lag
@@ -337,7 +339,7 @@ def _cause(pair: Pair, figures: Merits, white: float) -> str:
     )
     residual, text, remedy = min(causes)
     if residual > HALVED * _left(error, white):
-        return ": sweep the range before the move, or identify again"
+        return f": {sweep}or identify again" if sweep else ": identify again"
     return f": {text}, without which {residual:.2g} is left: {remedy}"
 
 

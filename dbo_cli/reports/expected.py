@@ -37,6 +37,8 @@ class Expected:
         What the page says of the drive.
     sensor_delay
         Seconds by which the sensor is late, which is no error.
+    past_known
+        Whether a sweep or a state made the past of the drive known.
     """
 
     rmse: float | None
@@ -44,6 +46,7 @@ class Expected:
     move_time: Ends | None = None
     footer: str = ""
     sensor_delay: float = 0.0
+    past_known: bool = False
 
     def is_of(self, low: float, high: float) -> bool:
         """Return whether it is stated for a move of this range."""
@@ -80,7 +83,8 @@ def expected_of_drive(
         error = expected_error(model, voltage, dt)
         rmse = None if error is None else error.rms(past_known, past_known)
     footer = f"Model {name} ({model.digest[:12]})"
-    return Expected(rmse, footer=footer, sensor_delay=model.sensor_delay)
+    delay = model.sensor_delay
+    return Expected(rmse, footer=footer, sensor_delay=delay, past_known=past_known)
 
 
 def expected_in(source: str | Mapping[str, Any], unit: str | None = None) -> Expected:
@@ -114,6 +118,7 @@ def expected_in(source: str | Mapping[str, Any], unit: str | None = None) -> Exp
         move = _value(content, "move_range", fields.interval)
         move_time = _value(content, "move_time", fields.interval)
         delay = _value(content, "sensor_delay", fields.magnitude)
+        past_known = content.get("past_known") is True
         limits = _value(content, "limits", fields.notes)
         footer = ""
         if limits is not None:
@@ -123,7 +128,7 @@ def expected_in(source: str | Mapping[str, Any], unit: str | None = None) -> Exp
     if own_unit and unit and own_unit != unit:
         raise InputError(f"{name}: is in {own_unit}, the comparison in {unit}")
     # an error of exactly 0 was never measured: it states nothing
-    return Expected(rmse or None, move, move_time, footer, delay or 0.0)
+    return Expected(rmse or None, move, move_time, footer, delay or 0.0, past_known)
 
 
 def _read(path: str) -> tuple[str, Mapping[str, Any]]:

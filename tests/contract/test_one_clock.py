@@ -145,6 +145,27 @@ def test_a_pass_is_learned_from_wherever_its_recorder_counts_from(
     assert float(said.split()[3]) == pytest.approx(off, rel=0.02)
 
 
+def test_a_mean_that_is_not_learned_is_told_and_no_sweep_is_advised_twice() -> None:
+    """The line stated .018 um where .110 came, nearly all mean; the drive had its sweep."""
+    drive, moved = recorded(0)
+    moved = moved + 0.3
+    write("pass.csv", PASS, drive["time_s"], drive["voltage_V"], moved)
+    mean = np.mean((moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP])
+    learned = done(*SWEPT, "--tracked", "pass.csv").err
+    assert f"RMS without the mean, {mean:.2g} um (--absolute learns it)" in learned
+    whole = done(*SWEPT, "--tracked", "pass.csv", "--absolute").err
+    assert "expected error" in whole and "without the mean" not in whole
+    done(*SWEPT, "-o", "drive.csv", "--summary", "s.json")
+    report = ("report", "pass.csv", "--trajectory", "drive.csv", "--expected", "s.json")
+    stated = {**load("s.json"), "expected_rmse": 0.02}
+    assert stated["past_known"]
+    for is_known in (True, False):
+        store("s.json", {**stated, "past_known": is_known})
+        advice = done(*report).err
+        assert "its mean is" in advice and "--remove-offset" in advice
+        assert ("sweep the range" in advice) is not is_known
+
+
 @pytest.mark.parametrize("lead", [("--passes", 2), ("--approach", 0.13)])
 @pytest.mark.parametrize("start", [0.0, 1.7e9])
 @pytest.mark.parametrize("lost", [0, 37, 737])
