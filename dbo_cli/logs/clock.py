@@ -7,6 +7,7 @@ a unit that can hardly be seconds.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs.columns import TIME_NAMES, listing_of, named, words
+from dbo_cli.logs.settings import stated_rate
 from dbo_cli.logs.table import Column, Reading, Table
 from dbo_cli.signals import even
 from dbo_cli.units import kind_of, multiplied, ratio, time_unit
@@ -61,9 +63,7 @@ class Clock:
     factor
         By what its figures become seconds.
     unit
-        The unit that is stated; None where nothing states it.
-    is_typed
-        Whether the user states it.
+        The unit that the file states, empty where the user does; None where nothing states it.
     rate, start
         Samples a second (Hz) and the time (s) of the first row, without a column.
     rate_beside
@@ -79,7 +79,6 @@ class Clock:
     column: Column | None = None
     factor: Fraction = Fraction(1)
     unit: str | None = None
-    is_typed: bool = False
     rate: float | None = None
     start: float = 0.0
     rate_beside: float | None = None
@@ -236,7 +235,7 @@ class Clock:
             )
         span = self.last - self.first
         is_slow = self.usual_step >= _LONG_STEP and span >= _LONG_LOG
-        if self.kind == "column" and self.unit == "s" and not self.is_typed and is_slow:
+        if self.kind == "column" and self.unit == "s" and is_slow:
             warn(
                 f"{self.called} in s makes steps of {self.usual_step:.6g} s and a log of "
                 f"{span / 3600.0:.3g} h: confirm with `time_unit` s, or type ms or us"
@@ -322,20 +321,16 @@ def find_clock(
 
 def _stated_clock(source: Table, reading: Reading) -> Clock:
     """Return the clock of a file without a time column."""
-    name, statement = source.name, source.stated
     if reading.time_unit is not None:
         raise InputError(
-            f"{name}: `time_unit` {reading.time_unit}: no time column: "
+            f"{source.name}: `time_unit` {reading.time_unit}: no time column: "
             f"{listing_of(source.columns)} (`time` NAME or NUMBER)"
         )
-    if statement.problem:
-        raise InputError(f"{name}: {statement.problem}")
-    if statement.rate is None:
-        return Clock(name)
-    remarks = list(statement.remarks)
-    return Clock(
-        name, "rate", rate=statement.rate, start=statement.start, remarks=remarks
-    )
+    rate, start, remark = stated_rate(source.name, source.statements, source.decimal)
+    if rate is None:
+        return Clock(source.name)
+    remarks = [remark] if remark else []
+    return Clock(source.name, "rate", rate=rate, start=start, remarks=remarks)
 
 
 def _time_columns(source: Table, used: Sequence[Column], needed: bool) -> list[Column]:
@@ -391,10 +386,11 @@ def _clock_of(source: Table, column: Column, spelled: str | None) -> Clock:
         return Clock(name, "stamps", column, unit="s")
     if spelled is not None:
         factor = parse_time_unit(spelled)
-        return Clock(name, "column", column, factor, spelled.strip(), is_typed=True)
+        return Clock(name, "column", column, factor, unit="")
     unit = _stated_unit(name, column)
     clock = Clock(name, "column", column, ratio(unit, "s"), unit)
-    clock.rate_beside = source.stated.rate
+    with contextlib.suppress(InputError):
+        clock.rate_beside = stated_rate(name, source.statements, source.decimal)[0]
     return clock
 
 

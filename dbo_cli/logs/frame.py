@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import TIME_NAMES, words
-from dbo_cli.logs.formats.stored import StoredTable
+from dbo_cli.logs.formats.stored import StoredTable, parts_of
 from dbo_cli.logs.table import Column
 from dbo_cli.units import spell, split_header, time_unit
 
@@ -44,7 +44,6 @@ class FrameTable(StoredTable):
     """
 
     cure = "leave such rows out"
-    has_paths = False
     block_rows = sys.maxsize
 
     def __init__(
@@ -65,7 +64,9 @@ class FrameTable(StoredTable):
                 raise InputError(
                     f"{name}: column '{title}': give one row of numbers, shape (n,)"
                 )
-            self.add_array(title, cells, "s" if dtype_kind(values) == "m" else unit)
+            unit = "s" if dtype_kind(values) == "m" else unit or split_header(title)[1]
+            for part in parts_of(title, cells):
+                self.add(part._replace(unit=unit))
 
     def require_units(self, columns: Iterable[Column]) -> None:
         """Refuse (InputError) columns whose unit is lost, as that of a renamed one is."""

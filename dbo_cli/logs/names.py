@@ -17,12 +17,12 @@ from dbo_cli.logs.settings import (
     NAME_KEYS,
     TIME_UNIT_KEYS,
     UNIT_KEYS,
-    clock_of_settings,
     is_channel_key,
     is_clock_setting,
     is_setting,
     plain_key,
     read_settings,
+    statements_of,
 )
 from dbo_cli.logs.table import LONGEST_CELL, Table
 from dbo_cli.units import is_unit, kind_of, parse_unit, spell, split_header, time_unit
@@ -64,7 +64,7 @@ def read_header(
         raise InputError(
             f"{name}: each channel has an X column: export with X_Columns One or No"
         )
-    layout.clock = clock_of_settings(settings, layout.decimal)
+    layout.statements = statements_of(settings)
     headers = _header_lines(above, layout)
     units = _units_line(headers)
     if units is not None:

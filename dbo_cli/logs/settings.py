@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cells import is_number, split_cells, to_number
-from dbo_cli.logs.table import StatedClock
+from dbo_cli.logs.table import Statement
 from dbo_cli.units import ratio, split_header, time_unit
-
-Statement = tuple[str, object, str]  # what a file states: key, value, unit
 
 # keys without blanks and signs, in lower case
 _RATES = frozenset(
@@ -44,6 +42,7 @@ _HERTZ = frozenset(
     "hz hertz s/s sa/s sps samples/s sample/s samples/sec samples/second scans/s 1/s s^-1 s-1 /s fps "
     "frames/s".split()
 )
+_ASSUMED = {"rate": "Hz", "step": "s"}
 _LARGE = {"k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
 # rates that differ by less were rounded when the file was written (0.000333333 s, 3000 Hz)
 _SAME = 1e-6
@@ -99,86 +98,76 @@ def _kind_of(key: str) -> tuple[str, str]:
 # --- the rate ---
 
 
-def stated_clock(statements: Sequence[Statement], decimal: str = ".") -> StatedClock:
-    """Return the clock that statements give: one sample rate, or why there is none, and a start.
+def stated_rate(
+    name: str, statements: Sequence[Statement], decimal: str = "."
+) -> tuple[float | None, float, str]:
+    """Return the one sample rate (Hz) that is stated, the time of the first row (s), and what is assumed.
 
     Parameters
     ----------
+    name
+        The file, for messages.
     statements
         Key, value (a number or a text such as ``10 kHz``), and a unit given beside it
         (or an empty text).
     decimal
         The decimal sign of the rows.
-    """
-    clock = StatedClock()
-    try:
-        rates = _stated_rates(statements, clock, decimal)
-    except InputError as problem:
-        clock.problem = str(problem)
-        return clock
-    if rates and max(rates.values()) > (1.0 + _SAME) * min(rates.values()):
-        listing = " and ".join(rates)
-        clock.problem = (
-            f"two sample rates, {listing}: type `sample_rate` HZ, or export each channel to "
-            "a file"
-        )
-    elif rates:
-        clock.rate = next(iter(rates.values()))
-    starts: dict[str, float] = {}
-    for key, value, _ in statements:
-        text = str(value).replace(",", ".")
-        if plain_key(key) in _STARTS and is_number(text, "."):
-            start = to_number(text, ".")
-            if starts.setdefault(key, start) != start:
-                clock.problem = (
-                    f"two starts, '{key}' {starts[key]:.9g} and {start:.9g}: export each channel to "
-                    "a file (`clock_offset`)"
-                )
-            if abs(start) < _LATEST_START:
-                clock.start = start
-    return clock
-
-
-def _stated_rates(
-    statements: Iterable[Statement], clock: StatedClock, decimal: str
-) -> dict[str, float]:
-    """Return each rate (Hz) that is stated, and remark on a unit that is assumed.
 
     Raises
     ------
     InputError
-        One cannot be read. The message has no file in front.
+        A rate is not clear, or two rates or starts differ.
     """
     rates: dict[str, float] = {}
-    for key, value, unit_text in statements:
-        kind, unit_in_key = _kind_of(key)
-        text = f"{value} {unit_text}".strip()
+    remark = ""
+    for key, value, unit_beside in statements:
+        text = f"{value} {unit_beside}".strip()
+        kind, unit = _kind_of(key)
         match = _AMOUNT.fullmatch(text)
         if not kind or match is None:
             continue  # a text under such a name is no statement (ts: a time stamp)
-        if _THOUSANDS[decimal].fullmatch(text):
-            raise InputError(
-                f"'{key}' {text} may have a thousands mark: type `sample_rate` HZ"
-            )
-        unit = match[2].strip(' []()"') or unit_in_key
+        unit = match[2].strip(' []()"') or unit
         if plain_key(split_header(key)[0]) in _BARE and not unit:
             continue
+        statement = f"'{key}' {text}"
         rate = _rate(kind, float(match[1].replace(",", ".")), unit)
-        if rate is None:
-            raise InputError(
-                f"'{key}' {text} is not in a unit of a {kind}: type `sample_rate` HZ"
-            )
+        if rate is None or _THOUSANDS[decimal].fullmatch(text):
+            raise _unclear(name, statement)
         if not _SLOWEST <= rate < math.inf:
             continue  # what an instrument writes when it does not know
         if not unit and rate <= _SLOW:
-            raise InputError(
-                f"'{key}' {text} has no unit and makes {rate:.4g} Hz: type `sample_rate` HZ"
-            )
+            raise _unclear(name, f"{statement} without a unit makes {rate:.4g} Hz")
         if not unit:
-            assumed = "Hz" if kind == "rate" else "s"
-            clock.remarks[:] = [f"'{key}' {text} has no unit: {assumed} is assumed"]
-        rates[f"'{key}' {text}"] = rate
-    return rates
+            remark = f"{statement} has no unit: {_ASSUMED[kind]} is assumed"
+        rates[statement] = rate
+    start, divider = _stated_start(name, statements)
+    if rates and max(rates.values()) > (1.0 + _SAME) * min(rates.values()):
+        raise _unclear(name, " and ".join(rates))
+    if rates and divider:
+        raise _unclear(name, f"'{divider}' beside a rate")
+    return next(iter(rates.values()), None), start, remark
+
+
+def _stated_start(name: str, statements: Sequence[Statement]) -> tuple[float, str]:
+    """Return the time of the first row (s), and the key by which a rate is divided (InputError)."""
+    starts: dict[str, float] = {}
+    start, divider = 0.0, ""
+    for key, value, _ in statements:
+        number = to_number(str(value).replace(",", "."), ".")
+        if plain_key(key) in _STARTS and not math.isnan(number):
+            if starts.setdefault(key, number) != number:
+                raise _unclear(name, f"'{key}' {number:.9g} and {starts[key]:.9g}")
+            start = number if abs(number) < _LATEST_START else start
+        if plain_key(key) in _DIVIDERS and number > 1.0:
+            divider = key
+    return start, divider
+
+
+def _unclear(name: str, statement: str) -> InputError:
+    return InputError(
+        f"{name}: {statement}: the sample rate is not clear: type `sample_rate` HZ, or export each "
+        "channel to a file"
+    )
 
 
 def _rate(kind: str, amount: float, unit: str) -> float | None:
@@ -237,22 +226,17 @@ def _values(text: str, mark: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in split_cells(text, mark)]
 
 
-def clock_of_settings(settings: dict[str, list[str]], decimal: str) -> StatedClock:
-    """Return the clock that settings state above rows with this decimal sign."""
-    unit_text = ""
+def statements_of(settings: dict[str, list[str]]) -> list[Statement]:
+    """Return what settings state, with the unit that stands beside a value or is stated for all times."""
+    time_units = []
     for key, values in settings.items():
         if plain_key(key) in TIME_UNIT_KEYS:
-            unit_text = unit_text or values[0].strip('" ')
+            time_units.append(values[0].strip('" '))
     statements: list[Statement] = []
     for key, values in settings.items():
         nonempty = [value for value in dict.fromkeys(values) if value and value != key]
-        unit = unit_text if plain_key(key) in _IN_TIME_UNIT else ""
+        unit = time_units[0] if time_units and plain_key(key) in _IN_TIME_UNIT else ""
         if len(nonempty) == 2 and re.fullmatch(r"[^\d=:\[]{1,12}", nonempty[1]):
             unit = nonempty.pop()  # 1,kHz
         statements += [(key, value, unit) for value in nonempty]
-    clock = stated_clock(statements, decimal)
-    for key, values in settings.items():
-        divided = plain_key(key) in _DIVIDERS and to_number(values[0], ".") > 1.0
-        if clock.rate and divided:
-            clock.problem = f"'{key}' {values[0]} beside a rate: type `sample_rate` HZ"
-    return clock
+    return statements

@@ -1,14 +1,12 @@
 """Delimited text: whole lines become arrays.
 
-Most files have known names in the first line and numbers below: ``plain_layout`` takes
-them. How others are written is found by ``dialect.py``. polars reads a block at once
+How they are written is found by ``dialect.py``. polars reads a block at once
 (``fast_text.py``); a block that is not regular is read line by line, and so is a small
 file, which does without polars.
 """
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
@@ -17,19 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.cells import Layout, Marks, split_cells, to_number
-from dbo_cli.logs.columns import KNOWN_NAMES, words
+from dbo_cli.logs.cells import Marks, split_cells, to_number
 from dbo_cli.logs.dialect import find_layout, is_no_row
 from dbo_cli.logs.names import begins_run, describe_columns
-from dbo_cli.logs.settings import is_setting
 from dbo_cli.logs.stream import TextStream
-from dbo_cli.logs.table import LONGEST_CELL, Column, Reading, Table
-from dbo_cli.units import is_unit, split_header
+from dbo_cli.logs.table import Column, Reading, Table
 
 _LONGEST_LINE = 1 << 24  # bytes; what is longer has no line ends
 _SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
 _TINY = 1 << 12  # bytes that are read faster in Python than by polars
-_FIGURES = re.compile(r"[-+.,;\t 0-9eE\r]*", re.ASCII)
 
 
 def open_text(path: str, inner: str, reading: Reading) -> Table:
@@ -45,67 +39,6 @@ def open_text(path: str, inner: str, reading: Reading) -> Table:
             f"{path}::{inner}: '::' names a part of a file, and this is a text file"
         )
     return TextTable(TextStream(path, reading.encoding), reading)
-
-
-# --- the plain door ---
-
-
-def plain_layout(lines: Sequence[str], reading: Reading) -> Layout | None:
-    """Return the layout of known names in the first line above numbers; None for all else.
-
-    Where it takes a file it finds what ``find_layout`` finds.
-
-    Parameters
-    ----------
-    lines
-        The first lines.
-    reading
-        Where the user types how the file is written, the plain door is shut.
-    """
-    is_typed = reading.delimiter or reading.decimal or reading.skip_lines is not None
-    header = lines[0].rstrip("\r")
-    delimiters = [mark for mark in ",;\t" if mark in header]
-    if is_typed or len(delimiters) != 1 or len(header) > LONGEST_CELL:
-        return None
-    names = [name.strip() for name in header.split(delimiters[0])]
-    if re.search(r"[^\w ()\[\]µ/.-]", "".join(names)) or is_setting(names[0]):
-        return None
-    if not all(map(_is_known_name, names)):
-        return None
-    rows = list(lines[1:])
-    while rows and not rows[-1]:
-        rows.pop()
-    if not rows or not _are_numbers(rows, delimiters[0], len(names)):
-        return None
-    width = len(names)
-    layout = Layout(delimiters[0], ".", width * [("number", "")])
-    layout.first, layout.names, layout.units = 1, names, [""] * width
-    return layout
-
-
-def _are_numbers(rows: Sequence[str], delimiter: str, width: int) -> bool:
-    """Return whether every row has so many plain numbers."""
-    if not _FIGURES.fullmatch("".join(rows)):
-        return False  # float() takes 1_0 and nan, too
-    for row in rows:
-        cells = row.split(delimiter)
-        if len(cells) != width or len(row) > LONGEST_CELL:
-            return False
-        try:
-            list(map(float, cells))
-        except ValueError:
-            return False
-    return True
-
-
-def _is_known_name(name: str) -> bool:
-    """Return whether a name says what a column is: by a word, or by a unit behind it."""
-    if is_unit(name) or re.match(r"[\d.-]", name):
-        return False
-    return is_unit(split_header(name)[1]) or bool(words(name) & KNOWN_NAMES)
-
-
-# --- lines to arrays ---
 
 
 class TextTable(Table):
@@ -127,26 +60,22 @@ class TextTable(Table):
             lines = stream.lines(start)
             if not stream.ended and len(lines) > 2:
                 lines.pop()  # perhaps not whole
-            self.layout = self._layout_of(lines)
+            self.layout = find_layout(self.name, lines, reading)
             describe_columns(self, self.layout)
         except BaseException:
             stream.close()
             raise
-        self.stated = self.layout.clock
+        self.statements = self.layout.statements
+        self.decimal = self.layout.decimal
         if self.columns[0].kind in ("number", "stamp"):
             self.guard = self.columns[0]
         self._line = self.layout.first + 1  # of the first row in the text
         self._text = start.split(b"\n", self.layout.first)[-1]
 
-    def _layout_of(self, lines: Sequence[str]) -> Layout:
-        """Return how the file is written (InputError)."""
-        layout = plain_layout(lines, self._reading)
-        return layout or find_layout(self.name, lines, self._reading)
-
     def _has_layout(self, lines: Sequence[str]) -> bool:
         """Return whether the first lines of a pipe hold a row."""
         try:
-            self._layout_of(lines)
+            find_layout(self.name, lines, self._reading)
         except InputError:
             return False
         return True
@@ -204,7 +133,6 @@ class TextTable(Table):
     def _read_block(self, text: bytes, columns: Sequence[Column]) -> list[NDArray[Any]]:
         """Read a block by polars, or line by line where it is small or not regular."""
         self._size += len(text)
-        self.torn = ()
         frame = None
         is_small = self._size <= _SMALL and "polars" not in sys.modules
         if not is_small and len(text) > _TINY:
@@ -252,11 +180,9 @@ class TextTable(Table):
         rows = []
         for line in self._stream.lines(text):
             if not self._is_passed(line):
-                rows.append(split_cells(line, self.layout.delimiter))
-        torn = [k for k, cells in enumerate(rows) if len(cells) != self.layout.width]
-        self.torn = [self._first_row + k for k in torn]
-        for k in torn:
-            rows[k] = [""] * self.layout.width
+                cells = split_cells(line, self.layout.delimiter)
+                is_whole = len(cells) == self.layout.width
+                rows.append(cells if is_whole else [""] * self.layout.width)
         return rows
 
     def _watch(self, column: Column, cells: Any, rows: Iterable[int]) -> None:

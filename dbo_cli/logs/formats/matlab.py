@@ -2,7 +2,7 @@
 
 A file of version 5 is a row of elements, each behind a tag of its type and size. The
 tags are walked here, for scipy ends the process at a damaged one; what they say of a
-matrix of numbers is all that is needed to read it. Version 4 is left to scipy.
+matrix of numbers is all that is needed to read it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.errors import InputError
 from dbo_cli.logs.formats.stored import FileFormat, StoredTable, fenced, refuse_part
 from dbo_cli.logs.table import Reading, Table
 
@@ -25,14 +26,8 @@ _TYPES = {
 }  # fmt: skip
 """NumPy's names of the types of elements that hold numbers."""
 _CLASSES = {
-    1: "cell",
-    2: "struct",
-    3: "object",
-    4: "char",
-    5: "sparse",
-    16: "function",
-    17: "table",
-}
+    1: "cell", 2: "struct", 3: "object", 4: "char", 5: "sparse", 16: "function", 17: "table",
+}  # fmt: skip
 """Classes of matrices that hold no plain numbers; tables are objects without a public form."""
 _NUMBERS = range(6, 16)  # classes: double, single, and integers
 _IS_COMPLEX = 0x0800
@@ -149,35 +144,22 @@ def _fields_of(elements: Elements, kind: str) -> tuple[str, ...]:
 
 
 def _read(path: str, inner: str, reading: Reading) -> Table:
-    """Read the vectors and matrices of a file before version 7.3 (InputError)."""
+    """Read the vectors and matrices of a file of version 5 to 7 (InputError)."""
     refuse_part(path, inner)
-    table = StoredTable(path)
-    arrays: dict[str, Any] = {}
     with open(path, "rb") as file, fenced(path, "MATLAB"):
         data = file.read()
         if 0 in data[:4]:
-            arrays = _version_4(path)
-            table.add_arrays(arrays)
-            return table.require_numbers(arrays)
+            raise InputError(f"{path}: MATLAB before version 5: save(..., '-v7') again")
         variables = [variable for variable in variables_of(data) if variable.name]
+    table = StoredTable(path)
     lines = [variable.advice() for variable in variables if variable.advice()]
     table.hint = f": in MATLAB, {lines[0]}" if lines else ""
+    arrays = {}
     for variable in variables:
         if variable.values is not None:
             arrays[variable.name] = np.squeeze(variable.values)
     table.add_arrays(arrays)
     return table.require_numbers(variable.describe() for variable in variables)
-
-
-def _version_4(path: str) -> dict[str, Any]:
-    """Read a file of version 4."""
-    import scipy.io
-
-    try:
-        contents = scipy.io.loadmat(path, squeeze_me=True)
-    except (IndexError, EOFError):
-        raise ValueError("it ends early") from None
-    return {name: array for name, array in contents.items() if name[:2] != "__"}
 
 
 MATLAB = FileFormat((b"MATLAB",), _read, (".mat",))
