@@ -19,7 +19,7 @@ from dbo_cli.files import note_input
 from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import choose, named
 from dbo_cli.logs.formats import reader_of
-from dbo_cli.logs.join import SENSORS, ClockOffset, joined, resampled
+from dbo_cli.logs.join import SENSORS, joined, resampled
 from dbo_cli.logs.scale import Signal, signal_of
 from dbo_cli.logs.table import (
     ROWS_A_BLOCK,
@@ -56,8 +56,6 @@ class Log:
         What was assumed, skipped or noticed; complete after the last block.
     doubtful
         The remarks about rows that were left out or cut.
-    clock_offset
-        What was added to the clock of a second file, if any.
     """
 
     def __init__(
@@ -72,7 +70,6 @@ class Log:
         self.clock = clock
         self.remarks = source.remarks
         self.doubtful: list[str] = []
-        self.clock_offset: ClockOffset | None = None
         self._source = source
         self._signals = dict(signals)
         self._first, self._last = parse_rows(reading.rows)
@@ -99,20 +96,13 @@ class Log:
         taken = [r for r in guest.columns if (r in roles) == (guest is second)]
         rows, others = base.read(), guest.read()
         noted = len(base.clock.remarks)
-        self._rows, self.clock_offset = joined(
-            rows, base.clock, others, guest.clock, taken, clock_offset
-        )
+        self._rows = joined(rows, base.clock, others, guest.clock, taken, clock_offset)
         self.clock = base.clock
         kept = {r: base._signals[r] for r in base._signals if r not in taken}
         self._signals = kept | {role: guest._signals[role] for role in taken}
         self.columns = {role: s.column for role, s in self._signals.items()}
         self.remarks = [*base.remarks, *guest.remarks, *self.clock.remarks[noted:]]
         self.doubtful = [*base.doubtful, *guest.doubtful]
-        left_out = len(rows) - len(self._rows)
-        if left_out:
-            self.remarks.append(
-                f"{left_out:,} rows of {base.name} left out: {guest.name} has none there"
-            )
 
     def resample(self, rate: float) -> None:
         """Interpolate the log to an even rate (Hz), in memory (InputError, UsageError)."""
@@ -128,9 +118,7 @@ class Log:
     @property
     def has_found_offset(self) -> bool:
         """Whether a clock offset was found from the signals, so that the actuator's delay is in it."""
-        offset = self.clock_offset
-        holds_delay = offset is not None and offset.holds_delay
-        return holds_delay or self._source.has_found_offset
+        return self.clock.holds_delay or self._source.has_found_offset
 
     def blocks(self, rows: int = ROWS_A_BLOCK) -> Iterator[Block]:
         """Return the log once, in blocks of at most so many rows.
@@ -261,8 +249,6 @@ class Log:
         names = [signal.label for signal in self._signals.values()]
         s = "" if self._count == 1 else "s"
         line = f"{self.name}: {self._count:,} row{s}, {self.clock.describe()}"
-        if self.clock_offset is not None:
-            line += f", {self.clock_offset.describe()}"
         return f"{line}; {', '.join(names)}"
 
     def close(self) -> None:
