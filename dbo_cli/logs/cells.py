@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.table import LONGEST_CELL, TOO_LONG, Column, Statement
+from dbo_cli.logs.table import LONGEST_CELL, TOO_LONG, Column, Settings
 
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
 _POINT = re.compile(NUMBER, re.ASCII)
@@ -114,7 +114,7 @@ class Layout:
         The index of the line of the first row.
     first_row, counts
         Its cells; whether the first of them is a number in quotes.
-    names, units, statements
+    names, units, settings
         What the lines above the rows say.
     """
 
@@ -126,7 +126,7 @@ class Layout:
     counts: bool = False
     names: list[str] = field(default_factory=list)
     units: list[str] = field(default_factory=list)
-    statements: list[Statement] = field(default_factory=list)
+    settings: Settings = field(default_factory=dict)
 
     @property
     def width(self) -> int:

@@ -323,7 +323,7 @@ def find_clock(
             f"{name}: `time_unit` {reading.time_unit}: no time column: "
             f"{listing_of(source.columns)} (`time` NAME or NUMBER)"
         )
-    rate, start, remark = stated_rate(name, source.statements, source.decimal)
+    rate, start, remark = stated_rate(name, source.settings, source.decimal)
     if rate is None:
         return Clock(name)
     remarks = [remark] if remark else []
@@ -379,7 +379,7 @@ def _clock_of(source: Table, column: Column, typed: str | None) -> Clock:
     unit = _stated_unit(name, column)
     clock = Clock(name, "column", column, ratio(unit, "s"), unit)
     with contextlib.suppress(InputError):
-        clock.rate_beside = stated_rate(name, source.statements, source.decimal)[0]
+        clock.rate_beside = stated_rate(name, source.settings, source.decimal)[0]
     return clock
 
 

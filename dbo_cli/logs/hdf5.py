@@ -16,7 +16,7 @@ import numpy as np
 from dbo_cli.errors import InputError, warn
 from dbo_cli.logs.formats.stored import Fetch, Part, StoredTable, fenced, parts_of
 from dbo_cli.logs.settings import is_clock_setting, plain_key
-from dbo_cli.logs.table import Column, Reading, Statement, Table
+from dbo_cli.logs.table import Column, Reading, Table
 
 # bytes a dataset: a compressed chunk is unpacked once, not once a block
 _CHUNK_CACHE = 1 << 22
@@ -79,19 +79,28 @@ class Hdf5Table(StoredTable):
         for part in parts:
             self.add(part._replace(name=part.name[len(top) :].lstrip("/")))
         self.require_numbers([self._listing()])
-        self.statements = self._statements(groups) or self._statements([inner, ""])
+        self._state_clock(groups)
+        if not self.settings:
+            self._state_clock([inner, ""])
         if len(groups) > 1:
             self.hint = f" (or one group alone: {path}::{groups[0]})"
 
-    def _statements(self, groups: Sequence[str]) -> list[Statement]:
-        """Return what groups and the datasets in them state of the sample rate."""
-        statements: list[Statement] = []
-        for name, node in self._nodes.items():
-            if name in groups:
-                statements += _attributes(node)
-            elif _group(name) in groups and isinstance(node, h5py.Dataset):
-                statements += _attributes(node) + _single_value(node, name)
-        return statements
+    def _state_clock(self, groups: Sequence[str]) -> None:
+        """Note what groups, the datasets in them and single values state of the sample rate."""
+        for path, node in self._nodes.items():
+            group, _, name = path.rpartition("/")
+            is_inside = group in groups and isinstance(node, h5py.Dataset)
+            if path not in groups and not is_inside:
+                continue
+            for key in filter(is_clock_setting, node.attrs):
+                values = _attribute(node, key)
+                if len(values) == 1:
+                    unit = _texts(node, f"{key}_units", f"{key}_unit")
+                    self.state(key, values[0], "".join(unit))
+            is_single = is_inside and node.size == 1 and is_clock_setting(name)
+            if is_single and not node.is_virtual and not node.external:
+                unit = _texts(node, "units", "unit")
+                self.state(name, _plain(np.ravel(node[()])[0]), "".join(unit))
 
     def find(self, name: str) -> Column | None:
         """Return the column that a dataset's path names, from the part that is open or from the top."""
@@ -232,24 +241,3 @@ def _texts(node: Any, *names: str) -> list[str]:
         if texts:
             return texts
     return []
-
-
-def _attributes(node: Any) -> list[Statement]:
-    """Return what attributes state of the sample rate."""
-    statements: list[Statement] = []
-    for key in node.attrs:
-        values = _attribute(node, key) if is_clock_setting(key) else []
-        if len(values) == 1:
-            unit = _texts(node, f"{key}_units", f"{key}_unit")
-            statements.append((key, values[0], "".join(unit)))
-    return statements
-
-
-def _single_value(dataset: Any, path: str) -> list[Statement]:
-    """Return what a dataset of one value states of the sample rate."""
-    name = path.rpartition("/")[2]
-    is_elsewhere = dataset.is_virtual or dataset.external
-    if dataset.size != 1 or is_elsewhere or not is_clock_setting(name):
-        return []
-    unit = _texts(dataset, "units", "unit")
-    return [(name, _plain(np.ravel(dataset[()])[0]), "".join(unit))]

@@ -22,9 +22,8 @@ from dbo_cli.logs.settings import (
     is_setting,
     plain_key,
     read_settings,
-    statements_of,
 )
-from dbo_cli.logs.table import LONGEST_CELL, Table
+from dbo_cli.logs.table import LONGEST_CELL, Settings, Table
 from dbo_cli.units import is_unit, kind_of, parse_unit, spell, split_header, time_unit
 
 _LINES = 3  # names, units and a remark stand above the rows at most
@@ -64,7 +63,7 @@ def read_header(
         raise InputError(
             f"{name}: each channel has an X column: export with X_Columns One or No"
         )
-    layout.statements = statements_of(settings)
+    layout.settings = settings
     headers = _header_lines(above, layout)
     units = _units_line(headers)
     if units is not None:
@@ -253,9 +252,7 @@ def _refuse_unclear(name: str, above: Sequence[str], layout: Layout) -> None:
         )
 
 
-def _fill_from_settings(
-    layout: Layout, settings: dict[str, list[str]], has_names: bool
-) -> None:
+def _fill_from_settings(layout: Layout, settings: Settings, has_names: bool) -> None:
     """Take names and units that are stated by channel where no line above the rows has them."""
     names, units, time = (
         _stated_by_channel(settings, keys, layout.width)
@@ -278,7 +275,7 @@ def _fill_from_settings(
 
 
 def _stated_by_channel(
-    settings: dict[str, list[str]], keys: Collection[str], width: int
+    settings: Settings, keys: Collection[str], width: int
 ) -> list[str]:
     """Return what the last setting of a key states of each channel."""
     statements: list[str] = []

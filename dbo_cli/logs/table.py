@@ -24,9 +24,8 @@ LONGEST_CELL = 200
 TOO_LONG = f"(more than {LONGEST_CELL} characters)"
 """What stands in the place of a cell that is longer."""
 
-
-Statement = tuple[str, object, str]
-"""What a file states beside its rows: key, value, unit."""
+Settings = dict[str, list[str]]
+"""What a file states beside its rows, by key: values with their units."""
 
 
 @dataclass(frozen=True)
@@ -191,7 +190,7 @@ class Table:
         How messages call the file.
     columns
         All of its columns.
-    statements, decimal
+    settings, decimal
         What it states beside the rows, and the decimal sign of that; the clock of a file
         without a time column is among it.
     guard
@@ -216,7 +215,7 @@ class Table:
     def __init__(self, name: str) -> None:
         self.name = name
         self.columns: list[Column] = []
-        self.statements: list[Statement] = []
+        self.settings: Settings = {}
         self.remarks: list[str] = []
 
     def add_column(
@@ -232,6 +231,10 @@ class Table:
         column = Column(number, header, unit, kind, sample)
         self.columns.append(column)
         return column
+
+    def state(self, key: str, value: object, unit: str = "") -> None:
+        """Note what the file states; a key may have several values."""
+        self.settings.setdefault(key, []).append(f"{value} {unit}".strip())
 
     def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of some columns in blocks, one array a column.

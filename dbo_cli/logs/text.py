@@ -65,7 +65,7 @@ class TextTable(Table):
         except BaseException:
             stream.close()
             raise
-        self.statements = self.layout.statements
+        self.settings = self.layout.settings
         self.decimal = self.layout.decimal
         if self.columns[0].kind in ("number", "stamp"):
             self.guard = self.columns[0]

@@ -182,7 +182,7 @@ def test_rates_that_files_state(tmp_path: Path) -> None:
     starts = {"a.npz": 0.0, "a.mat": -0.001, "a.tdms": -0.001}
     for name, start in starts.items():
         source = opened(tmp_path / name)
-        assert stated_rate(name, source.statements)[:2] == (2000.0, start)
+        assert stated_rate(name, source.settings)[:2] == (2000.0, start)
         assert len(source.columns) == 1
         source.close()
 

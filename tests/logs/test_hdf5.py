@@ -156,9 +156,9 @@ def test_a_rate_that_is_stated(
     source = opened(tmp_path, fill)
     if problem:
         with pytest.raises(InputError, match=problem):
-            stated_rate("run.h5", source.statements)
+            stated_rate("run.h5", source.settings)
     else:
-        assert stated_rate("run.h5", source.statements)[0] == rate
+        assert stated_rate("run.h5", source.settings)[0] == rate
     assert "time" not in names(source)
     source.close()
 
@@ -174,7 +174,7 @@ def test_groups_side_by_side(tmp_path: Path) -> None:
     source = opened(tmp_path, fill)
     assert {"run1/voltage", "run2/voltage", "run1/short"} < set(names(source))
     assert not {"fs", "count"} & set(names(source))
-    assert stated_rate("run.h5", source.statements)[0] == 4000.0
+    assert stated_rate("run.h5", source.settings)[0] == 4000.0
     assert "run.h5::run1" in source.hint
     with pytest.raises(InputError, match=r"unequal length.*199|unequal length"):
         list(source.blocks(source.columns))
@@ -215,7 +215,7 @@ def test_clocks_that_differ_by_column_are_no_clock(
 
     source = opened(tmp_path, fill)
     with pytest.raises(InputError, match=key):
-        stated_rate("run.h5", source.statements)
+        stated_rate("run.h5", source.settings)
     source.close()
 
 

@@ -148,7 +148,7 @@ class StoredTable(Table):
                 for part in parts_of(name, np.asarray(array)):
                     self.add(part)
             elif is_clock_setting(name) and np.size(array):
-                self.statements.append((name, np.ravel(array)[0].item(), ""))
+                self.state(name, np.ravel(array)[0].item())
 
     def require_numbers(self, contents: Iterable[str]) -> StoredTable:
         """Return the table; refuse (InputError) one without columns of numbers, whose contents are these."""

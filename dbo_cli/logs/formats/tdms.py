@@ -17,7 +17,7 @@ from dbo_cli.logs.formats.stored import (
     quiet,
     rows_of,
 )
-from dbo_cli.logs.table import Reading, Statement, Table
+from dbo_cli.logs.table import Reading, Table
 
 _LEAD_IN = 28
 """Bytes: mark, contents, version, bytes to the next segment, bytes to the data."""
@@ -67,22 +67,19 @@ def _add_channels(table: StoredTable, groups: Sequence[Any]) -> None:
             kind = "stamp" if channel.dtype.kind == "M" else "number"
             fetch = rows_of(channel)
             table.add(Part(name, len(channel), fetch, kind, unit))
-            table.statements += _statements(properties)
+            _state_clock(table, properties)
 
 
-def _statements(properties: Any) -> list[Statement]:
-    """Return what the properties of a channel state of its clock; a spectrum has none."""
-    statements: list[Statement] = []
+def _state_clock(table: StoredTable, properties: Any) -> None:
+    """Note what the properties of a channel state of its clock; a spectrum has none."""
     if str(properties.get("wf_xname") or "Time").lower() != "time":
-        return statements
-    for key in ("wf_increment", "wf_start_offset"):
-        if isinstance(properties.get(key), int | float):
-            statements.append((key, properties[key], "s"))
-    start = properties.get("wf_start_time")
-    if isinstance(start, np.datetime64):
-        seconds = start.astype("datetime64[us]").astype(int) / 1e6
-        statements.append(("wf_start_time", seconds, "s"))
-    return statements
+        return
+    for key in ("wf_increment", "wf_start_offset", "wf_start_time"):
+        value = properties.get(key)
+        if isinstance(value, np.datetime64):
+            value = value.astype("datetime64[us]").astype(int) / 1e6
+        if value is not None:
+            table.state(key, value, "s")
 
 
 TDMS = FileFormat((b"TDSm",), _read)
