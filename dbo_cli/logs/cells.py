@@ -112,21 +112,23 @@ class Layout:
         What each column holds, as ``Column.kind`` and ``Column.sample`` say it.
     first
         The index of the line of the first row.
-    first_row, counts
-        Its cells; whether the first of them is a number in quotes.
+    first_line
+        That line.
     names, units, settings
         What the lines above the rows say.
+    is_headed
+        Whether one of these lines holds names or units.
     """
 
     delimiter: str
     decimal: str
     kinds: list[tuple[str, str]] = field(default_factory=list)
     first: int = 0
-    first_row: list[str] = field(default_factory=list)
-    counts: bool = False
+    first_line: str = ""
     names: list[str] = field(default_factory=list)
     units: list[str] = field(default_factory=list)
     settings: Settings = field(default_factory=dict)
+    is_headed: bool = False
 
     @property
     def width(self) -> int:
