@@ -19,8 +19,10 @@ from dbo_cli.files import note_input
 from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import choose, named
 from dbo_cli.logs.formats import reader_of
+from dbo_cli.logs.formats.stored import refuse_part
 from dbo_cli.logs.join import SENSORS, joined, resampled
 from dbo_cli.logs.scale import Signal, signal_of
+from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import (
     ROWS_A_BLOCK,
     Block,
@@ -31,7 +33,7 @@ from dbo_cli.logs.table import (
     is_good,
     parse_rows,
 )
-from dbo_cli.logs.text import open_text
+from dbo_cli.logs.text import TextTable
 from dbo_cli.units import multiplied
 
 _Numbers = NDArray[np.int64]  # of rows, from 1
@@ -381,7 +383,8 @@ def open_table(name: str, reading: Reading) -> Table:
             reader = reader_of(path, file.read(_FIRST_BYTES))
     if reader is not None:
         return reader(path, inner, reading)
-    return open_text(path, inner, reading)
+    refuse_part(path, inner)
+    return TextTable(TextStream(path, reading.encoding), reading)
 
 
 def columns_of(

@@ -8,13 +8,13 @@ file, which does without polars.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError
 from dbo_cli.logs.cells import Marks, split_cells, to_number
 from dbo_cli.logs.dialect import find_layout, is_no_row
 from dbo_cli.logs.names import begins_run, describe_columns
@@ -24,21 +24,6 @@ from dbo_cli.logs.table import Column, Reading, Table
 _LONGEST_LINE = 1 << 24  # bytes; what is longer has no line ends
 _SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
 _TINY = 1 << 12  # bytes that are read faster in Python than by polars
-
-
-def open_text(path: str, inner: str, reading: Reading) -> Table:
-    """Read a text log; see ``Table``.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, or it is not clear how it is written.
-    """
-    if inner:
-        raise UsageError(
-            f"{path}::{inner}: '::' names a part of a file, and this is a text file"
-        )
-    return TextTable(TextStream(path, reading.encoding), reading)
 
 
 class TextTable(Table):
@@ -82,19 +67,27 @@ class TextTable(Table):
 
     def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of some columns; see ``Table``."""
-        if self._reading.decimal is None:
-            self._marks = {c.number: Marks() for c in columns if c.kind == "number"}
+        for column in columns:
+            if column.kind == "number" and self._reading.decimal is None:
+                label = f"{self.name}: {column.label}"
+                self._marks[column.number] = Marks(label)
         for text in self._texts():
             self._text = text
-            if not text.endswith(b"\n"):
-                self._doubt_last_line(text)
+            last = self._stream.lines(text[text.rfind(b"\n") + 1 :])[0]
+            if not is_no_row(last):
+                number = self._line + text.count(b"\n")
+                self.remarks.append(
+                    f"line {number}, the last one, has no line end: was the record cut there?"
+                )
             arrays = self._read_block(text, columns)
+            for marks in self._marks.values():
+                marks.require_clear(self._first_row + len(arrays[0]) - 1)
             if len(arrays[0]):
-                self._refuse_doubtful(self._first_row + len(arrays[0]) - 1)
                 yield arrays
             self._first_row += len(arrays[0])
             self._line += self._block_lines
-        self._refuse_doubtful(self._first_row, limit=0)
+        for marks in self._marks.values():
+            marks.require_clear(self._first_row, most=0)
 
     def _texts(self) -> Iterator[bytes]:
         """Return the rows in blocks of whole lines, without those of delimiters at the end of the file."""
@@ -114,21 +107,6 @@ class TextTable(Table):
         text = text[: _last_row_end(text, len(text))]
         if text:
             yield text
-
-    def _doubt_last_line(self, text: bytes) -> None:
-        """Say that a row at the end has no line end."""
-        last = self._stream.lines(text[text.rfind(b"\n") + 1 :])[0]
-        if not is_no_row(last):
-            number = self._line + text.count(b"\n")
-            self.remarks.append(
-                f"line {number}, the last one, has no line end: was the record cut there?"
-            )
-
-    def _refuse_doubtful(self, row: int, **limit: int) -> None:
-        """Refuse a column whose marks may stand between thousands (InputError)."""
-        for number, marks in self._marks.items():
-            if not marks.is_clear and marks.is_doubtful(row, **limit):
-                marks.refuse(self.name, self.columns[number - 1])
 
     def _read_block(self, text: bytes, columns: Sequence[Column]) -> list[NDArray[Any]]:
         """Read a block by polars, or line by line where it is small or not regular."""
@@ -155,14 +133,15 @@ class TextTable(Table):
 
             return read_stamps(pl.Series(cells, dtype=pl.String), column.sample)
         sign = self.layout.decimal
+        marks = self._marks.get(column.number, Marks("", is_clear=True))
         if isinstance(cells, list):
-            self._watch(column, cells, range(len(cells)))
+            marks.watch(self._first_row, cells, range(len(cells)))
         else:
             from dbo_cli.logs.fast_text import read_numbers
 
             if cells.dtype.is_float():
                 return np.asarray(cells.to_numpy())
-            self._watch(column, cells, sorted(cells.arg_unique()))
+            marks.watch(self._first_row, cells, sorted(cells.arg_unique()))
             numbers = read_numbers(cells, sign)
             if numbers is not None:
                 return numbers
@@ -185,14 +164,6 @@ class TextTable(Table):
                 rows.append(cells if is_whole else [""] * self.layout.width)
         return rows
 
-    def _watch(self, column: Column, cells: Any, rows: Iterable[int]) -> None:
-        """Take cells of a column into account, those of some rows, until its marks are clear."""
-        marks = self._marks.get(column.number, Marks(is_clear=True))
-        for row in rows:
-            if marks.is_clear:
-                break
-            marks.watch(self._first_row + row, cells[row])
-
     def where(self, row: int, column: Column, value: object) -> str:
         """Say in which line a row of the last block is, and what stands in a column of it."""
         lines = self._stream.lines(self._text)
@@ -206,11 +177,8 @@ class TextTable(Table):
             s = "" if len(cells) == 1 else "s"
             return f"{at}: {len(cells)} cell{s} where the other rows have {self.layout.width}"
         cell = cells[column.number - 1]
-        if not cell:
-            return f"{at}: {column.label} is empty"
-        noun = "a known time stamp" if column.kind == "stamp" else "a measured number"
         advice = " (`decimal` comma?)" if "," in cell else ""
-        return f"{at}: {column.label} is not {noun}: '{cell[:40]}'{advice}"
+        return f"{at}: {column.label} is no measured number or time stamp: '{cell[:40]}'{advice}"
 
     def close(self) -> None:
         """Close the file."""
