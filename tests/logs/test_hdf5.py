@@ -257,7 +257,7 @@ def test_no_other_file_is_read(
 
     path = made(tmp_path / "run.h5", both)
     os.truncate(other, 0)  # whoever opens it fails otherwise than by a refusal
-    with pytest.raises(InputError, match=r"other file|no column"):
+    with pytest.raises(InputError, match=r"other file|not one column"):
         source = open_hdf5(str(path), "", Reading())
         list(source.blocks([named(source, "voltage", "voltage")]))
 
