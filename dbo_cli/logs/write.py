@@ -82,20 +82,15 @@ def add_table(
 
 def _suffix_of(path: str) -> str:
     """Return the suffix that decides the format; refuse one that is of none (UsageError)."""
-    if "::" in path:
-        file = path.partition("::")[0]
-        raise UsageError(f"{path}: an output is a whole file: type {file}")
-    stem, suffix = os.path.splitext(path)
+    file, part, _ = path.partition("::")
+    stem, suffix = os.path.splitext(file.removesuffix(".gz"))
     suffix = suffix.lower()
-    if suffix == ".gz":
-        suffix = os.path.splitext(stem)[1].lower()
-        if suffix in _HDF5_SUFFIXES:
-            raise UsageError(f"{path}: HDF5 compresses by itself: type {stem}")
-    if suffix in _DELIMITERS or suffix in _HDF5_SUFFIXES:
+    is_packed = file.endswith(".gz") and suffix in _HDF5_SUFFIXES
+    if suffix in (*_DELIMITERS, *_HDF5_SUFFIXES) and not part and not is_packed:
         return suffix
     if os.path.exists(path) and not os.path.isfile(path):
         return ""  # a pipe or a device
-    raise UsageError(f"{path}: {suffix} is not written: type {stem}.csv, .tsv or .h5")
+    raise UsageError(f"{path}: no format that is written: type {stem}.csv, .tsv or .h5")
 
 
 # --- columns ---
