@@ -83,10 +83,11 @@ def add_table(
 def _suffix_of(path: str) -> str:
     """Return the suffix that decides the format; refuse one that is of none (UsageError)."""
     file, part, _ = path.partition("::")
-    stem, suffix = os.path.splitext(file.removesuffix(".gz"))
+    is_packed = file.lower().endswith(".gz")
+    stem, suffix = os.path.splitext(file[:-3] if is_packed else file)
     suffix = suffix.lower()
-    is_packed = file.endswith(".gz") and suffix in _HDF5_SUFFIXES
-    if suffix in (*_DELIMITERS, *_HDF5_SUFFIXES) and not part and not is_packed:
+    is_written = suffix in _DELIMITERS or (suffix in _HDF5_SUFFIXES and not is_packed)
+    if is_written and not part:
         return suffix
     if os.path.exists(path) and not os.path.isfile(path):
         return ""  # a pipe or a device
