@@ -1,7 +1,7 @@
 """HDF5 logs: 1-D datasets, columns of 2-D ones, fields of compound ones, units as attributes.
 
 A log is one file: what leads elsewhere (links, virtual datasets, external storage) is
-passed over, and refused where it is typed. MATLAB's files of version 7.3 are HDF5, too.
+passed over, and refused where it is typed. MATLAB's files of version 7.3 and netCDF-4 are HDF5, too.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ _NOT_APPLIED = {
 """Attributes that may belong to a dataset's values, by their plain keys, and what changes nothing."""
 _MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
                   "uint32", "uint64", "logical")  # fmt: skip
+
+_EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
 
 
 def open_hdf5(path: str, inner: str, reading: Reading) -> Table:
@@ -116,6 +118,8 @@ class Hdf5Table(StoredTable):
             return []
         matlab = _texts(dataset, "MATLAB_class") or ["double"]
         if matlab[0] not in _MATLAB_NUMBERS or "MATLAB_empty" in dataset.attrs:
+            return []
+        if "".join(_texts(dataset, "NAME")).startswith(_EMPTY_DIMENSION):
             return []
         group, _, name = path.rpartition("/")
         labels = _texts(dataset, "columns", "column_names", "names")
