@@ -97,23 +97,17 @@ def _time_on(
     clock: Clock, guest_clock: Clock, guest: Block, clock_offset: float | str | None
 ) -> Floats:
     """Return a second log's times on the clock of the first (InputError)."""
-    for member in (clock, guest_clock):
-        if member.kind == "none":
-            raise InputError(
-                f"{member.name} has no clock to join by: add a time column, or `sample_rate` HZ if both "
-                "have one rate"
-            )
-    assert guest.time is not None
-    stamp, guest_stamp = clock.first_stamp, guest_clock.first_stamp
-    if stamp is not None and guest_stamp is not None:
-        if (clock.origin is None) == (guest_clock.origin is None):
-            shifted: Floats = guest.time + (guest_stamp - stamp) / 1e9
+    stamps = clock.first_stamp, guest_clock.first_stamp
+    has_dates = clock.origin is not None, guest_clock.origin is not None
+    if guest.time is not None and clock.kind != "none":
+        if stamps[0] is not None and stamps[1] is not None and len(set(has_dates)) == 1:
+            shifted: Floats = guest.time + (stamps[1] - stamps[0]) / 1e9
             return shifted
-    if stamp is guest_stamp or clock_offset is not None:
-        return guest.time
+        if stamps == (None, None) or clock_offset is not None:
+            return guest.time
     raise InputError(
-        f"{clock.name} and {guest_clock.name}: only one clock has dates: give `clock_offset` SECONDS, "
-        "or auto"
+        f"{clock.name} and {guest_clock.name} have no clock in common, with dates in both or in none: "
+        "add a time column, `sample_rate` HZ, or `clock_offset` SECONDS or auto"
     )
 
 
@@ -244,16 +238,12 @@ def resampled(rows: Block, clock: Clock, rate: float) -> tuple[Block, Clock]:
     """
     if not 0.0 < rate < np.inf:
         raise UsageError(f"`resample` {rate:g}: give a rate above 0 Hz")
-    if rows.time is None:
+    first, last = (0.0, 0.0) if rows.time is None else rows.time[[0, -1]].tolist()
+    count = int(np.floor((last - first) * rate * (1.0 + 1e-12))) + 1
+    if rows.time is None or not 2 <= count <= _MOST_ROWS:
         raise InputError(
-            f"{clock.name}: `resample` needs a clock (`time` COLUMN or `sample_rate` HZ)"
-        )
-    first = float(rows.time[0])
-    span = float(rows.time[-1]) - first
-    count = int(np.floor(span * rate * (1.0 + 1e-12))) + 1
-    if count < 2 or count > _MOST_ROWS:
-        raise InputError(
-            f"{clock.name}: `resample` {rate:g}: the log lasts {span:.4g} s"
+            f"{clock.name}: `resample` {rate:g}: its clock lasts {last - first:.4g} s: give another rate, "
+            "`time` COLUMN or `sample_rate` HZ"
         )
     time = first + np.arange(count) / rate
     values = {}

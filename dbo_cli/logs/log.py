@@ -30,7 +30,6 @@ from dbo_cli.logs.table import (
     Reading,
     Table,
     bad_cells,
-    is_good,
     parse_rows,
 )
 from dbo_cli.logs.text import TextTable
@@ -195,10 +194,10 @@ class Log:
         InputError
             A row does not, and such rows are not to be left out.
         """
-        if all(map(is_good, arrays)):
-            return numbers, arrays
         bad = np.array([bad_cells(array) for array in arrays])
         is_bad = bad.any(axis=0)
+        if not is_bad.any():
+            return numbers, arrays
         at = int(np.argmax(is_bad))
         index = int(np.argmax(bad[:, at]))
         where = self._source.where(int(numbers[at]), columns[index], arrays[index][at])

@@ -165,15 +165,6 @@ class Block:
         return cls(np.concatenate(times) if times else None, values, dt)
 
 
-def is_good(array: NDArray[Any]) -> bool:
-    """Return whether all cells are numbers or stamps."""
-    if not len(array):
-        return True
-    if array.dtype.kind == "i":
-        return bool(array.min() != NOT_A_TIME)
-    return bool(-OVERLOAD < array.min() and array.max() < OVERLOAD)  # no NaN is
-
-
 def bad_cells(array: NDArray[Any]) -> NDArray[np.bool_]:
     """Return which cells are no numbers and no stamps."""
     if array.dtype.kind == "i":

@@ -115,9 +115,6 @@ class Writer:
             A number is not finite, or the rows cannot be written.
         """
         values = [np.ascontiguousarray(array, dtype=np.float64) for array in arrays]
-        shapes = {array.shape for array in values}
-        if len(values) != len(self.columns) or shapes != {(len(values[0]),)}:
-            raise ValueError(f"{len(self.columns)} columns of one length, not {shapes}")
         for (name, _), array in zip(self.columns, values, strict=True):
             finite = np.isfinite(array)
             if not finite.all():
