@@ -170,6 +170,94 @@ done:
     return Py_BuildValue("");
 }
 
+/* The words of the settled state at a drive: of the gears inside the range, beside what others have in `spare`. */
+static void settled_words(const dbo_backlash *inside, dbo_backlash_state *state, const Py_buffer *spare, double drive,
+                          uint64_t *words) {
+    const double width = inside->gears[inside->n / inside->run + (inside->n % inside->run > 0)].x;
+    const uint64_t *others = spare->buf;
+    memset(words, 0, (size_t)spare->len);
+    if (drive >= inside->x0 + width)
+        for (size_t i = 0; i < inside->n; i++) words[i / 64] |= UINT64_C(1) << (i & 63);
+    else if (drive > inside->x0) {
+        dbo_backlash_decay(inside, state, inside->n, NULL, drive);
+        dbo_backlash_bits(inside, state, words);
+    }
+    for (size_t k = 0; k < (size_t)spare->len / sizeof(uint64_t); k++) words[k] |= others[k];
+}
+
+/* Halve a range of the drive until the settled state of its middle leads to an output from inside the range, or what
+ * is left is narrow: the output then steps over what is wanted. The drive is NaN there. */
+static PyObject *backlash_settled_at(PyObject *module, PyObject *args) {
+    Py_buffer gears, guide, gain, inside_gears, inside_guide, inside_gain, spare;
+    dbo_backlash op, inside;
+    dbo_backlash_state state, settled;
+    double output, below, above, narrow, drive = NAN;
+    double *numbers = NULL;
+    uint64_t *words = NULL, *again;
+    Py_ssize_t n, run, inside_n, inside_run;
+    int ready = 0;
+    (void)module;
+    state.checkpoints = settled.checkpoints = NULL;
+    if (!PyArg_ParseTuple(args, "(y*y*nnddpy*dp)(y*y*nnddpy*dp)y*dddd", &gears, &guide, &n, &run, &op.x0, &op.y0,
+                          &op.extend, &gain, &op.reference, &op.memory_on_output, &inside_gears, &inside_guide,
+                          &inside_n, &inside_run, &inside.x0, &inside.y0, &inside.extend, &inside_gain,
+                          &inside.reference, &inside.memory_on_output, &spare, &output, &below, &above, &narrow))
+        return NULL;
+    op.terms = NUMBERS(gain);
+    op.gain = gain.buf;
+    inside.terms = 0;
+    inside.gain = NULL;
+    settled.memory = NULL;
+    if (!assemble(&op, &gears, &guide, n, run)) goto done;
+    if (!assemble(&inside, &inside_gears, &inside_guide, inside_n, inside_run)) goto done;
+    if ((size_t)spare.len < STATE_WORDS(op.n) * sizeof(uint64_t) && too_short("spare")) goto done;
+    if (inside.n > op.n && too_short("gears")) goto done;
+    numbers = PyMem_Calloc(2 * op.terms + 1, sizeof(double)); /* memory, and factors for a rest */
+    words = PyMem_Malloc(2 * (size_t)spare.len);
+    if (!numbers || !words) {
+        PyErr_NoMemory();
+        goto done;
+    }
+    again = words + (size_t)spare.len / sizeof(uint64_t);
+    state.memory = numbers;
+    if (!take_turns(&op, &state) || !take_turns(&inside, &settled)) goto done;
+    ready = 1;
+    while (above - below > narrow) {
+        const double middle = below + 0.5 * (above - below);
+        double reached;
+        if (!(below < middle && middle < above)) break; /* neighbours in float64 */
+        settled_words(&inside, &settled, &spare, middle, words);
+        memset(numbers, 0, op.terms * sizeof(double));
+        dbo_backlash_load(&op, &state, words);
+        reached = dbo_backlash_step(&op, &state, output, numbers + op.terms, NULL, NULL);
+        if (below <= reached && reached <= above) {
+            settled_words(&inside, &settled, &spare, reached, again);
+            if (memcmp(words, again, (size_t)spare.len) == 0) {
+                drive = reached;
+                break;
+            }
+        }
+        if (reached > middle)
+            below = middle;
+        else
+            above = middle;
+    }
+done:
+    PyMem_Free(numbers);
+    PyMem_Free(words);
+    PyMem_Free(state.checkpoints);
+    PyMem_Free(settled.checkpoints);
+    PyBuffer_Release(&gears);
+    PyBuffer_Release(&guide);
+    PyBuffer_Release(&gain);
+    PyBuffer_Release(&inside_gears);
+    PyBuffer_Release(&inside_guide);
+    PyBuffer_Release(&inside_gain);
+    PyBuffer_Release(&spare);
+    if (!ready) return NULL;
+    return Py_BuildValue("(ddd)", below, above, drive);
+}
+
 static void stepper_dealloc(PyObject *object) {
     stepper *self = (stepper *)object;
     PyTypeObject *type = Py_TYPE(object);
@@ -615,6 +703,7 @@ done:
 static PyMethodDef methods[] = {
     {"backlash_run", backlash_run, METH_VARARGS, "Equations (1)-(12) over a block of samples."},
     {"backlash_decay", backlash_decay, METH_VARARGS, "The state after an oscillation that decays to a drive."},
+    {"backlash_settled_at", backlash_settled_at, METH_VARARGS, "The drive whose settled state leads to an output."},
     {"backlash_engagement", backlash_engagement, METH_VARARGS, "Part of every gear in every sample."},
     {"memory_run", memory_run, METH_VARARGS, "Relaxation terms over a block of samples."},
     {"point_run", point_run, METH_VARARGS, "Equations (13)-(16) over a block of samples."},
@@ -627,7 +716,7 @@ static PyMethodDef methods[] = {
     {"between_even", between_even, METH_VARARGS, "Evenly spaced samples, shifted by a part of a step."},
     {NULL, NULL, 0, NULL}};
 
-#define INTERFACE 3 /* of the functions' arguments; kernel.py has the same number and refuses another */
+#define INTERFACE 4 /* of the functions' arguments; kernel.py has the same number and refuses another */
 
 static int add_types(PyObject *module) {
     PyObject *type;

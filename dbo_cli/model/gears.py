@@ -159,7 +159,7 @@ class Gears:
     def _exchanged_rows(self) -> tuple[Floats, Places]:
         return kernel_table(self.exchanged)
 
-    def _operator(self, extend: bool, is_inverse: bool = False) -> tuple[Any, ...]:
+    def operator(self, extend: bool, is_inverse: bool = False) -> tuple[Any, ...]:
         """Return the kernel's first arguments, the same for all blocks; memory follows the voltage."""
         rows, origins = self.kernel_rows, (self.x0, self.y0)
         if is_inverse:
@@ -195,7 +195,7 @@ class Gears:
         if voltage >= self.x0 + self.width:
             return (1 << self.n) - 1
         words = self.words(0)
-        kernel.extension.backlash_decay(*self._operator(True), words, float(voltage))
+        kernel.extension.backlash_decay(*self.operator(True), words, float(voltage))
         return bits_of(words)
 
     def run(
@@ -225,7 +225,7 @@ class Gears:
             The state is not of these gears.
         """
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        return self._block(self._operator(extend), x, state, dt, None, None)
+        return self._block(self.operator(extend), x, state, dt, None, None)
 
     def undo(
         self,
@@ -254,7 +254,7 @@ class Gears:
             The state is not of these gears.
         """
         y = np.ascontiguousarray(y, dtype=np.float64).reshape(-1)
-        operator = self._operator(extend, is_inverse=True)
+        operator = self.operator(extend, is_inverse=True)
         return self._block(operator, y, state, dt, window, slew)
 
     def _block(
@@ -341,7 +341,7 @@ class Gears:
             decay = self.relaxation.decay(dt)
         step = largest_step(slew, dt)
         stepper = kernel.extension.Stepper(
-            *self._operator(True, is_inverse=True), decay, True, *window, self.slack(*window),
+            *self.operator(True, is_inverse=True), decay, True, *window, self.slack(*window),
             math.nan if step is None else step,
         )  # fmt: skip
         memories = np.array(state.memory or (), dtype=np.float64)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from dbo_cli.errors import ModelError
+from dbo_cli.model import kernel
 from dbo_cli.model.gears import Gears
 from dbo_cli.model.state import START_NAMES, State
 from dbo_cli.model.widths import CROSSING_TOLERANCE
@@ -100,17 +102,11 @@ class Starts:
         # a little beside the step, so that a voltage that is rounded on its way still
         # starts on the same side
         margin = CROSSING_TOLERANCE * (above - below)
-        while above - below > 0.001 * margin:
-            middle = below + 0.5 * (above - below)
-            if not below < middle < above:  # neighbours in float64
-                break
-            bits = self.bits(middle)
-            voltage = voltage_from(bits)
-            if below <= voltage <= above and self.bits(voltage) == bits:
-                return min(max(voltage, low), high)
-            if voltage > middle:
-                below = middle
-            else:
-                above = middle
+        below, above, voltage = kernel.extension.backlash_settled_at(
+            self.gears.operator(True, is_inverse=True), self.inside.operator(True),
+            self.gears.words(self.empty), output, below, above, 0.001 * margin,
+        )  # fmt: skip
+        if not math.isnan(voltage):
+            return min(max(voltage, low), high)
         ends = [min(max(end, low), high) for end in (below - margin, above + margin)]
         return min(ends, key=miss_at)
