@@ -15,9 +15,9 @@ from typing import ClassVar
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError, ModelError
+from dbo_cli.errors import InputError
 from dbo_cli.model import kernel
-from dbo_cli.model.fields import Json
+from dbo_cli.model.fields import Json, require_above_0
 from dbo_cli.model.gears import Gears, Window, largest_step
 from dbo_cli.model.points import (
     Curves,
@@ -55,10 +55,7 @@ class Amplifier:
 
     def __post_init__(self) -> None:
         """Refuse what is not a time."""
-        if not (math.isfinite(self.seconds) and self.seconds > 0.0):
-            raise ModelError(
-                f"seconds: {self.seconds!r} is not a finite time greater than 0"
-            )
+        require_above_0("seconds", self.seconds)
 
     def share(self, dt: float | Floats) -> Floats:
         """Return 1 - a for one time step (s), or for each (InputError: one is negative)."""

@@ -26,6 +26,7 @@ from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model.amplifier import AmplifiedGears, Amplifier
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics
+from dbo_cli.model.fields import require_above_0
 from dbo_cli.model.gears import NEGLIGIBLE, Gears, Window
 from dbo_cli.model.inverter import Inverter
 from dbo_cli.model.points import (
@@ -106,10 +107,7 @@ class Candidate:
 
     def __post_init__(self) -> None:
         """Refuse a weight that is not above 0, and stages that are no model."""
-        if not (math.isfinite(self.weight) and self.weight > 0.0):
-            raise ModelError(
-                f"weight: {self.weight!r} is not a finite number greater than 0"
-            )
+        require_above_0("weight", self.weight)
         require_order(self.stages)
 
 
@@ -394,10 +392,7 @@ class Cascade:
         if y.size == 0:
             return Run(y, state)
         extend = outside != "hold"
-        after = State(
-            state.bits, state.memory, state.drive, None, state.sections, state.delay,
-            state.amplifier,
-        )  # fmt: skip
+        after = replace(state, time=None, undoing=None, first=None, model="")
         last = float(y[-1])
         for stage in self.stages:
             if not isinstance(stage, Gears):
@@ -542,12 +537,9 @@ class Cascade:
         else:
             before = AmplifiedGears(self.amplifier, self.head, self.gears)
             result = before.undo(output, state, steps, window, slew, extend)
-        after = State(
-            result.state.bits,
-            result.state.memory,
-            float(result.y[-1]),
-            amplifier=result.state.amplifier,
-        )
+        bits, memory = result.state.bits, result.state.memory
+        last = float(result.y[-1])
+        after = State(bits, memory, last, amplifier=result.state.amplifier)
         if self.dynamics is not None or self.delay is not None:
             driven = self.run(result.y, state, dt).state
             after = replace(after, sections=driven.sections, delay=driven.delay)

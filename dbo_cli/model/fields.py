@@ -10,6 +10,7 @@ stands for, or raises ModelError with the path.
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -65,16 +66,11 @@ def load(path: str, noun: str) -> tuple[str, Any]:
         reason = problem.strerror or problem
         raise InputError(f"{name}: cannot be read: {reason}") from None
     except json.JSONDecodeError as problem:
-        if problem.pos == 0:
-            remedy = " (identify makes a model from a log)" if noun == "model" else ""
-            raise ModelError(
-                f"{name}: not a {noun} file: it is not JSON{remedy}"
-            ) from None
         raise ModelError(
-            f"{name}: line {problem.lineno}: not valid JSON, or the file ends too early"
+            f"{name}: line {problem.lineno}: not the JSON of a {noun}, or the file ends too early"
         ) from None
     except (ValueError, RecursionError):
-        raise ModelError(f"{name}: not readable as JSON") from None
+        raise ModelError(f"{name}: not the JSON of a {noun}") from None
 
 
 def contents(values: Any, path: str, form: str, noun: str) -> Json:
@@ -153,6 +149,14 @@ def number(value: Any, path: str) -> float:
             f"{path}: {shown(value)} is not a finite number up to {LARGEST:g}"
         )
     return float(value)
+
+
+def require_above_0(key: str, value: float, largest: float = math.inf) -> None:
+    """Refuse a number that is not between 0 and ``largest`` (ModelError that begins with the key)."""
+    if math.isfinite(value) and 0.0 < value < largest:
+        return
+    bound = "greater than 0" if largest == math.inf else f"between 0 and {largest:g}"
+    raise ModelError(f"{key}: {value!r} is not a finite number {bound}")
 
 
 def magnitude(value: Any, path: str) -> float:

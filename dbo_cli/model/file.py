@@ -8,8 +8,7 @@ an actuator was left, so that the next run goes on from there.
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from itertools import chain, groupby, pairwise
 from pathlib import Path
@@ -178,29 +177,20 @@ def _stage(values: Any, path: str, direction: Direction) -> Any:
         sections = partial(fields.listed, read=_section)
         return build(Dynamics, content, path, sections=sections)
     table = {"dx": fields.widths, "dy": fields.widths, "x0": number, "y0": number}
-    make: Callable[..., Stage] = Points if kind == "point" else Gears
-    if is_inverse:
-        make = partial(_exchanged, make)
     if kind == "point":
-        return build(make, content, path, **table)
+        points = build(Points, content, path, **table)
+        return points.inverse() if is_inverse else points
     terms = partial(_relaxation, on="output" if is_inverse else "input")
-    return build(make, content, path, ("relaxation",), relaxation=terms, **table)
+    gears = _inverse_gears if is_inverse else Gears
+    return build(gears, content, path, ("relaxation",), relaxation=terms, **table)
 
 
-def _exchanged(
-    make: Callable[..., Stage], dx: Any, dy: Any, x0: float, y0: float, **terms: Any
-) -> Stage:
-    """Return the stage that exchanged axes describe (17)-(18); what is wrong has the keys of the file."""
-    try:
-        return make(dy, dx, y0, x0, **terms)
-    except ModelError as problem:
-        exchange = {"x": "y", "y": "x"}
-        text = re.sub(
-            r"\b(d?)([xy])(0?)\b",
-            lambda key: key[1] + exchange[key[2]] + key[3],
-            str(problem),
-        )
-        raise ModelError(text) from None
+def _inverse_gears(
+    dx: Any, dy: Any, x0: float, y0: float, relaxation: Relaxation | None = None
+) -> Gears:
+    """Return the gears that exchanged axes describe (17)-(18)."""
+    Gears(dx, dy, x0, y0)  # refuses what is wrong by the keys of the file
+    return Gears(dy, dx, y0, x0, relaxation)
 
 
 def _negative_delay(seconds: float) -> Delay:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import kernel
-from dbo_cli.model.fields import Json
+from dbo_cli.model.fields import Json, require_above_0
 
 LEAST_SLOPE_LEFT = 0.03
 """Of the mean slope: what the negative gains must leave of every slope. At 0.1 % a wish with 1e-4 um of noise
@@ -64,10 +64,7 @@ class Relaxation:
                 f"gain: has {len(self.gain)} entries where tau has {len(self.tau)}"
             )
         for index, tau in enumerate(self.tau):
-            if not (math.isfinite(tau) and tau > 0.0):
-                raise ModelError(
-                    f"tau[{index}]: {tau!r} is not a finite time greater than 0"
-                )
+            require_above_0(f"tau[{index}]", tau)
 
     def keys(self) -> Json:
         """Return what a model file holds of the terms."""

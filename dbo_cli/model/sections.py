@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
-from dbo_cli.model.fields import Json
+from dbo_cli.model.fields import Json, require_above_0
 
 Complexes = NDArray[np.complexfloating]
 
@@ -35,16 +35,6 @@ LAG_ZERO = 0.4
 # cancellation
 _SERIES = 1.0
 _TERMS = 24  # of the series; the last is below 1e-20 of the first at one radian
-
-
-def _positive(key: str, value: float, largest: float = math.inf) -> None:
-    """Refuse a number that is not between 0 and ``most``, naming the key."""
-    if math.isfinite(value) and 0.0 < value < largest:
-        return
-    bound = "greater than 0"
-    if largest < math.inf:
-        bound = f"between 0 and {largest:g}"
-    raise ModelError(f"{key}: {value!r} is not a finite number {bound}")
 
 
 @dataclass(frozen=True)
@@ -64,8 +54,8 @@ class Mode:
 
     def __post_init__(self) -> None:
         """Refuse numbers out of range, naming the key."""
-        _positive("frequency", self.frequency)
-        _positive("damping", self.damping, 1.0)
+        require_above_0("frequency", self.frequency)
+        require_above_0("damping", self.damping, 1.0)
 
     def polynomial(self, frequency: Floats) -> Complexes:
         """Return its value at s = 2 pi i f, for frequencies in Hz."""
@@ -165,7 +155,7 @@ class Lag:
 
     def __post_init__(self) -> None:
         """Refuse numbers out of range, naming the key."""
-        _positive("lag", self.seconds)
+        require_above_0("lag", self.seconds)
         if not 0.0 <= self.lead < self.seconds:
             raise ModelError(
                 f"lead: {self.lead!r} is not from 0 to less than the lag of {self.seconds!r} s"

@@ -102,10 +102,11 @@ class Starts:
         # a little beside the step, so that a voltage that is rounded on its way still
         # starts on the same side
         margin = CROSSING_TOLERANCE * (above - below)
-        below, above, voltage = kernel.extension.backlash_settled_at(
+        halved: tuple[float, float, float] = kernel.extension.backlash_settled_at(
             self.gears.operator(True, is_inverse=True), self.inside.operator(True),
             self.gears.words(self.empty), output, below, above, 0.001 * margin,
         )  # fmt: skip
+        below, above, voltage = halved
         if not math.isnan(voltage):
             return min(max(voltage, low), high)
         ends = [min(max(end, low), high) for end in (below - margin, above + margin)]

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
+from dbo_cli.signals import COARSEST_DECIMAL, even
 
 # seconds since the sample before: one number, or one each
 Steps = float | Floats | None
@@ -21,11 +22,6 @@ Held = tuple[tuple[float, ...], tuple[float, ...]]
 # section, and the last two values wanted, for the delay
 Undoing = tuple[float, SectionStates, tuple[float, ...]]
 START_NAMES = ("auto", "empty", "full", "settled")
-
-_EVEN = 1e-6  # of a step: stamps this near to an even clock are one
-# of a step: decimals no coarser than this are the rounding of an even clock
-_COARSE = 0.05
-_LOOKED_AT = 50  # stamps that tell in how many decimals they are written
 
 
 @dataclass(frozen=True)
@@ -138,19 +134,13 @@ def steps_of(time: ArrayLike) -> float | Floats:
         Time goes backwards.
     """
     stamps = np.asarray(time, dtype=np.float64).reshape(-1)
-    steps = np.diff(stamps)
-    if not steps.size:
-        return np.zeros(stamps.size)
+    steps = np.diff(stamps, prepend=stamps[:1])
     wrong = np.flatnonzero(~(steps >= 0.0))
     if wrong.size:
-        row = int(wrong[0]) + 2
-        raise InputError(f"row {row}: time goes backwards, to {stamps[row - 1]:.9g} s")
-    mean = float(stamps[-1] - stamps[0]) / steps.size
-    slack = _EVEN * mean + 4.0 * float(np.spacing(np.abs(stamps).max()))
-    slack += _last_decimal(stamps[:_LOOKED_AT], _COARSE * mean)
-    if mean > 0.0 and float(np.abs(steps - mean).max()) <= slack:
-        return mean
-    return np.concatenate([[0.0], steps])
+        row = int(wrong[0])
+        raise InputError(f"row {row + 1}: time goes backwards, to {stamps[row]:.9g} s")
+    step = even(stamps)
+    return steps if step is None else step
 
 
 def steps_behind(last_time: float | None, time: Floats | None, dt: Steps) -> Steps:
@@ -161,18 +151,6 @@ def steps_behind(last_time: float | None, time: Floats | None, dt: Steps) -> Ste
     """
     if last_time is None or time is None or not time[0] > last_time:
         return dt
-    if isinstance(dt, float) and abs(time[0] - last_time - dt) <= _COARSE * dt:
+    if isinstance(dt, float) and abs(time[0] - last_time - dt) <= COARSEST_DECIMAL * dt:
         return dt
     return np.diff(time, prepend=last_time)
-
-
-def _last_decimal(stamps: Floats, coarsest: float) -> float:
-    """Return the last decimal place of numbers written in decimals; 0 where that is above ``coarsest``."""
-    for places in range(1, 13):
-        unit = 10.0**-places
-        if unit > coarsest:
-            continue
-        error = np.abs(stamps - np.round(stamps, places)).max()
-        if error < 1e-3 * unit + 4.0 * float(np.spacing(np.abs(stamps).max())):
-            return 1.01 * unit
-    return 0.0
