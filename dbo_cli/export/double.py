@@ -195,13 +195,11 @@ def _lookup_gears(plan: Plan, parts: c.Sources) -> None:
     n, empty = plan.gears.n, plan.forward.starts.empty
     if n > MOST_LOOKUP_GEARS:
         raise ModelError(
-            f"{plan.key}.dx: {n} gears are too many for `lookup`: add `gears` {MOST_LOOKUP_GEARS}, or leave "
-            "`lookup` out"
+            f"{plan.key}.dx: {n} gears: `lookup` takes `gears` {MOST_LOOKUP_GEARS} at most"
         )
     if plan.gain.size:
         raise ModelError(
-            f"{plan.key}.relaxation: not possible with `lookup`: leave it out, or identify with "
-            "`relaxation` 0"
+            f"{plan.key}.relaxation: not possible with `lookup`: identify with `relaxation` 0"
         )
     _operator(plan, parts, 1)
     states = np.arange(2**n)

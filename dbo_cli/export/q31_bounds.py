@@ -22,12 +22,12 @@ from typing import NamedTuple
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import ModelError
 from dbo_cli.export.plan import Plan
 from dbo_cli.export.q31_tables import (
     Axis,
     Folded,
     Memory,
+    beyond_q31,
     counts_of_range,
     shift_for,
 )
@@ -169,8 +169,5 @@ def _tolerance(
     )
     power = min(math.floor(-math.log2(2.0 * shift)), FINEST_TOLERANCE)
     if power < COARSEST_TOLERANCE:
-        raise ModelError(
-            f"{key}.dx: {x_axis.exact.size} gears are too narrow for q31: lower `gears`, or use "
-            "`arithmetic` double"
-        )
+        raise beyond_q31(f"{key}.dx", "lower `gears`, or ")
     return 2.0**-power

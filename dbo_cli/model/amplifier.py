@@ -19,13 +19,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.model import kernel
 from dbo_cli.model.fields import Json, require_above_0
 from dbo_cli.model.gears import Gears, Window, largest_step
-from dbo_cli.model.points import (
-    Curves,
-    back_through,
-    through,
-    value_back_through,
-    value_through,
-)
+from dbo_cli.model.points import Curves
 from dbo_cli.model.relaxation import checked_steps
 from dbo_cli.model.state import Run, State
 
@@ -131,17 +125,14 @@ class AmplifiedGears:
 
     def window(self, before: float, share: float, low: float, high: float) -> Window:
         """Return the range of the voltage at the gears for a drive from ``low`` to ``high``."""
-        ends = [
-            value_through(self.head, before + share * (end - before))
-            for end in (low, high)
-        ]
-        return min(ends), max(ends)
+        lowest, highest = (before + share * (end - before) for end in (low, high))
+        return self.head.ends(lowest, highest)
 
     def drive(
         self, voltage: float, before: float, share: float, low: float, high: float
     ) -> tuple[float, float]:
         """Return the drive for a voltage at the gears, and what comes out of the amplifier."""
-        u = value_back_through(self.head, voltage)
+        u = self.head.inverse().value(voltage)
         drive = before + (u - before) / share
         return min(max(drive, low), high), u  # rounding on the way back
 
@@ -186,7 +177,7 @@ class AmplifiedGears:
     ) -> tuple[Run, Floats]:
         """Return the drive as if there were no limits, and the voltage at the gears."""
         done = self.gears.undo(output, state, dt, extend=extend)
-        u = back_through(self.head, done.y)
+        u = self.head.inverse()(done.y)
         run = self.amplifier.undo(u, done.state, dt)
         last = float(run.y[-1])
         return Run(run.y, replace(run.state, drive=last)), done.y
@@ -213,11 +204,10 @@ class AmplifiedGears:
             after = replace(done.state, amplifier=u, drive=drive)
             return Run(np.array([drive]), after, done.clipped)
         free, voltage = self._undo_freely(output, state, dt, extend)
-        previous = np.concatenate([[before], back_through(self.head, voltage)[:-1]])
+        previous = np.concatenate([[before], self.head.inverse()(voltage)[:-1]])
         lows, highs = _range(np.concatenate([stands, free.y[:-1]]), changes, window)
         ends = [
-            through(self.head, previous + shares * (end - previous))
-            for end in (lows, highs)
+            self.head(previous + shares * (end - previous)) for end in (lows, highs)
         ]
         held = (free.y < lows) | (free.y > highs)
         held |= (voltage < np.minimum(*ends)) | (voltage > np.maximum(*ends))

@@ -29,15 +29,7 @@ from dbo_cli.model.dynamics import Dynamics
 from dbo_cli.model.fields import require_above_0
 from dbo_cli.model.gears import NEGLIGIBLE, Gears, Window
 from dbo_cli.model.inverter import Inverter
-from dbo_cli.model.points import (
-    Curve,
-    Curves,
-    Points,
-    Scale,
-    back_through,
-    value_back_through,
-    value_through,
-)
+from dbo_cli.model.points import Curve, Curves, Points, Scale
 from dbo_cli.model.start import Starts
 from dbo_cli.model.state import Quantity, Run, State, Steps, steps_of
 
@@ -95,7 +87,7 @@ def _only(kind: type[StageKind], stages: Sequence[Stage]) -> StageKind | None:
 
 def _curves(stages: Sequence[Stage]) -> Curves:
     """Return the curves among stages."""
-    return tuple(stage for stage in stages if isinstance(stage, Points | Scale))
+    return Curves(stage for stage in stages if isinstance(stage, Points | Scale))
 
 
 @dataclass(frozen=True)
@@ -275,7 +267,7 @@ class Cascade:
     @functools.cached_property
     def starts(self) -> Starts:
         """The starts of the gears; their voltage is that behind the curves before them."""
-        return Starts(self.gears, *self._at_gears(self.voltage.min, self.voltage.max))
+        return Starts(self.gears, *self.head.ends(self.voltage.min, self.voltage.max))
 
     def start(self, first_input: float, state: str | State = "auto") -> State:
         """Return the state before the first sample: one that is known, or by its name (``Starts.bits``).
@@ -287,7 +279,7 @@ class Cascade:
             return state
         if not self.is_forward:
             return self.forward().start_drive(first_input, state)
-        voltage = value_through(self.head, float(first_input))
+        voltage = self.head.value(float(first_input))
         return State(self.starts.bits(voltage, state))
 
     def start_drive(
@@ -312,16 +304,16 @@ class Cascade:
         self.require("forward")
         if isinstance(state, State):
             return state
-        starts, ends = self.starts, self._at_gears(low, high)
+        starts, ends = self.starts, self.head.ends(low, high)
         if state in ("empty", "full"):
             at_end = starts.inside.x_range[1 if state == "full" else 0]
-            voltage = value_back_through(self.head, min(max(at_end, ends[0]), ends[1]))
+            voltage = self.head.inverse().value(min(max(at_end, ends[0]), ends[1]))
             bits = starts.bits(at_end, state)
             return State(bits, drive=min(max(voltage, low), high))
-        output = value_back_through(self.tail, float(first))
+        output = self.tail.inverse().value(float(first))
         inner = starts.voltage_settled_at(output, *ends)
-        voltage = min(max(value_back_through(self.head, inner), low), high)
-        bits = starts.bits(value_through(self.head, voltage), state)
+        voltage = min(max(self.head.inverse().value(inner), low), high)
+        bits = starts.bits(self.head.value(voltage), state)
         return State(bits, first=voltage)
 
     # ---- simulation ----
@@ -420,8 +412,8 @@ class Cascade:
         """The range of this model's input: what it was identified on, or less where its gears end."""
         low, high = self.input.min, self.input.max
         if self.is_forward:
-            ends = [value_back_through(self.head, end) for end in self.gears.x_range]
-            low, high = max(low, min(ends)), min(high, max(ends))
+            least, most = self.head.inverse().ends(*self.gears.x_range)
+            low, high = max(low, least), min(high, most)
         slack = NEGLIGIBLE * self.input.span
         return low - slack, high + slack
 
@@ -531,7 +523,7 @@ class Cascade:
                 clipped = int(not window[0] < state.first < window[1])
             y = np.concatenate([reached, y[1:]])
         extend = outside != "hold"
-        output = back_through(self.tail, y)
+        output = self.tail.inverse()(y)
         if self.amplifier is None:
             result = self._undo_gears(output, state, steps, window, slew, extend)
         else:
@@ -560,10 +552,10 @@ class Cascade:
         if window is not None:
             inner, inner_slew = self.inner_limits(window, slew)
         if self.head and state.drive is not None:
-            at_gears = value_through(self.head, state.drive)
+            at_gears = self.head.value(state.drive)
             state = state.behind(state.bits, state.memory, at_gears)
         result = self.gears.undo(output, state, steps, inner, inner_slew, extend)
-        voltage = back_through(self.head, result.y)
+        voltage = self.head.inverse()(result.y)
         if window is not None and self.head:
             # rounding on the way back through the points
             voltage = np.clip(voltage, *window)
@@ -579,18 +571,13 @@ class Cascade:
         """
         if not self.head:
             return window, slew
-        low, high = self._at_gears(*window)
+        low, high = self.head.ends(*window)
         if slew is not None:
             for curve in self.head:
                 slew *= curve.least_slope
             slew *= 1.0 - NEGLIGIBLE  # the points round
         # a window of a last digit may be empty behind the points
         return (low, max(high, math.nextafter(low, math.inf))), slew
-
-    def _at_gears(self, low: float, high: float) -> tuple[float, float]:
-        """Return a range of the voltage behind the curves before the gears."""
-        ends = [value_through(self.head, low), value_through(self.head, high)]
-        return min(ends), max(ends)
 
 
 @functools.lru_cache(maxsize=8)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -165,32 +164,28 @@ class Scale(_Curve):
 
 
 Curve = Points | Scale
-Curves = tuple[Curve, ...]
 
 
-def through(curves: Sequence[Curve], x: Floats) -> Floats:
-    """Pass a block through curves."""
-    for curve in curves:
-        x = curve(x)
-    return x
+class Curves(tuple[Curve, ...]):
+    """Curves that a signal passes one after the other; none leave it as it is."""
 
+    def __call__(self, x: Floats) -> Floats:
+        """Return the output for one block."""
+        for curve in self:
+            x = curve(x)
+        return x
 
-def back_through(curves: Sequence[Curve], y: Floats) -> Floats:
-    """Return the block that curves make ``y`` of."""
-    for curve in reversed(curves):
-        y = curve.inverse()(y)
-    return y
+    def value(self, x: float) -> float:
+        """Return the output for one number."""
+        for curve in self:
+            x = curve.value(x)
+        return x
 
+    def ends(self, low: float, high: float) -> tuple[float, float]:
+        """Return the range of the output for an input from ``low`` to ``high``."""
+        ends = self.value(low), self.value(high)
+        return min(ends), max(ends)
 
-def value_through(curves: Sequence[Curve], x: float) -> float:
-    """Pass one number through curves."""
-    for curve in curves:
-        x = curve.value(x)
-    return x
-
-
-def value_back_through(curves: Sequence[Curve], y: float) -> float:
-    """Return the number that curves make ``y`` of."""
-    for curve in reversed(curves):
-        y = curve.inverse().value(y)
-    return y
+    def inverse(self) -> Curves:
+        """Return the curves that undo these."""
+        return Curves(curve.inverse() for curve in reversed(self))
