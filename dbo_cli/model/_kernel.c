@@ -81,6 +81,7 @@ static void *fixed_step(const dbo_backlash *op, const double *decay, dbo_fixed_s
     return memory;
 }
 
+/* Without a memory the actuator rests at the first sample: with factors of 0 nothing of the past is left. */
 static PyObject *backlash_run(PyObject *module, PyObject *args) {
     Py_buffer gears, guide, words, gain, memory, x, y, decay, step;
     dbo_backlash op;
@@ -89,13 +90,14 @@ static PyObject *backlash_run(PyObject *module, PyObject *args) {
     dbo_counts counts = {0, 0, 0, 0};
     dbo_fixed_step fixed;
     void *table = NULL;
+    double *none = NULL;
     Py_ssize_t n, run;
-    int limited, ready = 0;
-    size_t count, rows;
+    int limited, rests, ready = 0;
+    size_t count, rows, first = 0;
     (void)module;
     state.checkpoints = NULL;
-    if (!PyArg_ParseTuple(args, "y*y*nnddpy*dpw*w*dy*w*y*pdddy*", &gears, &guide, &n, &run, &op.x0, &op.y0, &op.extend,
-                          &gain, &op.reference, &op.memory_on_output, &words, &memory, &state.last, &x, &y,
+    if (!PyArg_ParseTuple(args, "y*y*nnddpy*dpw*w*pdy*w*y*pdddy*", &gears, &guide, &n, &run, &op.x0, &op.y0, &op.extend,
+                          &gain, &op.reference, &op.memory_on_output, &words, &memory, &rests, &state.last, &x, &y,
                           &decay, &limited, &limits.low, &limits.high, &limits.slack, &step))
         return NULL;
     count = NUMBERS(x);
@@ -111,20 +113,38 @@ static PyObject *backlash_run(PyObject *module, PyObject *args) {
     if (rows != 1 && rows != count && too_short("decay")) goto done;
     if (NUMBERS(step) > 1 && NUMBERS(step) != count && too_short("step")) goto done;
     if (!take_state(&op, &state, &words)) goto done;
+    if (op.terms && rests && count) {
+        none = PyMem_Calloc(op.terms, sizeof(double));
+        if (!none) {
+            PyErr_NoMemory();
+            goto done;
+        }
+        *(double *)y.buf = dbo_backlash_step(&op, &state, *(double *)x.buf, none, limited ? &limits : NULL, &counts);
+        first = 1;
+        if (limits.step) limits.step += limits.step_stride;
+    }
     ready = 1;
-    if (rows == 1 && count > op.n && (limited || (op.terms && op.memory_on_output)))
+    if (rows == 1 && count - first > op.n && (limited || (op.terms && op.memory_on_output)))
         /* An even clock: divide once a gear instead of once a sample, where that is less work. */
         table = fixed_step(&op, decay.buf, &fixed);
     Py_BEGIN_ALLOW_THREADS
-    if (table)
-        dbo_backlash_run_fixed(&op, &fixed, &state, x.buf, y.buf, count, limited ? &limits : NULL, &counts);
-    else
-        dbo_backlash_run(&op, &state, x.buf, y.buf, count, decay.buf, rows == 1 ? 0 : op.terms,
-                         limited ? &limits : NULL, &counts);
+    {
+        const double *in = (double *)x.buf + first;
+        const double *factors = (double *)decay.buf + (rows == 1 ? 0 : first * op.terms);
+        double *out = (double *)y.buf + first;
+        const size_t clipped = counts.clipped;
+        if (table)
+            dbo_backlash_run_fixed(&op, &fixed, &state, in, out, count - first, limited ? &limits : NULL, &counts);
+        else
+            dbo_backlash_run(&op, &state, in, out, count - first, factors, rows == 1 ? 0 : op.terms,
+                             limited ? &limits : NULL, &counts);
+        if (!clipped && counts.clipped) counts.first_clipped += first;
+    }
     dbo_backlash_bits(&op, &state, words.buf);
     Py_END_ALLOW_THREADS
     PyMem_Free(table);
 done:
+    PyMem_Free(none);
     PyMem_Free(state.checkpoints);
     PyBuffer_Release(&gears);
     PyBuffer_Release(&guide);
@@ -136,8 +156,7 @@ done:
     PyBuffer_Release(&decay);
     PyBuffer_Release(&step);
     if (!ready) return NULL;
-    return Py_BuildValue("(nnnn)", (Py_ssize_t)counts.outside, (Py_ssize_t)counts.first_outside,
-                         (Py_ssize_t)counts.clipped, (Py_ssize_t)counts.first_clipped);
+    return Py_BuildValue("(nn)", (Py_ssize_t)counts.clipped, (Py_ssize_t)counts.first_clipped);
 }
 
 static PyObject *backlash_decay(PyObject *module, PyObject *args) {
@@ -497,19 +516,22 @@ done:
 static PyObject *memory_run(PyObject *module, PyObject *args) {
     Py_buffer memory, x, rows, decay;
     double reference;
-    int ready = 0;
-    size_t terms, count, given;
+    int rests, ready = 0;
+    size_t terms, count, given, first = 0;
     (void)module;
-    if (!PyArg_ParseTuple(args, "dw*y*w*y*", &reference, &memory, &x, &rows, &decay)) return NULL;
+    if (!PyArg_ParseTuple(args, "dw*py*w*y*", &reference, &memory, &rests, &x, &rows, &decay)) return NULL;
     terms = NUMBERS(memory);
     count = NUMBERS(x);
     given = terms ? NUMBERS(decay) / terms : 1;
     if (NUMBERS(rows) != count * terms && too_short("rows")) goto done;
     if (given != 1 && given != count && too_short("decay")) goto done;
     ready = 1;
+    for (; rests && count && first < terms; first++)
+        ((double *)rows.buf)[first] = ((double *)memory.buf)[first] = *(double *)x.buf - reference;
+    first = rests && count;
     Py_BEGIN_ALLOW_THREADS
-    dbo_memory_run(terms, reference, memory.buf, x.buf, rows.buf, count, decay.buf,
-                   given == 1 ? 0 : terms);
+    dbo_memory_run(terms, reference, memory.buf, (double *)x.buf + first, (double *)rows.buf + first * terms,
+                   count - first, (double *)decay.buf + (given == 1 ? 0 : first * terms), given == 1 ? 0 : terms);
     Py_END_ALLOW_THREADS
 done:
     PyBuffer_Release(&memory);
@@ -716,7 +738,7 @@ static PyMethodDef methods[] = {
     {"between_even", between_even, METH_VARARGS, "Evenly spaced samples, shifted by a part of a step."},
     {NULL, NULL, 0, NULL}};
 
-#define INTERFACE 4 /* of the functions' arguments; kernel.py has the same number and refuses another */
+#define INTERFACE 5 /* of the functions' arguments; kernel.py has the same number and refuses another */
 
 static int add_types(PyObject *module) {
     PyObject *type;

@@ -83,19 +83,11 @@ class Amplifier:
         if x.size == 0:
             return Run(x, state)
         decay = np.exp(-checked_steps(dt) / self.seconds)
-        memory, u = np.zeros(1), np.empty((x.size, 1))
-        first = 0
-        if state.amplifier is None:
-            memory[0] = u[0] = x[0]
-            first = 1
-        else:
-            memory[0] = state.amplifier
-        if len(decay) > 1:
-            decay = decay[first:]
-        decay = np.ascontiguousarray(decay[:, np.newaxis])
-        signal = np.ascontiguousarray(x[first:])
-        kernel.extension.memory_run(0.0, memory, signal, u[first:], decay)
-        return Run(u[:, 0].copy(), replace(state, amplifier=float(memory[0])))
+        memory, u = np.array([state.amplifier or 0.0]), np.empty(x.size)
+        kernel.extension.memory_run(
+            0.0, memory, state.amplifier is None, np.ascontiguousarray(x), u, decay
+        )
+        return Run(u, replace(state, amplifier=float(memory[0])))
 
     def undo(self, y: Floats, state: State, dt: float | Floats) -> Run:
         """Return the drive for one block of the voltage behind the amplifier, and the state after it."""

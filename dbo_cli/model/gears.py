@@ -269,40 +269,14 @@ class Gears:
         """Run the kernel over a block; where no memory is known, the first sample is at rest."""
         if x.size == 0:
             return Run(x, state)
-        steps = _NO_NUMBERS
+        steps = decay = _NO_NUMBERS
         if window is not None and slew is not None:
             steps = np.array(largest_step(slew, dt), dtype=np.float64).reshape(-1)
-        if self.relaxation is None:
-            return self._kernel(operator, x, state, _NO_NUMBERS, window, steps)
-        if state.memory is not None:
+        if self.relaxation is not None:
             decay = self.relaxation.decay(dt)
-            return self._kernel(operator, x, state, decay, window, steps)
-        # at rest at the first sample: without decay nothing of the past is left
-        at_rest = state.behind(state.bits, (0.0,) * self.gain.size, state.drive)
-        none = np.zeros((1, self.gain.size))
-        first = self._kernel(operator, x[:1], at_rest, none, window, steps[:1])
-        if x.size == 1:
-            return first
-        decay = self.relaxation.decay(dt)
-        decay = decay if len(decay) == 1 else np.ascontiguousarray(decay[1:])
-        steps = steps if steps.size == 1 else steps[1:]
-        after = self._kernel(operator, x[1:], first.state, decay, window, steps)
-        y = np.concatenate([first.y, after.y])
-        clipped = first.clipped + after.clipped
-        index = 0 if first.clipped or not clipped else after.first_clipped + 1
-        return Run(y, after.state, clipped, index)
-
-    def _kernel(
-        self,
-        operator: tuple[Any, ...],
-        x: Floats,
-        state: State,
-        decay: Floats,
-        window: Window | None,
-        steps: Floats,
-    ) -> Run:
-        """Run the kernel over a block whose memory is known."""
-        memories = np.array(state.memory or (), dtype=np.float64)
+        memories = np.zeros(self.gain.size)
+        if state.memory is not None:
+            memories = np.array(state.memory, dtype=np.float64)
         if memories.size != self.gain.size:
             raise ModelError(
                 f"state: has {memories.size} relaxation terms, the model {self.gain.size}"
@@ -311,14 +285,14 @@ class Gears:
         words = self.words(state.bits)
         before = math.nan if state.drive is None else state.drive
         low, high = window or OPEN
-        counts = kernel.extension.backlash_run(
-            *operator, words, memories, before, x, y, decay,
+        clipped: tuple[int, int] = kernel.extension.backlash_run(
+            *operator, words, memories, state.memory is None, before, x, y, decay,
             window is not None, low, high, self.slack(low, high), steps,
         )  # fmt: skip
         memory = None if self.relaxation is None else tuple(memories.tolist())
         is_inverse = operator[-1]
         voltage = float(y[-1]) if is_inverse else float(x[-1])
-        return Run(y, state.behind(bits_of(words), memory, voltage), *counts[2:])
+        return Run(y, state.behind(bits_of(words), memory, voltage), *clipped)
 
     def slack(self, low: float, high: float) -> float:
         """Return by how much clipping to a range has to move a voltage to count."""

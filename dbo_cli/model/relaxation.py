@@ -125,20 +125,10 @@ class Relaxation:
         Without ``memory`` the actuator rests at the first sample.
         """
         drive = np.ascontiguousarray(voltage, dtype=np.float64)
-        memories = np.zeros(len(self.tau))
+        memories = np.array(memory or np.zeros(len(self.tau)), dtype=np.float64)
         rows = np.empty((drive.size, len(self.tau)))
-        start = 0
-        if memory is not None:
-            memories[:] = memory
-        elif drive.size:
-            memories[:] = drive[0] - self.reference
-            rows[0] = memories
-            start = 1
-        decay = self.decay(dt)
-        if len(decay) > 1:
-            decay = np.ascontiguousarray(decay[start:])
         kernel.extension.memory_run(
-            self.reference, memories, drive[start:], rows[start:], decay
+            self.reference, memories, memory is None, drive, rows, self.decay(dt)
         )
         return rows, tuple(memories.tolist())
 
