@@ -17,7 +17,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.model import kernel
-from dbo_cli.model.fields import Json, require_above_0
+from dbo_cli.model.fields import Keyed, number, require_above_0
 from dbo_cli.model.gears import Gears, Window, largest_step
 from dbo_cli.model.points import Curves
 from dbo_cli.model.relaxation import checked_steps
@@ -30,7 +30,7 @@ AT_REST = 0.0, 1.0
 
 
 @dataclass(frozen=True)
-class Amplifier:
+class Amplifier(Keyed):
     """A first-order lag of the drive.
 
     Parameters
@@ -46,6 +46,7 @@ class Amplifier:
 
     seconds: float
     needs_time: ClassVar[bool] = True
+    KEYS: ClassVar = {"seconds": number}
 
     def __post_init__(self) -> None:
         """Refuse what is not a time."""
@@ -97,10 +98,6 @@ class Amplifier:
         previous = np.concatenate([[before], y[:-1]])
         drive = previous + (y - previous) / shares
         return Run(drive, replace(state, amplifier=float(y[-1])))
-
-    def keys(self) -> Json:
-        """Return what a model file holds of the stage."""
-        return {"type": "amplifier", "seconds": self.seconds}
 
     def identity(self) -> list[object]:
         """Return what a state of the stage refers to."""

@@ -12,9 +12,11 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
+
+import numpy as np
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.files import note_input
@@ -229,6 +231,47 @@ def widths(items: Any, path: str) -> list[float]:
 
     listed(items, path, read)
     return values
+
+
+# ---- what is read and written alike ----
+
+
+class Keyed:
+    """What stands in a file as an object, whose keys are its attributes.
+
+    Attributes
+    ----------
+    KEYS : mapping
+        How each key is read, in the order in which they are written.
+    OPTIONAL : tuple of str
+        Keys that may be missing: they are, where nothing stands for them.
+    """
+
+    KEYS: ClassVar[Mapping[str, Reader]] = {}
+    OPTIONAL: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def read(cls, values: Any, path: str) -> Any:
+        """Return what an object describes."""
+        return build(cls, values, path, cls.OPTIONAL, **cls.KEYS)
+
+    def keys(self) -> Json:
+        """Return the keys and plain values."""
+        values = {}
+        for key in self.KEYS:
+            value = getattr(self, key)
+            if key not in self.OPTIONAL or value:
+                values[key] = _plain(value)
+        return values
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON has it."""
+    if isinstance(value, Keyed):
+        return value.keys()
+    if isinstance(value, tuple | np.ndarray):
+        return [_plain(item) for item in value]
+    return value if value is None or isinstance(value, str) else float(value)
 
 
 # ---- writing ----

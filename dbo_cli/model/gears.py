@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,10 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
-from dbo_cli.model.fields import Json
+from dbo_cli.model.fields import Keyed
 from dbo_cli.model.relaxation import Relaxation
 from dbo_cli.model.state import Run, State
 from dbo_cli.model.widths import (
+    TABLE,
     checked_pair,
     equal_run,
     gear_table,
@@ -54,7 +55,7 @@ def largest_step(slew: float | None, dt: float | Floats | None) -> Any:
     return slew * dt * INWARDS
 
 
-class Gears:
+class Gears(Keyed):
     """The Discrete Backlash Operator of n gears, (1)-(12), with relaxation beside the gears.
 
     Parameters
@@ -82,6 +83,9 @@ class Gears:
     Outside [X_0, X_0 + sum dX_i] the paper says nothing. ``extend`` goes on with the
     slope of gear n - 1, the last one engaged on the way there; without it Y_B is kept.
     """
+
+    KEYS: ClassVar = {**TABLE, "relaxation": Relaxation.read}
+    OPTIONAL: ClassVar = ("relaxation",)
 
     def __init__(
         self,
@@ -329,14 +333,6 @@ class Gears:
         stepper.get(words, memory)
         after = None if self.relaxation is None else tuple(memory.tolist())
         return State(bits_of(words), after)
-
-    def keys(self) -> Json:
-        """Return what a model file holds of the stage."""
-        keys: Json = {"type": "backlash", "x0": self.x0, "y0": self.y0}
-        keys |= {"dx": self.dx.tolist(), "dy": self.dy.tolist()}
-        if self.relaxation is not None:
-            keys["relaxation"] = {"on": "input", **self.relaxation.keys()}
-        return keys
 
     def identity(self) -> list[object]:
         """Return what a state of the stage refers to."""

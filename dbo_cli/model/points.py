@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
-from dbo_cli.model.fields import Json
+from dbo_cli.model.fields import Keyed, number
 from dbo_cli.model.state import Run, State
-from dbo_cli.model.widths import checked_pair, on_binary_grid
+from dbo_cli.model.widths import TABLE, checked_pair, on_binary_grid
 
 
-class _Curve:
+class _Curve(Keyed):
     """A function of the present sample alone: what its kinds have in common as stages."""
 
     needs_time: ClassVar[bool] = False
@@ -56,6 +56,8 @@ class Points(_Curve):
     ModelError
         Lengths differ or a width is not > 0; the message begins with the key.
     """
+
+    KEYS: ClassVar = TABLE
 
     def __init__(
         self, dx: ArrayLike, dy: ArrayLike, x0: float = 0.0, y0: float = 0.0
@@ -99,11 +101,6 @@ class Points(_Curve):
         kernel.extension.point_run(self.segments, self.x0, self.y0, y, y)
         return float(y[0])
 
-    def keys(self) -> Json:
-        """Return what a model file holds of the stage."""
-        widths = {"dx": self.dx.tolist(), "dy": self.dy.tolist()}
-        return {"type": "point", "x0": self.x0, "y0": self.y0, **widths}
-
     def identity(self) -> list[object]:
         """Return what a state of the stage refers to."""
         return [[self.dx.tolist(), self.dy.tolist(), self.x0, self.y0]]
@@ -121,6 +118,7 @@ class Scale(_Curve):
 
     gain: float
     offset: float
+    KEYS: ClassVar = {"gain": number, "offset": number}
 
     def __post_init__(self) -> None:
         """Refuse what cannot be inverted."""
@@ -153,10 +151,6 @@ class Scale(_Curve):
     def least_slope(self) -> float:
         """The gain without its sign."""
         return abs(self.gain)
-
-    def keys(self) -> Json:
-        """Return what a model file holds of the stage."""
-        return {"type": "scale", "gain": self.gain, "offset": self.offset}
 
     def identity(self) -> list[object]:
         """Return what a state of the stage refers to; inverted twice, the last digits may differ."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
+from dbo_cli.model.fields import Keyed, number, text, unless_null
 from dbo_cli.signals import COARSEST_DECIMAL, even
 
 # seconds since the sample before: one number, or one each
@@ -25,7 +26,7 @@ START_NAMES = ("auto", "empty", "full", "settled")
 
 
 @dataclass(frozen=True)
-class Quantity:
+class Quantity(Keyed):
     """What a signal is: its name, its unit (None: not known), and the range the model covers.
 
     Raises
@@ -38,6 +39,12 @@ class Quantity:
     unit: str | None
     min: float
     max: float
+    KEYS: ClassVar = {
+        "quantity": text,
+        "unit": unless_null(text),
+        "min": number,
+        "max": number,
+    }
 
     def __post_init__(self) -> None:
         """Refuse a range whose ends are not in order."""
