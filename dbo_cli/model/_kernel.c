@@ -87,7 +87,7 @@ static PyObject *backlash_run(PyObject *module, PyObject *args) {
     dbo_backlash op;
     dbo_backlash_state state;
     dbo_limits limits;
-    dbo_counts counts = {0, 0, 0, 0};
+    dbo_counts counts = {0, 0};
     dbo_fixed_step fixed;
     void *table = NULL;
     double *none = NULL;
@@ -391,7 +391,7 @@ static dbo_backlash_state *from_now(stepper *self) {
 static double stepper_step(stepper *self, double x) {
     const dbo_limits *limits = self->limited ? &self->limits : NULL;
     dbo_backlash_state *next = from_now(self);
-    dbo_counts counts = {0, 0, 0, 0};
+    dbo_counts counts = {0, 0};
     double y;
     if (self->table)
         y = dbo_backlash_step_fixed(&self->op, &self->fixed, next, x, limits, &counts);
@@ -688,27 +688,18 @@ done:
 }
 
 static PyObject *plays_solve(PyObject *module, PyObject *args) {
-    Py_buffer table, curve, z, y, x, share, step;
+    Py_buffer table, curve, z, y, x, share;
     dbo_plays op;
-    dbo_play_limits limits;
     Py_ssize_t n;
-    size_t clipped = 0, first = 0;
-    double last;
-    int limited, ready = 0;
+    int ready = 0;
     (void)module;
-    if (!PyArg_ParseTuple(args, "ny*y*w*y*w*y*pdddy*d", &n, &table, &curve, &z, &y, &x, &share, &limited, &limits.low,
-                          &limits.high, &limits.slack, &step, &last))
-        return NULL;
-    limits.step = NUMBERS(step) ? step.buf : NULL;
-    limits.step_stride = NUMBERS(step) > 1;
+    if (!PyArg_ParseTuple(args, "ny*y*w*y*w*y*", &n, &table, &curve, &z, &y, &x, &share)) return NULL;
     if (!assemble_plays(&op, n, &table, &curve, &z)) goto done;
     if (NUMBERS(x) != NUMBERS(y) && too_short("x")) goto done;
     if (NUMBERS(share) != (op.by_rate ? NUMBERS(y) : 0) && too_short("share")) goto done;
-    if (NUMBERS(step) > 1 && NUMBERS(step) != NUMBERS(y) && too_short("step")) goto done;
     ready = 1;
     Py_BEGIN_ALLOW_THREADS
-    clipped = dbo_plays_solve(&op, z.buf, y.buf, x.buf, NUMBERS(y), op.by_rate ? share.buf : NULL,
-                              limited ? &limits : NULL, last, &first);
+    dbo_plays_solve(&op, z.buf, y.buf, x.buf, NUMBERS(y), op.by_rate ? share.buf : NULL);
     Py_END_ALLOW_THREADS
 done:
     PyBuffer_Release(&table);
@@ -717,9 +708,8 @@ done:
     PyBuffer_Release(&y);
     PyBuffer_Release(&x);
     PyBuffer_Release(&share);
-    PyBuffer_Release(&step);
     if (!ready) return NULL;
-    return Py_BuildValue("(nn)", (Py_ssize_t)clipped, (Py_ssize_t)first);
+    return Py_BuildValue("");
 }
 
 static PyMethodDef methods[] = {
