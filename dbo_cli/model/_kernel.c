@@ -33,14 +33,13 @@ static int too_short(const char *what) {
 }
 
 /* The operator's table and guide out of buffers; 0 with an error set where lengths do not match. */
-static int assemble(dbo_backlash *op, const Py_buffer *gears, const Py_buffer *guide, Py_ssize_t n, Py_ssize_t run) {
+static int assemble(dbo_backlash *op, const Py_buffer *gears, const Py_buffer *guide, Py_ssize_t n) {
     const Py_ssize_t rows = gears->len / (Py_ssize_t)sizeof(dbo_gear) - 1;
-    if (n < 1 || run < 1 || rows != n / run + (n % run > 0)) return !too_short("gears");
-    if ((uint64_t)n * (uint64_t)run >> 32) return !too_short("run");
+    if (n < 1 || rows != n || (uint64_t)n >> 32) return !too_short("gears");
     op->gears = gears->buf;
     op->n = (size_t)n;
-    op->run = (size_t)run;
-    op->row_factor = DBO_ROW_FACTOR(run);
+    op->run = 1;
+    op->row_factor = DBO_ROW_FACTOR(1);
     op->parts = (size_t)guide->len / sizeof(dbo_place);
     op->guide = op->parts > 1 ? guide->buf : NULL;
     if (op->guide) op->parts--;
@@ -91,12 +90,12 @@ static PyObject *backlash_run(PyObject *module, PyObject *args) {
     dbo_fixed_step fixed;
     void *table = NULL;
     double *none = NULL;
-    Py_ssize_t n, run;
+    Py_ssize_t n;
     int limited, rests, ready = 0;
     size_t count, rows, first = 0;
     (void)module;
     state.checkpoints = NULL;
-    if (!PyArg_ParseTuple(args, "y*y*nnddpy*dpw*w*pdy*w*y*pdddy*", &gears, &guide, &n, &run, &op.x0, &op.y0, &op.extend,
+    if (!PyArg_ParseTuple(args, "y*y*nddpy*dpw*w*pdy*w*y*pdddy*", &gears, &guide, &n, &op.x0, &op.y0, &op.extend,
                           &gain, &op.reference, &op.memory_on_output, &words, &memory, &rests, &state.last, &x, &y,
                           &decay, &limited, &limits.low, &limits.high, &limits.slack, &step))
         return NULL;
@@ -107,7 +106,7 @@ static PyObject *backlash_run(PyObject *module, PyObject *args) {
     rows = op.terms ? NUMBERS(decay) / op.terms : 1;
     limits.step = NUMBERS(step) ? step.buf : NULL;
     limits.step_stride = NUMBERS(step) > 1;
-    if (!assemble(&op, &gears, &guide, n, run)) goto done;
+    if (!assemble(&op, &gears, &guide, n)) goto done;
     if (NUMBERS(y) != count && too_short("y")) goto done;
     if (NUMBERS(memory) != op.terms && too_short("memory")) goto done;
     if (rows != 1 && rows != count && too_short("decay")) goto done;
@@ -164,17 +163,17 @@ static PyObject *backlash_decay(PyObject *module, PyObject *args) {
     dbo_backlash op;
     dbo_backlash_state state;
     double drive;
-    Py_ssize_t n, run;
+    Py_ssize_t n;
     int ready = 0;
     (void)module;
     state.checkpoints = NULL;
     state.memory = NULL;
-    if (!PyArg_ParseTuple(args, "y*y*nnddpy*dpw*d", &gears, &guide, &n, &run, &op.x0, &op.y0, &op.extend, &gain,
+    if (!PyArg_ParseTuple(args, "y*y*nddpy*dpw*d", &gears, &guide, &n, &op.x0, &op.y0, &op.extend, &gain,
                           &op.reference, &op.memory_on_output, &words, &drive))
         return NULL;
     op.terms = 0;
     op.gain = NULL;
-    if (!assemble(&op, &gears, &guide, n, run)) goto done;
+    if (!assemble(&op, &gears, &guide, n)) goto done;
     if (!take_state(&op, &state, &words)) goto done;
     dbo_backlash_decay(&op, &state, op.n, NULL, drive);
     dbo_backlash_bits(&op, &state, words.buf);
@@ -192,7 +191,7 @@ done:
 /* The words of the settled state at a drive: of the gears inside the range, beside what others have in `spare`. */
 static void settled_words(const dbo_backlash *inside, dbo_backlash_state *state, const Py_buffer *spare, double drive,
                           uint64_t *words) {
-    const double width = inside->gears[inside->n / inside->run + (inside->n % inside->run > 0)].x;
+    const double width = inside->gears[inside->n].x;
     const uint64_t *others = spare->buf;
     memset(words, 0, (size_t)spare->len);
     if (drive >= inside->x0 + width)
@@ -213,13 +212,13 @@ static PyObject *backlash_settled_at(PyObject *module, PyObject *args) {
     double output, below, above, narrow, drive = NAN;
     double *numbers = NULL;
     uint64_t *words = NULL, *again;
-    Py_ssize_t n, run, inside_n, inside_run;
+    Py_ssize_t n, inside_n;
     int ready = 0;
     (void)module;
     state.checkpoints = settled.checkpoints = NULL;
-    if (!PyArg_ParseTuple(args, "(y*y*nnddpy*dp)(y*y*nnddpy*dp)y*dddd", &gears, &guide, &n, &run, &op.x0, &op.y0,
+    if (!PyArg_ParseTuple(args, "(y*y*nddpy*dp)(y*y*nddpy*dp)y*dddd", &gears, &guide, &n, &op.x0, &op.y0,
                           &op.extend, &gain, &op.reference, &op.memory_on_output, &inside_gears, &inside_guide,
-                          &inside_n, &inside_run, &inside.x0, &inside.y0, &inside.extend, &inside_gain,
+                          &inside_n, &inside.x0, &inside.y0, &inside.extend, &inside_gain,
                           &inside.reference, &inside.memory_on_output, &spare, &output, &below, &above, &narrow))
         return NULL;
     op.terms = NUMBERS(gain);
@@ -227,8 +226,8 @@ static PyObject *backlash_settled_at(PyObject *module, PyObject *args) {
     inside.terms = 0;
     inside.gain = NULL;
     settled.memory = NULL;
-    if (!assemble(&op, &gears, &guide, n, run)) goto done;
-    if (!assemble(&inside, &inside_gears, &inside_guide, inside_n, inside_run)) goto done;
+    if (!assemble(&op, &gears, &guide, n)) goto done;
+    if (!assemble(&inside, &inside_gears, &inside_guide, inside_n)) goto done;
     if ((size_t)spare.len < STATE_WORDS(op.n) * sizeof(uint64_t) && too_short("spare")) goto done;
     if (inside.n > op.n && too_short("gears")) goto done;
     numbers = PyMem_Calloc(2 * op.terms + 1, sizeof(double)); /* memory, and factors for a rest */
@@ -315,13 +314,13 @@ static int stepper_room(stepper *self, const Py_buffer *gain, const Py_buffer *d
 
 static PyObject *stepper_new(PyTypeObject *type, PyObject *args, PyObject *keywords) {
     Py_buffer gain, decay;
-    Py_ssize_t n, run;
+    Py_ssize_t n;
     int ready = 0;
     stepper *self;
     (void)keywords;
     self = (stepper *)PyType_GenericAlloc(type, 0);
     if (!self) return NULL;
-    if (!PyArg_ParseTuple(args, "y*y*nnddpy*dpy*pdddd", &self->gears, &self->guide, &n, &run, &self->op.x0,
+    if (!PyArg_ParseTuple(args, "y*y*nddpy*dpy*pdddd", &self->gears, &self->guide, &n, &self->op.x0,
                           &self->op.y0, &self->op.extend, &gain, &self->op.reference, &self->op.memory_on_output, &decay,
                           &self->limited, &self->limits.low, &self->limits.high, &self->limits.slack,
                           &self->largest_change)) {
@@ -329,7 +328,7 @@ static PyObject *stepper_new(PyTypeObject *type, PyObject *args, PyObject *keywo
         return NULL;
     }
     self->limits.step = self->largest_change == self->largest_change ? &self->largest_change : NULL;
-    if (!assemble(&self->op, &self->gears, &self->guide, n, run)) goto done;
+    if (!assemble(&self->op, &self->gears, &self->guide, n)) goto done;
     if (NUMBERS(decay) != NUMBERS(gain) && too_short("decay")) goto done;
     if (!stepper_room(self, &gain, &decay)) goto done;
     dbo_backlash_load(&self->op, &self->now, NULL);
@@ -481,15 +480,15 @@ static PyObject *backlash_engagement(PyObject *module, PyObject *args) {
     Py_buffer gears, guide, words, x, rows, crossed;
     dbo_backlash op = {0};
     dbo_backlash_state state;
-    Py_ssize_t n, run, group_size;
+    Py_ssize_t n, group_size;
     size_t columns;
     int ready = 0;
     (void)module;
     state.checkpoints = NULL;
-    if (!PyArg_ParseTuple(args, "y*y*nndpw*y*w*w*n", &gears, &guide, &n, &run, &op.x0, &op.extend, &words, &x,
+    if (!PyArg_ParseTuple(args, "y*y*ndpw*y*w*w*n", &gears, &guide, &n, &op.x0, &op.extend, &words, &x,
                           &rows, &crossed, &group_size))
         return NULL;
-    if (!assemble(&op, &gears, &guide, n, run)) goto done;
+    if (!assemble(&op, &gears, &guide, n)) goto done;
     if (group_size < 1 && too_short("group_size")) goto done;
     columns = (op.n + (size_t)group_size - 1) / (size_t)group_size;
     if (NUMBERS(rows) != NUMBERS(x) * columns && too_short("rows")) goto done;
@@ -728,7 +727,7 @@ static PyMethodDef methods[] = {
     {"between_even", between_even, METH_VARARGS, "Evenly spaced samples, shifted by a part of a step."},
     {NULL, NULL, 0, NULL}};
 
-#define INTERFACE 5 /* of the functions' arguments; kernel.py has the same number and refuses another */
+#define INTERFACE 6 /* of the functions' arguments; kernel.py has the same number and refuses another */
 
 static int add_types(PyObject *module) {
     PyObject *type;

@@ -169,7 +169,7 @@ class Gears(Keyed):
         if is_inverse:
             rows, origins = self._exchanged_rows, (self.y0, self.x0)
         ends = *origins, extend, self.gain, self._reference
-        return *rows, self.n, 1, *ends, is_inverse
+        return *rows, self.n, *ends, is_inverse
 
     @property
     def _reference(self) -> float:
@@ -357,7 +357,7 @@ class Gears(Keyed):
         crossed = np.empty(-(-self.n // group_size))
         rows = np.empty((x.size, crossed.size))
         kernel.extension.backlash_engagement(
-            *self.kernel_rows, self.n, 1, self.x0, True, words, x, rows, crossed, group_size
+            *self.kernel_rows, self.n, self.x0, True, words, x, rows, crossed, group_size
         )  # fmt: skip
         return rows, bits_of(words)
 
