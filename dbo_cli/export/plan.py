@@ -79,11 +79,6 @@ class Plan:
         """How many checkpoints a state keeps of its turns, as dbo_kernel.h and dbo_q31.h have it."""
         return (self.gears.n - 1) // SPACING
 
-    @property
-    def gain(self) -> Floats:
-        """c_j of the relaxation terms."""
-        return self.gears.gain
-
     @cached_property
     def decay(self) -> Floats:
         """a_j = exp(-dt/tau_j)."""
@@ -94,16 +89,9 @@ class Plan:
         return decay
 
     @property
-    def reference(self) -> float:
-        """The drive, as the gears meet it, at which nothing is remembered."""
-        if self.gears.relaxation is None:
-            return 0.0
-        return self.gears.relaxation.reference
-
-    @property
     def kappa(self) -> float:
         """The immediate part of the memory, sum c_j (1 - a_j), added term by term as the kernel does."""
-        return float(sum((self.gain * (1.0 - self.decay)).tolist()))
+        return float(sum((self.gears.gain * (1.0 - self.decay)).tolist()))
 
     def at_gears(self, drive: float) -> float:
         """Return a drive as the gears meet it."""

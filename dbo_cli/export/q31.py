@@ -54,7 +54,7 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
     limits = limits_of(plan, y_axis)
     runs = [_run(plan, None, 1), _run(plan, plan.trimmed, 2)]
     # where the gears begin on the input, which the memory widens
-    begin = gears.y0 + plan.kappa * (gears.x0 - plan.reference)
+    begin = gears.y0 + plan.kappa * (gears.x0 - plan.gears.reference)
     source_counts, drive_counts = counts_of_range(source), counts_of_range(drive)
     functions = {
         "BEFORE": segments_of(before, source_counts, (begin, x_axis.unit)),
@@ -87,7 +87,7 @@ def _check(plan: Plan) -> None:
         raise beyond_q31("amplifier")
     if plan.forward.dynamics is not None:
         raise beyond_q31("dynamics")
-    if np.any(plan.gain < 0.0):  # no bound is proven for them
+    if np.any(plan.gears.gain < 0.0):  # no bound is proven for them
         raise beyond_q31(f"{plan.key}.relaxation.gain")
     if np.any(1.0 - plan.decay < SLOWEST_REST):
         raise beyond_q31(f"{plan.key}.relaxation.tau", "lower `sample_rate`, or ")
@@ -97,7 +97,7 @@ def _check(plan: Plan) -> None:
 
 def _members(plan: Plan) -> list[str]:
     """Return the members of the state."""
-    n, terms = plan.gears.n, plan.gain.size
+    n, terms = plan.gears.n, plan.gears.gain.size
     members = ["dboq_backlash_state gears;", f"dboq_place turns[{n}];"]
     if plan.checkpoints:
         members.insert(0, f"dboq_checkpoint checkpoints[{plan.checkpoints}];")
@@ -126,7 +126,7 @@ def _values(plan: Plan, y_axis: Axis, limits: CountLimits) -> dict[str, str]:
         "STEP": delay.rstrip("\n"),
         "SLEW": slew.rstrip("\n"),
         "CHECKPOINTS": "state->checkpoints" if plan.checkpoints else "0",
-        "MEMORY": "state->memory" if plan.gain.size else "0",
+        "MEMORY": "state->memory" if plan.gears.gain.size else "0",
         "COVERED": str(plan.forward.starts.inside.n),
         "FIRST_DRIVE": c.whole(position),
         "FIRST_OUTPUT": c.whole(output),

@@ -143,7 +143,7 @@ def _height_error(x_axis: Axis, y_axis: Axis, run: int) -> float:
 
 def _memory_error(plan: Plan, memory: Memory, x_axis: Axis, y_axis: Axis) -> float:
     """Bound what the memories round, as the input meets it."""
-    carried = plan.gain * plan.decay
+    carried = plan.gears.gain * plan.decay
     counts = (float(y_axis.exact.sum()) + abs(memory.offset)) / memory.unit
     followed = 2.0 + 2.0 * counts * 2.0**-30 + 2.0**-24 / (1.0 - plan.decay)
     recalled = 0.5 + carried.size * counts * 2.0 ** -(memory.carried_shift + 1)
@@ -152,7 +152,7 @@ def _memory_error(plan: Plan, memory: Memory, x_axis: Axis, y_axis: Axis) -> flo
 
 def _loop(plan: Plan, steepest: float) -> tuple[float, float]:
     """Return the gain of the loop through the memory, and how much a disturbance grows in it."""
-    c, a = plan.gain, plan.decay
+    c, a = plan.gears.gain, plan.decay
     b = 1.0 - a
     stiff = max(1.0 / steepest - plan.kappa, 0.0) + 0.5 * plan.kappa
     rho = float(np.min(2.0 * b * (1.0 - 0.5 * b)))

@@ -176,12 +176,12 @@ def memory_of(plan: Plan, x_axis: Axis, y_axis: Axis) -> Memory | None:
     One of its counts is one of the output axis, or coarser where the reference is far
     away: it has 31 bits.
     """
-    if not plan.gain.size:
+    if not plan.gears.gain.size:
         return None
-    offset = plan.gears.x0 - plan.reference
+    offset = plan.gears.x0 - plan.gears.reference
     coarse = max(math.frexp(abs(offset) / y_axis.count / COUNTS)[1], 0)
     unit = y_axis.count * 2.0**coarse
-    carried = plan.gain * plan.decay * (unit / x_axis.unit)
+    carried = plan.gears.gain * plan.decay * (unit / x_axis.unit)
     shift = shift_for(float(carried.sum()))
     if shift < 0:
         raise beyond_q31(f"{plan.key}.relaxation.gain")

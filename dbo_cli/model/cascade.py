@@ -40,10 +40,11 @@ Sign = Literal["rising", "falling"]
 StageKind = TypeVar("StageKind")
 
 MOST_CANDIDATES = 5
-_EVEN = 0.01  # of a step: what the steps of an even clock differ by at most
 _TIME_IS_NEEDED = "this model needs a clock: add `time` COLUMN or `sample_rate` HZ"
 
 
+# what undoes dynamics and delay; a stream asks for it at every block
+_inverter = functools.lru_cache(maxsize=8)(Inverter)
 # the order in which a signal passes the kinds of stages
 _RANKS = {Amplifier: 0, Points: 1, Scale: 1, Gears: 1, Dynamics: 2, Delay: 3}
 
@@ -67,17 +68,18 @@ def require_order(stages: Sequence[Stage], direction: Direction = "forward") -> 
         return f"stages[{index}]"
 
     gears = [index for index, stage in enumerate(stages) if isinstance(stage, Gears)]
-    if not gears:
-        raise ModelError("stages: one of type backlash is missing")
-    if len(gears) > 1:
-        raise ModelError(f"{key(gears[1])}: a second backlash stage")
     ranks = [_RANKS[type(stage)] for stage in stages]
+    wrong = gears[1:]
     for index, (previous, rank) in enumerate(pairwise(ranks), 1):
         if rank < previous or rank == previous != _RANKS[Gears]:
-            raise ModelError(
-                f"{key(index)}: wrong order; one amplifier, points and scales around the gears, one "
-                "dynamics, one delay (inverse: mirrored)"
-            )
+            wrong.append(index)
+    if gears and not wrong:
+        return
+    where = key(min(wrong)) if wrong else "stages"
+    raise ModelError(
+        f"{where}: wrong order; one amplifier, points and scales around one backlash, one "
+        "dynamics, one delay (inverse: mirrored)"
+    )
 
 
 def _only(kind: type[StageKind], stages: Sequence[Stage]) -> StageKind | None:
@@ -397,10 +399,12 @@ class Cascade:
             after = after.behind(after.bits, after.memory, last)
         return Run(y, after)
 
-    def _checked_steps(self, dt: Steps, count: int) -> float | Floats:
+    def _checked_steps(
+        self, dt: Steps, count: int, is_timed: bool = False
+    ) -> float | Floats:
         """Return the time steps of ``count`` samples; ModelError where they are missing, more or fewer."""
         if dt is None:
-            if self.needs_time:
+            if is_timed or self.needs_time:
                 raise ModelError(_TIME_IS_NEEDED)
             return math.inf  # nothing depends on it
         if isinstance(dt, np.ndarray) and dt.shape != (count,):
@@ -459,13 +463,9 @@ class Cascade:
         if dt is None:
             raise ModelError(_TIME_IS_NEEDED)
         if isinstance(dt, np.ndarray):
-            if dt.size > 1 and np.ptp(dt[1:]) < _EVEN * dt[1] < dt[0]:
-                raise InputError(
-                    f"row 1 comes {dt[0]:.6g} s after the state: dynamics and a delay are not undone over a "
-                    "pause; leave `state` out"
-                )
             raise InputError(
-                "the model's delay and dynamics need an even clock: add `resample` HZ"
+                "the model's delay and dynamics need an even clock: add `resample` HZ, or behind a pause "
+                "leave `state` out"
             )
         if not dt > 0.0:
             raise InputError(f"time step: {dt!r} s is not greater than 0")
@@ -510,9 +510,7 @@ class Cascade:
             Beyond the range: go on with the last slope, or hold.
         """
         y = np.ascontiguousarray(desired, dtype=np.float64).reshape(-1)
-        steps = self._checked_steps(dt, y.size)
-        if dt is None and slew is not None:
-            raise ModelError(_TIME_IS_NEEDED)
+        steps = self._checked_steps(dt, y.size, slew is not None)
         if y.size == 0:
             return Run(y, state)
         clipped = 0
@@ -578,9 +576,3 @@ class Cascade:
             slew *= 1.0 - NEGLIGIBLE  # the points round
         # a window of a last digit may be empty behind the points
         return (low, max(high, math.nextafter(low, math.inf))), slew
-
-
-@functools.lru_cache(maxsize=8)
-def _inverter(dynamics: Dynamics | None, delay: Delay | None, dt: float) -> Inverter:
-    """Return what undoes dynamics and delay; a stream asks for it at every block."""
-    return Inverter(dynamics, delay, dt)

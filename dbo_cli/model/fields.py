@@ -77,9 +77,7 @@ def load(path: str, noun: str) -> tuple[str, Any]:
 
 def contents(values: Any, path: str, form: str, noun: str) -> Json:
     """Return what stands behind format and version, which must be of ``form``."""
-    if not isinstance(values, dict):
-        raise ModelError(f"{path or 'the file'}: is not an object")
-    fields = dict(values)
+    fields = dict(notes(values, path or "the file"))
     if fields.pop("format", None) != form:
         raise ModelError(f'{_join(path, "format")}: must be "{form}" in {noun}')
     version = fields.pop("version", None)
@@ -114,9 +112,8 @@ def build(
     **readers
         How each key is read.
     """
-    if not isinstance(values, dict):
-        raise ModelError(f"{path}: is not an object")
     parts = {}
+    values = notes(values, path)
     for key, read in readers.items():
         if key in values:
             parts[key] = read(values[key], _join(path, key))
@@ -144,9 +141,8 @@ def shown(value: object) -> str:
 
 def number(value: Any, path: str) -> float:
     """Return a finite number."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ModelError(f"{path}: {shown(value)} is not a number")
-    if not -LARGEST <= value <= LARGEST:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not -LARGEST <= value <= LARGEST:
         raise ModelError(
             f"{path}: {shown(value)} is not a finite number up to {LARGEST:g}"
         )

@@ -168,11 +168,12 @@ class Gears(Keyed):
         rows, origins = self.kernel_rows, (self.x0, self.y0)
         if is_inverse:
             rows, origins = self._exchanged_rows, (self.y0, self.x0)
-        ends = *origins, extend, self.gain, self._reference
+        ends = *origins, extend, self.gain, self.reference
         return *rows, self.n, *ends, is_inverse
 
     @property
-    def _reference(self) -> float:
+    def reference(self) -> float:
+        """The voltage at which nothing is remembered."""
         return 0.0 if self.relaxation is None else self.relaxation.reference
 
     def words(self, bits: int) -> Words:

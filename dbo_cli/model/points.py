@@ -122,10 +122,8 @@ class Scale(_Curve):
 
     def __post_init__(self) -> None:
         """Refuse what cannot be inverted."""
-        if not math.isfinite(self.gain) or self.gain == 0.0:
+        if self.gain == 0.0 or not 0.0 < abs(1.0 / self.gain) < math.inf:
             raise ModelError(f"gain: {self.gain!r} is not a finite number other than 0")
-        if not math.isfinite(1.0 / self.gain):
-            raise ModelError(f"gain: {self.gain!r} is too small to be inverted")
         if not math.isfinite(self.offset) or not math.isfinite(self.offset / self.gain):
             raise ModelError(f"offset: {self.offset!r} is not a finite number")
 
