@@ -203,13 +203,22 @@ static void settled_words(const dbo_backlash *inside, dbo_backlash_state *state,
     for (size_t k = 0; k < (size_t)spare->len / sizeof(uint64_t); k++) words[k] |= others[k];
 }
 
-/* Halve a range of the drive until the settled state of its middle leads to an output from inside the range, or what
- * is left is narrow: the output then steps over what is wanted. The drive is NaN there. */
+/* The drive that an inverse operator makes of an output at rest in a state; `none` are factors of 0. */
+static double rested(const dbo_backlash *op, dbo_backlash_state *state, const uint64_t *words, double output,
+                     const double *none) {
+    memset(state->memory, 0, op->terms * sizeof(double));
+    dbo_backlash_load(op, state, words);
+    return dbo_backlash_step(op, state, output, none, NULL, NULL);
+}
+
+/* The drive whose settled state leads to an output, from `below` to `above` or beyond them: halve the range until the
+ * state of its middle does, or what is left is narrow: the output then steps over what is wanted, and the drive is
+ * NaN. */
 static PyObject *backlash_settled_at(PyObject *module, PyObject *args) {
     Py_buffer gears, guide, gain, inside_gears, inside_guide, inside_gain, spare;
     dbo_backlash op, inside;
     dbo_backlash_state state, settled;
-    double output, below, above, narrow, drive = NAN;
+    double output, below, above, narrow, reached, drive = NAN;
     double *numbers = NULL;
     uint64_t *words = NULL, *again;
     Py_ssize_t n, inside_n;
@@ -240,20 +249,20 @@ static PyObject *backlash_settled_at(PyObject *module, PyObject *args) {
     state.memory = numbers;
     if (!take_turns(&op, &state) || !take_turns(&inside, &settled)) goto done;
     ready = 1;
-    while (above - below > narrow) {
+    settled_words(&inside, &settled, &spare, below, words);
+    reached = rested(&op, &state, words, output, numbers + op.terms);
+    if (reached <= below) drive = reached;
+    settled_words(&inside, &settled, &spare, above, words);
+    reached = rested(&op, &state, words, output, numbers + op.terms);
+    if (drive != drive && reached >= above) drive = reached;
+    while (drive != drive && above - below > narrow) {
         const double middle = below + 0.5 * (above - below);
-        double reached;
         if (!(below < middle && middle < above)) break; /* neighbours in float64 */
         settled_words(&inside, &settled, &spare, middle, words);
-        memset(numbers, 0, op.terms * sizeof(double));
-        dbo_backlash_load(&op, &state, words);
-        reached = dbo_backlash_step(&op, &state, output, numbers + op.terms, NULL, NULL);
+        reached = rested(&op, &state, words, output, numbers + op.terms);
         if (below <= reached && reached <= above) {
             settled_words(&inside, &settled, &spare, reached, again);
-            if (memcmp(words, again, (size_t)spare.len) == 0) {
-                drive = reached;
-                break;
-            }
+            if (memcmp(words, again, (size_t)spare.len) == 0) drive = reached;
         }
         if (reached > middle)
             below = middle;

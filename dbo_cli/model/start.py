@@ -85,20 +85,11 @@ class Starts:
         one state exactly.
         """
 
-        def voltage_from(bits: int) -> float:
-            return float(self.gears.undo([output], State(bits)).y[0])
-
         def miss_at(voltage: float) -> float:
             state = State(self.bits(voltage))
             return abs(float(self.gears.run([voltage], state).y[0]) - output)
 
         below, above = self.inside.x_range
-        voltage = voltage_from(self.empty)
-        if voltage <= below:
-            return min(max(voltage, low), high)
-        voltage = voltage_from(self.full)
-        if voltage >= above:
-            return min(max(voltage, low), high)
         # a little beside the step, so that a voltage that is rounded on its way still
         # starts on the same side
         margin = CROSSING_TOLERANCE * (above - below)
