@@ -30,6 +30,7 @@ from numpy.typing import ArrayLike
 from dbo_cli import model as room
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.files import write_text
 from dbo_cli.logs import (
     Reading,
     columns_of,
@@ -219,8 +220,6 @@ class Model:
 
     def save(self, path: str | Path) -> None:
         """Write the model file, whole or not at all."""
-        from dbo_cli.files import write_text
-
         write_text(str(path), room.dumps_model(self.actuator))
 
     def inverse(self) -> Model:
@@ -445,7 +444,6 @@ class Model:
         )
         if file is not None:
             from dbo_cli.drive.learning import dumps_history
-            from dbo_cli.files import write_text
 
             write_text(file, dumps_history(drive.history))
         return drive if details else drive.voltage
@@ -519,8 +517,6 @@ class Model:
 
     def save_state(self, state: room.State, path: str | Path) -> None:
         """Write a state file; ModelError where the state is of another model."""
-        from dbo_cli.files import write_text
-
         checked = room.state_of(state, self.actuator)
         assert isinstance(checked, room.State)
         write_text(str(path), room.dumps_state(checked, self.actuator))
@@ -531,8 +527,6 @@ class ModelSet(dict[str, Model]):
 
     def save(self, path: str | Path) -> None:
         """Write all models into one file."""
-        from dbo_cli.files import write_text
-
         actuators = {name: model.actuator for name, model in self.items()}
         write_text(str(path), room.dumps_set(actuators))
 

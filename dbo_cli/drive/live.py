@@ -19,7 +19,6 @@ from dbo_cli.drive.limits import STEP_ROUNDING, Figure, GateError, Limits, volta
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.model import Cascade, State, Undoing, state_of
 from dbo_cli.model.amplifier import AmplifiedGears
-from dbo_cli.model.points import value_through
 from dbo_cli.units import parse_quantity
 
 WANTED_SPANS = 1e12
@@ -105,8 +104,8 @@ class Controller:
         self._pending: (
             tuple[float, bool, Floats | None, Undoing | None, State | None] | None
         ) = None
-        self._to_gears = tuple(curve.inverse() for curve in reversed(model.tail))
-        self._from_gears = tuple(curve.inverse() for curve in reversed(model.head))
+        self._to_gears = model.tail.inverse()
+        self._from_gears = model.head.inverse()
         # the amplifier before the gears, what comes out of it now and behind a plan
         self._amplified: AmplifiedGears | None = None
         self._output, self._planned_output = 0.0, 0.0
@@ -249,7 +248,7 @@ class Controller:
             block = np.array([voltage])
             run = self._amplified.amplifier.run(block, before, self._dt)
             voltage = self._planned_output = float(run.y[0])
-        self._stepper.follow(value_through(self._model.head, voltage))
+        self._stepper.follow(self._model.head.value(voltage))
 
     def _stepper_after(self, started: State, voltage: float, is_applied: bool) -> Any:
         """Return the stepper behind the first row."""
@@ -258,14 +257,14 @@ class Controller:
         if self._amplified is not None and self._first is not None and not is_applied:
             after = self._first
         self._planned_output = after.amplifier or 0.0
-        at_gears = value_through(self._model.head, voltage)
+        at_gears = self._model.head.value(voltage)
         after = dataclasses.replace(after, drive=at_gears)
         window, slew = self._model.inner_limits(self.limits.move, self.limits.slew)
         return self._model.gears.stepper(after, self._dt, window, slew)
 
     def _planned(self, u: float) -> tuple[float, bool]:
         """Return the voltage of a row behind another one, and whether a limit held it back."""
-        output = value_through(self._to_gears, u)
+        output = self._to_gears.value(u)
         if self._amplified is not None:
             (low, high), last = self.limits.move, self.last
             assert last is not None
@@ -279,7 +278,7 @@ class Controller:
         voltage = self._stepper.plan(output)
         if self._from_gears:
             low, high = self.limits.move
-            voltage = min(max(value_through(self._from_gears, voltage), low), high)
+            voltage = min(max(self._from_gears.value(voltage), low), high)
         return voltage, bool(self._stepper.clipped)
 
     def _way_in(self) -> float | None:
