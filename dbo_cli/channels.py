@@ -115,13 +115,25 @@ def _matches(pattern: str, headers: Sequence[str]) -> list[str]:
     return channels
 
 
-def models_of(path: str, channels: Sequence[str]) -> dict[str, Cascade]:
-    """Return the model of each channel: of a set, or one that serves all."""
+def models_of(
+    path: str, channels: Sequence[str], columns: Mapping[str, str | None]
+) -> dict[str, Cascade]:
+    """Return the model of each channel: of a set, or one that serves all.
+
+    Raises
+    ------
+    InputError
+        A set lacks one; the message names the columns that are patterns.
+    """
     from dbo_cli.model import is_set, read_model, read_models
 
     if tuple(channels) == ALONE or not is_set(path):
         return dict.fromkeys(channels, read_model(path))
-    return read_models(path, list(channels))
+    try:
+        return read_models(path, list(channels))
+    except InputError as problem:
+        roles = [f"`{role}` COLUMN" for role, name in columns.items() if name]
+        raise InputError(f"{problem} with {' '.join(roles)}") from None
 
 
 # --- what is typed for a channel, or for all ---

@@ -85,7 +85,7 @@ def compensate(
     check_outputs(output, summary, state=save_state, history=history)
     columns = {"time": time, "displacement": displacement}
     names = channels.names([trajectory], reading, columns)
-    models = channels.models_of(model, names)
+    models = channels.models_of(model, names, columns)
     for name, actuator in models.items():
         actuator.require("forward", f"{model}::{name}" if name else model)
     starts = channels.states_of(state, models)

@@ -78,7 +78,7 @@ def report(
     if model is None and trajectory is None:
         columns["desired"] = desired
     names = channels.names([logs[0]], reading, columns)
-    models = {} if model is None else channels.models_of(model, names)
+    models = {} if model is None else channels.models_of(model, names, columns)
     starts = channels.states_of(state, models)
     summaries = channels.summaries_of(expected, names)
     results = {}

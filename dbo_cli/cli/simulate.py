@@ -90,7 +90,7 @@ def simulate_set(
     from dbo_cli.recordings import read_table
 
     names = channels.names([log], reading, columns)
-    models = channels.models_of(model, names)
+    models = channels.models_of(model, names, columns)
     states = channels.states_of(state, models)
     results: list[channels.Result] = []
     texts = {}

@@ -301,7 +301,8 @@ def _seam(voltage: Floats, gate: Gate, waits: Floats | None) -> list[str]:
     inside = float(np.abs(np.diff(voltage)).max(initial=0.0))
     if abs(first - last) > OPEN_SEAM * inside:
         return [
-            f"the loop is open: {last:.6g} to {first:.6g}; the largest step inside is {inside:.3g}"
+            f"the loop is open: {last:.6g} to {first:.6g}; the largest step inside is {inside:.3g}: "
+            "give one whole period (`rows` A:B leaves a run-in out)"
         ]
     return []
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.limits import Limits
+from dbo_cli.drive.limits import Limits, plain
 from dbo_cli.model import Cascade, State
 
 
@@ -105,12 +105,12 @@ class Drive:
         state = "within limits" if self.limits.given else "within the identified range"
         if self.clipped:
             state = f"{self.clipped:,} {'row' if self.clipped == 1 else 'rows'} clipped"
-        text = f"{self.rows:,} rows, {low:.4g} to {high:.4g}{unit}, {state}"
+        text = f"{self.rows:,} rows, {plain(low)} to {plain(high)}{unit}, {state}"
         if self.lead_range is not None:
             low, high = self.lead_range
-            text += f"; {self.lead_seconds:.3g} s before the move, {low:.4g} to {high:.4g}{unit}"
+            text += f"; {self.lead_seconds:.3g} s before the move, {plain(low)} to {plain(high)}{unit}"
         if self.starts_at is not None:
-            text += f"; starts at {self.starts_at:.4g}{unit}: `from` VOLT"
+            text += f"; starts at {plain(self.starts_at)}{unit}: `from` VOLT"
         return text
 
     def expected_line(self) -> str:

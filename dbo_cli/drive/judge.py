@@ -10,7 +10,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import Lead, standing_at
-from dbo_cli.drive.limits import Limits, rounded_up
+from dbo_cli.drive.limits import Limits, plain, rounded_up
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Cascade, Run, State, Steps, expect
 
@@ -327,8 +327,8 @@ class Judge:
         (low, high), standing = self.limits.identified, self.standing
         if standing is not None and abs(self._first - standing) > JUMP * (high - low):
             texts.append(
-                f"jumps from {standing:.4g} to {self._first:.4g}{self.limits.suffix} at row 1, and the error "
-                "there is not in the expected one: add `approach` auto"
+                f"jumps from {plain(standing)} to {plain(self._first)}{self.limits.suffix} at row 1, and the "
+                "error there is not in the expected one: add `approach` auto"
             )
         return texts
 

@@ -218,6 +218,11 @@ class Limits:
         return text
 
 
+def plain(voltage: float) -> str:
+    """Return a voltage to four digits, for lines: 100000 of a drive in mV, not 1e+05."""
+    return f"{float(f'{voltage:.4g}'):.12g}"
+
+
 def voltage_in(name: str, figure: Figure, quantity: Quantity) -> float | None:
     """Return a typed voltage in the unit of a model's drive; None where nothing was typed.
 

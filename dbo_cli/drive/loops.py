@@ -236,8 +236,8 @@ class Loop:
             or largest_difference(closed, voltage) > ONE_LOOP * self.model.input.span
         ):
             raise LimitError(
-                f"{self.name}: `max_slew` forbids the step from the last row, {voltage[-1]:.6g}, to "
-                f"the first, {voltage[0]:.6g}"
+                f"{self.name}: does not close within `max_slew` {self.limits.slew:g}{self.limits.suffix}/s: "
+                "raise it, or make the loop slower"
             )
         return closed
 
