@@ -17,7 +17,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.judge import Judge
-from dbo_cli.drive.lead import Lead, LeadIn, Seconds, ramp, standing_at
+from dbo_cli.drive.lead import Lead, LeadIn, ramp
 from dbo_cli.drive.limits import Figure, Gate, Limits, voltage_in
 from dbo_cli.drive.simulate import NO_ROWS, Ahead, Rows, stacked
 from dbo_cli.errors import DboWarning, InputError, UsageError
@@ -48,8 +48,8 @@ class Driver:
         What stands before the move.
     on_limit : {"auto", "clip", "error"}
         auto: what costs more than one percent of the move (RMS) is refused at the end.
-    return_to : float, optional
-        Voltage to go to after the move.
+    return_to : float or str, optional
+        Voltage to go to after the move; a text has a unit.
     name : str
         Of the trajectory, in messages.
     hold : int
@@ -71,7 +71,7 @@ class Driver:
         limits: Limits,
         lead: Lead | None = None,
         on_limit: OnLimit = "auto",
-        return_to: float | None = None,
+        return_to: Figure = None,
         name: str = "trajectory",
         hold: int = 0,
     ) -> None:
@@ -79,10 +79,12 @@ class Driver:
         if on_limit not in get_args(OnLimit):
             raise UsageError(f"`on_limit` {on_limit}: give auto, clip or error")
         self.model, self.limits, self.name = model, limits, name
-        self.on_limit, self.return_to, self.hold = on_limit, return_to, hold
+        self.on_limit, self.hold = on_limit, hold
+        self.return_to = voltage_in("return", return_to, model.input)
         self.lead = lead = Lead() if lead is None else lead
-        self._gate = Gate(limits, standing_at(limits, lead))
-        self._judge = Judge(model, limits, lead, on_limit, name)
+        self._standing = lead.standing(limits, model.input)
+        self._gate = Gate(limits, self._standing)
+        self._judge = Judge(model, limits, lead, self._standing, on_limit, name)
         self._state: State | None = None
         self._row_count = 0
         self._step = 0.0
@@ -230,7 +232,6 @@ class Driver:
             time=np.concatenate([time[0] - dt * np.arange(count, 0.0, -1.0), time]),
             desired=np.concatenate([run.y[:count], desired]),
             voltage=voltage,
-            move=slice(count, voltage.size),
             notes=(f"{self.name}: {note}",),
             warnings=(*texts, *drive.warnings),
         )
@@ -239,8 +240,10 @@ class Driver:
         """Return a loop on its way to the settled drive."""
         from dbo_cli.drive.loops import Loop
 
-        limits, lead = self.limits, self.lead
-        return Loop(self.model, limits, target, dt, lead, passes, self.name, self.hold)
+        lead = self.lead, self._standing
+        return Loop(
+            self.model, self.limits, target, dt, *lead, passes, self.name, self.hold
+        )
 
     # --- a whole trajectory ---
 
@@ -282,8 +285,8 @@ class Driver:
         """
         if passes and not periodic:
             raise UsageError("`passes` needs `periodic`")
-        if history and not tracked:
-            raise UsageError("`history` needs `tracked` LOG")
+        if (history or absolute) and not tracked:
+            raise UsageError("`history` and `absolute` need `tracked` LOG")
         self._require_numbers(desired)
         if time is None and isinstance(dt, float):
             time = dt * np.arange(float(desired.size))
@@ -344,7 +347,6 @@ class Driver:
             time=all_rows.time,
             desired=all_rows.x,
             voltage=all_rows.y,
-            move=slice(drive.lead_rows, drive.lead_rows + drive.move_rows),
         )
 
     # --- before the move ---
@@ -359,7 +361,7 @@ class Driver:
             dt = np.concatenate([[step], dt[1:]])
         if isinstance(lead.state, State):
             lead = replace(lead, state=_aged(model, lead.state, time, step))
-        lead_in = LeadIn(model, first, step, self.limits, lead)
+        lead_in = LeadIn(model, first, step, self.limits, lead, self._standing)
         self._state, voltage, still_rows = lead_in.planned(self.hold)
         count = voltage.size + still_rows
         self._judge.lead_seconds = count * step
@@ -386,7 +388,8 @@ class Driver:
             return None
 
         def lead_to(first: float) -> Floats:
-            lead_in = LeadIn(self.model, first, dt, self.limits, self.lead)
+            lead = self.lead, self._standing
+            lead_in = LeadIn(self.model, first, dt, self.limits, *lead)
             _, voltage, still = lead_in.planned(self.hold)
             return np.append(voltage, np.full(still, voltage[-1]))
 
@@ -498,38 +501,6 @@ class Driver:
                 f"{where}: {values[row]:g} is no displacement: check column and unit"
             )
         raise InputError(f"{where} holds no number (`skip_bad` drops such rows)")
-
-
-def driver_of(
-    model: Cascade,
-    name: str = "trajectory",
-    hold: int = 0,
-    *,
-    v_min: Figure = None,
-    v_max: Figure = None,
-    max_slew: Figure = None,
-    extrapolate: bool = False,
-    on_limit: OnLimit = "auto",
-    from_: Figure = None,
-    return_: Figure = None,
-    approach: Seconds = None,
-    condition: bool = False,
-    lead: Seconds = None,
-    state: str | State = "auto",
-) -> Driver:
-    """Return what drives an actuator, by what was typed (``Model.compensate``).
-
-    Raises
-    ------
-    LimitError, ModelError, UsageError
-        As of ``Limits.within``, ``Lead`` and ``Driver``.
-    """
-    model.require("forward")
-    limits = Limits.within(model.input, v_min, v_max, max_slew, extrapolate)
-    start = voltage_in("from", from_, model.input)
-    end = voltage_in("return", return_, model.input)
-    before = Lead(state, start, approach, condition, lead)
-    return Driver(model, limits, before, on_limit, end, name, hold)
 
 
 def _aged(model: Cascade, state: State, time: Floats | None, step: float) -> State:

@@ -35,8 +35,8 @@ class Drive:
         return) have the displacement that the model expects. Empty for a stream.
     move : slice
         The rows of the move itself.
-    rows, lead_rows, move_rows : int
-        Of the whole drive, before the move, and of the move.
+    rows : int
+        Of the whole drive.
     voltage_range, lead_range : list of float, or None
         Least and greatest voltage, of the whole drive and before the move.
     move_range : list of float, or None
@@ -74,10 +74,8 @@ class Drive:
     time: Floats | None = field(default=None, repr=False)
     desired: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
     voltage: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
-    move: slice = field(default_factory=lambda: slice(0))
+    move: slice = field(default_factory=lambda: slice(0, 0))
     rows: int = 0
-    lead_rows: int = 0
-    move_rows: int = 0
     voltage_range: list[float] | None = None
     lead_range: list[float] | None = None
     move_range: list[float] | None = None
@@ -97,6 +95,11 @@ class Drive:
     history: tuple[PassRecord, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
+
+    @property
+    def lead_rows(self) -> int:
+        """The number of rows before the move."""
+        return int(self.move.start)
 
     def line(self) -> str:
         """Return what came out: ``4,910 rows, 3.1 to 96.2 V, within limits``."""

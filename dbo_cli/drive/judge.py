@@ -9,7 +9,7 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive
-from dbo_cli.drive.lead import Lead, standing_at
+from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.limits import Limits, plain, rounded_up
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Cascade, Run, State, Steps, expect
@@ -31,6 +31,8 @@ class Judge:
     ----------
     model, limits, lead
         A forward model, what its drive may do, and what stands before the move.
+    standing : float or None
+        Where the amplifier stands before the first row, if that is known.
     on_limit : str
         What happens where limits cut rows off.
     name : str
@@ -52,12 +54,12 @@ class Judge:
         model: Cascade,
         limits: Limits,
         lead: Lead,
+        standing: float | None,
         on_limit: str,
         name: str,
     ) -> None:
         self.model, self.limits, self.lead = model, limits, lead
-        self.on_limit, self.name = on_limit, name
-        self.standing = standing_at(limits, lead)
+        self.standing, self.on_limit, self.name = standing, on_limit, name
         self.lead_seconds = self.missed = self.transient = 0.0
         self.is_loop = False
         # of all rows, and of those before the move
@@ -283,9 +285,8 @@ class Judge:
             self.model,
             self.limits,
             self.name,
+            move=slice(self._lead_rows, self._lead_rows + self._move_rows),
             rows=self._rows,
-            lead_rows=self._lead_rows,
-            move_rows=self._move_rows,
             voltage_range=self._range,
             lead_range=self._lead_range,
             move_range=[self._low, self._high],

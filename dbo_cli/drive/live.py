@@ -15,7 +15,8 @@ from typing import Any, Literal
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.limits import STEP_ROUNDING, Figure, GateError, Limits, voltage_in
+from dbo_cli.drive.lead import Lead
+from dbo_cli.drive.limits import STEP_ROUNDING, Figure, GateError, Limits
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.model import Cascade, State, Undoing, state_of
 from dbo_cli.model.amplifier import AmplifiedGears
@@ -94,9 +95,7 @@ class Controller:
         self._dt = 1.0 / rate
         step = self.limits.largest_step(self._dt)
         self._step = math.inf if step is None else float(step)
-        start = voltage_in("from_", from_, model.input)
-        left_at = self._begin.drive if isinstance(self._begin, State) else None
-        self.last = self.limits.standing(start, left_at, "`from_`")
+        self.last = Lead(self._begin, from_).standing(self.limits, model.input)
         if self.last is not None:
             self._begin = self._stood_at(self.last)
         self._stepper: Any = None
