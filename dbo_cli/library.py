@@ -475,7 +475,7 @@ class Model:
 
         return Controller(
             self.actuator,
-            _rate(sample_rate) or 0.0,
+            cast(float, _rate(sample_rate)),
             v_min=v_min,
             v_max=v_max,
             max_slew=max_slew,

@@ -286,7 +286,7 @@ class Driver:
         if passes and not periodic:
             raise UsageError("`passes` needs `periodic`")
         if (history or absolute) and not tracked:
-            raise UsageError("`history` and `absolute` need `tracked` LOG")
+            raise UsageError("`history`, `absolute`: each needs `tracked` LOG")
         self._require_numbers(desired)
         if time is None and isinstance(dt, float):
             time = dt * np.arange(float(desired.size))

@@ -413,8 +413,8 @@ class RepeatedMove:
         number, unit = 1 + errors.index(best), self.model.output.suffix
         raise InputError(
             f"{name}: the error grew from {errors[-1]:.3g} to {passed.rmse:.3g}{unit} RMS: check the "
-            f"sensor's scale, or learn from pass {number} ({best:.3g}) with `bandwidth` {0.5 * cutoff:.3g} (it was "
-            f"{cutoff:.3g} Hz)"
+            f"sensor's scale, or learn from pass {number} ({best:.3g}) with `bandwidth` "
+            f"{0.5 * cutoff:.3g} (it was {cutoff:.3g} Hz)"
         )
 
     def _trusted(self, name: str, residual: Floats) -> float:

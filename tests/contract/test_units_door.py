@@ -233,15 +233,13 @@ def test_a_masked_row_is_a_missing_row(creep: dbo.Model) -> None:
 
 
 def test_truth_is_no_rate(creep: dbo.Model) -> None:
-    from dbo_cli.drive.live import Controller
-
     write("log.csv", "voltage_V,displacement_um", TIME, MOVE)
     for wrong in (True, np.True_, 0, -5.0, float("nan"), "5V"):
         for call in (
             lambda wrong: creep.simulate(MOVE, sample_rate=wrong),
             lambda wrong: creep.compensate(MOVE, sample_rate=wrong),
             lambda wrong: creep.controller(sample_rate=wrong),
-            lambda wrong: Controller(creep.actuator, wrong),
+            lambda wrong: creep.controller(wrong),
             lambda wrong: dbo.identify(TIME, MOVE, sample_rate=wrong),
             lambda wrong: dbo.report(MOVE, MOVE, sample_rate=wrong),
             lambda wrong: dbo.read_log("log.csv", sample_rate=wrong),
