@@ -157,8 +157,7 @@ class Driver:
             raise InputError(f"{self.name}: has no rows")
         dt = self._ahead.dt
         blocks = [self._driven(dt, *block) for block in self._ahead.remaining()]
-        self._judge.require_longer_than_delay(self._step)
-        self._judge.require_reached()
+        self._judge.require_reached(self._step)
         voltage = self._way_back(return_rows)
         if voltage.size:
             assert self._state is not None
@@ -166,7 +165,7 @@ class Driver:
             count = np.arange(1.0, voltage.size + 1.0)
             stamps = (begin or 0.0) + self._step * count
             blocks.append(self._played(stamps, voltage, "return", begin is not None))
-        return stacked(blocks), self._judge.concluded(self._state)
+        return stacked(blocks), self._judge.concluded(self._state, self._step)
 
     def _way_back(self, count: int) -> Floats:
         """Return the voltages from the last row to where the amplifier goes, ``count`` at least."""
@@ -210,28 +209,25 @@ class Driver:
         plan = loop.planned()
         run, state = plan.settled.run, plan.settled.before
         self._judge.clip(desired, loop.static_target, run, state, dt)
-        self._judge.require_reached(dt * desired.size)
+        self._judge.require_reached(dt, is_loop=True)
         texts = loop.require_settled(plan, self.on_limit)
         leading, period = plan.lead_voltage, plan.voltage
         first = float(leading[0] if leading.size else period[0])
         self._gate.require_reachable(first, first, dt)
-        self._admit(leading, dt, "lead")
-        self._admit(period, dt, "move")
+        self._state, self._step = plan.begin, dt
+        stamps = time[0] - dt * np.arange(leading.size, 0.0, -1.0)
+        before = NO_ROWS
+        if leading.size:
+            before = self._played(stamps, leading, "lead", True)
+        first_pass = self._played(time, period, "move", True)
         self._gate.admit(period[:1], dt)  # the seam
-        count = leading.size
-        voltage = np.concatenate([leading, period])
-        run = model.run(voltage, plan.begin, dt)
-        self._state = replace(run.state, time=float(time[-1]))
-        self._judge.lead_seconds, self._judge.is_loop = count * dt, True
-        unsettled = run.y[count:] - loops.settled_run(model, period, dt, state)
+        unsettled = first_pass.x - loops.settled_run(model, period, dt, state)
         unsettled_rms = float(np.sqrt(np.mean(unsettled**2)))
-        drive = self._judge.concluded(self._state, unsettled_rms)
+        drive = self._judge.concluded(self._state, dt, unsettled_rms)
         note = f"the first pass is {unsettled_rms:.3g}{model.output.suffix} off the settled one (RMS)"
+        drive = drive.with_rows(stacked([before, first_pass._replace(x=desired)]))
         return replace(
             drive,
-            time=np.concatenate([time[0] - dt * np.arange(count, 0.0, -1.0), time]),
-            desired=np.concatenate([run.y[:count], desired]),
-            voltage=voltage,
             notes=(f"{self.name}: {note}",),
             warnings=(*texts, *drive.warnings),
         )
@@ -341,13 +337,7 @@ class Driver:
             steps = dt[rows] if isinstance(dt, np.ndarray) else dt
             blocks.append(self.rows(desired[rows], steps, stamps, target[rows]))
         last, drive = self.finish(return_rows)
-        all_rows = stacked([*blocks, last])
-        return replace(
-            drive,
-            time=all_rows.time,
-            desired=all_rows.x,
-            voltage=all_rows.y,
-        )
+        return drive.with_rows(stacked([*blocks, last]))
 
     # --- before the move ---
 
@@ -364,7 +354,6 @@ class Driver:
         lead_in = LeadIn(model, first, step, self.limits, lead, self._standing)
         self._state, voltage, still_rows = lead_in.planned(self.hold)
         count = voltage.size + still_rows
-        self._judge.lead_seconds = count * step
         begin = 0.0 if time is None else float(time[0])
         stamps = begin - step * np.arange(count, 0.0, -1.0)
         blocks = []

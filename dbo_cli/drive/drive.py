@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.limits import Limits, plain
+from dbo_cli.drive.simulate import Rows
 from dbo_cli.model import Cascade, State
 
 
@@ -100,6 +101,10 @@ class Drive:
     def lead_rows(self) -> int:
         """The number of rows before the move."""
         return int(self.move.start)
+
+    def with_rows(self, rows: Rows) -> Drive:
+        """Return the drive with its rows."""
+        return replace(self, time=rows.time, desired=rows.x, voltage=rows.y)
 
     def line(self) -> str:
         """Return what came out: ``4,910 rows, 3.1 to 96.2 V, within limits``."""
