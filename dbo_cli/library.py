@@ -10,6 +10,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from functools import wraps
+from html import escape
 from inspect import signature
 from pathlib import Path
 from typing import (
@@ -493,10 +494,9 @@ class Model:
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows."""
-        from dbo_cli.reports.plots import draw, model_plots
+        from dbo_cli.reports.plots import image, model_plots
 
-        picture = draw(model_plots(self.actuator)[0], "inline").decode()
-        return f"<p>{self!r}</p>{picture}"
+        return f"<p>{escape(repr(self))}</p>{image(model_plots(self.actuator)[0])}"
 
     def __repr__(self) -> str:
         """Return the model in one line."""
