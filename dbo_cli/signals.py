@@ -377,7 +377,7 @@ def between(values: Floats, places: Floats) -> Floats:
     """
     last = len(values) - 1
     places = np.clip(places, 0.0, last)
-    row = np.minimum(places.astype(np.intp), last - 1)
+    row = places.astype(np.intp)  # at a row its value, to the last digit
     fraction = (places - row).reshape(-1, *[1] * (values.ndim - 1))
     six = [values[np.clip(row + offset, 0, last)] for offset in range(-2, 4)]
     here, after = six[2], six[3]

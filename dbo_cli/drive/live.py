@@ -15,11 +15,11 @@ from typing import Any, Literal
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.limits import STEP_ROUNDING, Figure, GateError, Limits, voltage_in
+from dbo_cli.drive.lead import Lead
+from dbo_cli.drive.limits import STEP_ROUNDING, Figure, GateError, Limits
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.model import Cascade, State, Undoing, state_of
 from dbo_cli.model.amplifier import AmplifiedGears
-from dbo_cli.units import parse_quantity
 
 WANTED_SPANS = 1e12
 """A wanted value so many ranges away is no displacement but a fault of the loop."""
@@ -34,8 +34,8 @@ class Controller:
     ----------
     model : Model
         A forward model.
-    sample_rate : float or str
-        Samples a second (Hz), or a text with a unit.
+    sample_rate : float
+        Samples a second (Hz), above 0.
     v_min, v_max, max_slew, extrapolate
         Limits, as of ``compensate``.
     state : State, name of a start, or file
@@ -66,13 +66,13 @@ class Controller:
     LimitError
         ``from_`` is outside the limits.
     UsageError
-        The rate is not above 0, or ``lookahead`` is too short.
+        ``lookahead`` is too short.
     """
 
     def __init__(
         self,
         model: Cascade,
-        sample_rate: float | str,
+        sample_rate: float,
         *,
         v_min: Figure = None,
         v_max: Figure = None,
@@ -83,19 +83,14 @@ class Controller:
         lookahead: float | Literal["auto"] | None = None,
     ) -> None:
         model.require("forward")
-        rate = parse_quantity(sample_rate, "Hz", "sample_rate")
-        if not rate > 0.0:
-            raise UsageError(f"`sample_rate` {sample_rate}: give Hz above 0")
         self.limits = Limits.within(model.input, v_min, v_max, max_slew, extrapolate)
         self.clipped = 0
         self._model = model
         self._begin = state_of(state, model)
-        self._dt = 1.0 / rate
+        self._dt = 1.0 / sample_rate
         step = self.limits.largest_step(self._dt)
         self._step = math.inf if step is None else float(step)
-        start = voltage_in("from_", from_, model.input)
-        left_at = self._begin.drive if isinstance(self._begin, State) else None
-        self.last = self.limits.standing(start, left_at, "`from_`")
+        self.last = Lead(self._begin, from_).standing(self.limits, model.input)
         if self.last is not None:
             self._begin = self._stood_at(self.last)
         self._stepper: Any = None

@@ -81,7 +81,11 @@ def read_models(path: str, only: list[str] | None = None) -> dict[str, Cascade]:
         for channel in channels if only is None else only:
             if channel not in channels:
                 names = ", ".join(channels)
-                raise InputError(f"{name}: no model {channel}; models: {names}")
+                alike = [key for key in channels if key.lower() == channel.lower()]
+                near = [*alike, *channels][0]
+                raise InputError(
+                    f"{name}: no model {channel}; models: {names}: type {name}::{near}"
+                )
             models[channel] = _model(channels[channel], f'models["{channel}"]')
     except ModelError as problem:
         raise ModelError(f"{name}: {problem}") from None

@@ -68,9 +68,9 @@ def test_limits_made_by_hand_are_looked_at() -> None:
 
 
 def test_start_inside_the_rating_and_outside_the_move() -> None:
-    Limits.within(RANGE, 0, 5).require_start(0.0)
+    Limits.within(RANGE, 0, 5).require_start(0.0, "`from_`")
     with pytest.raises(LimitError, match="v_min"):
-        Limits.within(RANGE).require_start(0.0)
+        Limits.within(RANGE).require_start(0.0, "`from_`")
 
 
 def broken(
