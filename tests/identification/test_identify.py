@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from test_solve import DRIVE, TIME, hysteresis
 
-from dbo_cli.errors import FitError, InputError, UsageError
-from dbo_cli.identification import Options, Recording, describe
+from dbo_cli.errors import FitError, InputError
+from dbo_cli.identification import Options, Recording
 from dbo_cli.identification.clean import clean
 from dbo_cli.identification.identify import identify
-from dbo_cli.model import Cascade, dumps_model
+from dbo_cli.model import Cascade
 from dbo_cli.model.expect import expected_error, longest_rest, move_warnings
 
 Floats = NDArray[np.float64]
@@ -36,34 +36,6 @@ def error(model: Cascade, drive: Floats, displacement: Floats) -> float:
     return float(np.sqrt(np.mean((played - displacement) ** 2)))
 
 
-def test_figures_are_complete(model: Cascade) -> None:
-    fit = model.fit
-    assert fit["sign"] == "rising" and not fit["one_amplitude"]
-    assert 0.004 < fit["rmse"] < 0.012
-    assert fit["logs"][0]["rows"] == len(TIME)
-    assert 1 <= len(model.candidates) <= 5
-    assert sum(one.weight for one in model.candidates) == pytest.approx(1.0)
-    assert model.input.min == pytest.approx(DRIVE.min())
-    log = Recording("log", DRIVE, hysteresis(DRIVE) + NOISE, TIME)
-    assert "expected error" in describe(model, [log])
-
-
-def test_same_log_same_bytes(model: Cascade) -> None:
-    again = quiet(Recording("log", DRIVE, hysteresis(DRIVE) + NOISE, TIME))
-    assert dumps_model(again) == dumps_model(model)
-
-
-def test_noise_is_refused() -> None:
-    noise = np.random.default_rng(3).normal(size=len(TIME))
-    with pytest.raises(FitError, match="straight line"):
-        quiet(Recording("noise", DRIVE, noise, TIME))
-
-
-def test_voltage_that_only_rises_is_refused() -> None:
-    with pytest.raises(FitError, match="never turns back"):
-        quiet(Recording("ramp", TIME, TIME**2, TIME))
-
-
 def test_stuck_and_clipped_sensors_are_left_out() -> None:
     stuck = hysteresis(DRIVE) + NOISE
     stuck[1000:1100] = stuck[1000]
@@ -77,19 +49,6 @@ def test_stuck_and_clipped_sensors_are_left_out() -> None:
 def test_skip_needs_a_clock() -> None:
     with pytest.raises(FitError, match="skip"):
         clean([Recording("log", DRIVE, hysteresis(DRIVE))], Options(skip=1.0))
-
-
-@pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        ({"gears": 0}, "gears"),
-        ({"delay": -1.0}, "delay"),
-        ({"dynamics": 3}, "dynamics"),
-    ],
-)
-def test_options_are_checked(options: dict[str, object], word: str) -> None:
-    with pytest.raises(UsageError, match=word):
-        Options(**options)  # type: ignore[arg-type]
 
 
 def test_recordings_are_checked() -> None:

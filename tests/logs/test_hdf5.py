@@ -159,24 +159,6 @@ def test_a_rate_that_is_stated(
     source.close()
 
 
-def test_groups_side_by_side(tmp_path: Path) -> None:
-    """A single value is a statement and no column; unlike lengths are refused."""
-
-    def fill(file: Any) -> None:
-        plain(file.create_group("run1"))
-        plain(file.create_group("run2"))
-        file["run1/short"], file["run1/fs"], file["run1/count"] = V[:-1], 4000.0, 3
-
-    source = opened(tmp_path, fill)
-    assert {"run1/voltage", "run2/voltage", "short"} < set(names(source))
-    assert not {"fs", "count"} & set(names(source))
-    assert source.stated.rate == 4000.0
-    assert "run.h5::run1" in source.hint
-    with pytest.raises(InputError, match=r"unequal length.*199|unequal length"):
-        list(source.blocks(source.columns))
-    source.close()
-
-
 def test_a_scale_beside_a_dataset_is_not_passed_over(tmp_path: Path) -> None:
     def fill(file: Any) -> None:
         file["x"], file["x_scaling_factor"] = np.arange(3.0), 0.001
@@ -270,16 +252,3 @@ def test_a_part_behind_a_link_is_refused(tmp_path: Path, part: str) -> None:
 
     with pytest.raises(InputError, match=r"another file|is a link"):
         opened(tmp_path, fill, part)
-
-
-def test_shapes_that_hold_no_columns(tmp_path: Path) -> None:
-    def fill(file: Any) -> None:
-        file["cube"] = np.zeros((3, 4, 5))
-        file["text"] = "hello"
-        file["empty"] = np.zeros((0,))
-        file["nothing"] = h5py.Empty("f8")
-        file["complex"] = np.zeros(5, dtype=complex)
-        file.create_group("g")
-
-    with pytest.raises(InputError, match=r"no columns of numbers.*/cube"):
-        opened(tmp_path, fill)

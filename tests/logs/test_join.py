@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-import dbo_cli
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.logs.log import Log, open_log
@@ -141,39 +140,6 @@ def test_the_drive_as_the_first_file_changes_nothing(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table["displacement"], other["displacement"])
 
 
-def test_clocks_that_are_apart_are_told_of(tmp_path: Path) -> None:
-    files = recorded(PAIRS["82 ms found"], tmp_path)
-    with pytest.warns(DboWarning, match=r"do not line up.*0\.082.*`clock_offset` auto"):
-        read(*files)
-
-
-SAMPLE = Path(__file__).parents[2] / "sample_data" / "identification.csv"
-
-
-def split_sample(folder: Path, offset: float) -> tuple[Path, Path]:
-    """Split the sample log in two: a sensor of 500 Hz, a drive of 800 Hz with an early clock."""
-    time, volts, moved = np.loadtxt(SAMPLE, delimiter=",", skiprows=1).T
-    sent = np.arange(0.0, time[-1], 1.0 / 800.0)
-    seen = write(folder / "sensor.csv", "time_s,displacement_um", time, moved)
-    volts = np.interp(sent, time, volts)
-    return seen, write(folder / "drive.csv", "time_s,voltage_V", sent - offset, volts)
-
-
-@pytest.mark.parametrize("offset", [0.37, -0.37, -0.02, 0.0])
-def test_the_sample_is_told_of_unless_it_lines_up(
-    offset: float, tmp_path: Path
-) -> None:
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always", DboWarning)
-        read(*split_sample(tmp_path, offset))
-    told = [str(one.message) for one in said if "line up" in str(one.message)]
-    assert len(told) == (offset != 0.0)
-    sign = "+" if offset > 0.0 else "-"
-    for text in told:
-        assert f"by {sign}0." in text
-        assert "try `clock_offset` auto" in text
-
-
 def test_where_it_cannot_tell_how_much_it_still_tells_that(tmp_path: Path) -> None:
     """A drive that repeats itself, by the third of a period late: no offset, but a warning."""
     time = np.arange(0.0, 10.0, 2e-3)
@@ -230,14 +196,6 @@ def test_files_that_cannot_be_joined(tmp_path: Path) -> None:
     }
     with pytest.raises(UsageError, match="one more file"):
         open_log(seen, roles, Reading(clock_offset=1.0))
-
-
-def test_a_model_of_a_found_offset_has_no_delay(tmp_path: Path) -> None:
-    seen, sent = split_sample(tmp_path, 0.37)
-    log = {"voltage": f"{sent}::voltage_V", "clock_offset": "auto"}
-    frame = dbo_cli.read_log(seen, **log)
-    assert frame.attrs["holds_delay"]
-    assert dbo_cli.identify(frame).actuator.delay is None
 
 
 def test_stamps_of_two_files_are_one_clock(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ import pytest
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs import Block, Log, Reading, open_log, stream, text
-from dbo_cli.logs.cells import split_cells, to_number
 
 BOTH: dict[str, str | None] = {"voltage": None, "displacement": None}
 HEAD = "time_s,voltage_V,displacement_um\n"
@@ -111,19 +110,6 @@ def test_an_irregular_row_of_a_large_file_is_named(
     assert len(log.doubtful) == 1 and "1 row left out" in log.doubtful[0]
 
 
-def test_points_are_refused_beside_stamps_as_well(tmp_path: Path) -> None:
-    lines = ["Zeitstempel;Spannung [V];Weg [nm]"]
-    for k in range(9000):
-        lines.append(
-            f"02.01.2026 10:00:{k // 1000:02d},{k % 1000:03d};{k % 97},5;900,5"
-        )
-    lines[8000] = lines[8000].replace("900,5", "1.001")
-    path = tmp_path / "run.csv"
-    path.write_text("\n".join([*lines, ""]))
-    with pytest.raises(InputError, match=r"run.csv:8001: .*'1.001'"):
-        read(path)
-
-
 @pytest.mark.parametrize("block", [1 << 9, 1 << 22])
 def test_a_torn_line_is_refused_where_the_time_is_counted(
     block: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -136,15 +122,6 @@ def test_a_torn_line_is_refused_where_the_time_is_counted(
         path.write_text("\n".join(["voltage_V,position_um", *cut, ""]))
         with pytest.raises(InputError, match=f"`rows` 1:{place}"):
             read(path, sample_rate=1000.0, skip_bad=True)
-
-
-def test_short_and_long_rows_do_not_make_up_for_each_other(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    path.write_text(
-        large().replace("\n", ",a\n").replace("5.25,a\n0.006,", "5.25\n0.006,a,", 1)
-    )
-    with pytest.raises(InputError, match=r"cells where"):
-        read(path)
 
 
 # --- the end of a record ---
@@ -164,18 +141,3 @@ def test_a_record_that_may_be_cut_is_told(tmp_path: Path) -> None:
             continue
         assert log.doubtful[0].startswith("line 21, the last one, has no line end")
         assert table["displacement"][:19].tolist() == [n + 0.25 for n in range(19)]
-
-
-def test_cells() -> None:
-    assert split_cells('"a, b", c ,"d"', ",") == ["a, b", "c", "d"]
-    assert split_cells('1"2"3,4', ",") == ['1"2"3', "4"]
-    assert split_cells('1,"4', ",") == ["1", '"4']
-    assert split_cells('t,"DB".Drive [V]', ",") == ["t", '"DB".Drive [V]']
-    assert split_cells(' 1 \t "2 3"  4 ', " ") == ["1", "2 3", "4"]
-    assert to_number("1.5D-3", ".") == 0.0015
-    assert np.isnan(
-        [
-            to_number(cell, ".")
-            for cell in ("", "1,5", "0x1F", "1_0", "1.234.5", "1'234.5", "١")
-        ]
-    ).all()

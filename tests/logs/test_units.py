@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
-
 import pytest
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import UsageError
 from dbo_cli.units import (
-    drive_unit,
-    kind_of,
     parse_quantity,
-    parse_unit,
-    quantity_name,
-    ratio,
-    spell,
     split_header,
-    time_unit,
 )
 
 
@@ -50,30 +41,6 @@ def test_a_header_is_split_at_its_unit(
     assert split_header(header) == (name, unit)
 
 
-def test_spellings() -> None:
-    assert [spell(text) for text in ("μm", "Volts", "мкм", "°C", "", None, "foo")] == [
-        "um", "V", "um", "degC", None, None, "foo",
-    ]  # fmt: skip
-    assert [time_unit(text) for text in ("mS", "Sekunden", "SEC", "milli seconds", "µs", "V")] == [
-        "ms", "s", "s", "ms", "us", None,
-    ]  # fmt: skip
-    assert kind_of("kA/m") == "field"
-    assert kind_of("furlong") is None
-    um = parse_unit("microns")
-    assert um is not None
-    assert (um.text, um.base) == ("um", "m")
-
-
-def test_ratios() -> None:
-    assert ratio("um", "nm") == 1000.0
-    assert ratio("ms", "s") == Fraction(1, 1000)
-    assert ratio("bar", "kPa") == 100.0
-    assert ratio(None, "V") == ratio("foo", "foo") == 1.0
-    for start, end in (("V", "um"), ("foo", "V"), ("K", "degC"), ("mm", "mV")):
-        with pytest.raises(InputError):
-            ratio(start, end)
-
-
 def test_figures() -> None:
     assert parse_quantity("4bar", "bar") == parse_quantity(4, "bar") == 4.0
     assert parse_quantity("2V/ms", "V/s") == 2000.0
@@ -90,10 +57,3 @@ def test_figures() -> None:
     ):
         with pytest.raises(UsageError, match="`v_max`"):
             parse_quantity(figure, unit, "v_max")
-
-
-def test_what_a_signal_is_called() -> None:
-    assert quantity_name("voltage", "bar") == "pressure"
-    assert quantity_name("displacement", "um") == "displacement"
-    assert quantity_name("displacement", "ppm") == "strain"
-    assert (drive_unit("4bar"), drive_unit("80"), drive_unit(80.0)) == ("bar", "V", "V")

@@ -37,7 +37,6 @@ from dbo_cli.model import (
     read_state,
 )
 from dbo_cli.model.file import parse_model
-from tests.model.random_models import random_model
 
 DT = 1e-4
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -96,14 +95,6 @@ def test_a_model_comes_back(tmp_path: Path) -> None:
         model.simulate(drive, dt=DT)[0], back.simulate(drive, dt=DT)[0]
     )
     assert len(dumps_model(model).splitlines()) < 120
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_random_models_come_back(seed: int, tmp_path: Path) -> None:
-    model = random_model(np.random.default_rng(seed))
-    text = dumps_model(model)
-    SCHEMA.validate(json.loads(text))
-    assert dumps_model(read_model(written(tmp_path, text))) == text
 
 
 def test_the_example_of_the_page_is_a_model() -> None:

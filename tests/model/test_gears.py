@@ -171,40 +171,6 @@ def test_another_voltage_that_was_applied_is_followed(seed: int) -> None:
         live.commit()
 
 
-def test_a_settled_state_is_a_decaying_oscillation() -> None:
-    gears = Gears([0.25] * 64, np.linspace(0.1, 0.3, 64))
-    swings = 9.3 + np.exp(-np.arange(4000) / 400) * 16.0 * np.cos(
-        np.pi * np.arange(4000)
-    )
-    swung = gears.run(np.clip(swings, 0.0, 16.0), State(0))
-    settled = gears.run([9.3], State(gears.settled(9.3)))
-    swung_there = gears.run([9.3], swung.state)
-    assert abs(settled.y[0] - swung_there.y[0]) < 2 * 0.3
-    assert gears.settled(-1.0) == 0
-    assert gears.settled(99.0) == (1 << gears.n) - 1
-
-
-def test_engagement_gives_the_output_back() -> None:
-    rng = np.random.default_rng(4)
-    gears = Gears(rng.uniform(0.1, 1, 60), rng.uniform(0.1, 1, 60), 0.3, -2.0)
-    drive = random_drive(rng, *gears.x_range, 400)
-    rows, bits = gears.engagement(drive)
-    done = gears.run(drive, State(0))
-    np.testing.assert_allclose(-2.0 + rows @ gears.dy, done.y, atol=1e-12)
-    assert bits == done.state.bits
-
-
-def test_lags_are_those_of_the_model() -> None:
-    terms = Relaxation(0.5, (1e-3, 0.1), (1.0, 2.0))
-    gears = Gears([1.0] * 8, [1.0] * 8, 0.0, 0.0, terms)
-    drive = np.linspace(0.0, 8.0, 50)
-    rows, memory = terms.lags(drive, 1e-3)
-    done = gears.run(drive, State(0), 1e-3)
-    bare = Gears([1.0] * 8, [1.0] * 8).run(drive, State(0))
-    np.testing.assert_allclose(rows @ [1.0, 2.0], done.y - bare.y, atol=1e-12)
-    assert memory == pytest.approx(done.state.memory)
-
-
 def test_negative_gains_must_leave_three_percent_of_the_mean_slope() -> None:
     dx, dy = [1.0, 1.0], [1.0, 3.0]  # mean slope 2, least 1
     Gears(dx, dy, 0, 0, Relaxation(0.0, (1.0, 1.0), (-0.5, -0.43)))
