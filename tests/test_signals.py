@@ -1,7 +1,5 @@
 """Even clocks, noise, turns, and the lag between two signals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

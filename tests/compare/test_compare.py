@@ -1,7 +1,5 @@
 """The table of operators: what is counted, and what is said of a refusal."""
 
-from __future__ import annotations
-
 import dbo_cli.model as dm
 from dbo_cli.compare import OperatorTable, Row
 from dbo_cli.compare.compare import DboModel

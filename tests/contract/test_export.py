@@ -1,7 +1,5 @@
 """``dbo export``: C99 that compiles without a warning and gives the library's numbers."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import re

@@ -1,7 +1,5 @@
 """Exports in double give the bits of the library, whatever the model."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from firmware import (

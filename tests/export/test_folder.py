@@ -1,7 +1,5 @@
 """The folder of an export appears whole or not at all, and only replaces an export."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

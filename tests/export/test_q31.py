@@ -1,7 +1,5 @@
 """Exports in whole numbers stay within the bound that they state."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from firmware import (

@@ -1,7 +1,5 @@
 """The whole identification on invented actuators, and what it says of itself."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

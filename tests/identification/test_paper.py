@@ -1,7 +1,5 @@
 """The paper's own method: its scale by its rule, its gears, and what they predict."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A model refreshed from a short log: what changed comes back, what did not stays as it was."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Columns, the bounded least-squares problem, and the model made of a fit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The clock of a log: stamps, units, rates, even and uneven steps, and what is asked or refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

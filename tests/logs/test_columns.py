@@ -1,7 +1,5 @@
 """Which column has which role, and what is asked where that is not clear."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """HDF5 logs: what is found, what is refused, and that nothing leads out of the file."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -156,6 +154,24 @@ def test_a_rate_that_is_stated(
     assert problem in source.stated.problem
     assert (source.stated.problem == "") == (problem == "")
     assert "time" not in names(source)
+    source.close()
+
+
+def test_groups_side_by_side(tmp_path: Path) -> None:
+    """A single value is a statement and no column; unlike lengths are refused."""
+
+    def fill(file: Any) -> None:
+        plain(file.create_group("run1"))
+        plain(file.create_group("run2"))
+        file["run1/short"], file["run1/fs"], file["run1/count"] = V[:-1], 4000.0, 3
+
+    source = opened(tmp_path, fill)
+    assert {"run1/voltage", "run2/voltage", "short"} < set(names(source))
+    assert not {"fs", "count"} & set(names(source))
+    assert source.stated.rate == 4000.0
+    assert "run.h5::run1" in source.hint
+    with pytest.raises(InputError, match=r"unequal length.*199|unequal length"):
+        list(source.blocks(source.columns))
     source.close()
 
 

@@ -1,7 +1,5 @@
 """Text logs: blocks and pipes, irregular rows, cut records, and the reading options."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -108,6 +106,19 @@ def test_an_irregular_row_of_a_large_file_is_named(
         table["voltage"], np.delete(np.arange(30_000.0), 20_000)
     )
     assert len(log.doubtful) == 1 and "1 row left out" in log.doubtful[0]
+
+
+def test_points_are_refused_beside_stamps_as_well(tmp_path: Path) -> None:
+    lines = ["Zeitstempel;Spannung [V];Weg [nm]"]
+    for k in range(9000):
+        lines.append(
+            f"02.01.2026 10:00:{k // 1000:02d},{k % 1000:03d};{k % 97},5;900,5"
+        )
+    lines[8000] = lines[8000].replace("900,5", "1.001")
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join([*lines, ""]))
+    with pytest.raises(InputError, match=r"run.csv:8001: .*'1.001'"):
+        read(path)
 
 
 @pytest.mark.parametrize("block", [1 << 9, 1 << 22])

@@ -1,14 +1,9 @@
 """Units: spellings, headers, ratios and figures with units."""
 
-from __future__ import annotations
-
 import pytest
 
 from dbo_cli.errors import UsageError
-from dbo_cli.units import (
-    parse_quantity,
-    split_header,
-)
+from dbo_cli.units import drive_unit, parse_quantity, quantity_name, split_header
 
 
 @pytest.mark.parametrize(
@@ -57,3 +52,10 @@ def test_figures() -> None:
     ):
         with pytest.raises(UsageError, match="`v_max`"):
             parse_quantity(figure, unit, "v_max")
+
+
+def test_what_a_signal_is_called() -> None:
+    assert quantity_name("voltage", "bar") == "pressure"
+    assert quantity_name("displacement", "um") == "displacement"
+    assert quantity_name("displacement", "ppm") == "strain"
+    assert (drive_unit("4bar"), drive_unit("80"), drive_unit(80.0)) == ("bar", "V", "V")

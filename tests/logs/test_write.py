@@ -1,7 +1,5 @@
 """Outputs: values that read back, whole or not at all, together or none."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Model, set and state files: round trips, the schema, and refusals that name file and key."""
 
-from __future__ import annotations
-
 import copy
 import json
 from collections.abc import Callable

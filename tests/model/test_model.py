@@ -1,7 +1,5 @@
 """Models: the exact inverse, blocks, starts, limits, and what is refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

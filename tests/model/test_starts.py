@@ -1,7 +1,5 @@
 """Where gears begin, and gears that go on beyond the range of the drive."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Moves: their places, speeds and seams, and what a model does not reach."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Files for generators: what they say when they are read back, and what is refused."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

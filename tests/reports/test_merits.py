@@ -1,7 +1,5 @@
 """Figures of merit on arrays that can be worked out by hand."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Rows that count, and recordings matched to a trajectory in another file."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Reports as values, JSON, CSV, text, page and figures."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
