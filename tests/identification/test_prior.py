@@ -6,15 +6,7 @@ import pytest
 from dbo_cli.errors import FitError, ModelError, UsageError
 from dbo_cli.identification.prior import _solved, rescale
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.model import (
-    Candidate,
-    Cascade,
-    Delay,
-    Gears,
-    Quantity,
-    Relaxation,
-    Scale,
-)
+from dbo_cli.model import Candidate, Cascade, Delay, Gears, Quantity, Relaxation, Scale
 
 RATE = 500.0
 NOISE = 0.005

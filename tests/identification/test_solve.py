@@ -17,13 +17,7 @@ from dbo_cli.identification.basis import (
 )
 from dbo_cli.identification.problem import Problem, prepare
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.identification.solve import (
-    Equations,
-    Fit,
-    Rows,
-    minimum,
-    solve,
-)
+from dbo_cli.identification.solve import Equations, Fit, Rows, minimum, solve
 from dbo_cli.identification.stages import model_of
 
 TIME = np.arange(4000) / 200.0
