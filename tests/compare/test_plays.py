@@ -74,17 +74,6 @@ def test_forward_after_inverse(kind, n):
         assert np.abs(found - x).max() < 1e-10
 
 
-@pytest.mark.parametrize("kind", ["plays", "falling"])
-@pytest.mark.parametrize("first", [0.0, 0.55, 1.0])
-def test_closed_form_is_the_general_one(kind, first):
-    op, x = operator(kind, 25), drive()
-    x[0] = first
-    wanted = op.run(x)
-    closed = op.closed_inverse(wanted, first)
-    assert np.abs(closed - op.solve(wanted, first)).max() < 1e-11
-    assert np.abs(closed - x).max() < 1e-11
-
-
 def test_starts():
     op = operator("plays", 5)
     assert np.array_equal(op.start(0.0)[:5], op.radii)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dbo_cli.errors import FitError
+from dbo_cli.errors import FitError, InputError
 from dbo_cli.identification import search
 from dbo_cli.identification.averaging import Average
 from dbo_cli.identification.basis import (
@@ -15,6 +15,7 @@ from dbo_cli.identification.basis import (
     columns_of,
     sums_of,
 )
+from dbo_cli.identification.clean import clean
 from dbo_cli.identification.problem import Problem, prepare
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.solve import Equations, Fit, Rows, minimum, solve
@@ -113,17 +114,6 @@ def test_a_fit_without_a_score_is_left_out(monkeypatch: pytest.MonkeyPatch) -> N
     assert np.isfinite(Average.of(found.fits).weights).all()
 
 
-def test_engaged_parts_add_up_to_the_drive() -> None:
-    cells = Cells.of()
-    drive = np.random.default_rng(2).random(500)
-    drive[0] = 0.0
-    log = log_of(drive, cells)
-    table = columns(log, [0.1, 1.0])
-    level = table[:, : cells.count].sum(axis=1)
-    assert np.allclose(level - level[0], drive - drive[0], atol=1e-12)
-    assert np.allclose(table[:, -4:-2] + table[:, -2:], drive[:, None], atol=1e-12)
-
-
 @pytest.mark.parametrize("slopes", ["growing", "falling", "free"])
 @pytest.mark.parametrize("memories", ["", "t", "tr"])
 def test_model_is_what_was_fitted(slopes: str, memories: str) -> None:
@@ -156,8 +146,29 @@ def test_slopes_keep_their_floor() -> None:
     assert fit.curve.min() >= 0.03 - 1e-12
 
 
-@pytest.mark.parametrize("periods", [4.0, 4.8, 5.2])
-def test_where_a_log_ends_makes_no_other_amplitude(periods: float) -> None:
-    drive = 50.0 - 50.0 * np.cos(2.0 * np.pi * periods * np.linspace(0.0, 1.0, 2000))
-    log = Recording("log", drive, hysteresis(drive), np.arange(2000) / 200.0)
-    assert prepare([log], Options()).one_amplitude
+# --- recordings, and what no actuator does ---
+
+
+def test_stuck_and_clipped_sensors_are_left_out() -> None:
+    stuck = hysteresis(DRIVE)
+    stuck += 0.005 * np.random.default_rng(7).normal(size=len(TIME))
+    stuck[1000:1100] = stuck[1000]
+    logs, _ = clean([Recording("log", DRIVE, stuck, TIME)], Options())
+    assert (~logs[0].usable).sum() == 100
+    clipped = np.minimum(hysteresis(DRIVE), 35.0)
+    logs, _ = clean([Recording("log", DRIVE, clipped, TIME)], Options())
+    assert (~logs[0].usable).sum() > 0.8 * (clipped == clipped.max()).sum()
+
+
+def test_skip_needs_a_clock() -> None:
+    with pytest.raises(FitError, match="skip"):
+        clean([Recording("log", DRIVE, hysteresis(DRIVE))], Options(skip=1.0))
+
+
+def test_recordings_are_checked() -> None:
+    with pytest.raises(InputError, match="row 3"):
+        Recording("log", DRIVE, np.where(np.arange(len(TIME)) == 2, np.nan, DRIVE))
+    with pytest.raises(FitError, match="too few"):
+        Recording("log", DRIVE[:10], DRIVE[:10])
+    with pytest.raises(InputError, match="sample_rate"):
+        Recording("log", DRIVE, DRIVE, np.floor(np.arange(len(DRIVE)) / 5.0))

@@ -1,8 +1,5 @@
 """The kernel against the paper's procedure in exact rationals, gear by gear."""
 
-import functools
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -98,53 +95,6 @@ def test_points_are_the_papers(seed: int) -> None:
     got = points(signal)
     np.testing.assert_allclose(got, [float(y) for y in expected], rtol=0, atol=1e-12)
     np.testing.assert_allclose(points.inverse()(got), signal, rtol=0, atol=1e-13)
-
-
-@pytest.mark.parametrize("seed", range(60))
-def test_blocks_change_nothing(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    gears = random_gears(rng)
-    run, signal = gears.run, random_drive(rng, *gears.x_range, 500)
-    if seed % 2:
-        low, high = gears.x_range
-        limits = {"window": (low + 0.2, high - 0.1), "slew": 100.0 * (high - low)}
-        run = functools.partial(gears.undo, **limits)
-        signal = random_drive(rng, *gears.y_range, 500)
-    whole = run(signal, State(0), 1e-3)
-    state, parts, clipped = State(0), [], 0
-    begin = 0
-    while begin < 500:
-        end = begin + int(rng.integers(1, 90))
-        part = run(signal[begin:end], state, 1e-3)
-        state = part.state
-        parts.append(part.y)
-        clipped += part.clipped
-        begin = end
-    assert np.array_equal(np.concatenate(parts), whole.y)
-    assert (state, clipped) == (whole.state, whole.clipped)
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_steps_are_those_of_blocks(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    gears = random_gears(rng)
-    wanted = random_drive(rng, *gears.y_range, 200)
-    low, high = gears.x_range
-    window, slew = (low, low + 0.8 * (high - low)), 0.05 * (high - low) / DT
-    memory = None
-    if gears.relaxation is not None:
-        memory = (0.1,) * gears.gain.size
-    begun = State(0, memory, low)
-    blocks = gears.undo(wanted, begun, DT, window, slew)
-    live = gears.stepper(begun, DT, window, slew)
-    values = []
-    for value in wanted.tolist():
-        live.plan(float(rng.normal()))  # what is not committed leaves nothing behind
-        values.append(live.plan(value))
-        live.commit()
-    assert np.array_equal(values, blocks.y)
-    last = blocks.state.drive
-    assert replace(gears.committed(live), drive=last) == blocks.state
 
 
 @pytest.mark.parametrize("seed", range(20))
