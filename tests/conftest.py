@@ -1,7 +1,5 @@
 """What holds for every test: one thread for small matrices, and properties that repeat themselves."""
 
-from __future__ import annotations
-
 import gc
 import os
 import sys

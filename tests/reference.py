@@ -4,8 +4,6 @@ Every fast path must equal these. Inputs are floats, taken at their exact value.
 the range, which the paper leaves open, the slope of gear n - 1 goes on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from fractions import Fraction
 

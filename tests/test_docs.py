@@ -1,7 +1,5 @@
 """README, pages and ``--help`` held together: what a page shows exists, resolves and runs."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """The examples for laboratories; those of a program run where that program is installed (``make labs``)."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Imports point downwards: rooms below know nothing of rooms above, nor model and logs of each other."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

@@ -1,13 +1,11 @@
 """Even clocks, noise, turns, and the lag between two signals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from dbo_cli.alignment import PLAYS, loop_columns
 from dbo_cli.arrays import Floats
-from dbo_cli.signals import between, even, lag, noise, turns
+from dbo_cli.signals import between, even, lag, noise
 
 ROWS = np.arange(20_000.0)
 
@@ -75,14 +73,6 @@ def test_jumps_turns_and_spikes_are_no_noise() -> None:
     assert noise(triangle + white) == pytest.approx(0.3, rel=0.05)
 
 
-def test_a_signal_turns_where_it_goes_back_by_more_than_its_noise() -> None:
-    drive = np.array([0.0, 1.0, 3.0, 3.0, 3.2, 3.0, 0.0, 4.0])
-    assert turns(drive, 0.5).tolist() == [0, 4, 6, 7]
-    assert turns(drive, 0.1).tolist() == [0, 4, 6, 7]
-    assert turns(np.array([0.0, 1.0, 1.0, 0.0]), 0.5).tolist() == [0, 2, 3]
-    assert turns(np.array([2.0, 2.0]), 0.5).tolist() == [0, 1]
-
-
 @pytest.mark.parametrize("shift", [-1234.3, -2.5, 0.004, 17.25, 830.77])
 def test_a_lag_is_found_to_a_hundredth_of_a_row(shift: float) -> None:
     early, rows = drive_of(3), np.arange(5_000.0)
@@ -99,27 +89,6 @@ def test_a_lag_is_found_to_a_hundredth_of_a_row(shift: float) -> None:
     assert noisy.deviation < 2e-5
 
 
-def test_clocks_of_different_rates_are_laid_over_each_other() -> None:
-    early, rows = drive_of(5, 32_000), np.arange(30_000.0)
-    late = between(early, rows * (1.0 - 5e-5) + 700.3)
-    found = lag(late, early, rate=True)
-    assert found is not None
-    assert found.rate == pytest.approx(5e-5, rel=1e-6)
-    assert found.reference_time(rows[[0, -1]]) == pytest.approx(
-        [700.3, 700.3 + 29_999 * (1.0 - 5e-5)], abs=1e-4
-    )
-
-
-def test_what_lies_beside_the_lag_is_explained_by_further_columns() -> None:
-    early = drive_of(6)
-    other = np.cumsum(np.random.default_rng(7).standard_normal(early.size))
-    late = early[:-9] + 0.3 * other[:-9]
-    found = lag(late[50:], np.column_stack([early, other]))
-    assert found is not None
-    assert found.seconds == pytest.approx(-50.0, abs=1e-6)
-    assert found.residual < 1e-12
-
-
 def test_a_signal_that_repeats_has_a_rival_and_one_that_rests_has_no_lag() -> None:
     sine = np.sin(2.0 * np.pi * np.arange(5_000) / 500)
     found = lag(sine[100:4_100], sine)
@@ -128,13 +97,6 @@ def test_a_signal_that_repeats_has_a_rival_and_one_that_rests_has_no_lag() -> No
     assert abs(found.rival + 100.0) % 500.0 == pytest.approx(0.0, abs=0.1)
     assert lag(np.zeros(100), sine) is None
     assert lag(sine, np.ones(100)) is None
-
-
-def test_an_inverted_signal_is_laid_over_where_it_may_be_inverted() -> None:
-    early = drive_of(8)
-    found = lag(7.0 - early[33:], early, inverted=True)
-    assert found is not None
-    assert found.seconds == pytest.approx(-33.0, abs=1e-6)
 
 
 def test_short_signals_are_laid_over_by_whole_rows() -> None:

@@ -1,7 +1,5 @@
 """The batches of ``workflow/``: a table of all logs, whatever becomes of each."""
 
-from __future__ import annotations
-
 import csv
 import os
 import shutil
@@ -17,7 +15,7 @@ import dbo_cli as dbo
 ROOT = Path(__file__).resolve().parent.parent
 WORKFLOW = ROOT / "workflow"
 MODEL = ROOT / "tests" / "contract" / "models" / "small.json"
-MANY = int(os.environ.get("DBO_LOGS", "3"))  # make labs: 40
+MANY = int(os.environ.get("DBO_LOGS", "2"))  # make labs: 40
 IDENTIFY = "--gears 32 --points 0 --relaxation 0 --delay 0 --dynamics 0"
 
 

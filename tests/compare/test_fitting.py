@@ -1,7 +1,5 @@
 """Rivals fitted to plants that are of their own kind: the numbers come back."""
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np
@@ -90,13 +88,6 @@ def test_a_bent_plant_needs_dead_zones():
     assert modified.parameters == modified.design.plays + modified.design.segments
 
 
-@pytest.mark.parametrize("delay", [3.0, 1.5])
-def test_a_delay_is_found(delay):
-    model = fitted("pi", recording(delay=delay, noise=1e-5))
-    assert model.design.delay == pytest.approx(delay, abs=0.13)
-    assert model.parameters == model.design.plays + 2
-
-
 @pytest.mark.parametrize("name", RIVAL)
 def test_inverse_after_forward(name):
     model = bent(name)
@@ -117,15 +108,6 @@ def test_an_operator_without_an_inverse_is_refused():
     weights = np.append(-1.0, np.full(11, 0.05))
     with pytest.raises(FitError, match="no inverse"):
         fitting.operator_of(RIVAL["extended"], weights)
-
-
-def test_offset_and_drift_of_each_log_are_its_own():
-    first, second = recording(), recording(offset=40.0)
-    slope = np.linspace(0.0, 1.0, len(second.voltage))
-    second = Recording("b", second.voltage, second.displacement + slope, second.time)
-    model = fitted("pi", first, second)
-    assert model.equations.fit_error < 1e-3
-    assert model.equations.problem.drift.shape[1] == 4
 
 
 def test_rows_that_are_skipped_do_not_count():

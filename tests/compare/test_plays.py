@@ -1,7 +1,5 @@
 """Plays: against a slow reference, and inverse after forward."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -74,27 +72,6 @@ def test_forward_after_inverse(kind, n):
     assert np.abs(op.run(found, share) - wanted).max() < 1e-12
     if kind != "singular":
         assert np.abs(found - x).max() < 1e-10
-
-
-@pytest.mark.parametrize("kind", ["plays", "falling"])
-@pytest.mark.parametrize("first", [0.0, 0.55, 1.0])
-def test_closed_form_is_the_general_one(kind, first):
-    op, x = operator(kind, 25), drive()
-    x[0] = first
-    wanted = op.run(x)
-    closed = op.closed_inverse(wanted, first)
-    assert np.abs(closed - op.solve(wanted, first)).max() < 1e-11
-    assert np.abs(closed - x).max() < 1e-11
-
-
-@pytest.mark.parametrize("kind", ["plays", "one-sided"])
-def test_places_of_some_rows(kind):
-    op, x = operator(kind, 5), drive(40_000)
-    rows = np.array([0, 3, 16_383, 16_384, 39_999])
-    found = places(op.radii, op.one_sided, x, rows)
-    assert np.array_equal(found[:, 0], x[rows])
-    bare = Plays(op.radii, op.weights, op.one_sided)
-    assert np.abs(found @ op.weights - bare.run(x)[rows]).max() < 1e-13
 
 
 def test_starts():

@@ -1,7 +1,5 @@
 """Shared fixtures: an empty working folder for each test, and one model of the sample log a session."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The program as a user meets it: a command line in, exit code and both streams out."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

@@ -1,7 +1,5 @@
 """Many channels of one log: ``{}`` in the names of columns, and a set of models as one file."""
 
-from __future__ import annotations
-
 import json
 import wave
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``dbo compare``: the DBO beside the operators that its publication names, in one table."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """``dbo compensate``: the drive of a move, what stands before and behind it, and what to expect."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

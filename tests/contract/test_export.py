@@ -1,49 +1,25 @@
 """``dbo export``: C99 that compiles without a warning and gives the library's numbers."""
 
-from __future__ import annotations
-
-import ctypes
+import json
 import os
 import re
-import shutil
-import subprocess
-import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import dbo_cli
+from tests.export.firmware import NO_COMPILER, Firmware
 
 from .program import Floats, dbo, done, load, model, refused, values_of
 
-CC = os.environ.get("CC", "cc")
 pytestmark = [
-    pytest.mark.skipif(shutil.which(CC) is None, reason="needs a C compiler"),
+    pytest.mark.skipif(NO_COMPILER, reason="needs a C compiler"),
     pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning"),
 ]
-FLAGS = "-std=c99 -Wall -Wextra -Werror -O0 -ffp-contract=off".split()
 RATE = 1000.0
 WORDS = ("--sample-rate", RATE, "-q", "-o", "firmware")
-KERNEL = tempfile.TemporaryDirectory()  # compiled once: it is the same in every export
-
-PLAY = """
-#include "stage.h"
-#include <stddef.h>
-void play(const double *in, double *out, size_t count);
-void play(const double *in, double *out, size_t count) {
-    stage_state state;
-    stage_init(&state);
-    for (size_t k = 0; k < count; k++) out[k] = stage_step(&state, in[k]);
-}
-double held(double drive);
-double held(double drive) { /* what a senseless input leaves of a drive */
-    stage_state state;
-    stage_init(&state);
-    stage_reset(&state, drive);
-    return stage_step(&state, 1e300);
-}
-"""
 
 
 def wanted_of(name: str, rows: int = 3000) -> Floats:
@@ -57,45 +33,18 @@ def wanted_of(name: str, rows: int = 3000) -> Floats:
     return low + (high - low) * (0.02 + 0.9 * way)
 
 
-def objects(left_out: str = "none") -> list[str]:
-    """Compile the sources of ``firmware``, and ``play.c`` where it is there."""
-    made = []
-    for path in [*Path("firmware").glob("*.c"), *Path().glob("play.c")]:
-        is_kernel = path.name.startswith("dbo_")
-        target = Path(KERNEL.name if is_kernel else ".", f"{path.stem}.o")
-        if left_out in path.name:
-            continue
-        if not is_kernel or not target.exists():
-            line = [CC, *FLAGS, "-fPIC", "-Ifirmware", "-c", path, "-o", target]
-            subprocess.run(line, check=True, capture_output=True)
-        made.append(str(target))
-    return made
+def built() -> Firmware:
+    """Compile what lies in ``firmware``, outside it."""
+    files = {path.name: path.read_text() for path in Path("firmware").iterdir()}
+    figures = json.loads(files.pop("export.json"))
+    export = SimpleNamespace(files=files, figures=figures)
+    return Firmware(export, Path("built").resolve())
 
 
-def compiled(name: str, *words: object) -> ctypes.CDLL:
-    """Export a model; compile it without its self-test, as a library."""
+def compiled(name: str, *words: object) -> Firmware:
+    """Export a model and compile it."""
     done("export", model(name), "--name", "stage", *words, *WORDS)
-    Path("play.c").write_text(PLAY)
-    line = [CC, "-shared", *objects("_test"), "-o", "play.so"]
-    subprocess.run(line, check=True, capture_output=True)
-    library = ctypes.CDLL(str(Path("play.so").resolve()))
-    library.held.restype = ctypes.c_double
-    return library
-
-
-def self_test() -> int:
-    """Compile and run the self-test; return its exit code."""
-    subprocess.run([CC, *objects(), "-o", "./self", "-lm"], check=True)
-    return subprocess.run(["./self"], capture_output=True, check=False).returncode
-
-
-def played(library: ctypes.CDLL, wanted: Floats) -> Floats:
-    """Return the drive of a move, sample by sample from the start."""
-    out = np.empty_like(wanted)
-    pointer = ctypes.POINTER(ctypes.c_double)
-    count = ctypes.c_size_t(len(wanted))
-    library.play(wanted.ctypes.data_as(pointer), out.ctypes.data_as(pointer), count)
-    return out
+    return built()
 
 
 @pytest.mark.parametrize("name", ["creep", "bent"])
@@ -104,7 +53,7 @@ def test_double_gives_the_bits_of_the_library(name: str) -> None:
     expected = dbo_cli.read_model(model(name)).compensate(
         wanted, sample_rate=RATE, state="empty", on_limit="clip"
     )
-    np.testing.assert_array_equal(played(compiled(name), wanted), expected)
+    np.testing.assert_array_equal(compiled(name).play(wanted), expected)
 
 
 @pytest.mark.parametrize("name", ["late", "moving"])
@@ -118,7 +67,7 @@ def test_the_input_comes_so_many_samples_earlier_as_live(name: str) -> None:
     assert ahead is not None and int(ahead[1]) == live.lookahead > 0
     wanted = wanted_of(name, 600)
     expected = [live.step(value) for value in wanted.tolist()]
-    out = played(library, wanted)
+    out = library.play(wanted)
     np.testing.assert_allclose(out, expected, rtol=0, atol=1e-9)
 
 
@@ -129,23 +78,23 @@ def test_the_self_test_passes_and_fails_where_a_table_differs(arithmetic: str) -
     )
     said = Path("firmware/README.md").read_text() + outcome.err
     assert arithmetic == "double" or re.search(r"\d(\.\d+)? ?%", said)  # its bound
-    assert self_test() == 0
+    assert built().self_test()[0] == 0
     tables = Path("firmware/actuator.c")
     text = tables.read_text()
     first = re.search(r"gears\[.*?\{\s*\{(?:0x1\.|\d)(.)", text, re.DOTALL)
     assert first is not None, "no table of numbers"
     other = "2" if first[1] == "1" else "1"
     tables.write_text(text[: first.start(1)] + other + text[first.end(1) :])
-    assert self_test() == 1
+    assert built().self_test()[0] == 1
 
 
 def test_limits_are_in_the_tables() -> None:
     library = compiled("small", "--v-min", 1, "--v-max", 8, "--max-slew", 200)
     wanted = np.concatenate([np.linspace(1.0, 9.0, 100), np.linspace(9.0, 1.0, 100)])
-    out = played(library, wanted)
+    out = library.play(wanted)
     assert out.min() >= 1.0 and out.max() == 8.0
     assert np.abs(np.diff(out)).max() <= 0.2 * (1.0 + 1e-12)
-    held = [library.held(ctypes.c_double(drive)) for drive in (9.5, 5.0, 0.5)]
+    held = [library.play([1e300], reset=drive)[0] for drive in (9.5, 5.0, 0.5)]
     assert held == [8.0, 5.0, 1.0]
 
 

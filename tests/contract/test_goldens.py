@@ -6,8 +6,6 @@ each model makes of it, a wish and its drive, free and within limits. The ends o
 it they depended on whether the clock was typed or read.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

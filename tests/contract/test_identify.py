@@ -1,7 +1,5 @@
 """``dbo identify``: errors within bounds, sign, delay, past, what is refused and what is said."""
 
-from __future__ import annotations
-
 import json
 import math
 import subprocess

@@ -1,7 +1,5 @@
 """One strict reader of JSON for models, states, histories and summaries."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import shutil

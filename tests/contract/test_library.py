@@ -1,7 +1,5 @@
 """``import dbo_cli as dbo``: the examples of DESIGN, section 3, their types, and the numbers of the shell."""
 
-from __future__ import annotations
-
 import inspect
 import subprocess
 import sys
@@ -18,18 +16,8 @@ import dbo_cli as dbo
 from dbo_cli.library import Move
 
 from .program import (
-    DRIVE,
-    MOVE,
-    SAMPLES,
-    Floats,
-    compensated,
-    done,
-    model,
-    rms,
-    simulated,
-    table,
-    write,
-)
+    MOVE, SAMPLES, Floats, compensated, done, model, rms, table, write,
+)  # fmt: skip
 
 TIME = np.arange(400) / 1000.0
 WANTED = 5.0 - 3.0 * np.cos(2.0 * np.pi * 5.0 * TIME)
@@ -185,14 +173,6 @@ def test_frames_and_arrays_give_the_model_of_the_shell(log: Path) -> None:
     assert len(dbo.identify([frame, frame], **QUICK).fit["logs"]) == 2
 
 
-def test_senseless_arrays_are_refused() -> None:
-    drive = 5.0 + 5.0 * np.sin(np.arange(300) / 10.0)
-    with pytest.raises(dbo.DboError):
-        dbo.identify(drive, drive[:-1], sample_rate=100.0)
-    with pytest.raises(dbo.DboError):
-        dbo.identify(drive, np.full(300, np.nan), sample_rate=100.0)
-
-
 def test_what_is_warned_of_is_part_of_the_result() -> None:
     drive = 50.0 - 50.0 * np.cos(np.arange(1200) * np.pi / 120.0)
     moved = dbo.read_model(model("small")).simulate(drive / 10.0)
@@ -206,14 +186,6 @@ def test_what_is_warned_of_is_part_of_the_result() -> None:
 
 
 # --- models ---
-
-
-def test_simulate_is_the_shell_s(creep: Any) -> None:
-    drive = np.round(100.0 * np.abs(np.sin(TIME * 20.0)), 6)
-    shell = simulated("creep", write("drive.csv", DRIVE, TIME, drive))
-    np.testing.assert_array_equal(creep.simulate(drive, time=TIME), shell)
-    rated = creep.simulate(drive, sample_rate=1000.0)
-    np.testing.assert_allclose(rated, shell, atol=1e-12)
 
 
 def test_compensate_is_the_shell_s(creep: Any) -> None:

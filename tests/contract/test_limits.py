@@ -1,7 +1,5 @@
 """Limits hold, wherever a drive is made: the gate, inverse models, and ``check`` of one mind with them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Live control: a sample at a time, the numbers of ``compensate``, and never beyond a limit."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

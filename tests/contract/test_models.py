@@ -1,7 +1,5 @@
 """Model files: every key is checked, the schema agrees, sets hold models by name, ``show`` tells."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """``trajectory``, ``waveform``, ``excite``: moves, files for generators, a drive that identifies well."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

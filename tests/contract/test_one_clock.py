@@ -1,8 +1,5 @@
 """Two recordings of one drive on one clock: ``report``, ``check``, ``--tracked``, ``--clock-offset``."""
 
-from __future__ import annotations
-
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Outputs: never in place of what was read, whole or not at all, whoever ends the work."""
 
-from __future__ import annotations
-
 import os
 import resource
 import shutil
@@ -15,17 +13,8 @@ import numpy as np
 import pytest
 
 from .program import (
-    PAIR,
-    PASS,
-    PROGRAM,
-    dbo,
-    done,
-    listing,
-    model,
-    refused,
-    table,
-    write,
-)
+    PAIR, PASS, PROGRAM, dbo, done, listing, model, refused, table, write,
+)  # fmt: skip
 
 SMALL = model("small")
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals and pipes")

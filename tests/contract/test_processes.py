@@ -1,7 +1,5 @@
 """A dozen real processes: pipes, a reader that leaves, interrupts and kills, a full disk, no compiler."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Everyday logs, and what is asked where a log is not clear: nothing is read wrong in silence."""
 
-from __future__ import annotations
-
 import gzip
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """``dbo report``: what is compared, in which form, and bounds that end a script."""
 
-from __future__ import annotations
-
 import csv
 import io
 import re
@@ -12,20 +10,8 @@ import numpy as np
 import pytest
 
 from .program import (
-    DRIVE,
-    LOG,
-    MOVE,
-    PAIR,
-    Floats,
-    dbo,
-    done,
-    load,
-    model,
-    refused,
-    rms,
-    simulated,
-    write,
-)
+    DRIVE, LOG, MOVE, PAIR, Floats, dbo, done, load, model, refused, rms, simulated, write,
+)  # fmt: skip
 
 TIME = np.arange(600) / 500.0
 WANTED = 5.0 + 3.0 * np.sin(2.0 * np.pi * 2.0 * TIME)

@@ -1,7 +1,5 @@
 """The shell around the commands: help, exit codes, one-line errors, what is said and what is not."""
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

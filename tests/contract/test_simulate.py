@@ -1,7 +1,5 @@
 """``dbo simulate``: any length, any block, any start, and what lies outside the range."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -10,19 +8,8 @@ import pytest
 import dbo_cli
 
 from .program import (
-    DRIVE,
-    MOVE,
-    dbo,
-    done,
-    load,
-    model,
-    refused,
-    simulated,
-    store,
-    table,
-    values_of,
-    write,
-)
+    DRIVE, MOVE, dbo, done, load, model, refused, simulated, store, table, values_of, write,
+)  # fmt: skip
 
 MOVES = [0.0, 5.0, 10.0, 3.0, 8.0, 2.0, 6.0]
 CLOCKED = ("creep", "moving", "late", "soft")
@@ -150,24 +137,6 @@ def test_long_files_give_what_short_blocks_give(name: str) -> None:
     np.testing.assert_allclose(written, expected, rtol=0, atol=1e-9)
 
 
-def test_units_of_the_log_become_those_of_the_model() -> None:
-    write("volts.csv", "voltage_V", MOVES)
-    write("millivolts.csv", "voltage_mV", 1000.0 * np.array(MOVES))
-    one, two = (simulated("small", f"{kind}.csv") for kind in ("volts", "millivolts"))
-    np.testing.assert_allclose(two, one, atol=1e-12)
-    write("log.csv", "voltage_um", MOVES)
-    error = refused(1, "simulate", model("small"), "log.csv", "--input", "voltage_um")
-    assert "um" in error and "V" in error
-
-
-def test_an_inverse_model_takes_a_displacement(wish: Path) -> None:
-    done("invert", model("small"), "-o", "inverse.json")
-    written = table(done("simulate", "inverse.json", wish))
-    assert list(written) == ["time_s", "displacement_um", "voltage_V"]
-    direct = dbo_cli.read_model(model("small")).compensate(written["displacement_um"])
-    np.testing.assert_allclose(written["voltage_V"], direct, atol=1e-12)
-
-
 def test_other_quantities_keep_their_names() -> None:
     values = values_of("small")
     values["input"] |= {"quantity": "pressure", "unit": "bar"}
@@ -177,16 +146,6 @@ def test_other_quantities_keep_their_names() -> None:
     written = table(done("simulate", "muscle.json", "log.csv"))
     assert list(written)[1] == "angle_mrad"
     np.testing.assert_allclose(written["angle_mrad"], [1.0, 4.2, 9.0], atol=1e-12)
-
-
-def test_negative_gains_come_back_exactly() -> None:
-    """A memory with a negative gain: the drive of a wish brings the wish."""
-    time = np.arange(300) / 500.0
-    wanted = 2.0 + 1.5 * np.sin(2.0 * np.pi * 7.0 * time)
-    write("wish.csv", MOVE, time, wanted)
-    done("compensate", model("soft"), "wish.csv", "--state", "full", "-o", "drive.csv")
-    came = simulated("soft", "drive.csv", "--state", "full")
-    np.testing.assert_allclose(came[1:], wanted[1:], atol=1e-11)
 
 
 def test_the_step_behind_a_gap_of_a_joined_log_is_the_gap() -> None:

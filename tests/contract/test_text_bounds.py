@@ -1,7 +1,5 @@
 """Text without end, and marks that may stand between thousands: refused, whatever stands around them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

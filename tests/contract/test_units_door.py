@@ -1,7 +1,5 @@
 """One door for units: files, frames, Series, arrays and typed numbers; nothing is invented."""
 
-from __future__ import annotations
-
 import inspect
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Models of invented actuators, for the tests of drives."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from typing import Any

@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 import math
-import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -11,7 +8,7 @@ from hypothesis import strategies as st
 
 from dbo_cli.drive import Driver, Lead, Limits
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.model import Cascade, Lag
+from dbo_cli.model import Cascade
 
 from .actuators import (
     actuator,
@@ -77,16 +74,6 @@ def test_values_do_not_depend_on_blocks(model: Cascade, rows: int, slow: bool) -
     assert drive.lost_rms == pytest.approx(whole.lost_rms, rel=1e-9, abs=1e-15)
 
 
-def test_a_state_without_a_voltage_starts_where_the_amplifier_stands() -> None:
-    model = actuator()
-    wanted = ripple(model, 100, 0.5)
-    begun = model.start(40.0, "empty")
-    options = {"state": begun, "start": 40.0, "approach": "auto"}
-    drive = plan(model, wanted, DT, limits_of(model), **options)  # type: ignore[arg-type]
-    y = model.run(np.r_[40.0, drive.voltage], begun, DT).y[1:]
-    assert np.abs(y - drive.desired).max() < 1e-10
-
-
 def test_a_pause_lets_memory_go_on() -> None:
     model = actuator(tau=(0.5,), gain=(0.02,))
     wanted = ripple(model, 500, 0.4)
@@ -103,32 +90,6 @@ def test_a_pause_lets_memory_go_on() -> None:
 # --- limits ---
 
 
-def test_the_number_that_would_fit_fits() -> None:
-    model = actuator()
-    wanted = ripple(model, 1000, 0.9)
-    with pytest.raises(LimitError, match="times slower") as refused:
-        plan(model, wanted, DT, limits_of(model, max_slew=300))
-    slower = float(str(refused.value).split("allows it ")[1].split(" ")[0])
-    assert slower > 1.5
-    assert plan(model, wanted, slower * DT, limits_of(model, max_slew=300)).clipped == 0
-
-
-def test_a_stream_counts_its_loss_and_refuses_in_the_end() -> None:
-    model = actuator()
-    wanted = ripple(model, 1000, 0.9)
-    limits = limits_of(model, 0, 60)
-    parts = in_blocks(Driver(model, limits), blocks_of(wanted, DT, 100))
-    voltage = []
-    with pytest.raises(LimitError):
-        for part in parts:
-            voltage.append(part.y)
-    assert sum(rows.size for rows in voltage) == 1000
-    driver = Driver(model, limits, on_limit="clip")
-    drive = driven_in_blocks(driver, blocks_of(wanted, DT, 100))
-    assert drive.clipped > 100
-    assert drive.lost_rms > 0.1
-
-
 def test_nothing_of_a_lead_that_is_too_long_leaves() -> None:
     model = actuator()
     limits = limits_of(model, max_slew=1)
@@ -136,25 +97,6 @@ def test_nothing_of_a_lead_that_is_too_long_leaves() -> None:
     parts = in_blocks(Driver(model, limits, Lead(condition=True)), moves)
     with pytest.raises(LimitError, match="max_slew"):
         next(parts)
-
-
-def test_a_stream_takes_constant_memory() -> None:
-    model = actuator(tau=(0.1,), gain=(0.01,), sections=(Lag(1e-3),), delay=0.002)
-    block = ripple(model, 20000, 0.5)
-    limits = limits_of(model, 0, 60, 2000)
-
-    def peak(blocks: int) -> int:
-        time = DT * np.arange(block.size)
-        moves = ((time + 20.0 * k, DT, block) for k in range(blocks))
-        rows = in_blocks(Driver(model, limits, on_limit="clip"), moves)
-        tracemalloc.start()
-        count = sum(part.y.size for part in rows)
-        _, most = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        assert count == 20000 * blocks
-        return most
-
-    assert peak(40) < 1.1 * peak(10)
 
 
 def test_what_cannot_be_driven() -> None:
@@ -180,23 +122,6 @@ def test_what_cannot_be_driven() -> None:
     uneven = np.cumsum(np.r_[0.0, 1e-3, 5e-3, 1e-3, 1e-3])
     with pytest.raises(InputError, match="resample"):
         plan(late, ripple(late, 5, 0.1), uneven, limits)
-
-
-def test_holding_with_negative_gains_is_looked_at() -> None:
-    model = actuator(tau=(1.0,), gain=(-0.015,))
-    top = model.static.run(np.array([95.0]), model.start(95.0, "full"), 1.0).y[0]
-    rise = np.linspace(model.output.min, 0.99 * top, 200)
-    drive = plan(model, rise, DT, limits_of(model), state="empty", on_limit="clip")
-    held = plan(
-        model,
-        np.full(20000, rise[-1]),
-        0.01,
-        limits_of(model),
-        state=drive.state,
-        on_limit="clip",
-    )
-    warned = any("holding" in text for text in drive.warnings)
-    assert warned == (held.clipped > 0)
 
 
 @pytest.mark.parametrize("value", [1e308, -1e61, math.inf, math.nan])

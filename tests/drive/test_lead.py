@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -10,9 +8,8 @@ from hypothesis import strategies as st
 
 from dbo_cli.drive import Limits
 from dbo_cli.drive.lead import Lead
-from dbo_cli.drive.smooth import swings
 from dbo_cli.errors import LimitError, UsageError
-from dbo_cli.model import Cascade, Lag, Resonance
+from dbo_cli.model import Cascade
 
 from .actuators import actuator, actuators, plan, ripple
 
@@ -22,81 +19,6 @@ DT = 2e-4
 
 def limits_of(model: Cascade, *typed: float | None, **named: float | bool) -> Limits:
     return Limits.within(model.input, *typed, **named)  # type: ignore[arg-type]
-
-
-def played(
-    model: Cascade, voltage: np.ndarray, dt: float = DT, start: str = "auto"
-) -> np.ndarray:
-    return np.asarray(model.run(voltage, model.start(float(voltage[0]), start), dt).y)
-
-
-def test_typed_seconds() -> None:
-    model = actuator()
-    wanted = ripple(model, 1000, 0.6)
-    drive = plan(model, wanted, 0.01, limits_of(model), start=0.0, approach=2.0)
-    assert drive.lead_seconds == pytest.approx(2.0, abs=0.03)
-    rest = plan(model, wanted, 0.01, limits_of(model), lead=0.5)
-    assert rest.move.start == 50
-    assert np.ptp(rest.desired[:51]) == 0.0
-
-
-def test_lead_auto_is_what_is_read_ahead() -> None:
-    model = actuator(sections=(Resonance(60.0, 0.02),), delay=0.002)
-    drive = plan(
-        model,
-        ripple(model, 1000, 0.5),
-        DT,
-        limits_of(model),
-        lead="auto",
-        on_limit="clip",
-    )
-    assert drive.move.start == model.inverter(DT).ahead
-
-
-def test_sweep_stays_in_the_moves_range() -> None:
-    model = actuator(low=0.0, high=100.0)
-    drive = plan(
-        model,
-        ripple(model, 200, 0.3),
-        DT,
-        limits_of(model, -20, 150),
-        start=-10.0,
-        condition=True,
-    )
-    swept = drive.voltage[: drive.move.start]
-    assert swept[0] == -10.0
-    assert swept.max() == 100.0
-    typed = plan(
-        model, ripple(model, 200, 0.3), DT, limits_of(model, 5, 80), condition=True
-    )
-    assert (typed.voltage.min(), typed.voltage.max()) == (5.0, 80.0)
-
-
-@pytest.mark.parametrize("start", [0.15, 0.5, 0.8])
-@pytest.mark.parametrize("slew", [None, 600.0])
-def test_sweep_joins_the_move(start: float, slew: float | None) -> None:
-    model = actuator(
-        tau=(0.01, 0.3, 4.0),
-        gain=(0.003, 0.004, 0.004),
-        curve=(1.0, 0.8, 1.1),
-        sections=(Lag(4e-4), Resonance(250.0, 0.02)),
-    )
-    t = np.arange(10000) * DT
-    hump = np.sin(np.pi * np.clip((t - 0.3) / 1.2, 0, 1)) ** 2
-    wanted = model.output.min + model.output.span * (start + 0.1 * hump)
-    drive = plan(model, wanted, DT, limits_of(model, max_slew=slew), condition=True)
-    steps = np.abs(np.diff(drive.voltage))
-    join = drive.move.start
-    around = steps[join - 3 : join + 3].max()
-    elsewhere = np.r_[steps[: join - 3], steps[join + 3 :]].max()
-    assert around <= elsewhere
-    y = played(model, drive.voltage)
-    assert np.abs(y - wanted_rows(drive.desired, y))[join:].max() < 5e-3
-
-
-def wanted_rows(desired: np.ndarray, y: np.ndarray) -> np.ndarray:
-    assert desired.size == y.size
-    return desired
 
 
 @pytest.mark.parametrize("rows", [200, 40_000])
@@ -157,17 +79,6 @@ def test_options_that_are_none() -> None:
     state = plan(model, [1.0, 2.0, 3.0], DT, limits).state
     with pytest.raises(UsageError, match="contradicts"):
         plan(model, [1.0, 2.0, 3.0], DT, limits, start=77.0, state=state)
-
-
-@given(
-    st.lists(st.floats(-100, 100), min_size=2, max_size=5),
-    st.integers(1, 50),
-)
-def test_swings_stay_between_their_turns(turns: list[float], rows: int) -> None:
-    voltage = swings(turns, [rows] * (len(turns) - 1))
-    assert voltage.size == 1 + rows * (len(turns) - 1)
-    assert voltage.min() == min(turns) and voltage.max() == max(turns)
-    assert voltage[0] == turns[0] and voltage[-1] == turns[-1]
 
 
 @given(

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np
@@ -8,7 +6,6 @@ import pytest
 from dbo_cli.drive import Limits
 from dbo_cli.drive.drive import PassRecord
 from dbo_cli.drive.learning import Tracked
-from dbo_cli.drive.smooth import low_pass
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import Cascade, Resonance
 
@@ -83,13 +80,6 @@ def test_learning_converges_with_a_mistuned_model(
     assert max(errors[6:]) < 0.35 * errors[0]
 
 
-def test_learning_without_dynamics_finds_its_own_band() -> None:
-    model = actuator(256, growth=1.5)
-    plant = actuator(256, growth=1.8, stroke=10.4)
-    errors = learned(model, plant, 5)
-    assert errors[-1] < 0.2 * errors[0]
-
-
 def test_growth_is_refused() -> None:
     model, plant = actuator(growth=1.5), actuator(growth=1.8)
     wanted, limits = move(), Limits.within(model.input)
@@ -111,37 +101,6 @@ def test_growth_is_refused() -> None:
     assert repeated.history == lesson.history
 
 
-def test_the_mean_is_the_sensors_zero_unless_absolute() -> None:
-    model = actuator(growth=1.5, fit={"expected_rmse": 0.01})
-    wanted, limits = move(), Limits.within(model.input)
-    drive = plan(model, wanted, DT, limits, state="empty")
-    y = model.run(drive.voltage, model.start(0.0, "empty"), DT).y
-    shifted = [Tracked("pass.csv", drive.voltage, y + 0.3)]
-    same = plan(model, wanted, DT, limits, state="empty", tracked=shifted)
-    assert "without the mean, 0.3 um" in same.expected_line()
-    assert np.abs(same.voltage - drive.voltage).max() < 0.05
-    lower = plan(
-        model, wanted, DT, limits, state="empty", tracked=shifted, absolute=True
-    )
-    assert lower.voltage.mean() < drive.voltage.mean() - 1.0
-    assert np.array_equal(lower.desired, wanted)
-
-
-def test_periods_are_learned() -> None:
-    model, plant = actuator(growth=1.5), actuator(growth=1.8)
-    wanted = 5.0 + 3.0 * np.sin(2 * np.pi * np.arange(1000) / 1000)
-    limits = Limits.within(model.input)
-    tracked: list[Tracked] = []
-    errors = []
-    for _ in range(4):
-        drive = plan(model, wanted, 1e-3, limits, periodic=True, tracked=tracked)
-        voltage = np.tile(drive.voltage[drive.move], 4)
-        y = plant.run(voltage, plant.start(float(voltage[0])), 1e-3).y
-        errors.append(float(np.std(y[-1000:] - wanted)))
-        tracked = [Tracked("loop.csv", voltage, y)]
-    assert errors[-1] < 0.2 * errors[0]
-
-
 def test_recordings_that_do_not_belong() -> None:
     model = actuator(growth=1.5)
     wanted, limits = move(), Limits.within(model.input)
@@ -158,10 +117,3 @@ def test_recordings_that_do_not_belong() -> None:
         plan(model, np.full(y.size, 5.0), DT, limits, tracked=[good])
     with pytest.raises(UsageError):
         plan(model, wanted, DT, limits, history=[PassRecord("", 1.0)])
-
-
-def test_a_low_pass_keeps_rests_and_halves_its_cutoff() -> None:
-    rest = np.full(50, 0.1)
-    assert np.array_equal(low_pass(rest, 50.0, 1e-3, order=4), rest)
-    wave = np.cos(2 * np.pi * 50.0 * np.arange(2000) * 1e-3)
-    assert np.ptp(low_pass(wave, 50.0, 1e-3, loop=True)) == pytest.approx(1.0, rel=0.02)

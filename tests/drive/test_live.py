@@ -18,29 +18,6 @@ def stepped(live: Controller, wanted: np.ndarray) -> np.ndarray:
     return np.array([live.step(x) for x in wanted])
 
 
-@pytest.mark.parametrize(
-    "parts",
-    [
-        {},
-        {"tau": (0.01, 1.0), "gain": (0.01, 0.02)},
-        {"tau": (0.05,), "gain": (-0.01,)},
-        {"bend": (1.0, 1.5), "curve": (2.0, 1.0), "scale": -0.5},
-    ],
-)
-def test_live_is_compensate(parts):
-    model = actuator(**parts)
-    wanted = ripple(model, 400)
-    limits = {"v_min": 5.0, "v_max": 80.0, "max_slew": 900.0}
-    live = Controller(model, RATE, **limits)
-    whole = plan(
-        model, wanted, 1 / RATE, Limits.within(model.input, **limits), on_limit="clip"
-    )
-    sent = stepped(live, wanted)
-    np.testing.assert_allclose(sent, whole.voltage, rtol=0, atol=1e-9)
-    assert live.clipped == whole.clipped > 0
-    assert np.abs(np.diff(sent)).max() <= 0.9 * (1 + 1e-12)
-
-
 def test_a_state_without_a_voltage_takes_the_typed_one():
     model, wanted = actuator(), np.full(20, 5.0)
     limits = Limits.within(model.input, None, None, 1e4)
@@ -84,11 +61,3 @@ def test_lookahead_undoes_what_needs_the_future(parts):
         Controller(model, RATE)
     with pytest.raises(UsageError):
         Controller(model, RATE, lookahead=0.0)
-
-
-def test_an_applied_voltage_outside_walks_inwards():
-    live = Controller(actuator(), RATE, v_min=0, v_max=80, max_slew=1000)
-    live.plan(3.0)
-    live.commit(82.5)
-    inwards = [live.step(3.0) for _ in range(4)]
-    np.testing.assert_allclose(inwards, [81.5, 80.5, 80.0, 79.0], rtol=0, atol=1e-12)

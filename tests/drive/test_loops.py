@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,7 +5,7 @@ from hypothesis import strategies as st
 
 from dbo_cli.drive import Limits
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.model import Cascade, Resonance
+from dbo_cli.model import Cascade
 
 from .actuators import actuator, actuators, plan, ripple
 
@@ -51,50 +49,6 @@ def test_a_loop_is_a_fixed_point_of_the_pass(
     assert error[-1] <= error[0] * (1 + 1e-9) + 1e-9
 
 
-def test_a_run_in_leads_to_the_loop() -> None:
-    model = actuator(
-        tau=(0.02,), gain=(0.01,), sections=(Resonance(60.0, 0.03),), delay=0.002
-    )
-    wanted = ripple(model, 500, 0.6, 1.0)
-    settled = plan(model, wanted, DT, limits_of(model), periodic=True, passes=2)
-    first, later = passes_of(model, settled.voltage, settled.move.start, 30)[[0, -1]]
-    assert np.abs(later - wanted).max() < 5e-3 * np.ptp(wanted)
-    assert np.abs(first - later).max() < 2e-2 * np.ptp(wanted)
-    cold = plan(model, wanted, DT, limits_of(model), periodic=True)
-    start = passes_of(model, cold.voltage, cold.move.start, 2)[0]
-    assert np.abs(first - wanted).max() < np.abs(start - wanted).max()
-    assert settled.time is not None and settled.time[settled.move.start] == 0.0
-
-
-@given(
-    actuators(),
-    st.floats(0.0, 1.0),
-    st.integers(0, 3),
-    st.sampled_from([6.5, 9.0, 30.0]),
-)
-@settings(max_examples=60, deadline=None, derandomize=True)
-def test_a_loop_and_its_run_in_keep_the_slew(
-    model: Cascade, phase: float, passes: int, spans: float
-) -> None:
-    wanted = ripple(model, 500, 0.8, 1.0, phase)
-    slew = spans * model.input.span
-    try:
-        drive = plan(
-            model,
-            wanted,
-            DT,
-            limits_of(model, slew),
-            periodic=True,
-            passes=passes,
-            on_limit="clip",
-        )
-    except LimitError:
-        return
-    period = drive.voltage[drive.move]
-    steps = np.abs(np.concatenate([np.diff(drive.voltage), [period[0] - period[-1]]]))
-    assert steps.max() <= slew * DT * (1 + 1e-12)
-
-
 def test_a_slew_limit_says_which_frequency_it_allows() -> None:
     model = actuator()
     wanted = ripple(model, 500, 0.8, 1.0)
@@ -106,20 +60,6 @@ def test_a_slew_limit_says_which_frequency_it_allows() -> None:
         model, wanted, 1.0 / (500 * allowed), limits_of(model, 150.0), periodic=True
     )
     assert drive.lost_rms < 2e-3 * np.ptp(wanted)
-
-
-def test_ramp_to_a_loop() -> None:
-    model = actuator(tau=(0.02,), gain=(0.01,))
-    wanted = ripple(model, 500, 0.6, 1.0, 0.3)
-    limits = limits_of(model, 2000.0)
-    drive = plan(model, wanted, DT, limits, periodic=True, start=0.0, approach="auto")
-    assert drive.voltage[0] == 0.0
-    assert drive.lead_seconds >= 0.1
-    assert np.abs(np.diff(drive.voltage)).max() <= 2000.0 * DT * (1 + 1e-12)
-    settled = passes_of(model, drive.voltage, drive.move.start, 40)
-    assert np.abs(settled[-1] - wanted).max() < 1e-8
-    with pytest.raises(LimitError, match="approach"):
-        plan(model, wanted, DT, limits, periodic=True, start=0.0)
 
 
 def test_what_is_no_loop() -> None:

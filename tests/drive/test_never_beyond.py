@@ -1,7 +1,5 @@
 """The attacks of ``benchmarks/`` in small: no row of a drive, no live voltage is ever beyond a limit."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections import Counter

@@ -1,7 +1,5 @@
 """Models to export, and exports compiled and called from here."""
 
-from __future__ import annotations
-
 import ctypes
 import itertools
 import os

@@ -1,7 +1,5 @@
 """Exports in double give the bits of the library, whatever the model."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from firmware import (
@@ -92,13 +90,6 @@ def test_less_code_and_less_memory_change_no_bit(flags, tmp_path):
     assert same_bits(*compared(model, firmware, limits_of(model)))
 
 
-def test_what_is_no_number_repeats_the_last_output(tmp_path):
-    firmware = exported(MODELS["creep"], tmp_path)
-    found = firmware.play([np.nan, 2.0, np.inf, 1e300, -np.inf, np.nan, 2.5])
-    assert found[0] == 0.0
-    assert (found[1:6] == found[1]).all() and found[6] != found[1]
-
-
 # ---- fewer gears
 
 
@@ -116,15 +107,6 @@ def test_fewer_gears_keep_the_loading_curve_and_say_what_is_lost():
     assert with_fewer_gears(model, 64) == (model, None)
 
 
-def test_fewer_gears_of_a_model_that_goes_on_beyond_its_range():
-    model = wide_model()
-    fewer, _ = with_fewer_gears(model, 10)
-    up = np.linspace(0.0, 100.0, 11)
-    full, _ = model.simulate(up, state="empty")
-    coarse, _ = fewer.simulate(up, state="empty")
-    np.testing.assert_allclose(coarse, full, atol=1e-12)
-
-
 @pytest.mark.parametrize("gears", [0, 65])
 def test_more_gears_than_there_are_are_refused(gears):
     with pytest.raises(UsageError, match="`gears`"):
@@ -132,15 +114,6 @@ def test_more_gears_than_there_are_are_refused(gears):
 
 
 # ---- refusals and texts
-
-
-def test_a_unit_cannot_end_a_comment(tmp_path):
-    from dataclasses import replace
-
-    model = MODELS["gears"]
-    evil = replace(model, input=replace(model.input, quantity="*/ $x /*\nx", unit="$V"))
-    firmware = exported(evil, tmp_path, limits_of(model))
-    assert firmware.play([2.0]).size == 1
 
 
 def test_files_of_the_kernel_are_the_very_files(tmp_path):

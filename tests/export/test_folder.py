@@ -1,8 +1,5 @@
 """The folder of an export appears whole or not at all, and only replaces an export."""
 
-from __future__ import annotations
-
-import json
 import os
 from pathlib import Path
 
@@ -16,26 +13,6 @@ FILES = {"a.c": "int a;\n", "README.md": "# a\n"}
 
 def content(folder):
     return {path.name: path.read_text() for path in Path(folder).iterdir()}
-
-
-def test_a_folder_has_its_files_and_figures(tmp_path):
-    folder = str(tmp_path / "fw")
-    write_folder(folder, FILES, {"name": "a", "gears": 3})
-    listed = json.loads((tmp_path / "fw" / "export.json").read_text())
-    assert listed["gears"] == 3
-    assert listed["files"] == ["README.md", "a.c", "export.json"]
-    assert content(folder).keys() == set(listed["files"])
-    assert os.listdir(tmp_path) == ["fw"]
-
-
-def test_an_export_is_replaced_whole_with_what_a_compiler_made_of_it(tmp_path):
-    folder = str(tmp_path / "fw")
-    write_folder(folder, FILES, {"name": "a"})
-    (tmp_path / "fw" / "a.o").write_text("")
-    (tmp_path / "fw" / "a_test").write_text("")
-    write_folder(folder, {**FILES, "a.c": "int b;\n"}, {"name": "a"})
-    assert content(folder).keys() == {"a.c", "README.md", "export.json"}
-    assert content(folder)["a.c"] == "int b;\n"
 
 
 def test_files_and_missing_folders_are_refused(tmp_path):

@@ -1,7 +1,5 @@
 """Exports in whole numbers stay within the bound that they state."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from firmware import (
@@ -27,7 +25,6 @@ from dbo_cli.model import Delay, Relaxation, Scale
 pytestmark = pytest.mark.skipif(NO_COMPILER, reason="needs a C compiler")
 REFUSED = ("negative gains", "dynamics")
 LIMITED = {"v_min": 12.0, "v_max": 93.0, "max_slew": 4000.0}
-IGNORED = -(2**31)
 
 
 def exported(model, tmp_path, limits=None, flags=(), **options):
@@ -106,28 +103,6 @@ def test_the_bound_holds_for_random_gears_and_memories(seed, tmp_path):
     assert off.max() <= firmware.export.figures["bounds"]["close"]
 
 
-@pytest.mark.parametrize("name", ["creep", "bent, falling"])
-def test_after_a_reset_the_state_is_that_of_a_settled_actuator(name, tmp_path):
-    model = MODELS[name]
-    limits = limits_of(model)
-    firmware = exported(model, tmp_path, limits)
-    counts = counts_of(
-        np.clip(wish(model)[300:], model.output.min, model.output.max), model.output
-    )
-    expected = driven(model, values_of(counts, model.output), limits, state="settled")
-    start = counts_of(expected[:1], model.input)[0]
-    found = values_of(firmware.play(counts[1:], reset=start), model.input)
-    off = np.abs(found - expected[1:])
-    assert off.max() <= firmware.export.figures["bounds"]["close"]
-
-
-def test_what_is_no_number_repeats_the_last_output(tmp_path):
-    firmware = exported(MODELS["creep"], tmp_path)
-    found = firmware.play([IGNORED, 0, IGNORED, 2**31 - 1, 1 - 2**31])
-    assert found[0] == -(2**30) and found[2] == found[1]
-    assert found[3] == 2**30 and found[4] < found[3]
-
-
 def test_refusals(tmp_path):
     with pytest.raises(ModelError, match="dynamics"):
         exported(MODELS["dynamics"], tmp_path)
@@ -139,13 +114,3 @@ def test_refusals(tmp_path):
     slow = limits_of(MODELS["gears"], max_slew=1e-5)
     with pytest.raises(ModelError, match="`max_slew`"):
         exported(MODELS["gears"], tmp_path, slow)
-
-
-def test_fewer_gears_are_said_and_hold_their_bound(tmp_path):
-    firmware = exported(MODELS["many"], tmp_path, gears=32)
-    figures = firmware.export.figures
-    assert figures["gears"] == 32
-    assert 0.0 < figures["loss"]["rms"] < figures["loss"]["max"]
-    page = firmware.export.files["README.md"]
-    assert "32 gears instead" in page and f"{figures['bounds']['same']:.3g} V" in page
-    assert firmware.self_test()[0] == 0

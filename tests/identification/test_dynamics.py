@@ -1,7 +1,5 @@
 """Resonances and lags: found where a sweep shows them, and not elsewhere."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -126,16 +124,6 @@ def test_a_late_sensor_hides_no_resonance() -> None:
     assert resonance.frequency == pytest.approx(60.0, rel=0.005)
     late = delay + sum(one.seconds for one in sections if isinstance(one, Lag))
     assert late == pytest.approx(0.02, rel=0.05)
-
-
-def test_the_unit_of_displacement_does_not_matter() -> None:
-    log = recorded(plant(Resonance(60.0, 0.03)), swept())
-    metres = Recording("log.csv", log.voltage, 1e-6 * log.displacement, log.time)
-    ours, same = (
-        dynamics.find(plant(), split([one])[1], 1)[0] for one in (log, metres)
-    )
-    assert same[-1].frequency == pytest.approx(ours[-1].frequency, rel=1e-5)
-    assert same[-1].damping == pytest.approx(ours[-1].damping, rel=1e-3)
 
 
 def test_refining_keeps_what_fits_and_offers_one_more() -> None:

@@ -1,36 +1,24 @@
 """Columns, the bounded least-squares problem, and the model made of a fit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dbo_cli.errors import FitError
+from dbo_cli.errors import FitError, InputError
 from dbo_cli.identification import search
 from dbo_cli.identification.averaging import Average
 from dbo_cli.identification.basis import (
     Cells,
     PreparedLog,
     Structure,
-    bent,
     columns_of,
-    means,
-    plays_at_start,
     sums_of,
-    time_constants,
 )
-from dbo_cli.identification.problem import Problem, groups_of, prepare
-from dbo_cli.identification.recording import Options, Recording, Swings
-from dbo_cli.identification.solve import (
-    Equations,
-    Fit,
-    Rows,
-    minimum,
-    solve,
-    travelled,
-)
+from dbo_cli.identification.clean import clean
+from dbo_cli.identification.problem import Problem, prepare
+from dbo_cli.identification.recording import Options, Recording
+from dbo_cli.identification.solve import Equations, Fit, Rows, minimum, solve
 from dbo_cli.identification.stages import model_of
 
 TIME = np.arange(4000) / 200.0
@@ -72,20 +60,6 @@ def test_bounded_problem_meets_its_conditions() -> None:
         assert (x[bounded] >= 0.0).all()
         assert np.abs(gradient[(x > 0.0) | ~bounded]).max() < least
         assert (gradient[bounded] > -least).all()
-
-
-@pytest.mark.parametrize("width", [5.0, 20.0, 40.0])
-def test_unknowns_that_are_alike_are_solved(width: float) -> None:
-    place = np.arange(130.0)
-    matrix = np.exp(-(((place[:, None] - place) / width) ** 2)) + 1e-9 * np.eye(130)
-    for seed in range(20):
-        rng = np.random.default_rng(seed)
-        right = matrix @ np.maximum(rng.standard_normal(130), 0.0)
-        right += 1e-6 * rng.standard_normal(130)
-        x = minimum(matrix, right, np.ones(130, bool))
-        gradient = matrix @ x - right
-        assert x.min() >= 0.0 and gradient.min() > -1e-9
-        assert np.abs(gradient[x > 0.0]).max() < 1e-9
 
 
 def test_a_gain_is_believed_as_far_as_the_log_shows_it() -> None:
@@ -140,49 +114,6 @@ def test_a_fit_without_a_score_is_left_out(monkeypatch: pytest.MonkeyPatch) -> N
     assert np.isfinite(Average.of(found.fits).weights).all()
 
 
-def test_travelled_parts_add_up() -> None:
-    u = np.linspace(-0.5, 1.5, 41)
-    assert np.allclose(travelled(u, 7).sum(axis=1), u, atol=1e-14)
-
-
-def test_engaged_parts_add_up_to_the_drive() -> None:
-    cells = Cells.of()
-    drive = np.random.default_rng(2).random(500)
-    drive[0] = 0.0
-    log = log_of(drive, cells)
-    table = columns(log, [0.1, 1.0])
-    level = table[:, : cells.count].sum(axis=1)
-    assert np.allclose(level - level[0], drive - drive[0], atol=1e-12)
-    assert np.allclose(table[:, -4:-2] + table[:, -2:], drive[:, None], atol=1e-12)
-
-
-def test_means_of_columns_are_columns_of_means() -> None:
-    cells = Cells.of()
-    drive = 0.5 - 0.5 * np.cos(np.arange(600) / 40.0)
-    log = log_of(drive, cells)
-    begins = np.arange(0, 600, 6)
-    coarse = replace(log, rows=begins, ends=begins + 6)
-    fine, table = columns(log, [0.1], 0.02), columns(coarse, [0.1], 0.02)
-    assert np.allclose(table, fine.reshape(100, 6, -1).mean(axis=1), atol=1e-12)
-    assert np.allclose(fine[10:], columns(log, [0.1])[8:-2], atol=1e-12)
-
-
-def test_at_the_ends_the_past_is_known() -> None:
-    reach = Cells.of().reach
-    assert np.allclose(plays_at_start(0.0, reach)[:-1], reach[:-1])
-    assert np.allclose(plays_at_start(1.0, reach)[:-1], 1.0 - reach[:-1])
-
-
-def test_bend_keeps_both_ends() -> None:
-    x = np.asarray([0.0, 0.5, 1.0])
-    assert np.allclose(bent(x, 0.2), [0.0, 0.55, 1.0])
-
-
-def test_time_constants_reach_half_the_log() -> None:
-    taus = time_constants([log_of(DRIVE, Cells.of())])
-    assert taus[0] == pytest.approx(0.01) and taus[-1] == pytest.approx(19.995)
-
-
 @pytest.mark.parametrize("slopes", ["growing", "falling", "free"])
 @pytest.mark.parametrize("memories", ["", "t", "tr"])
 def test_model_is_what_was_fitted(slopes: str, memories: str) -> None:
@@ -215,28 +146,29 @@ def test_slopes_keep_their_floor() -> None:
     assert fit.curve.min() >= 0.03 - 1e-12
 
 
-def test_swings() -> None:
-    drive = np.asarray([0.0, 1.0, 2.0, 1.9, 2.1, 0.0, 0.0, 1.0])
-    swings = Swings.of(drive)
-    assert swings.sizes.tolist() == [2.1, 2.1, 1.0]
-    assert swings.loops.tolist() == [2.1, 2.1, 2.1]  # the last one is broken off
+# --- recordings, and what no actuator does ---
 
 
-@pytest.mark.parametrize("periods", [4.0, 4.8, 5.2])
-def test_where_a_log_ends_makes_no_other_amplitude(periods: float) -> None:
-    drive = 50.0 - 50.0 * np.cos(2.0 * np.pi * periods * np.linspace(0.0, 1.0, 2000))
-    log = Recording("log", drive, hysteresis(drive), np.arange(2000) / 200.0)
-    assert prepare([log], Options()).one_amplitude
+def test_stuck_and_clipped_sensors_are_left_out() -> None:
+    stuck = hysteresis(DRIVE)
+    stuck += 0.005 * np.random.default_rng(7).normal(size=len(TIME))
+    stuck[1000:1100] = stuck[1000]
+    logs, _ = clean([Recording("log", DRIVE, stuck, TIME)], Options())
+    assert (~logs[0].usable).sum() == 100
+    clipped = np.minimum(hysteresis(DRIVE), 35.0)
+    logs, _ = clean([Recording("log", DRIVE, clipped, TIME)], Options())
+    assert (~logs[0].usable).sum() > 0.8 * (clipped == clipped.max()).sum()
 
 
-def test_groups_of_rows() -> None:
-    rows = np.asarray([True] * 5 + [False] + [True] * 4)
-    begins, ends = groups_of(rows, 3, 3)
-    assert begins.tolist() == [0, 3, 6, 9] and ends.tolist() == [3, 5, 9, 10]
-    assert means(np.arange(10.0), begins, ends).tolist() == [1.0, 3.5, 7.0, 9.0]
+def test_skip_needs_a_clock() -> None:
+    with pytest.raises(FitError, match="skip"):
+        clean([Recording("log", DRIVE, hysteresis(DRIVE))], Options(skip=1.0))
 
 
-def test_groups_of_rows_are_not_in_step_with_a_log() -> None:
-    begins, ends = groups_of(np.ones(1000, bool), 5, 1)
-    assert np.array_equal(begins // 5, np.arange(200))
-    assert np.bincount(begins % 5).min() >= 35 and np.all(ends - begins == 1)
+def test_recordings_are_checked() -> None:
+    with pytest.raises(InputError, match="row 3"):
+        Recording("log", DRIVE, np.where(np.arange(len(TIME)) == 2, np.nan, DRIVE))
+    with pytest.raises(FitError, match="too few"):
+        Recording("log", DRIVE[:10], DRIVE[:10])
+    with pytest.raises(InputError, match="sample_rate"):
+        Recording("log", DRIVE, DRIVE, np.floor(np.arange(len(DRIVE)) / 5.0))

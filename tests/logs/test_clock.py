@@ -1,7 +1,5 @@
 """The clock of a log: stamps, units, rates, even and uneven steps, and what is asked or refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +25,6 @@ def read(path: str, **reading: object) -> tuple[Block, Log]:
         return log.read(), log
 
 
-def test_even_time(tmp_path: Path) -> None:
-    table, log = read(write(tmp_path, [f"{n * 0.002:.3f}" for n in range(500)]))
-    assert table.dt == pytest.approx(0.002, rel=1e-12)
-    assert log.clock.kind == "column"
-    assert log.line().endswith("500 rows, 1 s at 500 Hz; voltage_V")
-
-
 def test_uneven_time_gives_each_step(tmp_path: Path) -> None:
     with pytest.warns(DboWarning) as said:
         table, _ = read(
@@ -45,13 +36,6 @@ def test_uneven_time_gives_each_step(tmp_path: Path) -> None:
     assert len(texts) == 1
     assert "1 of 6 time stamps repeat" in texts[0]
     assert "2 gaps" in texts[0] and "row 3" in texts[0] and "0.016 s" in texts[0]
-
-
-def test_a_gap_does_not_change_the_rate_that_is_told(tmp_path: Path) -> None:
-    times = [f"{0.001 * n:.3f}" for n in range(600) if not 300 <= n < 340]
-    with pytest.warns(DboWarning, match="1 gap in time"):
-        _, log = read(write(tmp_path, times))
-    assert "560 rows, 0.6 s at about 1 kHz" in log.line()
 
 
 @pytest.mark.parametrize(
@@ -66,14 +50,6 @@ def test_units_of_time(header: str, factor: float, tmp_path: Path) -> None:
     assert time.tolist() == pytest.approx(
         [step * factor * n for n in range(4)], rel=1e-15
     )
-
-
-def test_an_assumed_unit_is_told(tmp_path: Path) -> None:
-    _, log = read(write(tmp_path, ["0", "0.1", "0.2"], "t"))
-    assert "'t' has no unit" in log.clock.assumption
-    assert log.line().endswith("(no unit stated); voltage_V")
-    _, log = read(write(tmp_path, ["0", "0.1", "0.2"], "t_s"))
-    assert log.clock.assumption == ""
 
 
 def test_the_unit_is_given(tmp_path: Path) -> None:

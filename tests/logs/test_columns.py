@@ -1,14 +1,11 @@
 """Which column has which role, and what is asked where that is not clear."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
-import pandas as pd
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs import Reading, frame_table, open_log
+from dbo_cli.logs import Reading, open_log
 from dbo_cli.logs.columns import _candidates, role_of
 from dbo_cli.logs.table import Column
 from dbo_cli.units import split_header
@@ -72,16 +69,6 @@ def test_a_unit_of_a_model_says_what_is_looked_for() -> None:
         role_of("colour", None)
 
 
-@pytest.mark.parametrize(
-    "selector", ["2", "voltage_V", "VOLTAGE_v", "voltage", "number=2", "name=voltage_V"]
-)
-def test_a_column_is_named(selector: str, tmp_path: Path) -> None:
-    path = write(tmp_path, "time_s,voltage_V,displacement_um")
-    with open_log(path, {"voltage": selector, "displacement": None}) as log:
-        assert log.columns["voltage"] == Column(2, "voltage_V", "V")
-        assert log.read()["voltage"].tolist() == [1.0, 1.001, 1.002]
-
-
 def test_scales(tmp_path: Path) -> None:
     path = write(tmp_path, "time_s,voltage_V,sensor_V")
     reading = Reading(scale={"voltage": "20", "displacement": "10um/V"})
@@ -102,8 +89,3 @@ def test_scales(tmp_path: Path) -> None:
         open_log(path, BOTH, Reading(scale={"voltage": "2um/A"}))
     with pytest.raises(InputError, match="cannot be both"):
         open_log(path, {"voltage": "1", "displacement": "1"})
-
-
-def test_a_frame_without_columns_is_refused() -> None:
-    with pytest.raises(InputError, match="which column is the voltage"):
-        open_log(frame_table(pd.DataFrame()), BOTH)

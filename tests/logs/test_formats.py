@@ -1,7 +1,5 @@
 """Files of other libraries: values to the bit, units, rates, and refusals that say what to do."""
 
-from __future__ import annotations
-
 import datetime
 import importlib.metadata
 import pickle
@@ -18,7 +16,7 @@ import pytest
 import scipy.io
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.formats import arrow, reader_of, stored
+from dbo_cli.logs.formats import reader_of, stored
 from dbo_cli.logs.formats.npy import NUMPY
 from dbo_cli.logs.settings import stated_rate
 from dbo_cli.logs.table import Reading, Table
@@ -122,20 +120,6 @@ def test_a_matrix_is_read_along_its_longer_axis(
     np.testing.assert_array_equal(np.column_stack(list(read(source).values())), table)
 
 
-def test_long_tables_come_in_blocks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(arrow, "_STRETCH", 100_000)
-    values = np.random.default_rng(0).normal(size=330_000)
-    frame = pl.DataFrame({"x": values, "n": np.arange(330_000)})
-    frame.write_parquet(tmp_path / "a.parquet", row_group_size=70_000)
-    frame.write_ipc(tmp_path / "a.arrow")
-    for name in ("a.parquet", "a.arrow"):
-        found = read(opened(tmp_path / name))
-        np.testing.assert_array_equal(found["x"], values)
-        np.testing.assert_array_equal(found["n"], np.arange(330_000.0))
-
-
 DATES = np.array(STAMPS, dtype="M8[us]")
 TOKYO = (
     pl.Series("t", STAMPS)
@@ -203,18 +187,6 @@ def test_parts_are_chosen_or_asked_for(tmp_path: Path) -> None:
         opened(tmp_path / "a.parquet", "x")
 
 
-def test_matlab_before_version_5_is_to_be_saved_again(tmp_path: Path) -> None:
-    scipy.io.savemat(tmp_path / "a.mat", ARRAYS, format="4")
-    with pytest.raises(InputError, match=r"a\.mat.*-v7"):
-        opened(tmp_path / "a.mat")
-
-
-def test_a_cell_of_a_workbook_keeps_all_its_digits(tmp_path: Path) -> None:
-    values = [0.1, 3.333333333333333e-08, -2.5, 123456.789012345]
-    pd.DataFrame({"t_s": T, "u": values}).to_excel(tmp_path / "a.xlsx", index=False)
-    np.testing.assert_array_equal(read(opened(tmp_path / "a.xlsx"))["u"], values)
-
-
 # --- refusals ---
 
 
@@ -238,23 +210,6 @@ def test_pickles_are_never_loaded(tmp_path: Path) -> None:
         with pytest.raises(InputError, match=r"to_parquet|allow_pickle|Python objects"):
             read(opened(tmp_path / name))
     assert not (tmp_path / "exploded").exists()
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("a.h5", b"time,voltage\n", "no HDF5"),
-        ("a.json", b"{}", "to_csv"),
-        ("a.uff", b"    -1\n    58\n", "CSV"),
-        ("a.zip", b"PK\x03\x04" + 18 * b"\0", "zip"),
-    ],
-)
-def test_formats_that_are_not_read_say_what_to_do(
-    tmp_path: Path, name: str, content: bytes, words: str
-) -> None:
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError, match=words):
-        opened(tmp_path / name)
 
 
 def test_a_library_that_is_absent_is_named(

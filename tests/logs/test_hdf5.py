@@ -1,7 +1,5 @@
 """HDF5 logs: what is found, what is refused, and that nothing leads out of the file."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -270,16 +268,3 @@ def test_a_part_behind_a_link_is_refused(tmp_path: Path, part: str) -> None:
 
     with pytest.raises(InputError, match=r"or a link"):
         opened(tmp_path, fill, part)
-
-
-def test_shapes_that_hold_no_columns(tmp_path: Path) -> None:
-    def fill(file: Any) -> None:
-        file["cube"] = np.zeros((3, 4, 5))
-        file["text"] = "hello"
-        file["empty"] = np.zeros((0,))
-        file["nothing"] = h5py.Empty("f8")
-        file["complex"] = np.zeros(5, dtype=complex)
-        file.create_group("g")
-
-    with pytest.raises(InputError, match=r"no columns of numbers.*/cube"):
-        opened(tmp_path, fill)

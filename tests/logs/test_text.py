@@ -1,7 +1,5 @@
 """Text logs: blocks and pipes, irregular rows, cut records, and the reading options."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +8,6 @@ import pytest
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs import Block, Log, Reading, open_log, stream, text
-from dbo_cli.logs.cells import split_cells, to_number
 
 BOTH: dict[str, str | None] = {"voltage": None, "displacement": None}
 HEAD = "time_s,voltage_V,displacement_um\n"
@@ -142,15 +139,6 @@ def test_a_torn_line_is_refused_where_the_time_is_counted(
             read(path, sample_rate=1000.0, skip_bad=True)
 
 
-def test_short_and_long_rows_do_not_make_up_for_each_other(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    path.write_text(
-        large().replace("\n", ",a\n").replace("5.25,a\n0.006,", "5.25\n0.006,a,", 1)
-    )
-    with pytest.raises(InputError, match=r"cells where"):
-        read(path)
-
-
 # --- the end of a record ---
 
 
@@ -168,18 +156,3 @@ def test_a_record_that_may_be_cut_is_told(tmp_path: Path) -> None:
             continue
         assert log.doubtful[0].startswith("line 21, the last one, has no line end")
         assert table["displacement"][:19].tolist() == [n + 0.25 for n in range(19)]
-
-
-def test_cells() -> None:
-    assert split_cells('"a, b", c ,"d"', ",") == ["a, b", "c", "d"]
-    assert split_cells('1"2"3,4', ",") == ['1"2"3', "4"]
-    assert split_cells('1,"4', ",") == ["1", '"4']
-    assert split_cells('t,"DB".Drive [V]', ",") == ["t", '"DB".Drive [V]']
-    assert split_cells(' 1 \t "2 3"  4 ', " ") == ["1", "2 3", "4"]
-    assert to_number("1.5D-3", ".") == 0.0015
-    assert np.isnan(
-        [
-            to_number(cell, ".")
-            for cell in ("", "1,5", "0x1F", "1_0", "1.234.5", "1'234.5", "١")
-        ]
-    ).all()

@@ -1,23 +1,9 @@
 """Units: spellings, headers, ratios and figures with units."""
 
-from __future__ import annotations
-
-from fractions import Fraction
-
 import pytest
 
-from dbo_cli.errors import InputError, UsageError
-from dbo_cli.units import (
-    drive_unit,
-    kind_of,
-    parse_quantity,
-    parse_unit,
-    quantity_name,
-    ratio,
-    spell,
-    split_header,
-    time_unit,
-)
+from dbo_cli.errors import UsageError
+from dbo_cli.units import drive_unit, parse_quantity, quantity_name, split_header
 
 
 @pytest.mark.parametrize(
@@ -48,30 +34,6 @@ def test_a_header_is_split_at_its_unit(
     header: str, name: str, unit: str | None
 ) -> None:
     assert split_header(header) == (name, unit)
-
-
-def test_spellings() -> None:
-    assert [spell(text) for text in ("μm", "Volts", "мкм", "°C", "", None, "foo")] == [
-        "um", "V", "um", "degC", None, None, "foo",
-    ]  # fmt: skip
-    assert [time_unit(text) for text in ("mS", "Sekunden", "SEC", "milli seconds", "µs", "V")] == [
-        "ms", "s", "s", "ms", "us", None,
-    ]  # fmt: skip
-    assert kind_of("kA/m") == "field"
-    assert kind_of("furlong") is None
-    um = parse_unit("microns")
-    assert um is not None
-    assert (um.text, um.base) == ("um", "m")
-
-
-def test_ratios() -> None:
-    assert ratio("um", "nm") == 1000.0
-    assert ratio("ms", "s") == Fraction(1, 1000)
-    assert ratio("bar", "kPa") == 100.0
-    assert ratio(None, "V") == ratio("foo", "foo") == 1.0
-    for start, end in (("V", "um"), ("foo", "V"), ("K", "degC"), ("mm", "mV")):
-        with pytest.raises(InputError):
-            ratio(start, end)
 
 
 def test_figures() -> None:

@@ -1,11 +1,7 @@
 """Outputs: values that read back, whole or not at all, together or none."""
 
-from __future__ import annotations
-
 import os
-import subprocess
 import sys
-import textwrap
 from pathlib import Path
 
 import h5py
@@ -142,23 +138,3 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
         pass
     write_text("/dev/null", "x")
     assert only(tmp_path) == ["folder", "link"]
-
-
-PIPED = """
-    import sys
-    from dbo_cli.logs.write import create
-    with create(sys.argv[1], [("x", "V")]) as out:
-        for n in range(3):
-            out.write([float(n)])
-            sys.stdin.readline()
-"""
-
-
-def test_a_redirection_that_appends_is_not_cut(tmp_path: Path) -> None:
-    path = tmp_path / "log.txt"
-    path.write_text("first\n")
-    with path.open("ab") as stream:
-        for name in ("/dev/stdout", "-"):
-            command = [sys.executable, "-c", textwrap.dedent(PIPED), name]
-            subprocess.run(command, stdout=stream, stdin=subprocess.DEVNULL, check=True)
-    assert path.read_text() == "first\n" + 2 * "x_V\n0.0\n1.0\n2.0\n"

@@ -1,7 +1,5 @@
 """Random models and signals, from a seed: what the tests of this room run."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The amplifier before the gears: undone exactly, within limits; live, exported and saved alike."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -99,14 +97,11 @@ def test_blocks_and_live_are_the_batch(
 
 
 @pytest.mark.parametrize("kind", range(8))
-@pytest.mark.parametrize("slew", [None, 800.0])
-def test_exported_c_is_the_library(
-    kind: int, slew: float | None, tmp_path: Path
-) -> None:
+def test_exported_c_is_the_library(kind: int, tmp_path: Path) -> None:
     """The self-test of an export compares with the library's drives to the bit, after a reset, too."""
     behind = (Dynamics((Resonance(60.0, 0.1), Lag(2e-3))), Delay(1.3e-3))
     model = plant(0.7e-3, kind, behind if kind % 3 == 0 else ())
-    limits = Limits.within(model.input, 0.5, 9.5, slew)
+    limits = Limits.within(model.input, 0.5, 9.5, 800.0 if kind % 4 < 2 else None)
     export = export_model(model, limits, sample_rate=1.0 / DT)
     code, said = Firmware(export, tmp_path).self_test()
     assert code == 0, said

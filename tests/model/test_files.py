@@ -1,7 +1,5 @@
 """Model, set and state files: round trips, the schema, and refusals that name file and key."""
 
-from __future__ import annotations
-
 import copy
 import json
 from collections.abc import Callable
@@ -37,7 +35,6 @@ from dbo_cli.model import (
     read_state,
 )
 from dbo_cli.model.file import parse_model
-from tests.model.random_models import random_model
 
 DT = 1e-4
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -96,14 +93,6 @@ def test_a_model_comes_back(tmp_path: Path) -> None:
         model.simulate(drive, dt=DT)[0], back.simulate(drive, dt=DT)[0]
     )
     assert len(dumps_model(model).splitlines()) < 120
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_random_models_come_back(seed: int, tmp_path: Path) -> None:
-    model = random_model(np.random.default_rng(seed))
-    text = dumps_model(model)
-    SCHEMA.validate(json.loads(text))
-    assert dumps_model(read_model(written(tmp_path, text))) == text
 
 
 def test_the_example_of_the_page_is_a_model() -> None:

@@ -1,10 +1,5 @@
 """The kernel against the paper's procedure in exact rationals, gear by gear."""
 
-from __future__ import annotations
-
-import functools
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -66,7 +61,7 @@ def test_gears_with_memory_are_the_papers(seed: int) -> None:
     assert done.state.bits == paper.gears.state
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", range(12))
 def test_the_inverse_within_limits_is_the_papers(seed: int) -> None:
     """The window holds back some rows; what follows starts from the voltage that was applied."""
     rng = np.random.default_rng(seed)
@@ -102,53 +97,6 @@ def test_points_are_the_papers(seed: int) -> None:
     np.testing.assert_allclose(points.inverse()(got), signal, rtol=0, atol=1e-13)
 
 
-@pytest.mark.parametrize("seed", range(60))
-def test_blocks_change_nothing(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    gears = random_gears(rng)
-    run, signal = gears.run, random_drive(rng, *gears.x_range, 500)
-    if seed % 2:
-        low, high = gears.x_range
-        limits = {"window": (low + 0.2, high - 0.1), "slew": 100.0 * (high - low)}
-        run = functools.partial(gears.undo, **limits)
-        signal = random_drive(rng, *gears.y_range, 500)
-    whole = run(signal, State(0), 1e-3)
-    state, parts, clipped = State(0), [], 0
-    begin = 0
-    while begin < 500:
-        end = begin + int(rng.integers(1, 90))
-        part = run(signal[begin:end], state, 1e-3)
-        state = part.state
-        parts.append(part.y)
-        clipped += part.clipped
-        begin = end
-    assert np.array_equal(np.concatenate(parts), whole.y)
-    assert (state, clipped) == (whole.state, whole.clipped)
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_steps_are_those_of_blocks(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    gears = random_gears(rng)
-    wanted = random_drive(rng, *gears.y_range, 200)
-    low, high = gears.x_range
-    window, slew = (low, low + 0.8 * (high - low)), 0.05 * (high - low) / DT
-    memory = None
-    if gears.relaxation is not None:
-        memory = (0.1,) * gears.gain.size
-    begun = State(0, memory, low)
-    blocks = gears.undo(wanted, begun, DT, window, slew)
-    live = gears.stepper(begun, DT, window, slew)
-    values = []
-    for value in wanted.tolist():
-        live.plan(float(rng.normal()))  # what is not committed leaves nothing behind
-        values.append(live.plan(value))
-        live.commit()
-    assert np.array_equal(values, blocks.y)
-    last = blocks.state.drive
-    assert replace(gears.committed(live), drive=last) == blocks.state
-
-
 @pytest.mark.parametrize("seed", range(20))
 def test_another_voltage_that_was_applied_is_followed(seed: int) -> None:
     """``commit(applied)``: the state is that of the forward gears driven by what was applied."""
@@ -169,40 +117,6 @@ def test_another_voltage_that_was_applied_is_followed(seed: int) -> None:
     assert after.memory == pytest.approx(done.memory, rel=1e-12, abs=1e-12)
     with pytest.raises(ValueError, match="nothing was planned"):
         live.commit()
-
-
-def test_a_settled_state_is_a_decaying_oscillation() -> None:
-    gears = Gears([0.25] * 64, np.linspace(0.1, 0.3, 64))
-    swings = 9.3 + np.exp(-np.arange(4000) / 400) * 16.0 * np.cos(
-        np.pi * np.arange(4000)
-    )
-    swung = gears.run(np.clip(swings, 0.0, 16.0), State(0))
-    settled = gears.run([9.3], State(gears.settled(9.3)))
-    swung_there = gears.run([9.3], swung.state)
-    assert abs(settled.y[0] - swung_there.y[0]) < 2 * 0.3
-    assert gears.settled(-1.0) == 0
-    assert gears.settled(99.0) == (1 << gears.n) - 1
-
-
-def test_engagement_gives_the_output_back() -> None:
-    rng = np.random.default_rng(4)
-    gears = Gears(rng.uniform(0.1, 1, 60), rng.uniform(0.1, 1, 60), 0.3, -2.0)
-    drive = random_drive(rng, *gears.x_range, 400)
-    rows, bits = gears.engagement(drive)
-    done = gears.run(drive, State(0))
-    np.testing.assert_allclose(-2.0 + rows @ gears.dy, done.y, atol=1e-12)
-    assert bits == done.state.bits
-
-
-def test_lags_are_those_of_the_model() -> None:
-    terms = Relaxation(0.5, (1e-3, 0.1), (1.0, 2.0))
-    gears = Gears([1.0] * 8, [1.0] * 8, 0.0, 0.0, terms)
-    drive = np.linspace(0.0, 8.0, 50)
-    rows, memory = terms.lags(drive, 1e-3)
-    done = gears.run(drive, State(0), 1e-3)
-    bare = Gears([1.0] * 8, [1.0] * 8).run(drive, State(0))
-    np.testing.assert_allclose(rows @ [1.0, 2.0], done.y - bare.y, atol=1e-12)
-    assert memory == pytest.approx(done.state.memory)
 
 
 def test_negative_gains_must_leave_three_percent_of_the_mean_slope() -> None:

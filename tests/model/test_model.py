@@ -1,13 +1,9 @@
 """Models: the exact inverse, blocks, starts, limits, and what is refused."""
 
-from __future__ import annotations
-
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from dbo_cli.errors import InputError, ModelError
+from dbo_cli.errors import ModelError
 from dbo_cli.model import (
     Amplifier,
     Cascade,
@@ -106,18 +102,6 @@ def smooth_move(model: Cascade, rows: int) -> Floats:
     return np.asarray(lowest + 7.0 * grown * (1.0 - np.cos(2.0 * np.pi * k * 4.0 * DT)))
 
 
-@pytest.mark.parametrize("seconds", [0.2e-3, 1.2e-3, 2.2e-3, 9.7e-3])
-def test_one_row_at_a_time_is_read_ahead_as_all(seconds: float) -> None:
-    model = plant(Delay(seconds))
-    wanted = np.cumsum(np.random.default_rng(2).normal(size=60))
-    ahead = model.inverter(DT).ahead
-    whole, _ = model.inverter(DT).run(wanted)
-    undoing = None
-    for row in range(60 - ahead):
-        value, undoing = model.inverter(DT).run(wanted[row : row + 1 + ahead], undoing)
-        assert value == pytest.approx([whole[row]], abs=1e-12)
-
-
 @pytest.mark.parametrize("seconds", [0.0, 2e-3, 1.37e-3])
 @pytest.mark.parametrize("damping", [0.02, 0.3])
 def test_dynamics_and_delay_are_undone(seconds: float, damping: float) -> None:
@@ -142,13 +126,6 @@ def test_a_delay_is_the_same_by_count_and_by_time(seconds: float) -> None:
     np.testing.assert_allclose(looked_up, counted, rtol=0, atol=1e-9)
 
 
-def test_a_resonance_too_fast_for_the_rate_is_refused() -> None:
-    model = plant(Dynamics((Resonance(301.0, 0.02),)))
-    with pytest.raises(InputError, match="resample"):
-        model.inverter(DT)
-    plant(Dynamics((Resonance(299.0, 0.02),))).inverter(DT)
-
-
 def test_dynamics_are_the_continuous_ones() -> None:
     """A ramp and a rest between samples: the recursion against the exact solution."""
     section = Resonance(50.0, 0.1)
@@ -168,33 +145,6 @@ def test_dynamics_are_the_continuous_ones() -> None:
     np.testing.assert_allclose(y, ramp(time) - ramp(time - 0.1), rtol=0, atol=1e-12)
 
 
-def test_loops_are_settled() -> None:
-    model = plant(Dynamics((Resonance(60.0, 0.02, Mode(90.0, 0.01)),)), Delay(1.3e-3))
-    period = 5.0 + np.sin(2 * np.pi * np.arange(200) / 200)
-    undone = model.inverter(DT).loop(period)
-    back = model.follow_loop(undone, DT)
-    np.testing.assert_allclose(back, period, rtol=0, atol=2e-5)
-    assert model.dynamics is not None and model.delay is not None
-    many = model.dynamics.run(np.tile(undone, 200), State(), DT)
-    late = model.delay.run(many.y, State(), DT).y
-    np.testing.assert_allclose(late[-200:], back, rtol=0, atol=1e-9)
-
-
-def test_a_model_of_many_gears_runs() -> None:
-    gears = Gears(np.full(100_000, 1e-4), np.full(100_000, 2e-4))
-    model = Cascade(
-        "forward",
-        Quantity("voltage", "V", 0.0, 10.0),
-        Quantity("x", None, 0.0, 20.0),
-        (gears,),
-    )
-    drive = random_drive(np.random.default_rng(0), 0.0, 10.0, 2000)
-    y, _ = model.simulate(drive)
-    back, _ = model.inverse().simulate(y, state=model.start(float(drive[0])))
-    np.testing.assert_allclose(back, drive, rtol=0, atol=1e-11)
-    assert replace(model, fit={}).digest == model.digest
-
-
 # ---- starts ----
 
 
@@ -208,30 +158,6 @@ def test_starts() -> None:
         model.start(5.0, "sideways")
     assert model.start_drive(5.0, "full").drive == pytest.approx(10.0)
     assert model.start_drive(5.0, "full", 0.0, 9.0).drive == 9.0
-
-
-@pytest.mark.parametrize("wanted", np.linspace(-3.0, 22.0, 21))
-def test_a_drive_starts_as_the_model_driven_by_it(wanted: float) -> None:
-    model = plant()
-    begun = model.start_drive(float(wanted), "auto", 0.0, 10.0)
-    assert begun.first is not None
-    assert model.start(begun.first).bits == begun.bits
-    reached = model.simulate([begun.first], dt=DT)[0]
-    if 0.0 < begun.first < 10.0:
-        assert abs(reached[0] - wanted) < 0.4
-
-
-def test_undoing_goes_on_behind_played_voltages() -> None:
-    """What undoing remembers follows from the state of the forward dynamics."""
-    model = plant(Dynamics((Resonance(60.0, 0.05, Mode(80.0, 0.1)), Lag(3e-3))))
-    u, undoing = model.inverter(DT).run(smooth_move(model, 800))
-    done = model.drive(u, model.start_drive(float(u[0])), DT)
-    again = model.inverter(DT).behind(done.state)
-    assert undoing is not None and again is not None
-    np.testing.assert_allclose(again[1], undoing[1], rtol=0, atol=1e-8)
-    kept = replace(done.state, undoing=undoing)
-    assert model.inverter(DT).behind(kept) is undoing
-    assert model.inverter(DT).behind(State(0)) is None
 
 
 # ---- what is outside, and what is refused ----

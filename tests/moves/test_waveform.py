@@ -1,7 +1,5 @@
 """Files for generators: what they say when they are read back, and what is refused."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -37,28 +35,6 @@ def test_no_code_lies_outside_the_limits(to, gain):
     assert written.volts.min() >= ends[0] and written.volts.max() <= ends[1]
 
 
-def test_limits_between_two_codes_are_kept():
-    limits = within(0.001, 89.999)
-    drive = np.clip(DRIVE - 10.0, 0.001, 89.999)
-    written = made("uint16", drive, limits, volts=(0.0, 100.0), codes=(0, 254))
-    step = 100.0 / 254.0
-    assert 0.001 <= written.volts.min() < 0.001 + step
-    drive = np.clip(DRIVE, 0.001, 89.999)
-    written = made("uint16", drive, limits, volts=(0.0, 100.0), codes=(0, 255))
-    assert 89.999 - 100.0 / 255.0 < written.volts.max() <= 89.999
-
-
-@pytest.mark.parametrize(
-    "options", [{"points": 500}, {"rate": 700.0}, {"points": 4001}]
-)
-def test_other_points_play_the_same_time(options):
-    written = made("npy", **options)
-    seconds = (written.volts.size - 1) / written.rate
-    assert seconds == pytest.approx(0.999, abs=1.0 / written.rate)
-    times = np.arange(written.volts.size) / written.rate
-    assert np.abs(np.interp(TIME, times, written.volts) - DRIVE).max() < 0.04
-
-
 def test_another_rate_or_coarse_codes_that_move_the_drive_too_far_are_refused():
     with pytest.raises(LimitError, match="`points`"):
         made("npy", points=30)
@@ -68,11 +44,6 @@ def test_another_rate_or_coarse_codes_that_move_the_drive_too_far_are_refused():
         "uint16", gain=1.0, volts=(0.0, 100.0), codes=(0, 31), max_rounding=3.0
     )
     assert np.abs(coarse.volts - DRIVE).max() <= 50.0 / 31.0 * 1.001
-
-
-def test_a_row_that_a_reader_doubts_is_refused():
-    with pytest.raises(LimitError, match="row 7"):
-        made("npy", doubts=["row 7 holds no number"])
 
 
 @pytest.mark.parametrize(
