@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dbo_cli.model import Cascade, Gears, Points, Quantity, Relaxation, Scale
+from dbo_cli.model import Cascade, Gears, Points, Quantity, Relaxation, Scale, State
 from tests.model.random_models import DT, Floats, random_drive
 
 WIDTH = 0.125

@@ -89,14 +89,6 @@ def test_expected_in_files(tmp_path):
         expected_of(tmp_path, unit="nm")
 
 
-def test_page_and_figures_follow_the_colour_scheme(page_text):
-    text = page_text
-    body = text[text.index("<body>") :]
-    for color, name in SCHEME.items():
-        assert color not in body
-        assert f"--{name}: {color}" in text
-
-
 def test_a_user_s_own_style_changes_nothing():
     import matplotlib
 
