@@ -87,7 +87,7 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
         if n != layout.first or reading.skip_lines is None:
             text = " ".join(lines[n].split())[:40]
             raise InputError(
-                f"{name}:{n + 1}: '{text}': names or a row? Type `skip_lines` {skip}, `delimiter` or `decimal`"
+                f"{name}:{n + 1}: '{text}': row or names? Type `skip_lines` {skip}, `delimiter` or `decimal`"
             )
     return layout
 
