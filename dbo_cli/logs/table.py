@@ -136,11 +136,6 @@ class Block:
         """Return the array of a role."""
         return self.values[role]
 
-    @property
-    def rows(self) -> int:
-        """The number of rows."""
-        return len(self)
-
     def part(self, start: int, stop: int) -> Block:
         """Return some of the rows."""
         values = {role: array[start:stop] for role, array in self.values.items()}
