@@ -22,7 +22,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.judge import ALLOWED_PART
 from dbo_cli.drive.lead import MOST_LEAD_ROWS, Lead, ramp
 from dbo_cli.drive.limits import Limits
-from dbo_cli.drive.smooth import soft_rise
+from dbo_cli.drive.smooth import open_seam, soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 from dbo_cli.model import Cascade, Run, State
 
@@ -37,8 +37,6 @@ MOST_STARTS = 20
 # of the move: a loop that the model repeats further off than this is not settled
 LOOP_ERROR = 1e-6
 FEWEST_PERIOD_ROWS = 4  # of a period: fewer have no shape
-# times the largest step inside a period, from which on its last row does not meet its first
-SEAM = 3.0
 
 
 class LoopPlan(NamedTuple):
@@ -112,13 +110,9 @@ class Loop:
             raise InputError(
                 f"{self.name}: {period.size} rows are too few for a loop; give {FEWEST_PERIOD_ROWS} or more"
             )
-        seam = largest_difference(period[:1], period[-1:])
-        inside = largest_difference(period[1:], period[:-1])
-        if seam > SEAM * inside:
-            raise InputError(
-                f"{self.name}: the loop is open: its seam is a step of {seam:.3g}, the largest inside "
-                f"{inside:.3g}: give one whole period"
-            )
+        seam = open_seam(period)
+        if seam:
+            raise InputError(f"{self.name}: {seam}")
 
     @cached_property
     def static_target(self) -> Floats:
