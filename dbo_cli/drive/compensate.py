@@ -83,6 +83,8 @@ class Driver:
         self.return_to = voltage_in("return", return_to, model.input)
         self.lead = lead = Lead() if lead is None else lead
         self._standing = lead.standing(limits, model.input)
+        if lead.approach is not None and not lead.condition and self._standing is None:
+            raise UsageError("`approach` needs `from_` VOLT or a `state` file")
         self._gate = Gate(limits, self._standing)
         self._judge = Judge(model, limits, lead, self._standing, on_limit, name)
         self._state: State | None = None
@@ -484,12 +486,10 @@ class Driver:
         if not bad.any():
             return
         row = int(np.argmax(bad))
-        where = f"{self.name}: row {self._row_count + row + 1:,}"
-        if np.isfinite(values[row]):
-            raise InputError(
-                f"{where}: {values[row]:g} is no displacement: check column and unit"
-            )
-        raise InputError(f"{where} holds no number (`skip_bad` drops such rows)")
+        raise InputError(
+            f"{self.name}: row {self._row_count + row + 1:,}: {values[row]:g} is no displacement: check "
+            "column and unit (`skip_bad` drops rows without a number)"
+        )
 
 
 def _aged(model: Cascade, state: State, time: Floats | None, step: float) -> State:

@@ -154,16 +154,12 @@ class Loop:
         ------
         LimitError
             The loop does not close within the limits.
-        UsageError
-            Nothing says where an ``approach`` begins.
         """
         model, limits, start = self.model, self.limits, self.lead.state
         target = self.static_target
         begin = self.begin
         if begin is not None:
             state = model.start(begin, start)
-        elif self.lead.approach is not None:
-            raise UsageError("`approach` needs `from_` VOLT or a `state` file")
         else:
             state = model.start_drive(float(target[0]), start, *limits.move)
             if self.passes:
