@@ -161,12 +161,10 @@ class Driver:
         blocks = [self._driven(dt, *block) for block in self._ahead.remaining()]
         self._judge.require_reached(self._step)
         voltage = self._way_back(return_rows)
-        if voltage.size:
-            assert self._state is not None
-            begin = self._state.time
-            count = np.arange(1.0, voltage.size + 1.0)
-            stamps = (begin or 0.0) + self._step * count
-            blocks.append(self._played(stamps, voltage, "return", begin is not None))
+        assert self._state is not None
+        begin = self._state.time
+        stamps = (begin or 0.0) + self._step * np.arange(1.0, voltage.size + 1.0)
+        blocks.append(self._played(stamps, voltage, "return", begin is not None))
         return stacked(blocks), self._judge.concluded(self._state, self._step)
 
     def _way_back(self, count: int) -> Floats:
@@ -218,9 +216,7 @@ class Driver:
         self._gate.require_reachable(first, first, dt)
         self._state, self._step = plan.begin, dt
         stamps = time[0] - dt * np.arange(leading.size, 0.0, -1.0)
-        before = NO_ROWS
-        if leading.size:
-            before = self._played(stamps, leading, "lead", True)
+        before = self._played(stamps, leading, "lead", True)
         first_pass = self._played(time, period, "move", True)
         self._gate.admit(period[:1], dt)  # the seam
         unsettled = first_pass.x - loops.settled_run(model, period, dt, state)
@@ -469,6 +465,8 @@ class Driver:
 
     def _played(self, time: Floats, voltage: Floats, phase: str, clocked: bool) -> Rows:
         """Return rows that are played as they are, with the displacement that the model expects of them."""
+        if not voltage.size:
+            return NO_ROWS
         assert self._state is not None
         run = self.model.run(voltage, self._state, self._step)
         self._admit(voltage, self._step, phase)
