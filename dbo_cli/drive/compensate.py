@@ -207,8 +207,8 @@ class Driver:
             )
         loop = self._loop_of(target, dt, passes)
         plan = loop.planned()
-        run, state = plan.settled.run, plan.settled.before
-        self._judge.clip(desired, loop.static_target, run, state, dt)
+        state = plan.before
+        self._judge.clip(desired, loop.static_target, plan.run, state, dt)
         self._judge.require_reached(dt, is_loop=True)
         texts = loop.require_settled(plan, self.on_limit)
         leading, period = plan.lead_voltage, plan.voltage

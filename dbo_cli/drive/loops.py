@@ -48,14 +48,20 @@ class LoopPlan(NamedTuple):
         Before the first row.
     lead_voltage, voltage : array
         What leads to the period, and the period.
-    settled : Settled
-        The settled drive and the state before it.
+    run : Run
+        Of the settled drive.
+    before : State
+        Before a pass of it.
+    converged : bool
+        Whether it stays.
     """
 
     begin: State
     lead_voltage: Floats
     voltage: Floats
-    settled: Settled
+    run: Run
+    before: State
+    converged: bool
 
 
 @dataclass(frozen=True)
@@ -122,13 +128,13 @@ class Loop:
     def require_settled(self, plan: LoopPlan, on_limit: str) -> tuple[str, ...]:
         """Warn of a loop that the model does not repeat; refuse it where it costs too much (LimitError)."""
         model, dt, target = self.model, self.dt, self.static_target
-        static, period = model.static, plan.settled.run.y
+        static, period = model.static, plan.run.y
         size = max(float(np.ptp(target)), LOOP_ERROR * model.output.span)
         state = static.run(plan.lead_voltage, plan.begin, dt).state
         looped = looped_state(model, period, dt, state)
-        aim = static.run(period, plan.settled.before, dt).y
+        aim = static.run(period, plan.before, dt).y
         residual = largest_difference(static.run(period, looped, dt).y, aim)
-        if plan.settled.converged and residual <= LOOP_ERROR * size:
+        if plan.converged and residual <= LOOP_ERROR * size:
             return ()
         text = (
             f"{self.name}: the loop does not settle: however often it is repeated, it ends {residual:.3g}"
@@ -167,7 +173,7 @@ class Loop:
         settled = settled_drive(model, target, self.dt, state, limits)
         for _ in range(MOST_STARTS):
             last = settled
-            voltage = self._closed(last.run.y)
+            voltage = self._closed(last[0].y)
             stands = float(voltage[0]) if begin is None else begin
             before, begin_state = (
                 self._before(voltage, stands),
@@ -176,11 +182,11 @@ class Loop:
             state = model.run(before, begin_state, self.dt).state
             settled = settled_drive(model, target, self.dt, state, limits)
             if (
-                largest_difference(settled.run.y, last.run.y)
+                largest_difference(settled[0].y, last[0].y)
                 <= ONE_LOOP * model.input.span
             ):
                 break
-        return LoopPlan(begin_state, before, voltage, last)
+        return LoopPlan(begin_state, before, voltage, *last)
 
     def _before(self, period: Floats, begin: float) -> Floats:
         """Return what leads to a period: a ramp, or a pass in which it grows, then whole passes of it.
@@ -250,18 +256,10 @@ class Loop:
 # --- the settled drive ---
 
 
-class Settled(NamedTuple):
-    """The run of one period of a settled drive, the state before it, and whether it stays."""
-
-    run: Run
-    before: State
-    converged: bool
-
-
 def settled_drive(
     model: Cascade, target: Floats, dt: float, state: State, limits: Limits
-) -> Settled:
-    """Return the drive of one period whose end is its own beginning.
+) -> tuple[Run, State, bool]:
+    """Return the run of one period of a settled drive, the state before it, and whether it stays.
 
     Parameters
     ----------
@@ -284,8 +282,8 @@ def settled_drive(
         change = largest_difference(again.y, run.y)
         run = again
         if change <= SETTLED * model.input.span:
-            return Settled(run, before, True)
-    return Settled(run, before, False)
+            return run, before, True
+    return run, before, False
 
 
 def largest_difference(values: Floats, others: Floats) -> float:
