@@ -110,9 +110,11 @@ def write_set(
     """Run the model of each channel over its input, write all side by side, and return the number of rows."""
     from dbo_cli import channels
     from dbo_cli.drive.simulate import stacked
+    from dbo_cli.logs import add_table
     from dbo_cli.recordings import read_table
 
-    results: list[channels.Result] = []
+    names: list[tuple[str, str | None]] = []
+    values = []
     for name, simulator in simulators.items():
         into, out = simulator.model.input, simulator.model.output
         roles = channels.columns_for(columns, name)
@@ -120,7 +122,10 @@ def write_set(
         with channels.naming(name):
             ready = simulator.rows(table["input"], table.dt, table.time)
             rows = stacked([ready, simulator.finish()])
-        results.append((f"{into.quantity}_{name}", into.unit, rows.x))
-        results.append((f"{out.quantity}_{name}", out.unit, rows.y))
-    channels.write_results(outputs, output, table.time, results)
+        names.append((f"{into.quantity}_{name}", into.unit))
+        names.append((f"{out.quantity}_{name}", out.unit))
+        values += [rows.x, rows.y]
+    if table.time is not None:
+        names, values = [("time", "s"), *names], [table.time, *values]
+    add_table(outputs, output, names).write(*values)
     return len(table)
