@@ -266,3 +266,9 @@ def test_damaged_files_end_in_one_line(name: str, tmp_path: Path) -> None:
             read(opened(path))
         except InputError as problem:
             assert "\n" not in str(problem)
+
+
+def test_a_cell_of_a_workbook_keeps_all_its_digits(tmp_path: Path) -> None:
+    values = [0.1, 3.333333333333333e-08, -2.5, 123456.789012345]
+    pd.DataFrame({"t_s": T, "u": values}).to_excel(tmp_path / "a.xlsx", index=False)
+    np.testing.assert_array_equal(read(opened(tmp_path / "a.xlsx"))["u"], values)

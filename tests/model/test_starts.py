@@ -1,11 +1,20 @@
 """Where gears begin, and gears that go on beyond the range of the drive."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dbo_cli.model import Cascade, Gears, Points, Quantity, Relaxation, Scale
+from dbo_cli.model import (
+    Cascade,
+    Gears,
+    Points,
+    Quantity,
+    Relaxation,
+    Scale,
+)
 from tests.model.random_models import DT, Floats, random_drive
 
 WIDTH = 0.125
