@@ -35,7 +35,6 @@ from dbo_cli.units import split_header
 if TYPE_CHECKING:
     from dbo_cli.drive import Drive, Limits
     from dbo_cli.drive.drive import PassRecord
-    from dbo_cli.drive.simulate import Rows
     from dbo_cli.files import Outputs
     from dbo_cli.logs import Reading
     from dbo_cli.model import Cascade
@@ -115,13 +114,25 @@ def _matches(pattern: str, headers: Sequence[str]) -> list[str]:
     return channels
 
 
-def models_of(path: str, channels: Sequence[str]) -> dict[str, Cascade]:
-    """Return the model of each channel: of a set, or one that serves all."""
+def models_of(
+    path: str, channels: Sequence[str], columns: Mapping[str, str | None]
+) -> dict[str, Cascade]:
+    """Return the model of each channel: of a set, or one that serves all.
+
+    Raises
+    ------
+    InputError
+        A set lacks one; the message names the columns that are patterns.
+    """
     from dbo_cli.model import is_set, read_model, read_models
 
     if tuple(channels) == ALONE or not is_set(path):
         return dict.fromkeys(channels, read_model(path))
-    return read_models(path, list(channels))
+    try:
+        return read_models(path, list(channels))
+    except InputError as problem:
+        roles = [f"`{role}` COLUMN" for role, name in columns.items() if name]
+        raise InputError(f"{problem} with {' '.join(roles)}") from None
 
 
 # --- what is typed for a channel, or for all ---
@@ -250,17 +261,6 @@ def dumps_files(kind: str, texts: Mapping[str, str]) -> str:
     return json.dumps(content, indent=2) + "\n"
 
 
-def summaries_of(path: str | None, channels: Sequence[str]) -> dict[str, Any]:
-    """Return the summary of each channel, of a set of them; else the file itself, which serves all."""
-    values = None
-    if path is not None and tuple(channels) != ALONE:
-        values = fields.load(path, "summary")[1]
-    form = values.get("format") if isinstance(values, dict) else None
-    if path is not None and isinstance(form, str) and form.endswith("-set"):
-        return read_files(path, "summary", channels)
-    return dict.fromkeys(channels, path)
-
-
 def paths_of(output: str, channels: Collection[str]) -> dict[str, str]:
     """Return one name a channel: ``drive.arb`` becomes ``drive_x.arb`` (UsageError: it is ``-``)."""
     if tuple(channels) == ALONE:
@@ -271,8 +271,10 @@ def paths_of(output: str, channels: Collection[str]) -> dict[str, str]:
     return {name: f"{stem}_{name}{ending}" for name in channels}
 
 
-def read_files(path: str, kind: str, channels: Iterable[str]) -> dict[str, Any]:
-    """Return the values of each channel's file, of a set of them.
+def members_of(
+    path: str, kind: str, channels: Collection[str]
+) -> dict[str, tuple[str, Any]]:
+    """Return what messages call the file of each channel, and its values; of channels, the file is a set.
 
     Raises
     ------
@@ -281,28 +283,20 @@ def read_files(path: str, kind: str, channels: Iterable[str]) -> dict[str, Any]:
     ModelError
         It is no such set, or lacks a channel.
     """
-    key = plural(kind)
     name, values = fields.load(path, kind)
+    if tuple(channels) == ALONE:
+        return {"": (name, values)}
+    key = plural(kind)
+    read = {key: fields.notes}
     try:
         content = fields.contents(values, "", f"dbo-{kind}-set", f"a set of {key}")
-        read = {key: fields.notes}
         members: dict[str, Any] = fields.build(dict, content, "", **read)[key]
         for channel in channels:
             if channel not in members:
                 raise ModelError(f'{key}: has no channel "{channel}"')
     except ModelError as problem:
         raise ModelError(f"{name}: {problem}") from None
-    return members
-
-
-def members_of(
-    path: str, kind: str, channels: Collection[str]
-) -> dict[str, tuple[str, Any]]:
-    """Return what messages call the file of each channel, and its values; see ``read_files``."""
-    if tuple(channels) == ALONE:
-        return {"": fields.load(path, kind)}
-    members = read_files(path, kind, channels)
-    return {name: (f"{path}: {name}", members[name]) for name in channels}
+    return {channel: (f"{name}: {channel}", members[channel]) for channel in channels}
 
 
 def states_of(state: str, models: Mapping[str, Cascade]) -> dict[str, State | str]:
@@ -345,15 +339,6 @@ def write_results(
     columns = [*results] if time is None else [("time", "s", time), *results]
     names = [(name, unit) for name, unit, _ in columns]
     add_table(outputs, output, names, origin).write(*(values for *_, values in columns))
-
-
-def columns_of_run(name: str, model: Cascade, rows: Rows) -> list[Result]:
-    """Return input and output of a channel's model as columns."""
-    into, out = model.input, model.output
-    return [
-        (f"{into.quantity}_{name}", into.unit, rows.x),
-        (f"{out.quantity}_{name}", out.unit, rows.y),
-    ]
 
 
 def heading(

@@ -292,11 +292,9 @@ class Output:
         if self.has_appeared:
             return
         folder, name = os.path.split(self.target)
-        if not os.path.isdir(folder):
-            raise OutputError(f"{path}: there is no folder '{folder}': create it first")
         if not os.access(folder, os.W_OK):
             raise OutputError(
-                f"{path}: the folder '{folder}' is not writable: write elsewhere"
+                f"{path}: there is no folder '{folder}' that can be written: create it, or write elsewhere"
             )
         mark = f"{os.getpid()}-{os.urandom(4).hex()}"
         self.temporary = os.path.join(folder, f".{name[:50]}.{mark}.partial")

@@ -10,6 +10,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from functools import wraps
+from html import escape
 from inspect import signature
 from pathlib import Path
 from typing import (
@@ -30,6 +31,7 @@ from numpy.typing import ArrayLike
 from dbo_cli import model as room
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.files import write_text
 from dbo_cli.logs import (
     Reading,
     columns_of,
@@ -219,8 +221,6 @@ class Model:
 
     def save(self, path: str | Path) -> None:
         """Write the model file, whole or not at all."""
-        from dbo_cli.files import write_text
-
         write_text(str(path), room.dumps_model(self.actuator))
 
     def inverse(self) -> Model:
@@ -404,34 +404,23 @@ class Model:
         LimitError
             A start outside the limits, or a move that they do not allow.
         """
-        from dbo_cli.drive.compensate import driver_of
+        from dbo_cli.drive import Driver, Lead, Limits
 
-        for word, value in (("history", history), ("absolute", absolute)):
-            if value and tracked is None:
-                raise UsageError(f"`{word}` needs `tracked` LOG")
         self.actuator.require("forward")
         rate, role = _rate(sample_rate), "displacement"
         signal = signal_of(wanted, (role, role), self.output, time, rate, unit)
-        driver = driver_of(
-            self.actuator,
-            v_min=v_min,
-            v_max=v_max,
-            max_slew=max_slew,
-            extrapolate=extrapolate,
-            on_limit=on_limit,
-            from_=from_,
-            return_=return_,
-            approach=approach,
-            condition=condition,
-            lead=lead,
-            state=room.state_of(state, self.actuator),
-        )
+        start = room.state_of(state, self.actuator)
+        limits = Limits.within(self.input, v_min, v_max, max_slew, extrapolate)
+        before = Lead(start, from_, approach, condition, lead)
+        driver = Driver(self.actuator, limits, before, on_limit, return_)
         file = None
+        if history and tracked is None:
+            raise UsageError("`history` needs `tracked` LOG")
         if isinstance(history, (str, Path)):
-            from dbo_cli.drive.learning import read_history
+            from dbo_cli.channels import histories_of
 
             file = str(history)
-            history = read_history(file)
+            history = histories_of(file)[""]
         drive: Drive = driver.whole(
             signal[role],
             signal.dt,
@@ -445,7 +434,6 @@ class Model:
         )
         if file is not None:
             from dbo_cli.drive.learning import dumps_history
-            from dbo_cli.files import write_text
 
             write_text(file, dumps_history(drive.history))
         return drive if details else drive.voltage
@@ -486,7 +474,7 @@ class Model:
 
         return Controller(
             self.actuator,
-            _rate(sample_rate) or 0.0,
+            cast(float, _rate(sample_rate)),
             v_min=v_min,
             v_max=v_max,
             max_slew=max_slew,
@@ -504,10 +492,9 @@ class Model:
 
     def _repr_html_(self) -> str:
         """Return what a notebook shows."""
-        from dbo_cli.reports.plots import draw, model_plots
+        from dbo_cli.reports.plots import image, model_plots
 
-        picture = draw(model_plots(self.actuator)[0], "inline").decode()
-        return f"<p>{self!r}</p>{picture}"
+        return f"<p>{escape(repr(self))}</p>{image(model_plots(self.actuator)[0])}"
 
     def __repr__(self) -> str:
         """Return the model in one line."""
@@ -519,8 +506,6 @@ class Model:
 
     def save_state(self, state: room.State, path: str | Path) -> None:
         """Write a state file; ModelError where the state is of another model."""
-        from dbo_cli.files import write_text
-
         checked = room.state_of(state, self.actuator)
         assert isinstance(checked, room.State)
         write_text(str(path), room.dumps_state(checked, self.actuator))
@@ -531,8 +516,6 @@ class ModelSet(dict[str, Model]):
 
     def save(self, path: str | Path) -> None:
         """Write all models into one file."""
-        from dbo_cli.files import write_text
-
         actuators = {name: model.actuator for name, model in self.items()}
         write_text(str(path), room.dumps_set(actuators))
 

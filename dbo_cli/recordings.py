@@ -25,7 +25,7 @@ from dbo_cli.logs import (
     open_log,
     stated_unit,
 )
-from dbo_cli.logs.frame import dtype_kind
+from dbo_cli.logs.frame import cells_of, dtype_kind
 from dbo_cli.logs.table import OVERLOAD, Block
 from dbo_cli.model import Cascade, Quantity, steps_of
 from dbo_cli.units import (
@@ -93,8 +93,7 @@ def read_table(
     for doubt in log.doubtful:
         warn(f"{log.name}: {doubt}")
     if isinstance(source, FrameTable):
-        source.require_units(log.columns.values())
-        log.columns = source.as_in_file(log.columns)
+        log.columns = source.as_stated(log.columns)
     return log, table
 
 
@@ -401,15 +400,11 @@ def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Time
 
 def seconds_of(time: Any) -> Floats:
     """Return times as seconds; dates count from the first."""
-    kind = dtype_kind(time)
-    if kind == "M":
-        dates = np.asarray(time, "M8[ns]")
-        time = (dates - dates[:1]) / np.timedelta64(1, "s")
-    elif kind == "m":
-        time = np.asarray(time) / np.timedelta64(1, "s")
-    elif stated_unit(time, "time") not in (None, "s"):
-        unit = stated_unit(time, "time")
+    cells, unit = cells_of(time), stated_unit(time, "time")
+    if dtype_kind(time) not in "mM" and unit not in (None, "s"):
         raise InputError(
             f"`time` is in {unit}: give seconds (`.to_numpy()` where the numbers are)"
         )
-    return floats(time, "time")
+    if cells.dtype.kind == "M":
+        cells = (cells - cells[:1]) / np.timedelta64(1, "s")
+    return floats(cells, "time")

@@ -6,7 +6,7 @@ Everything here knows arrays only: no unit, no file, no actuator.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -160,6 +160,8 @@ class TimeLag:
         Part of the signal's variance that is left unexplained.
     rival
         Another lag (s) that explains the signals as well; None: there is none.
+    evidence
+        How strongly the rows speak for it.
     """
 
     seconds: float
@@ -167,6 +169,7 @@ class TimeLag:
     rate: float = 0.0
     residual: float = 0.0
     rival: float | None = None
+    evidence: float = 0.0
 
     def reference_time(self, time: Floats) -> Floats:
         """Return times of the signal as times of the reference."""
@@ -207,7 +210,7 @@ def lag(
         return None
     if np.ptp(signal) == 0.0 or np.ptp(columns[:, 0]) == 0.0:
         return None
-    fits = []
+    fits = []  # in rows
     for start in _places(columns[:, 0], signal, inverted):
         fit = _refined(signal, columns, start, rate, TRIED_ROWS)
         if fit is not None:
@@ -217,27 +220,15 @@ def lag(
     first = best = max(fits, key=lambda fit: fit.evidence)
     if len(signal) > TRIED_ROWS:
         most_rows = max(REFINED_ROWS // columns.shape[1], TRIED_ROWS)
-        best = _refined(signal, columns, best.shift, rate, most_rows) or best
+        best = _refined(signal, columns, best.seconds, rate, most_rows) or best
     rival = None
     for fit in fits:
-        apart = abs(fit.shift - first.shift) > max(2.0, 5.0 * first.deviation)
+        apart = abs(fit.seconds - first.seconds) > max(2.0, 5.0 * first.deviation)
         if apart and fit.evidence >= RIVAL * first.evidence:
-            rival = step * fit.shift
+            rival = step * fit.seconds
             break
-    return TimeLag(
-        step * best.shift, step * best.deviation, best.rate, best.residual, rival
-    )
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """A lag in rows, as ``TimeLag``, and how strong the evidence for it is."""
-
-    shift: float
-    deviation: float
-    rate: float
-    residual: float
-    evidence: float
+    seconds, deviation = step * best.seconds, step * best.deviation
+    return replace(best, seconds=seconds, deviation=deviation, rival=rival)
 
 
 def _evidence(count: Integers | int, unexplained: Floats | float) -> Floats:
@@ -283,8 +274,8 @@ def _sums(values: Floats, begin: Integers, end: Integers) -> Floats:
 
 def _refined(
     signal: Floats, columns: Floats, start: float, rate: bool, most_rows: int
-) -> _Fit | None:
-    """Return the best lag near a first one; None where too little overlaps."""
+) -> TimeLag | None:
+    """Return the best lag (rows) near a first one; None where too little overlaps."""
     rows = np.arange(0, len(signal), -(-len(signal) // most_rows), dtype=np.float64)
     picked = signal[rows.astype(np.intp)]
     fewest = min(FEWEST_SHARED, len(rows))
@@ -329,10 +320,10 @@ def _refined(
     evidence = float(_evidence(len(target), residual))
     slope_of_clocks = float(unknown[1]) if rate else 0.0
     shift = float(unknown[0]) - 0.5 * rows[-1] * slope_of_clocks
-    return _Fit(shift, deviation, slope_of_clocks, residual, evidence)
+    return TimeLag(shift, deviation, slope_of_clocks, residual, evidence=evidence)
 
 
-def _whole(signal: Floats, columns: Floats, start: int) -> _Fit:
+def _whole(signal: Floats, columns: Floats, start: int) -> TimeLag:
     """Return a lag of whole rows, of signals that are too short for more."""
     begin = max(0, -start)
     count = min(len(columns) - begin, len(signal) - begin - start)
@@ -342,7 +333,7 @@ def _whole(signal: Floats, columns: Floats, start: int) -> _Fit:
     if np.ptp(a) > 0.0 and np.ptp(b) > 0.0:
         residual = 1.0 - float(np.corrcoef(a, b)[0, 1]) ** 2
     evidence = float(_evidence(count, residual))
-    return _Fit(float(start), math.inf, 0.0, residual, evidence)
+    return TimeLag(float(start), residual=residual, evidence=evidence)
 
 
 def _unexplained(target: Floats, columns: Floats, places: Floats) -> Floats:
@@ -386,7 +377,7 @@ def between(values: Floats, places: Floats) -> Floats:
     """
     last = len(values) - 1
     places = np.clip(places, 0.0, last)
-    row = np.minimum(places.astype(np.intp), last - 1)
+    row = places.astype(np.intp)  # at a row its value, to the last digit
     fraction = (places - row).reshape(-1, *[1] * (values.ndim - 1))
     six = [values[np.clip(row + offset, 0, last)] for offset in range(-2, 4)]
     here, after = six[2], six[3]

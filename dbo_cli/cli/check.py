@@ -66,7 +66,9 @@ def check(
             warn(f"{drive}: {log.clock.assumption}")
         stands = texts.pop("from")
         recorded, slack = signal["voltage"] * gain, 0.0
-        allowed = tolerance_in(unit, tolerance)
+        allowed = None
+        if tolerance is not None:
+            allowed = parse_quantity(tolerance, unit, "tolerance", 0.0)
         if against is not None:
             column = roles["voltage"] if channel else None
             meant, _ = read_drive(
@@ -123,18 +125,6 @@ def read_drive(
         except InputError as problem:
             raise LimitError(str(problem)) from problem
     return table, log
-
-
-def tolerance_in(unit: str | None, text: str | None) -> float | None:
-    """Return a typed tolerance in the unit of the drive; None where none was typed."""
-    from dbo_cli.units import parse_quantity
-
-    if text is None:
-        return None
-    tolerance = parse_quantity(text, unit, "tolerance", 0.0)
-    if tolerance < 0.0:
-        raise UsageError(f"`tolerance` {text}: give 0 or more")
-    return tolerance
 
 
 def step_between(table: Block) -> float | None:

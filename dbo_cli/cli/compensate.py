@@ -73,7 +73,7 @@ def compensate(
     Example: dbo compensate model.json move.csv --max-slew 2000 -o drive.csv
     """
     from dbo_cli import channels
-    from dbo_cli.drive.compensate import driver_of
+    from dbo_cli.drive import Driver, Lead, Limits
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.logs import open_log
 
@@ -85,7 +85,7 @@ def compensate(
     check_outputs(output, summary, state=save_state, history=history)
     columns = {"time": time, "displacement": displacement}
     names = channels.names([trajectory], reading, columns)
-    models = channels.models_of(model, names)
+    models = channels.models_of(model, names, columns)
     for name, actuator in models.items():
         actuator.require("forward", f"{model}::{name}" if name else model)
     starts = channels.states_of(state, models)
@@ -94,24 +94,18 @@ def compensate(
     if streams and output == "-" and on_limit == "auto":
         on_limit = "clip"  # rows that were sent stay sent
     limits = {"v_min": v_min, "v_max": v_max}
-    voltages = {**limits, "max_slew": max_slew, "from_": start, "return_": return_to}
+    voltages = {**limits, "max_slew": max_slew, "from": start, "return": return_to}
 
     def driver(channel: str, hold: int = 0) -> Driver:
         actuator = models[channel]
         for name, texts in limits.items():
             channels.require_own_limit(name, texts, channel, actuator)
-        return driver_of(
-            actuator,
-            f"channel {channel}" if channel else trajectory,
-            hold,
-            **channels.values_for(voltages, channel, names),
-            state=starts[channel],
-            extrapolate=extrapolate,
-            on_limit=on_limit,
-            approach=approach,
-            condition=condition,
-            lead=lead,
-        )
+        typed = channels.values_for(voltages, channel, names)
+        begin, end = typed.pop("from"), typed.pop("return")
+        bounds = Limits.within(actuator.input, **typed, extrapolate=extrapolate)
+        before = Lead(starts[channel], begin, approach, condition, lead)
+        label = f"channel {channel}" if channel else trajectory
+        return Driver(actuator, bounds, before, on_limit, end, label, hold)
 
     if streams:
         units = {"displacement": models[""].output.unit}

@@ -95,8 +95,8 @@ def identify(
     )
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
     names = channels.names(logs, reading, columns)
-    priors = {} if prior is None else channels.models_of(prior, names)
-    models, lines = {}, []
+    priors = {} if prior is None else channels.models_of(prior, names, columns)
+    models, lines, read = {}, [], []
     for name in names:
         roles, shape = channels.columns_for(columns, name), priors.get(name)
         units = {}
@@ -106,10 +106,11 @@ def identify(
             every, opened = recordings_of(
                 [*logs, *(validate or [])], roles, reading, units
             )
-            recordings, read = every[: len(logs)], opened[: len(logs)]
+            recordings, tests = every[: len(logs)], every[len(logs) :]
             working("identifying")
-            tests, asked = every[len(logs) :], replace(options, prior=shape)
-            models[name] = model_of(recordings, read, asked, tests)
+            asked, own = replace(options, prior=shape), opened[: len(logs)]
+            models[name] = model_of(recordings, own, asked, tests)
+        read += own
         texts = [describe(models[name], recordings), *describe_validation(models[name])]
         lines += [f"{name}: {text}" if name else text for text in texts]
     is_set = tuple(names) != channels.ALONE
@@ -120,11 +121,12 @@ def identify(
         if summary is not None:
             figures = {name: fit_summary(model) for name, model in models.items()}
             outputs.write_text(summary, channels.dumps_files("summary", figures))
+    model = models[names[0]]
+    rows = sum(log["rows"] for log in model.provenance["logs"])
     if is_set:
+        say_logs(read, rows)
         say_output(output, f"{len(models)} models")
     else:
-        model = models[""]
-        rows = sum(log["rows"] for log in model.provenance["logs"])
         sense = f"{model.sign}, leads the drive" if leads(recordings) else model.sign
         say_logs(read, rows, f" ({sense})")
         detail(*ShownModel(model).text().splitlines()[1:])

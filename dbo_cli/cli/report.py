@@ -6,7 +6,7 @@ import dataclasses
 import os
 import shlex
 import sys
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import OUTPUT, Text, column, flag, option, rare
@@ -70,7 +70,6 @@ def report(
     opt.require("model", model, {"state": state != "auto"})
     opt.require("trajectory", trajectory, {"match": match != "auto"})
     percent_bound = opt.number_of("max_nrmse_percent", max_nrmse_percent, float)
-    require_bounds(max_rmse, percent_bound)
     # a lag, a model and a match by rows need the rows around those that count
     rows = None if reading.rows is None else parse_rows(reading.rows)
     reading = dataclasses.replace(reading, rows=None)
@@ -78,9 +77,12 @@ def report(
     if model is None and trajectory is None:
         columns["desired"] = desired
     names = channels.names([logs[0]], reading, columns)
-    models = {} if model is None else channels.models_of(model, names)
+    models = {} if model is None else channels.models_of(model, names, columns)
     starts = channels.states_of(state, models)
-    summaries = channels.summaries_of(expected, names)
+    summaries: dict[str, Any] = dict.fromkeys(names, expected)
+    if expected is not None and tuple(names) != channels.ALONE:
+        members = channels.members_of(expected, "summary", names)
+        summaries = {name: values for name, (_, values) in members.items()}
     results = {}
     for channel in names:
         roles, actuator = channels.columns_for(columns, channel), models.get(channel)
@@ -110,16 +112,6 @@ def report(
         for log in opened:
             detail(*log.remarks)
     publish(results, output, opt.form_of(form, output), figures)
-
-
-def require_bounds(max_rmse: str | None, percent: float | None) -> None:
-    """Refuse (UsageError) a bound that is no magnitude, before any work."""
-    from dbo_cli.units import split_quantity
-
-    largest = None if max_rmse is None else split_quantity(max_rmse, "max_rmse")[0]
-    for name, bound in (("max_rmse", largest), ("max_nrmse_percent", percent)):
-        if bound is not None and bound < 0.0:
-            raise UsageError(f"`{name}` {bound:g}: give 0 or more")
 
 
 def publish(

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from itertools import chain
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, column, option
 from dbo_cli.cli.say import progress, say_log, say_output
 from dbo_cli.errors import ModelError
+
+if TYPE_CHECKING:
+    from dbo_cli.drive.simulate import Simulator
+    from dbo_cli.files import Outputs
+    from dbo_cli.logs import Log, Reading
 
 
 def simulate(
@@ -34,80 +39,88 @@ def simulate(
     from dbo_cli import channels
     from dbo_cli.drive.simulate import Simulator
     from dbo_cli.files import Outputs, check_outputs
-    from dbo_cli.logs import add_table, open_log
-    from dbo_cli.model import State, dumps_state, read_model, state_of
+    from dbo_cli.logs import open_log
+    from dbo_cli.model import State, dumps_state
 
     columns = {"time": time, "input": input}
     check_outputs(output, state=save_state)
-    if channels.is_pattern(columns):
-        simulate_set(model, log, output, reading, columns, state, save_state, outside)
-        return
-    actuator = read_model(model)
-    start = state_of(state, actuator)
-    units = {"input": actuator.input.unit}
-    with open_log(log, columns, reading, units) as signal, Outputs() as outputs:
-        blocks = progress(signal.blocks(), "simulated")
-        first = next(blocks)
-        clocked = first.time is not None
-        if actuator.needs_time and not clocked:
-            raise ModelError(
-                f"{signal.name}: this model needs a clock: add `time` COLUMN or `sample_rate` HZ"
+    names = channels.names([log], reading, columns)
+    models = channels.models_of(model, names, columns)
+    simulators = {}
+    for name, start in channels.states_of(state, models).items():
+        label = f"channel {name}" if name else log
+        simulators[name] = Simulator(models[name], start, outside, label)
+    is_one = tuple(names) == channels.ALONE
+    with Outputs() as outputs:
+        if is_one:
+            simulator, quantity = simulators[""], models[""].output
+            units = {"input": models[""].input.unit}
+            with open_log(log, columns, reading, units) as signal:
+                write_stream(simulator, signal, outputs, output)
+            text = (
+                f"{simulator.row_count:,} rows of {quantity.quantity}{quantity.suffix}"
             )
-        names: list[tuple[str, str | None]] = [("time", "s")] if clocked else []
-        names.append((actuator.input.quantity, signal.columns["input"].unit))
-        names.append((actuator.output.quantity, actuator.output.unit))
-        table = add_table(outputs, output, names)
-        simulator = Simulator(actuator, start, outside, signal.name)
-        for block in chain([first], blocks):
-            rows = simulator.rows(block.values["input"], block.dt, block.time)
-            rows.send(table.write)
-        simulator.finish().send(table.write)
-        if save_state is not None and isinstance(simulator.state, State):
-            text = dumps_state(simulator.state, actuator)
-            outputs.write_text(save_state, text, "state")
-    quantity = actuator.output
-    say_log(signal)
-    say_output(
-        output, f"{simulator.row_count:,} rows of {quantity.quantity}{quantity.suffix}"
-    )
+        else:
+            rows = write_set(simulators, log, columns, reading, outputs, output)
+            text = f"{len(models)} channels, {rows:,} rows"
+        texts = {}
+        for name, simulator in simulators.items():
+            if isinstance(simulator.state, State):
+                texts[name] = dumps_state(simulator.state, models[name])
+        if save_state is not None and texts:
+            content = channels.dumps_files("state", texts)
+            outputs.write_text(save_state, content, "state")
+    if is_one:
+        say_log(signal)
+    say_output(output, text)
 
 
-def simulate_set(
-    model: str,
-    log: str,
-    output: str,
-    reading: opt.Reading,
-    columns: dict[str, str | None],
-    state: str,
-    save_state: str | None,
-    outside: Literal["extend", "hold", "error"],
+def write_stream(
+    simulator: Simulator, signal: Log, outputs: Outputs, output: str
 ) -> None:
-    """Run the model of each channel over its input, and write all side by side."""
+    """Run a model over a log and write both, block by block."""
+    from dbo_cli.logs import add_table
+
+    model, simulator.name = simulator.model, signal.name
+    blocks = progress(signal.blocks(), "simulated")
+    first = next(blocks)
+    clocked = first.time is not None
+    if model.needs_time and not clocked:
+        raise ModelError(
+            f"{signal.name}: this model needs a clock: add `time` COLUMN or `sample_rate` HZ"
+        )
+    names: list[tuple[str, str | None]] = [("time", "s")] if clocked else []
+    names.append((model.input.quantity, signal.columns["input"].unit))
+    names.append((model.output.quantity, model.output.unit))
+    table = add_table(outputs, output, names)
+    for block in chain([first], blocks):
+        rows = simulator.rows(block.values["input"], block.dt, block.time)
+        rows.send(table.write)
+    simulator.finish().send(table.write)
+
+
+def write_set(
+    simulators: dict[str, Simulator],
+    log: str,
+    columns: dict[str, str | None],
+    reading: Reading,
+    outputs: Outputs,
+    output: str,
+) -> int:
+    """Run the model of each channel over its input, write all side by side, and return the number of rows."""
     from dbo_cli import channels
-    from dbo_cli.drive.simulate import Simulator, stacked
-    from dbo_cli.files import Outputs
-    from dbo_cli.model import State, dumps_state
+    from dbo_cli.drive.simulate import stacked
     from dbo_cli.recordings import read_table
 
-    names = channels.names([log], reading, columns)
-    models = channels.models_of(model, names)
-    states = channels.states_of(state, models)
     results: list[channels.Result] = []
-    texts = {}
-    for name, actuator in models.items():
+    for name, simulator in simulators.items():
+        into, out = simulator.model.input, simulator.model.output
         roles = channels.columns_for(columns, name)
-        units = {"input": actuator.input.unit}
-        _, table = read_table(log, roles, reading, units)
-        simulator = Simulator(actuator, states[name], outside, f"channel {name}")
+        _, table = read_table(log, roles, reading, {"input": into.unit})
         with channels.naming(name):
             ready = simulator.rows(table["input"], table.dt, table.time)
             rows = stacked([ready, simulator.finish()])
-        results += channels.columns_of_run(name, actuator, rows)
-        if isinstance(simulator.state, State):
-            texts[name] = dumps_state(simulator.state, actuator)
-    with Outputs() as outputs:
-        channels.write_results(outputs, output, table.time, results)
-        if save_state is not None:
-            text = channels.dumps_files("state", texts)
-            outputs.write_text(save_state, text, "state")
-    say_output(output, f"{len(models)} channels, {results[0][2].size:,} rows")
+        results.append((f"{into.quantity}_{name}", into.unit, rows.x))
+        results.append((f"{out.quantity}_{name}", out.unit, rows.y))
+    channels.write_results(outputs, output, table.time, results)
+    return len(table)

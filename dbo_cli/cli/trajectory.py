@@ -19,7 +19,7 @@ def trajectory(
     rate: str = option("HZ", "Rows per second.", default=...),
     range_: str = option(
         "LOW:HIGH",
-        "Of each axis, in the model's unit or um.",
+        "Of each axis, with its unit; um.",
         None,
         "--range",
         default=...,
@@ -49,12 +49,13 @@ def trajectory(
     from dbo_cli.model import read_model
     from dbo_cli.moves import check_reach, trusted_frequency
     from dbo_cli.moves import trajectory as make
-    from dbo_cli.units import parse_unit, spell
+    from dbo_cli.units import kind_of, parse_unit, spell
 
     models = [read_model(path) for path in model or []]
     for path, actuator in zip(model or [], models, strict=True):
         actuator.require("forward", path)
-    range_unit = spell(opt.unit_behind(range_.rpartition(":")[2])) or UNIT
+    typed_unit = spell(opt.unit_behind(range_.rpartition(":")[2]))
+    range_unit = typed_unit or UNIT
     if parse_unit(range_unit) is None:
         raise UsageError(
             f"`range` {range_}: '{range_unit}' is no unit: type LOW:HIGHum"
@@ -63,6 +64,10 @@ def trajectory(
     if len(units) > 1:
         raise UsageError("`model`: the units differ; write one axis at a time")
     unit = units.pop()
+    if typed_unit is None and kind_of(unit) == kind_of(UNIT) and unit != UNIT:
+        raise UsageError(
+            f"`range` {range_}: the model is in {unit}: type {range_}{unit} or {range_}{UNIT}"
+        )
     ends = opt.span("range", range_, unit)
     limit = opt.quantity("bandwidth", bandwidth, "Hz")
     if limit is None:

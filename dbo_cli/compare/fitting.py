@@ -22,7 +22,7 @@ from dbo_cli.compare.plays import EMPTY, Plays, places
 from dbo_cli.errors import FitError
 from dbo_cli.identification.recording import Recording, Swings
 from dbo_cli.model import Points, Scale
-from dbo_cli.model.points import Curves, through
+from dbo_cli.model.points import Curves
 
 FIT_ROWS = 3000  # of all logs together; 7,000 changed no error by more than 1 %
 PLAY_COUNTS = (12, 25, 50)  # to choose from; 25 is what the paper takes
@@ -356,9 +356,9 @@ class PlayModel:
     def of(cls, equations: RivalEquations) -> PlayModel:
         """Return the fitted model; its offset is the first log's."""
         design, solution = equations.design, equations.solve()
-        curves: Curves = (equations.problem.scale,)
+        curves = Curves([equations.problem.scale])
         if design.segments > 1:
-            curves = (solution.curve, *curves)
+            curves = Curves([solution.curve, *curves])
         plays = operator_of(design, solution.weights)
         return cls(equations, plays, float(solution.drift[0]), curves)
 
@@ -372,7 +372,7 @@ class PlayModel:
         """Return the displacement for a voltage, without the delay."""
         x = self.equations.problem.scaled(voltage)
         bare = self.plays.run(x, self.shares(x, time)) + self.offset
-        return through(self.curves, bare)
+        return self.curves(bare)
 
     def invert(
         self, desired: Floats, first: float, time: Floats | None = None
@@ -383,8 +383,7 @@ class PlayModel:
         """
         problem = self.equations.problem
         begin = float(problem.scaled(np.array([first]))[0])
-        back = [curve.inverse() for curve in reversed(self.curves)]
-        u = through(back, desired) - self.offset
+        u = self.curves.inverse()(desired) - self.offset
         design = self.design
         if design.by_rate or design.free_first or design.one_sided:
             x = self.plays.solve(u, begin, self.shares(u, time))

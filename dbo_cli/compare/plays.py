@@ -91,9 +91,7 @@ class Plays:
         """Return the scaled drive whose output is ``y``; it stands at ``first`` before."""
         z, x = self.start(first), np.empty_like(y)
         extension = kernel.extension
-        no_limits = (False, 0.0, 0.0, 0.0, EMPTY, np.nan)
-        size = self.radii.size
-        extension.plays_solve(size, self.table, self.curve, z, y, x, share, *no_limits)
+        extension.plays_solve(self.radii.size, self.table, self.curve, z, y, x, share)
         return x
 
     def closed_inverse(self, y: Floats, first: float) -> Floats:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.drive.limits import Gate, Limits
-from dbo_cli.errors import InputError, LimitError
+from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.signals import between, lag, noise
 
 TOLERANCE = 1e-3
@@ -301,7 +301,8 @@ def _seam(voltage: Floats, gate: Gate, waits: Floats | None) -> list[str]:
     inside = float(np.abs(np.diff(voltage)).max(initial=0.0))
     if abs(first - last) > OPEN_SEAM * inside:
         return [
-            f"the loop is open: {last:.6g} to {first:.6g}; the largest step inside is {inside:.3g}"
+            f"the loop is open: {last:.6g} to {first:.6g}; the largest step inside is {inside:.3g}: "
+            "give one whole period (`rows` A:B leaves a run-in out)"
         ]
     return []
 
@@ -310,7 +311,15 @@ def _seam(voltage: Floats, gate: Gate, waits: Floats | None) -> list[str]:
 
 
 def tolerance_of(drive: Floats, recorded: Floats, tolerance: float | None) -> float:
-    """Return by how much a recording may differ: as given, or a thousandth of the range, or its noise."""
+    """Return by how much a recording may differ: as given, or a thousandth of the range, or its noise.
+
+    Raises
+    ------
+    UsageError
+        It is below 0.
+    """
+    if tolerance is not None and tolerance < 0.0:
+        raise UsageError(f"`tolerance` {tolerance:g}: give 0 or more")
     if tolerance is not None:
         return tolerance
     return max(TOLERANCE * float(np.ptp(drive)), NOISE * noise(recorded))

@@ -17,7 +17,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.judge import Judge
-from dbo_cli.drive.lead import Lead, LeadIn, Seconds, ramp, standing_at
+from dbo_cli.drive.lead import Lead, LeadIn, ramp
 from dbo_cli.drive.limits import Figure, Gate, Limits, voltage_in
 from dbo_cli.drive.simulate import NO_ROWS, Ahead, Rows, stacked
 from dbo_cli.errors import DboWarning, InputError, UsageError
@@ -48,8 +48,8 @@ class Driver:
         What stands before the move.
     on_limit : {"auto", "clip", "error"}
         auto: what costs more than one percent of the move (RMS) is refused at the end.
-    return_to : float, optional
-        Voltage to go to after the move.
+    return_to : float or str, optional
+        Voltage to go to after the move; a text has a unit.
     name : str
         Of the trajectory, in messages.
     hold : int
@@ -71,7 +71,7 @@ class Driver:
         limits: Limits,
         lead: Lead | None = None,
         on_limit: OnLimit = "auto",
-        return_to: float | None = None,
+        return_to: Figure = None,
         name: str = "trajectory",
         hold: int = 0,
     ) -> None:
@@ -79,10 +79,12 @@ class Driver:
         if on_limit not in get_args(OnLimit):
             raise UsageError(f"`on_limit` {on_limit}: give auto, clip or error")
         self.model, self.limits, self.name = model, limits, name
-        self.on_limit, self.return_to, self.hold = on_limit, return_to, hold
+        self.on_limit, self.hold = on_limit, hold
+        self.return_to = voltage_in("return", return_to, model.input)
         self.lead = lead = Lead() if lead is None else lead
-        self._gate = Gate(limits, standing_at(limits, lead))
-        self._judge = Judge(model, limits, lead, on_limit, name)
+        self._standing = lead.standing(limits, model.input)
+        self._gate = Gate(limits, self._standing)
+        self._judge = Judge(model, limits, lead, self._standing, on_limit, name)
         self._state: State | None = None
         self._row_count = 0
         self._step = 0.0
@@ -155,8 +157,7 @@ class Driver:
             raise InputError(f"{self.name}: has no rows")
         dt = self._ahead.dt
         blocks = [self._driven(dt, *block) for block in self._ahead.remaining()]
-        self._judge.require_longer_than_delay(self._step)
-        self._judge.require_reached()
+        self._judge.require_reached(self._step)
         voltage = self._way_back(return_rows)
         if voltage.size:
             assert self._state is not None
@@ -164,7 +165,7 @@ class Driver:
             count = np.arange(1.0, voltage.size + 1.0)
             stamps = (begin or 0.0) + self._step * count
             blocks.append(self._played(stamps, voltage, "return", begin is not None))
-        return stacked(blocks), self._judge.concluded(self._state)
+        return stacked(blocks), self._judge.concluded(self._state, self._step)
 
     def _way_back(self, count: int) -> Floats:
         """Return the voltages from the last row to where the amplifier goes, ``count`` at least."""
@@ -208,29 +209,25 @@ class Driver:
         plan = loop.planned()
         run, state = plan.settled.run, plan.settled.before
         self._judge.clip(desired, loop.static_target, run, state, dt)
-        self._judge.require_reached(dt * desired.size)
+        self._judge.require_reached(dt, is_loop=True)
         texts = loop.require_settled(plan, self.on_limit)
         leading, period = plan.lead_voltage, plan.voltage
         first = float(leading[0] if leading.size else period[0])
         self._gate.require_reachable(first, first, dt)
-        self._admit(leading, dt, "lead")
-        self._admit(period, dt, "move")
+        self._state, self._step = plan.begin, dt
+        stamps = time[0] - dt * np.arange(leading.size, 0.0, -1.0)
+        before = NO_ROWS
+        if leading.size:
+            before = self._played(stamps, leading, "lead", True)
+        first_pass = self._played(time, period, "move", True)
         self._gate.admit(period[:1], dt)  # the seam
-        count = leading.size
-        voltage = np.concatenate([leading, period])
-        run = model.run(voltage, plan.begin, dt)
-        self._state = replace(run.state, time=float(time[-1]))
-        self._judge.lead_seconds, self._judge.is_loop = count * dt, True
-        unsettled = run.y[count:] - loops.settled_run(model, period, dt, state)
+        unsettled = first_pass.x - loops.settled_run(model, period, dt, state)
         unsettled_rms = float(np.sqrt(np.mean(unsettled**2)))
-        drive = self._judge.concluded(self._state, unsettled_rms)
+        drive = self._judge.concluded(self._state, dt, unsettled_rms)
         note = f"the first pass is {unsettled_rms:.3g}{model.output.suffix} off the settled one (RMS)"
+        drive = drive.with_rows(stacked([before, first_pass._replace(x=desired)]))
         return replace(
             drive,
-            time=np.concatenate([time[0] - dt * np.arange(count, 0.0, -1.0), time]),
-            desired=np.concatenate([run.y[:count], desired]),
-            voltage=voltage,
-            move=slice(count, voltage.size),
             notes=(f"{self.name}: {note}",),
             warnings=(*texts, *drive.warnings),
         )
@@ -239,8 +236,10 @@ class Driver:
         """Return a loop on its way to the settled drive."""
         from dbo_cli.drive.loops import Loop
 
-        limits, lead = self.limits, self.lead
-        return Loop(self.model, limits, target, dt, lead, passes, self.name, self.hold)
+        lead = self.lead, self._standing
+        return Loop(
+            self.model, self.limits, target, dt, *lead, passes, self.name, self.hold
+        )
 
     # --- a whole trajectory ---
 
@@ -282,8 +281,8 @@ class Driver:
         """
         if passes and not periodic:
             raise UsageError("`passes` needs `periodic`")
-        if history and not tracked:
-            raise UsageError("`history` needs `tracked` LOG")
+        if (history or absolute) and not tracked:
+            raise UsageError("`history`, `absolute`: each needs `tracked` LOG")
         self._require_numbers(desired)
         if time is None and isinstance(dt, float):
             time = dt * np.arange(float(desired.size))
@@ -338,14 +337,7 @@ class Driver:
             steps = dt[rows] if isinstance(dt, np.ndarray) else dt
             blocks.append(self.rows(desired[rows], steps, stamps, target[rows]))
         last, drive = self.finish(return_rows)
-        all_rows = stacked([*blocks, last])
-        return replace(
-            drive,
-            time=all_rows.time,
-            desired=all_rows.x,
-            voltage=all_rows.y,
-            move=slice(drive.lead_rows, drive.lead_rows + drive.move_rows),
-        )
+        return drive.with_rows(stacked([*blocks, last]))
 
     # --- before the move ---
 
@@ -359,10 +351,9 @@ class Driver:
             dt = np.concatenate([[step], dt[1:]])
         if isinstance(lead.state, State):
             lead = replace(lead, state=_aged(model, lead.state, time, step))
-        lead_in = LeadIn(model, first, step, self.limits, lead)
+        lead_in = LeadIn(model, first, step, self.limits, lead, self._standing)
         self._state, voltage, still_rows = lead_in.planned(self.hold)
         count = voltage.size + still_rows
-        self._judge.lead_seconds = count * step
         begin = 0.0 if time is None else float(time[0])
         stamps = begin - step * np.arange(count, 0.0, -1.0)
         blocks = []
@@ -386,7 +377,8 @@ class Driver:
             return None
 
         def lead_to(first: float) -> Floats:
-            lead_in = LeadIn(self.model, first, dt, self.limits, self.lead)
+            lead = self.lead, self._standing
+            lead_in = LeadIn(self.model, first, dt, self.limits, *lead)
             _, voltage, still = lead_in.planned(self.hold)
             return np.append(voltage, np.full(still, voltage[-1]))
 
@@ -498,38 +490,6 @@ class Driver:
                 f"{where}: {values[row]:g} is no displacement: check column and unit"
             )
         raise InputError(f"{where} holds no number (`skip_bad` drops such rows)")
-
-
-def driver_of(
-    model: Cascade,
-    name: str = "trajectory",
-    hold: int = 0,
-    *,
-    v_min: Figure = None,
-    v_max: Figure = None,
-    max_slew: Figure = None,
-    extrapolate: bool = False,
-    on_limit: OnLimit = "auto",
-    from_: Figure = None,
-    return_: Figure = None,
-    approach: Seconds = None,
-    condition: bool = False,
-    lead: Seconds = None,
-    state: str | State = "auto",
-) -> Driver:
-    """Return what drives an actuator, by what was typed (``Model.compensate``).
-
-    Raises
-    ------
-    LimitError, ModelError, UsageError
-        As of ``Limits.within``, ``Lead`` and ``Driver``.
-    """
-    model.require("forward")
-    limits = Limits.within(model.input, v_min, v_max, max_slew, extrapolate)
-    start = voltage_in("from", from_, model.input)
-    end = voltage_in("return", return_, model.input)
-    before = Lead(state, start, approach, condition, lead)
-    return Driver(model, limits, before, on_limit, end, name, hold)
 
 
 def _aged(model: Cascade, state: State, time: Floats | None, step: float) -> State:

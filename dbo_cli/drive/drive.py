@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.limits import Limits
+from dbo_cli.drive.limits import Limits, plain
+from dbo_cli.drive.simulate import Rows
 from dbo_cli.model import Cascade, State
 
 
@@ -35,8 +36,8 @@ class Drive:
         return) have the displacement that the model expects. Empty for a stream.
     move : slice
         The rows of the move itself.
-    rows, lead_rows, move_rows : int
-        Of the whole drive, before the move, and of the move.
+    rows : int
+        Of the whole drive.
     voltage_range, lead_range : list of float, or None
         Least and greatest voltage, of the whole drive and before the move.
     move_range : list of float, or None
@@ -74,10 +75,8 @@ class Drive:
     time: Floats | None = field(default=None, repr=False)
     desired: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
     voltage: Floats = field(default_factory=lambda: np.zeros(0), repr=False)
-    move: slice = field(default_factory=lambda: slice(0))
+    move: slice = field(default_factory=lambda: slice(0, 0))
     rows: int = 0
-    lead_rows: int = 0
-    move_rows: int = 0
     voltage_range: list[float] | None = None
     lead_range: list[float] | None = None
     move_range: list[float] | None = None
@@ -98,6 +97,15 @@ class Drive:
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
+    @property
+    def lead_rows(self) -> int:
+        """The number of rows before the move."""
+        return int(self.move.start)
+
+    def with_rows(self, rows: Rows) -> Drive:
+        """Return the drive with its rows."""
+        return replace(self, time=rows.time, desired=rows.x, voltage=rows.y)
+
     def line(self) -> str:
         """Return what came out: ``4,910 rows, 3.1 to 96.2 V, within limits``."""
         unit = self.limits.suffix
@@ -105,12 +113,12 @@ class Drive:
         state = "within limits" if self.limits.given else "within the identified range"
         if self.clipped:
             state = f"{self.clipped:,} {'row' if self.clipped == 1 else 'rows'} clipped"
-        text = f"{self.rows:,} rows, {low:.4g} to {high:.4g}{unit}, {state}"
+        text = f"{self.rows:,} rows, {plain(low)} to {plain(high)}{unit}, {state}"
         if self.lead_range is not None:
             low, high = self.lead_range
-            text += f"; {self.lead_seconds:.3g} s before the move, {low:.4g} to {high:.4g}{unit}"
+            text += f"; {self.lead_seconds:.3g} s before the move, {plain(low)} to {plain(high)}{unit}"
         if self.starts_at is not None:
-            text += f"; starts at {self.starts_at:.4g}{unit}: `from` VOLT"
+            text += f"; starts at {plain(self.starts_at)}{unit}: `from` VOLT"
         return text
 
     def expected_line(self) -> str:

@@ -9,8 +9,8 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive
-from dbo_cli.drive.lead import Lead, standing_at
-from dbo_cli.drive.limits import Limits, rounded_up
+from dbo_cli.drive.lead import Lead
+from dbo_cli.drive.limits import Limits, plain, rounded_up
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Cascade, Run, State, Steps, expect
 
@@ -31,6 +31,8 @@ class Judge:
     ----------
     model, limits, lead
         A forward model, what its drive may do, and what stands before the move.
+    standing : float or None
+        Where the amplifier stands before the first row, if that is known.
     on_limit : str
         What happens where limits cut rows off.
     name : str
@@ -38,13 +40,9 @@ class Judge:
 
     Attributes
     ----------
-    lead_seconds : float
-        How long the rows before the move take.
     missed, transient : float
         How far the first row starts off its displacement, because no settled actuator
         stands there; and by how much dynamics and delay are in motion there.
-    is_loop : bool
-        Whether the move is one period that is repeated.
     """
 
     def __init__(
@@ -52,14 +50,13 @@ class Judge:
         model: Cascade,
         limits: Limits,
         lead: Lead,
+        standing: float | None,
         on_limit: str,
         name: str,
     ) -> None:
         self.model, self.limits, self.lead = model, limits, lead
-        self.on_limit, self.name = on_limit, name
-        self.standing = standing_at(limits, lead)
-        self.lead_seconds = self.missed = self.transient = 0.0
-        self.is_loop = False
+        self.standing, self.on_limit, self.name = standing, on_limit, name
+        self.missed = self.transient = 0.0
         # of all rows, and of those before the move
         self._rows = self._lead_rows = 0
         self._first = math.nan
@@ -166,30 +163,34 @@ class Judge:
             f"{self.limits.describe()}"
         )
 
-    def require_longer_than_delay(self, step: float) -> None:
-        """Refuse a move that is over before the model answers (LimitError)."""
-        delay, seconds = self.model.delay_seconds, self._move_rows * step
-        if self.on_limit == "auto" and delay > seconds:
-            raise LimitError(
-                f"{self.name}: the move, {seconds:.4g} s, is shorter than the model's delay, {delay:.4g} "
-                "s (`on_limit` clip writes it)"
-            )
-
-    def require_reached(self, period: float | None = None) -> None:
+    def require_reached(self, step: float, is_loop: bool = False) -> None:
         """Refuse a move of which nothing can be reached, or of which the limits cut off too much.
 
         Parameters
         ----------
-        period
-            Seconds, where the move is one period of a loop.
+        step
+            Seconds a row; 0 without a clock.
+        is_loop
+            Whether the move is one period of a loop.
 
         Raises
         ------
         InputError
             No row of the trajectory is within what the model reaches.
         LimitError
-            More than a hundredth of the move would be missed.
+            More than a hundredth of the move would be missed, or it is over before the
+            model answers.
         """
+        seconds = self._move_rows * step
+        if (
+            self.on_limit == "auto"
+            and not is_loop
+            and self.model.delay_seconds > seconds
+        ):
+            raise LimitError(
+                f"{self.name}: the move, {seconds:.4g} s, is shorter than the model's delay, "
+                f"{self.model.delay_seconds:.4g} s (`on_limit` clip writes it)"
+            )
         reach, unit = self.model.output, self.model.output.suffix
         if self._unreachable == self._move_rows:
             raise InputError(
@@ -204,7 +205,7 @@ class Judge:
             return
         raise LimitError(
             f"{self.name}: {self._exceeding()}, by {lost:.3g}{unit} RMS ({100.0 * lost / size:.2g} % of "
-            f"{noun}){self._would_fit(period)} (or `on_limit` clip)"
+            f"{noun}){self._would_fit(seconds if is_loop else None)} (or `on_limit` clip)"
         )
 
     def _would_fit(self, period: float | None = None) -> str:
@@ -251,21 +252,29 @@ class Judge:
 
     # --- the end ---
 
-    def concluded(self, state: State | None, unsettled: float = 0.0) -> Drive:
+    def concluded(
+        self, state: State | None, step: float, unsettled: float | None = None
+    ) -> Drive:
         """Return the figures of a drive of which all rows were seen, and warn of what is unusual.
 
         ``unsettled`` is how far a loop's first pass is off the settled one (RMS).
         """
         assert self._range is not None
         voltage, steps = self._played()
-        outside_texts = self._beyond_identified(*self._range)
+        (low, high), (lowest, highest) = self._range, self.limits.identified
+        outside_texts = []
         error = known_error = unrested = expected = None
-        if not outside_texts:
+        if self.limits.extrapolate and not lowest <= low <= high <= highest:
+            outside_texts.append(
+                f"the drive goes from {low:.6g} to {high:.6g}{self.limits.suffix}, beyond the identified "
+                f"range, {lowest:.6g} to {highest:.6g}{self.limits.suffix}"
+            )
+        else:
             expected = expect.expected_error(
                 self.model, voltage, steps, self._lead_rows
             )
         if expected is not None:
-            missed = math.hypot(self._lost_rms, unsettled)
+            missed = math.hypot(self._lost_rms, unsettled or 0.0)
             past_known = self.lead.past_known
             error = math.hypot(expected.rms(past_known, past_known), missed)
             if not past_known:
@@ -283,13 +292,12 @@ class Judge:
             self.model,
             self.limits,
             self.name,
+            move=slice(self._lead_rows, self._lead_rows + self._move_rows),
             rows=self._rows,
-            lead_rows=self._lead_rows,
-            move_rows=self._move_rows,
             voltage_range=self._range,
             lead_range=self._lead_range,
             move_range=[self._low, self._high],
-            lead_seconds=self.lead_seconds,
+            lead_seconds=self._lead_rows * step,
             clipped=self._clipped,
             first_clipped=self._first_clipped,
             lost_rms=self._lost_rms,
@@ -299,7 +307,7 @@ class Judge:
             expected_unrested=unrested,
             starts_at=self._first if asks_start else None,
             past_known=self.lead.past_known,
-            is_loop=self.is_loop,
+            is_loop=unsettled is not None,
             state=None if state is None else replace(state, model=self.model.digest),
             warnings=warnings,
         )
@@ -327,21 +335,10 @@ class Judge:
         (low, high), standing = self.limits.identified, self.standing
         if standing is not None and abs(self._first - standing) > JUMP * (high - low):
             texts.append(
-                f"jumps from {standing:.4g} to {self._first:.4g}{self.limits.suffix} at row 1, and the error "
-                "there is not in the expected one: add `approach` auto"
+                f"jumps from {plain(standing)} to {plain(self._first)}{self.limits.suffix} at row 1, and the "
+                "error there is not in the expected one: add `approach` auto"
             )
         return texts
-
-    def _beyond_identified(self, low: float, high: float) -> list[str]:
-        """Return a warning where the drive, ``low`` to ``high``, leaves the identified range."""
-        limits, unit = self.limits, self.limits.suffix
-        lowest, highest = limits.identified
-        if not limits.extrapolate or lowest <= low <= high <= highest:
-            return []
-        return [
-            f"the drive goes from {low:.6g} to {high:.6g}{unit}, beyond the identified range, "
-            f"{lowest:.6g} to {highest:.6g}{unit}"
-        ]
 
     def _end_warnings(self, error: float | None, state: State | None) -> list[str]:
         """Return warnings where a straight line is as good, and where holding the end leaves the limits."""

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.limits import Limits, rounded_up
+from dbo_cli.drive.limits import Figure, Limits, rounded_up, voltage_in
 from dbo_cli.drive.smooth import swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
-from dbo_cli.model import Cascade, Lag, State
+from dbo_cli.model import Cascade, Lag, Quantity, State
 from dbo_cli.units import parse_quantity
 
 Seconds = float | str | None
@@ -26,6 +26,8 @@ Seconds = float | str | None
 
 SWEEP_SECONDS = 1.0
 """s over the whole range, where no slew limit asks for more; as ``excite`` by default."""
+SAME_VOLTAGE = 1e-9
+"""Of the rating: a typed voltage and that of a state are one up to rounding."""
 SHORTEST_SWING = 0.1
 """s that a swing takes at least where nobody typed its seconds: whatever it excites stays small."""
 QUIET = 14.0  # time constants: what rings is down to a millionth
@@ -50,8 +52,8 @@ class Lead:
     ----------
     state : str or State
         ``auto``, ``empty``, ``full``, ``settled``, or the state to go on from.
-    start : float, optional
-        Voltage at which the amplifier stands.
+    start : float or str, optional
+        Voltage at which the amplifier stands; a text has a unit.
     approach : float, str or "auto", optional
         Seconds (a text has a unit) of the way from there to the first value; with ``condition`` of the
         sweep, too.
@@ -67,7 +69,7 @@ class Lead:
     """
 
     state: str | State = "auto"
-    start: float | None = None
+    start: Figure = None
     approach: Seconds = None
     condition: bool = False
     rest: Seconds = None
@@ -85,6 +87,30 @@ class Lead:
     def past_known(self) -> bool:
         """Whether a sweep from rest or a typed state makes the past known."""
         return self.condition or isinstance(self.state, State) or self.state != "auto"
+
+    def standing(self, limits: Limits, voltage: Quantity) -> float | None:
+        """Return where the amplifier stands: as typed, or as a state left it; None where neither is known.
+
+        Raises
+        ------
+        LimitError
+            It is outside the rating.
+        UsageError
+            The two contradict each other.
+        """
+        start = voltage_in("from_", self.start, voltage)
+        if start is not None:
+            limits.require_start(start, "`from_`")
+        left_at = self.state.drive if isinstance(self.state, State) else None
+        if left_at is None:
+            return start
+        limits.require_start(left_at, "`state`: the voltage at which it was left,")
+        low, high = limits.rating
+        if start is not None and abs(start - left_at) > SAME_VOLTAGE * (high - low):
+            raise UsageError(
+                f"`from_` {start:g} contradicts `state`, which ends at {left_at:g}{limits.suffix}"
+            )
+        return left_at
 
 
 def _seconds(name: str, value: Seconds) -> Seconds:
@@ -111,6 +137,8 @@ class LeadIn:
         Seconds a row.
     limits, lead
         What the drive may do, and what is asked for.
+    last
+        Where the amplifier stands, if that is known.
     """
 
     model: Cascade
@@ -118,6 +146,7 @@ class LeadIn:
     dt: float
     limits: Limits
     lead: Lead
+    last: float | None
 
     def planned(self, hold: int = 0) -> tuple[State | None, Floats, int]:
         """Return what stands before the move.
@@ -144,7 +173,7 @@ class LeadIn:
         UsageError
             The amplifier's voltage is not known, or a piece is too long for any memory.
         """
-        lead, last = self.lead, standing_at(self.limits, self.lead)
+        lead, last = self.lead, self.last
         moves = lead.condition or lead.approach is not None
         still, untyped = self._still_rows(moves)
         state, before = lead.state, NO_VOLTAGES
@@ -170,11 +199,11 @@ class LeadIn:
         ``untyped`` are seconds that nobody typed so far.
         """
         lead, dt = self.lead, self.dt
-        last, swept = standing_at(self.limits, lead), NO_VOLTAGES
+        last, swept = self.last, NO_VOLTAGES
         if lead.condition:
             swept = self._conditioning(last)
         elif last is None:
-            raise UsageError("`approach` needs `from` VOLT or a `state` file")
+            raise UsageError("`approach` needs `from_` VOLT or a `state` file")
         before = np.concatenate([before, swept])
         stands = before[:1] if before.size else np.array([last])
         before = np.concatenate([np.repeat(stands, hold), before])
@@ -297,20 +326,6 @@ def _require_short(untyped: float, option: str, seconds: float) -> None:
         f"{untyped:.4g} s before the move, and at most {LONGEST_CHOSEN:g} s are chosen: give `{option}` "
         f"{rounded_up(seconds, 3):.9g}{more}"
     )
-
-
-def standing_at(limits: Limits, lead: Lead) -> float | None:
-    """Return the voltage at which the amplifier stands before the first row, None where it is not known.
-
-    Raises
-    ------
-    LimitError
-        It is outside the rating.
-    UsageError
-        A state knows another voltage than the one that was typed.
-    """
-    left_at = lead.state.drive if isinstance(lead.state, State) else None
-    return limits.standing(lead.start, left_at)
 
 
 # --- the pieces ---

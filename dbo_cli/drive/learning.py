@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -24,7 +23,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.smooth import low_pass, soft_rise
-from dbo_cli.errors import InputError, ModelError, warn
+from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import Cascade, Resonance, State, fields
 from dbo_cli.signals import between, noise, turns
 
@@ -34,7 +33,6 @@ FORMAT = "dbo-history"
 ORDER = 4
 GROWTH = 1.2  # times the error of the last pass: beyond, learning diverges; chosen
 FROM_BEST = 2.0  # times the best pass's error: growth by less a pass shows after a few
-START_PROBLEM = 8.0  # times the expected error: a mean beyond it is no sensor's zero
 # of the drive's range (RMS): recordings further apart are not of one drive
 ONE_DRIVE = 0.02
 RATE_SLACK = 1e-3  # of a step
@@ -148,7 +146,7 @@ class RepeatedMove:
         passed = PassRecord(sha256(voltage.tobytes()).hexdigest(), rms(error))
         before = _passes_before(history, passed)
         cutoff = bandwidth or self._trusted(name, measured - modelled)
-        self._require_no_growth(name, passed, before, cutoff, measured)
+        self._require_no_growth(name, passed, before, cutoff)
         change = modelled - self.desired + error
         learned = low_pass(change, cutoff, self.step, self.periodic, ORDER)
         if not self.absolute:
@@ -161,7 +159,6 @@ class RepeatedMove:
             f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move), "
             f"{reached:.2g}{unit} of it noise; learned below {cutoff:.4g} Hz"
         )
-        warnings = self._start_warnings(name, zero)
         drive = drive_of(self.desired + learned)
         return replace(
             drive,
@@ -172,7 +169,6 @@ class RepeatedMove:
             mean_left_out=None if self.absolute else -zero,
             history=(*before, passed),
             notes=(note, *drive.notes),
-            warnings=(*warnings, *drive.warnings),
         )
 
     # --- the rows of a recording ---
@@ -405,7 +401,6 @@ class RepeatedMove:
         passed: PassRecord,
         before: Sequence[PassRecord],
         cutoff: float,
-        measured: Floats,
     ) -> None:
         """Refuse to go on when the error grew (InputError)."""
         errors = [record.rmse for record in before]
@@ -415,44 +410,12 @@ class RepeatedMove:
         allowed = min(GROWTH * errors[-1], FROM_BEST * best)
         if passed.rmse <= allowed:
             return
-        self._require_same_sensor(name, measured, allowed)
         number, unit = 1 + errors.index(best), self.model.output.suffix
         raise InputError(
-            f"{name}: the error grew from {errors[-1]:.3g} to {passed.rmse:.3g}{unit} RMS: learn from "
-            f"pass {number} ({best:.3g}) with `bandwidth` {0.5 * cutoff:.3g} (it was {cutoff:.3g} Hz)"
+            f"{name}: the error grew from {errors[-1]:.3g} to {passed.rmse:.3g}{unit} RMS: check the "
+            f"sensor's scale, or learn from pass {number} ({best:.3g}) with `bandwidth` "
+            f"{0.5 * cutoff:.3g} (it was {cutoff:.3g} Hz)"
         )
-
-    def _require_same_sensor(
-        self, name: str, measured: Floats, explained: float
-    ) -> None:
-        """Refuse a sensor of another scale or zero, without which the error did not grow (InputError)."""
-        move = self.desired - self.desired.mean()
-        mean = float(measured.mean())
-        scale = float(move @ measured) / max(float(move @ move), 1e-300)
-        if rms(measured - mean - scale * move) > explained:
-            return
-        zero = ""
-        if self.absolute:
-            offset = mean - float(self.desired.mean())
-            zero = f" and {offset:.3g}{self.model.output.suffix} off"
-        raise InputError(
-            f"{name}: the error grew because the sensor shows {scale:.4g} times the move{zero}: restore the "
-            "sensor, or learn anew with another `history`"
-        )
-
-    def _start_warnings(self, name: str, zero: float) -> tuple[str, ...]:
-        """Warn where the mean of the error is too large for a sensor's zero."""
-        expected = self.model.fit.get("expected_rmse")
-        if not isinstance(expected, float) or abs(zero) <= START_PROBLEM * expected:
-            return ()
-        unit = self.model.output.suffix
-        known_by = "state" if self.periodic else "condition"
-        text = (
-            f"{name}: the mean error, {zero:.3g}{unit}, is {abs(zero) / expected:.2g} times "
-            f"the expected error: the drive assumes another start (`{known_by}`, or `absolute` learns it)"
-        )
-        warn(text)
-        return (text,)
 
     def _trusted(self, name: str, residual: Floats) -> float:
         """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows.
@@ -549,22 +512,6 @@ def _trusted_by_bands(
 
 
 # --- the history ---
-
-
-def read_history(path: str) -> tuple[PassRecord, ...]:
-    """Read the passes of a history file, the oldest first; none where there is no file yet.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read.
-    ModelError
-        It is no history.
-    """
-    if not os.path.exists(path):
-        return ()
-    name, values = fields.load(path, "history")
-    return parse_history(values, name)
 
 
 def parse_history(values: object, name: str = "the history") -> tuple[PassRecord, ...]:

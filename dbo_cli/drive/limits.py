@@ -27,9 +27,6 @@ from dbo_cli.units import parse_quantity
 Figure = float | str | None
 """A limit: a number in the unit of the drive, or a text with a unit (``1.2kV``, ``2V/ms``)."""
 
-SAME_VOLTAGE = 1e-9
-"""Of the rating: a typed voltage and that of a state are one up to rounding."""
-
 STEP_ROUNDING = 8.0 * 2.0**-52
 """Of the larger of two voltages: the last digits of a step, each voltage being rounded once or twice on its
 way through points and scales. A slew limit is kept to that, a range exactly.
@@ -154,7 +151,7 @@ class Limits:
         step: float | Floats | None = largest_step(self.slew, dt)
         return step
 
-    def require_start(self, voltage: float, name: str = "`from`") -> None:
+    def require_start(self, voltage: float, name: str) -> None:
         """Refuse an amplifier that stands outside the rating.
 
         Raises
@@ -174,30 +171,6 @@ class Limits:
             "bring the amplifier inside, or give its rating (`v_min`, `v_max`)"
         )
 
-    def standing(
-        self, start: float | None, left_at: float | None, name: str = "`from`"
-    ) -> float | None:
-        """Return where the amplifier stands: as typed, or as a state left it; None where neither is known.
-
-        Raises
-        ------
-        LimitError
-            It is outside the rating.
-        UsageError
-            The two contradict each other.
-        """
-        if start is not None:
-            self.require_start(start, name)
-        if left_at is None:
-            return start
-        self.require_start(left_at, "`state`: the voltage at which it was left,")
-        span = self.rating[1] - self.rating[0]
-        if start is not None and abs(start - left_at) > SAME_VOLTAGE * span:
-            raise UsageError(
-                f"{name} {start:g} contradicts `state`, which ends at {left_at:g}{self.suffix}"
-            )
-        return left_at
-
     def as_dict(self) -> dict[str, Any]:
         """Return the limits as plain values, for summaries."""
         return {
@@ -216,6 +189,11 @@ class Limits:
         if self.slew is not None:
             text += f", {self.slew:.6g}{self.suffix}/s"
         return text
+
+
+def plain(voltage: float) -> str:
+    """Return a voltage to four digits, for lines: 100000 of a drive in mV, not 1e+05."""
+    return f"{float(f'{voltage:.4g}'):.12g}"
 
 
 def voltage_in(name: str, figure: Figure, quantity: Quantity) -> float | None:

@@ -15,12 +15,11 @@ from typing import Any, Literal
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.limits import STEP_ROUNDING, Figure, GateError, Limits, voltage_in
+from dbo_cli.drive.lead import Lead
+from dbo_cli.drive.limits import STEP_ROUNDING, Figure, GateError, Limits
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.model import Cascade, State, Undoing, state_of
 from dbo_cli.model.amplifier import AmplifiedGears
-from dbo_cli.model.points import value_through
-from dbo_cli.units import parse_quantity
 
 WANTED_SPANS = 1e12
 """A wanted value so many ranges away is no displacement but a fault of the loop."""
@@ -35,8 +34,8 @@ class Controller:
     ----------
     model : Model
         A forward model.
-    sample_rate : float or str
-        Samples a second (Hz), or a text with a unit.
+    sample_rate : float
+        Samples a second (Hz), above 0.
     v_min, v_max, max_slew, extrapolate
         Limits, as of ``compensate``.
     state : State, name of a start, or file
@@ -67,13 +66,13 @@ class Controller:
     LimitError
         ``from_`` is outside the limits.
     UsageError
-        The rate is not above 0, or ``lookahead`` is too short.
+        ``lookahead`` is too short.
     """
 
     def __init__(
         self,
         model: Cascade,
-        sample_rate: float | str,
+        sample_rate: float,
         *,
         v_min: Figure = None,
         v_max: Figure = None,
@@ -84,19 +83,14 @@ class Controller:
         lookahead: float | Literal["auto"] | None = None,
     ) -> None:
         model.require("forward")
-        rate = parse_quantity(sample_rate, "Hz", "sample_rate")
-        if not rate > 0.0:
-            raise UsageError(f"`sample_rate` {sample_rate}: give Hz above 0")
         self.limits = Limits.within(model.input, v_min, v_max, max_slew, extrapolate)
         self.clipped = 0
         self._model = model
         self._begin = state_of(state, model)
-        self._dt = 1.0 / rate
+        self._dt = 1.0 / sample_rate
         step = self.limits.largest_step(self._dt)
         self._step = math.inf if step is None else float(step)
-        start = voltage_in("from_", from_, model.input)
-        left_at = self._begin.drive if isinstance(self._begin, State) else None
-        self.last = self.limits.standing(start, left_at, "`from_`")
+        self.last = Lead(self._begin, from_).standing(self.limits, model.input)
         if self.last is not None:
             self._begin = self._stood_at(self.last)
         self._stepper: Any = None
@@ -105,8 +99,8 @@ class Controller:
         self._pending: (
             tuple[float, bool, Floats | None, Undoing | None, State | None] | None
         ) = None
-        self._to_gears = tuple(curve.inverse() for curve in reversed(model.tail))
-        self._from_gears = tuple(curve.inverse() for curve in reversed(model.head))
+        self._to_gears = model.tail.inverse()
+        self._from_gears = model.head.inverse()
         # the amplifier before the gears, what comes out of it now and behind a plan
         self._amplified: AmplifiedGears | None = None
         self._output, self._planned_output = 0.0, 0.0
@@ -249,7 +243,7 @@ class Controller:
             block = np.array([voltage])
             run = self._amplified.amplifier.run(block, before, self._dt)
             voltage = self._planned_output = float(run.y[0])
-        self._stepper.follow(value_through(self._model.head, voltage))
+        self._stepper.follow(self._model.head.value(voltage))
 
     def _stepper_after(self, started: State, voltage: float, is_applied: bool) -> Any:
         """Return the stepper behind the first row."""
@@ -258,14 +252,14 @@ class Controller:
         if self._amplified is not None and self._first is not None and not is_applied:
             after = self._first
         self._planned_output = after.amplifier or 0.0
-        at_gears = value_through(self._model.head, voltage)
+        at_gears = self._model.head.value(voltage)
         after = dataclasses.replace(after, drive=at_gears)
         window, slew = self._model.inner_limits(self.limits.move, self.limits.slew)
         return self._model.gears.stepper(after, self._dt, window, slew)
 
     def _planned(self, u: float) -> tuple[float, bool]:
         """Return the voltage of a row behind another one, and whether a limit held it back."""
-        output = value_through(self._to_gears, u)
+        output = self._to_gears.value(u)
         if self._amplified is not None:
             (low, high), last = self.limits.move, self.last
             assert last is not None
@@ -279,7 +273,7 @@ class Controller:
         voltage = self._stepper.plan(output)
         if self._from_gears:
             low, high = self.limits.move
-            voltage = min(max(value_through(self._from_gears, voltage), low), high)
+            voltage = min(max(self._from_gears.value(voltage), low), high)
         return voltage, bool(self._stepper.clipped)
 
     def _way_in(self) -> float | None:

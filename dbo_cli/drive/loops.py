@@ -20,7 +20,7 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.judge import ALLOWED_PART
-from dbo_cli.drive.lead import MOST_LEAD_ROWS, Lead, ramp, standing_at
+from dbo_cli.drive.lead import MOST_LEAD_ROWS, Lead, ramp
 from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.smooth import soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
@@ -72,9 +72,9 @@ class Loop:
         One period of what is asked of the model.
     dt
         Seconds a row.
-    lead, passes
-        What stands before it: a way from where the amplifier stands, or a state; and
-        passes of run-in.
+    lead, begin, passes
+        What stands before it: a way from where the amplifier stands, or a state; that
+        voltage, if it is known; and passes of run-in.
     name
         Of the trajectory.
     hold
@@ -93,6 +93,7 @@ class Loop:
     target: Floats
     dt: float
     lead: Lead
+    begin: float | None
     passes: int
     name: str
     hold: int = 0
@@ -164,11 +165,11 @@ class Loop:
         """
         model, limits, start = self.model, self.limits, self.lead.state
         target = self.static_target
-        begin = standing_at(limits, self.lead)
+        begin = self.begin
         if begin is not None:
             state = model.start(begin, start)
         elif self.lead.approach is not None:
-            raise UsageError("`approach` needs `from` VOLT or a `state` file")
+            raise UsageError("`approach` needs `from_` VOLT or a `state` file")
         else:
             state = model.start_drive(float(target[0]), start, *limits.move)
             if self.passes:
@@ -236,8 +237,8 @@ class Loop:
             or largest_difference(closed, voltage) > ONE_LOOP * self.model.input.span
         ):
             raise LimitError(
-                f"{self.name}: `max_slew` forbids the step from the last row, {voltage[-1]:.6g}, to "
-                f"the first, {voltage[0]:.6g}"
+                f"{self.name}: does not close within `max_slew` {self.limits.slew:g}{self.limits.suffix}/s: "
+                "raise it, or make the loop slower"
             )
         return closed
 

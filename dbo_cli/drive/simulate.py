@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import LimitError, warn
+from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Cascade, Outside, State, Steps, steps_behind
 
 MaybeFloats = Floats | None
@@ -211,9 +211,7 @@ class Simulator:
     def _displacement(self, voltage: Floats, dt: Steps) -> Floats:
         """Return what a forward model makes of a drive."""
         self.state = self.model.start(float(voltage[0]), self.state)
-        if self.outside == "error":
-            self.model.require_inside(voltage, self.row_count, self.name)
-        self._count_outside(voltage)
+        self._watch(voltage, self.model)
         run = self.model.run(voltage, self.state, dt, self.outside)
         self.state = run.state
         return run.y
@@ -232,33 +230,23 @@ class Simulator:
         if run.clipped and not self.outside_count:
             self.first_outside = self.row_count + run.first_clipped + 1
         self.outside_count += run.clipped
-        self._count_outside(run.y)
-        self._require_reachable(desired)
+        if self.outside == "error":
+            self._watch(desired, self.model)
+        self._watch(run.y, model)
         return self._counted(desired, run.y, time)
 
-    def _require_reachable(self, desired: Floats) -> None:
-        """Refuse a displacement beyond what the model reaches, where that is asked for (LimitError)."""
-        outside = self.model.outside(desired)
-        if self.outside != "error" or not outside.any():
-            return
-        first, reach = int(np.argmax(outside)), self._forward.output
-        raise LimitError(
-            f"{self.name}: row {self.row_count + first + 1:,}: {desired[first]:.6g}{reach.suffix} is "
-            f"outside the model's reach, {reach.min:.6g} to {reach.max:.6g} (`outside` extend or hold)"
-        )
-
-    def _count_outside(self, voltage: Floats) -> None:
-        """Count the rows whose voltage the model does not know; refuse those of an inverse model if asked."""
-        outside = self._forward.outside(voltage)
+    def _watch(self, values: Floats, model: Cascade) -> None:
+        """Count the rows that are outside the input's range of a model, or refuse the first of them."""
+        outside = model.outside(values)
         if not outside.any():
             return
-        first = int(np.argmax(outside))
+        first, known = int(np.argmax(outside)), model.input
+        row = self.row_count + first + 1
         if self.outside == "error":
-            drive = self._forward.input
-            raise LimitError(
-                f"{self.name}: row {self.row_count + first + 1:,}: its drive, {voltage[first]:.6g}"
-                f"{drive.suffix}, is outside the identified range, {drive.min:.6g} to {drive.max:.6g} "
-                "(`outside` extend or hold)"
+            kind = InputError if self.model.is_forward else LimitError
+            raise kind(
+                f"{self.name}: row {row:,}: {values[first]:.6g}{known.suffix} is outside the model's "
+                f"range, {known.min:.6g} to {known.max:.6g}{known.suffix} (`outside` extend or hold)"
             )
-        self.first_outside = self.first_outside or self.row_count + first + 1
+        self.first_outside = self.first_outside or row
         self.outside_count += int(np.count_nonzero(outside))

@@ -95,16 +95,16 @@ def _run(plan: Plan, reset: float | None, seed: int) -> c.SelfTestRun:
 
 def _operator(plan: Plan, parts: c.Sources, run: int) -> None:
     """Add the table of the gears, the operator, and the limits."""
-    gears, terms = plan.gears, plan.gain.size
+    gears, terms = plan.gears, plan.gears.gain.size
     table, _ = kernel_table(gears.exchanged, run)
     parts.tables.append(c.array("dbo_gear", "gears", c.structs(table, c.real)))
     gain = "0"
     if terms:
         gain = "gain"
-        parts.tables.append(c.reals("gain", plan.gain))
+        parts.tables.append(c.reals("gain", plan.gears.gain))
     parts.tables.append(
         f"static const dbo_backlash op = {{gears, {gears.n}, {run}, DBO_ROW_FACTOR({run}), 0, 0, 0.0,\n"
-        f"    {c.real(gears.y0)}, {c.real(gears.x0)}, 1, {terms}, {gain}, {c.real(plan.reference)}, 1}};\n"
+        f"    {c.real(gears.y0)}, {c.real(gears.x0)}, 1, {terms}, {gain}, {c.real(gears.reference)}, 1}};\n"
     )
     ends = ", ".join(map(c.real, plan.inner))
     largest = "0"
@@ -130,7 +130,7 @@ def _fixed_step(plan: Plan, parts: c.Sources, run: int) -> None:
         c.array("dbo_fixed_gear", "fixed_gears", c.structs(steps, c.real))
     )
     decay = complement = "0"
-    if plan.gain.size:
+    if plan.gears.gain.size:
         decay, complement = "decay", "rest"
         parts.tables.append(c.reals("decay", plan.decay))
         parts.tables.append(c.reals("rest", 1.0 - plan.decay))
@@ -142,7 +142,7 @@ def _fixed_step(plan: Plan, parts: c.Sources, run: int) -> None:
 
 def _gears(plan: Plan, parts: c.Sources) -> None:
     """Add the gears, run by the package's kernel."""
-    n, run, terms = plan.gears.n, plan.gears.equal_run, plan.gain.size
+    n, run, terms = plan.gears.n, plan.gears.equal_run, plan.gears.gain.size
     _operator(plan, parts, run)
     _fixed_step(plan, parts, run)
     words = "0"
@@ -195,13 +195,11 @@ def _lookup_gears(plan: Plan, parts: c.Sources) -> None:
     n, empty = plan.gears.n, plan.forward.starts.empty
     if n > MOST_LOOKUP_GEARS:
         raise ModelError(
-            f"{plan.key}.dx: {n} gears are too many for `lookup`: add `gears` {MOST_LOOKUP_GEARS}, or leave "
-            "`lookup` out"
+            f"{plan.key}.dx: {n} gears: `lookup` takes `gears` {MOST_LOOKUP_GEARS} at most"
         )
-    if plan.gain.size:
+    if plan.gears.gain.size:
         raise ModelError(
-            f"{plan.key}.relaxation: not possible with `lookup`: leave it out, or identify with "
-            "`relaxation` 0"
+            f"{plan.key}.relaxation: not possible with `lookup`: identify with `relaxation` 0"
         )
     _operator(plan, parts, 1)
     states = np.arange(2**n)

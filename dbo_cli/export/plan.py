@@ -14,8 +14,8 @@ from dbo_cli.errors import ModelError, UsageError
 from dbo_cli.model import Cascade, Gears, State
 from dbo_cli.model.delay import AFTER, whole_and_part
 from dbo_cli.model.gears import Window, largest_step
-from dbo_cli.model.points import Curves, through
-from dbo_cli.model.undoing import SectionInverse, section_inverse
+from dbo_cli.model.points import Curves
+from dbo_cli.model.undoing import SectionInverse
 
 SPACING = 64  # turns that share a checkpoint
 Loss = dict[str, float]
@@ -55,12 +55,12 @@ class Plan:
     @cached_property
     def to_gears(self) -> Curves:
         """The curves from the displacement to the gears."""
-        return tuple(curve.inverse() for curve in reversed(self.forward.tail))
+        return self.forward.tail.inverse()
 
     @cached_property
     def to_drive(self) -> Curves:
         """The curves from the gears to the drive."""
-        return tuple(curve.inverse() for curve in reversed(self.forward.head))
+        return self.forward.head.inverse()
 
     @property
     def inner(self) -> Window:
@@ -79,11 +79,6 @@ class Plan:
         """How many checkpoints a state keeps of its turns, as dbo_kernel.h and dbo_q31.h have it."""
         return (self.gears.n - 1) // SPACING
 
-    @property
-    def gain(self) -> Floats:
-        """c_j of the relaxation terms."""
-        return self.gears.gain
-
     @cached_property
     def decay(self) -> Floats:
         """a_j = exp(-dt/tau_j)."""
@@ -94,20 +89,13 @@ class Plan:
         return decay
 
     @property
-    def reference(self) -> float:
-        """The drive, as the gears meet it, at which nothing is remembered."""
-        if self.gears.relaxation is None:
-            return 0.0
-        return self.gears.relaxation.reference
-
-    @property
     def kappa(self) -> float:
         """The immediate part of the memory, sum c_j (1 - a_j), added term by term as the kernel does."""
-        return float(sum((self.gain * (1.0 - self.decay)).tolist()))
+        return float(sum((self.gears.gain * (1.0 - self.decay)).tolist()))
 
     def at_gears(self, drive: float) -> float:
         """Return a drive as the gears meet it."""
-        return float(through(self.forward.head, np.array([drive]))[0])
+        return self.forward.head.value(drive)
 
     # ---- reading ahead ----
 
@@ -125,10 +113,7 @@ class Plan:
         if self.forward.dynamics is None:
             return []
         assert self.dt is not None
-        parts = []
-        for section in reversed(self.forward.dynamics.sections):
-            parts.append(section_inverse(section, self.dt))
-        return parts
+        return list(reversed(self.forward.dynamics.inverses(self.dt)))
 
     @property
     def ahead(self) -> int:

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from dbo_cli.errors import ModelError
 from dbo_cli.export import text as c
 from dbo_cli.export.plan import Plan, trial_moves
 from dbo_cli.export.q31_bounds import Bounds, bounds_of
@@ -14,6 +13,7 @@ from dbo_cli.export.q31_tables import (
     Axis,
     CountLimits,
     Memory,
+    beyond_q31,
     counts_of_range,
     fold,
     limits_of,
@@ -54,7 +54,7 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
     limits = limits_of(plan, y_axis)
     runs = [_run(plan, None, 1), _run(plan, plan.trimmed, 2)]
     # where the gears begin on the input, which the memory widens
-    begin = gears.y0 + plan.kappa * (gears.x0 - plan.reference)
+    begin = gears.y0 + plan.kappa * (gears.x0 - plan.gears.reference)
     source_counts, drive_counts = counts_of_range(source), counts_of_range(drive)
     functions = {
         "BEFORE": segments_of(before, source_counts, (begin, x_axis.unit)),
@@ -84,32 +84,20 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
 def _check(plan: Plan) -> None:
     """Refuse what q31 has no arithmetic or no bound for."""
     if plan.forward.amplifier is not None:
-        raise ModelError(
-            "amplifier: not possible in q31: use `arithmetic` double, or identify without it"
-        )
+        raise beyond_q31("amplifier")
     if plan.forward.dynamics is not None:
-        raise ModelError(
-            "dynamics: not possible in q31: use `arithmetic` double, or identify with `dynamics` 0"
-        )
-    if np.any(plan.gain < 0.0):
-        raise ModelError(
-            f"{plan.key}.relaxation.gain: q31 has no proven bound for negative gains: use `arithmetic` "
-            "double, or identify with `relaxation` 0"
-        )
+        raise beyond_q31("dynamics")
+    if np.any(plan.gears.gain < 0.0):  # no bound is proven for them
+        raise beyond_q31(f"{plan.key}.relaxation.gain")
     if np.any(1.0 - plan.decay < SLOWEST_REST):
-        raise ModelError(
-            f"{plan.key}.relaxation.tau: too slow for q31: lower `sample_rate`, or use `arithmetic` double"
-        )
+        raise beyond_q31(f"{plan.key}.relaxation.tau", "lower `sample_rate`, or ")
     if plan.gears.n > MOST_GEARS:
-        raise ModelError(
-            f"{plan.key}.dx: {plan.gears.n} gears are more than {MOST_GEARS}: lower `gears`, or use "
-            "`arithmetic` double"
-        )
+        raise beyond_q31(f"{plan.key}.dx", "lower `gears`, or ")
 
 
 def _members(plan: Plan) -> list[str]:
     """Return the members of the state."""
-    n, terms = plan.gears.n, plan.gain.size
+    n, terms = plan.gears.n, plan.gears.gain.size
     members = ["dboq_backlash_state gears;", f"dboq_place turns[{n}];"]
     if plan.checkpoints:
         members.insert(0, f"dboq_checkpoint checkpoints[{plan.checkpoints}];")
@@ -138,7 +126,7 @@ def _values(plan: Plan, y_axis: Axis, limits: CountLimits) -> dict[str, str]:
         "STEP": delay.rstrip("\n"),
         "SLEW": slew.rstrip("\n"),
         "CHECKPOINTS": "state->checkpoints" if plan.checkpoints else "0",
-        "MEMORY": "state->memory" if plan.gain.size else "0",
+        "MEMORY": "state->memory" if plan.gears.gain.size else "0",
         "COVERED": str(plan.forward.starts.inside.n),
         "FIRST_DRIVE": c.whole(position),
         "FIRST_OUTPUT": c.whole(output),
@@ -182,7 +170,7 @@ def _gear_tables(
     slopes = y_axis.widths / x_axis.widths * (x_axis.unit / y_axis.unit)
     slope_shift = shift_for(float(slopes.max()))
     if slope_shift < 16:
-        raise ModelError("dy: a gear is too steep for q31: use `arithmetic` double")
+        raise beyond_q31(f"{plan.key}.dy")
     widths = np.rint(x_axis.widths / x_axis.unit).astype(np.int64)
     heights = np.rint(y_axis.widths / y_axis.unit).astype(np.int64)
     whole_slopes = np.rint(slopes * 2.0**slope_shift).astype(np.int64)

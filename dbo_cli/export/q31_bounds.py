@@ -22,12 +22,12 @@ from typing import NamedTuple
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import ModelError
 from dbo_cli.export.plan import Plan
 from dbo_cli.export.q31_tables import (
     Axis,
     Folded,
     Memory,
+    beyond_q31,
     counts_of_range,
     shift_for,
 )
@@ -143,7 +143,7 @@ def _height_error(x_axis: Axis, y_axis: Axis, run: int) -> float:
 
 def _memory_error(plan: Plan, memory: Memory, x_axis: Axis, y_axis: Axis) -> float:
     """Bound what the memories round, as the input meets it."""
-    carried = plan.gain * plan.decay
+    carried = plan.gears.gain * plan.decay
     counts = (float(y_axis.exact.sum()) + abs(memory.offset)) / memory.unit
     followed = 2.0 + 2.0 * counts * 2.0**-30 + 2.0**-24 / (1.0 - plan.decay)
     recalled = 0.5 + carried.size * counts * 2.0 ** -(memory.carried_shift + 1)
@@ -152,7 +152,7 @@ def _memory_error(plan: Plan, memory: Memory, x_axis: Axis, y_axis: Axis) -> flo
 
 def _loop(plan: Plan, steepest: float) -> tuple[float, float]:
     """Return the gain of the loop through the memory, and how much a disturbance grows in it."""
-    c, a = plan.gain, plan.decay
+    c, a = plan.gears.gain, plan.decay
     b = 1.0 - a
     stiff = max(1.0 / steepest - plan.kappa, 0.0) + 0.5 * plan.kappa
     rho = float(np.min(2.0 * b * (1.0 - 0.5 * b)))
@@ -169,8 +169,5 @@ def _tolerance(
     )
     power = min(math.floor(-math.log2(2.0 * shift)), FINEST_TOLERANCE)
     if power < COARSEST_TOLERANCE:
-        raise ModelError(
-            f"{key}.dx: {x_axis.exact.size} gears are too narrow for q31: lower `gears`, or use "
-            "`arithmetic` double"
-        )
+        raise beyond_q31(f"{key}.dx", "lower `gears`, or ")
     return 2.0**-power

@@ -16,12 +16,17 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
 from dbo_cli.export.plan import Plan
 from dbo_cli.model import Quantity, Scale
-from dbo_cli.model.points import Curves, through
+from dbo_cli.model.points import Curves
 
 COUNTS = 2.0**30
 MOST_FINE_BITS = 12
 """Positions are finer than counts by so many bits at most: slopes keep the 16 bits that far inputs lose."""
 SAME_NODE = 1e-9  # of a range: nodes that are closer are one
+
+
+def beyond_q31(key: str, remedy: str = "") -> ModelError:
+    """Return the refusal of what whole numbers cannot hold, or have no bound for."""
+    return ModelError(f"{key}: beyond q31: {remedy}use `arithmetic` double")
 
 
 class Segments(NamedTuple):
@@ -98,15 +103,15 @@ def fold(curves: Curves, low: float, high: float) -> Folded:
         if isinstance(stage, Scale):
             continue
         inner = np.ascontiguousarray(stage.segments[1:, 0] + stage.x0)
-        back = tuple(before.inverse() for before in reversed(curves[:number]))
-        nodes += through(back, inner).tolist()
+        back = Curves(curves[:number]).inverse()
+        nodes += back(inner).tolist()
     span = high - low
     begins: list[float] = []
     for node in sorted(nodes):
         if not begins or node - begins[-1] > SAME_NODE * span:
             begins.append(node)
     x = np.array([*begins, max(begins[-1] + span, high)])
-    y = through(curves, x.copy())
+    y = curves(x.copy())
     return Folded(x[:-1], y[:-1], np.diff(y) / np.diff(x))
 
 
@@ -125,9 +130,7 @@ def segments_of(
     slopes[:-1] = np.diff(up) / np.maximum(np.diff(at), 1.0)
     shift = shift_for(float(np.abs(slopes).max()))
     if shift < 16 or float(np.abs(at).max()) >= 2.0**31:
-        raise ModelError(
-            "points or scales beyond the range of q31: use `arithmetic` double"
-        )
+        raise beyond_q31("points or scales")
     rows = []
     for a, b, slope in zip(at.tolist(), up.tolist(), slopes.tolist(), strict=True):
         rows.append((int(a), int(b), round(slope * 2.0**shift)))
@@ -173,17 +176,15 @@ def memory_of(plan: Plan, x_axis: Axis, y_axis: Axis) -> Memory | None:
     One of its counts is one of the output axis, or coarser where the reference is far
     away: it has 31 bits.
     """
-    if not plan.gain.size:
+    if not plan.gears.gain.size:
         return None
-    offset = plan.gears.x0 - plan.reference
+    offset = plan.gears.x0 - plan.gears.reference
     coarse = max(math.frexp(abs(offset) / y_axis.count / COUNTS)[1], 0)
     unit = y_axis.count * 2.0**coarse
-    carried = plan.gain * plan.decay * (unit / x_axis.unit)
+    carried = plan.gears.gain * plan.decay * (unit / x_axis.unit)
     shift = shift_for(float(carried.sum()))
     if shift < 0:
-        raise ModelError(
-            f"{plan.key}.relaxation.gain: beyond the range of q31: use `arithmetic` double"
-        )
+        raise beyond_q31(f"{plan.key}.relaxation.gain")
     terms = []
     for factor, follow in zip(
         carried.tolist(), (1.0 - plan.decay).tolist(), strict=True
@@ -225,9 +226,7 @@ def limits_of(plan: Plan, y_axis: Axis) -> CountLimits:
     y0 = plan.gears.x0
     inner_low, inner_high = ((end - y0) / y_axis.unit for end in plan.inner)
     if not low < high or max(abs(inner_low), abs(inner_high)) >= 2.0**59:
-        raise ModelError(
-            "`v_min`, `v_max`: beyond the range of q31: use `arithmetic` double"
-        )
+        raise beyond_q31("`v_min`, `v_max`")
     step, change = -1, None
     largest, inner_largest = plan.limits.largest_step(plan.dt), plan.inner_step
     if largest is not None and inner_largest is not None:
@@ -236,9 +235,7 @@ def limits_of(plan: Plan, y_axis: Axis) -> CountLimits:
         share = min(change * unit / float(largest), 1.0)
         step = math.floor(min(inner_largest * share / y_axis.unit, 2.0**59))
         if step < 4:
-            raise ModelError(
-                "`max_slew`: below the resolution of q31: lower `sample_rate`"
-            )
+            raise beyond_q31("`max_slew`", "lower `sample_rate`, or ")
     return CountLimits(
         low, high, change, (math.ceil(inner_low), math.floor(inner_high), step)
     )

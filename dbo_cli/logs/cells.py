@@ -5,13 +5,14 @@ from __future__ import annotations
 import contextlib
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.table import LONGEST_CELL, TOO_LONG, Column, StatedClock
+from dbo_cli.logs.table import LONGEST_CELL, TOO_LONG, Settings
 
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
 _POINT = re.compile(NUMBER, re.ASCII)
@@ -112,21 +113,23 @@ class Layout:
         What each column holds, as ``Column.kind`` and ``Column.sample`` say it.
     first
         The index of the line of the first row.
-    first_row, counts
-        Its cells; whether the first of them is a number in quotes.
-    names, units, clock
+    first_line
+        That line.
+    names, units, settings
         What the lines above the rows say.
+    is_headed
+        Whether one of these lines holds names or units.
     """
 
     delimiter: str
     decimal: str
     kinds: list[tuple[str, str]] = field(default_factory=list)
     first: int = 0
-    first_row: list[str] = field(default_factory=list)
-    counts: bool = False
+    first_line: str = ""
     names: list[str] = field(default_factory=list)
     units: list[str] = field(default_factory=list)
-    clock: StatedClock = field(default_factory=StatedClock)
+    settings: Settings = field(default_factory=dict)
+    is_headed: bool = False
 
     @property
     def width(self) -> int:
@@ -165,35 +168,44 @@ class Marks:
 
     Attributes
     ----------
+    name
+        How messages call the column.
     is_clear
         Whether a cell has shown that they stand before decimals.
     plain, grouped
         The first cells of either kind, and their rows.
     """
 
+    name: str
     is_clear: bool = False
     plain: tuple[int, str] | None = None
     grouped: tuple[int, str] | None = None
 
-    def watch(self, row: int, cell: str) -> None:
-        """Take the next cell into account."""
-        if _WHOLE.fullmatch(cell):
-            self.plain = self.plain or (row, cell)
-        elif _GROUPED.fullmatch(cell):
-            self.grouped = self.grouped or (row, cell)
-        elif is_number(cell, ".") or is_number(cell, ","):
-            self.is_clear = not self.is_doubtful(row)
+    def watch(self, first_row: int, cells: Any, rows: Iterable[int]) -> None:
+        """Take cells of some rows into account, until one is clear."""
+        for index in rows:
+            if self.is_clear:
+                return
+            row, cell = first_row + index, cells[index]
+            if _WHOLE.fullmatch(cell):
+                self.plain = self.plain or (row, cell)
+            elif _GROUPED.fullmatch(cell):
+                self.grouped = self.grouped or (row, cell)
+            elif is_number(cell, ".") or is_number(cell, ","):
+                self.is_clear = self._doubtful_rows(row) <= _MOST_DOUBTFUL
 
-    def is_doubtful(self, row: int, limit: int = _MOST_DOUBTFUL) -> bool:
-        """Return whether both kinds stand above a row, by more than so many rows."""
+    def _doubtful_rows(self, row: int) -> int:
+        """Return by how many rows both kinds stand above a row."""
         if self.plain is None or self.grouped is None:
-            return False
-        return row - max(self.plain[0], self.grouped[0]) > limit
+            return 0
+        return row - max(self.plain[0], self.grouped[0])
 
-    def refuse(self, name: str, column: Column) -> None:
-        """Refuse a column whose marks are doubtful (InputError)."""
+    def require_clear(self, row: int, most: int = _MOST_DOUBTFUL) -> None:
+        """Refuse (InputError) what is still doubtful by more than so many rows above a row."""
+        if self.is_clear or self._doubtful_rows(row) <= most:
+            return
         assert self.plain is not None and self.grouped is not None
         raise InputError(
-            f"{name}: {column.label}: {self.grouped[1]} beside {self.plain[1]}: thousands or decimals? Type "
-            "`decimal` point or comma, or write them without the mark"
+            f"{self.name}: {self.grouped[1]} beside {self.plain[1]}: thousands or decimals? Type `decimal` "
+            "point or comma, or write them without the mark"
         )

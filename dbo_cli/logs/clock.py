@@ -7,6 +7,7 @@ a unit that can hardly be seconds.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs.columns import TIME_NAMES, listing_of, named, words
+from dbo_cli.logs.settings import stated_rate
 from dbo_cli.logs.table import Column, Reading, Table
 from dbo_cli.signals import even
 from dbo_cli.units import kind_of, multiplied, ratio, time_unit
@@ -61,17 +63,19 @@ class Clock:
     factor
         By what its figures become seconds.
     unit
-        The unit that is stated; None where nothing states it.
-    is_typed
-        Whether the user states it.
+        The unit that the file states, empty where the user does; None where nothing states it.
     rate, start
         Samples a second (Hz) and the time (s) of the first row, without a column.
     rate_beside
         The rate (Hz) that the file states beside a time column.
     step, uneven
         Seconds between rows where they are even so far; whether they are not.
-    origin, first_stamp
-        What time 0 is in seconds since 1970, where dates say it; the first stamp (ns).
+    first_stamp
+        What time 0 is (ns since 1970, or since midnight), where stamps say it.
+    offset, joined
+        Seconds added to the clock of a second file, and how messages tell of that.
+    holds_delay
+        Whether a delay of the actuator is part of the offset.
     """
 
     name: str
@@ -79,14 +83,15 @@ class Clock:
     column: Column | None = None
     factor: Fraction = Fraction(1)
     unit: str | None = None
-    is_typed: bool = False
     rate: float | None = None
     start: float = 0.0
     rate_beside: float | None = None
     step: float | None = None
     uneven: bool = False
-    origin: float | None = None
     first_stamp: int | None = None
+    offset: float | None = None
+    joined: str = ""
+    holds_delay: bool = False
     remarks: list[str] = field(default_factory=list)
     rows: int = 0
     first: float = 0.0
@@ -101,6 +106,13 @@ class Clock:
     def is_read(self) -> bool:
         """Whether the times stand in a column."""
         return self.kind in ("column", "stamps")
+
+    @property
+    def origin(self) -> float | None:
+        """What time 0 is in seconds since 1970; None where no dates say it."""
+        if self.first_stamp is None or self.first_stamp < _DAY:
+            return None
+        return self.first_stamp / 1e9
 
     @property
     def assumption(self) -> str:
@@ -152,8 +164,6 @@ class Clock:
             return np.asarray(multiplied(stored, self.factor))
         if self.first_stamp is None:
             self.first_stamp = int(stored[0])
-            if self.first_stamp >= _DAY:
-                self.origin = self.first_stamp / 1e9
         return np.asarray((stored - self.first_stamp) / 1e9)
 
     def _watch(self, steps: Floats, time: Floats, numbers: NDArray[np.int64]) -> None:
@@ -163,10 +173,8 @@ class Clock:
         if low < 0.0:
             at = int(np.argmax(steps < 0.0))
             after = float(time[at - len(steps)])
-            raise InputError(
-                f"{self.called}: row {numbers[at]}: time goes back from {after - steps[at]:.9g} to "
-                f"{after:.9g} s: cut with `rows` A:B, or add `sample_rate` HZ"
-            )
+            problem = f"row {numbers[at]}: time goes back from {after - steps[at]:.9g} to {after:.9g} s"
+            raise _unclear(self.name, self.column, f"{problem}: cut with `rows` A:B")
         if not self.uneven:
             self.step = self._even_step(time, high)
             self.uneven = self.step is None
@@ -190,12 +198,6 @@ class Clock:
             time = np.concatenate([[self.last], time])
         return even(time, self.step)
 
-    @property
-    def called(self) -> str:
-        """How messages call the time column."""
-        assert self.column is not None
-        return f"{self.name}: the time {self.column.label}"
-
     def _require_seconds(self, reach: float) -> None:
         """Refuse figures without a unit that can hardly be seconds."""
         if self.kind != "column" or self.unit is not None:
@@ -216,29 +218,28 @@ class Clock:
             reason = f"its stamps would reach {reach:.6g} s"
         else:
             return
-        raise InputError(
-            f"{self.called} has no unit: in seconds, {reason}: add `time_unit` s, ms, us, ns or d, or "
-            "`sample_rate` HZ"
-        )
+        raise _unclear(self.name, self.column, f"it has no unit: in seconds, {reason}")
 
     def close(self) -> None:
         """Warn of what is doubtful once all rows are read."""
+        uneven = []
         if self.repeats:
-            warn(
-                f"{self.name}: {self.repeats:,} of {self.rows:,} time stamps repeat: `sample_rate` HZ "
-                "replaces them"
-            )
+            uneven.append(f"{self.repeats:,} of {self.rows:,} time stamps repeat")
         if self.gaps:
             s = "" if self.gaps == 1 else "s"
+            first, largest = self.first_gap, self.largest_gap
+            uneven.append(
+                f"{self.gaps:,} gap{s} in time, first before row {first:,}, largest {largest:.4g} s"
+            )
+        if uneven:
             warn(
-                f"{self.name}: {self.gaps:,} gap{s} in time, first before row {self.first_gap:,}, largest "
-                f"{self.largest_gap:.4g} s"
+                f"{self.name}: {', '.join(uneven)}: `sample_rate` HZ replaces the stamps"
             )
         span = self.last - self.first
         is_slow = self.usual_step >= _LONG_STEP and span >= _LONG_LOG
-        if self.kind == "column" and self.unit == "s" and not self.is_typed and is_slow:
+        if self.kind == "column" and self.unit == "s" and is_slow:
             warn(
-                f"{self.called} in s makes steps of {self.usual_step:.6g} s and a log of "
+                f"{self.name}: the time in s makes steps of {self.usual_step:.6g} s and a log of "
                 f"{span / 3600.0:.3g} h: confirm with `time_unit` s, or type ms or us"
             )
 
@@ -255,7 +256,8 @@ class Clock:
             return "no span of time"
         about = "" if self.step else "about "
         text = f"{self.last - self.first + step:.4g} s at {about}{hertz(1.0 / step)}"
-        return f"{text} (no unit stated)" if self.assumption else text
+        text += " (no unit stated)" if self.assumption else ""
+        return text + self.joined
 
 
 def hertz(rate: float) -> str:
@@ -309,32 +311,31 @@ def find_clock(
             clock.remarks.append(f"`sample_rate` replaces {matches[0].label}")
         return clock
     if len(matches) > 1:
-        spelled = [f"`time` {column.number} ('{column.name}')" for column in matches]
-        which = " or ".join(spelled)
+        which = " or ".join(f"{column.number} ('{column.name}')" for column in matches)
         raise InputError(
-            f"{name}: which column is the time? Type {which}{source.hint}; columns of two clocks belong into "
-            "two files (`clock_offset`)"
+            f"{name}: which column is the time? Type `time` {which}{source.hint}; columns of two clocks "
+            "belong into two files (`clock_offset`)"
         )
     if matches:
         return _clock_of(source, matches[0], reading.time_unit)
-    return _stated_clock(source, reading)
-
-
-def _stated_clock(source: Table, reading: Reading) -> Clock:
-    """Return the clock of a file without a time column."""
-    name, statement = source.name, source.stated
     if reading.time_unit is not None:
         raise InputError(
             f"{name}: `time_unit` {reading.time_unit}: no time column: "
             f"{listing_of(source.columns)} (`time` NAME or NUMBER)"
         )
-    if statement.problem:
-        raise InputError(f"{name}: {statement.problem}")
-    if statement.rate is None:
+    rate, start, remark = stated_rate(name, source.settings, source.decimal)
+    if rate is None:
         return Clock(name)
-    remarks = list(statement.remarks)
-    return Clock(
-        name, "rate", rate=statement.rate, start=statement.start, remarks=remarks
+    remarks = [remark] if remark else []
+    return Clock(name, "rate", rate=rate, start=start, remarks=remarks)
+
+
+def _unclear(name: str, column: Column | None, problem: str) -> InputError:
+    """Return the refusal of a time column."""
+    label = "" if column is None else column.label
+    return InputError(
+        f"{name}: the time {label}: {problem}: type `time` COLUMN, `time_unit` s, ms, us, ns or d, or "
+        "`sample_rate` HZ"
     )
 
 
@@ -344,37 +345,23 @@ def _time_columns(source: Table, used: Sequence[Column], needed: bool) -> list[C
     A name; a word of the name; dates; the unit of the first column. One that cannot be
     read is refused where it is needed (InputError).
     """
-    named_so: list[Column] = []
-    worded_so: list[Column] = []
-    stamps: list[Column] = []
-    for column in source.columns:
-        if column in used:
-            continue
-        if column.kind == "stamp":
-            stamps.append(column)
-        if kind_of(column.unit) not in _KINDS and time_unit(column.unit) is None:
-            continue
-        if column.quantity.lower() in TIME_NAMES:
-            named_so.append(column)
-        elif words(column.quantity) & TIME_NAMES:
-            worded_so.append(column)
-    called = named_so or worded_so
-    numbers = [column for column in called if column.kind == "number"]
-    texts = [column for column in called if column.kind == "text"]
-    matches = numbers or [column for column in called if column in stamps] or stamps
-    if texts and not matches and needed:
-        raise InputError(
-            f"{source.name}: {texts[0].label} holds neither numbers nor ISO time stamps: type `time` "
-            "COLUMN or `sample_rate` HZ"
-        )
-    if not matches:
-        first = [column for column in source.columns[:1] if column not in used]
-        numbers = [column for column in first if column.kind == "number"]
-        matches = [column for column in numbers if time_unit(column.unit)]
-    return matches
+    free = [column for column in source.columns if column not in used]
+    timed = [c for c in free if kind_of(c.unit) in _KINDS or time_unit(c.unit)]
+    called = [c for c in timed if c.quantity.lower() in TIME_NAMES]
+    called = called or [c for c in timed if words(c.quantity) & TIME_NAMES]
+    matches = [column for column in called if column.kind == "number"]
+    matches = matches or [column for column in called if column.kind == "stamp"]
+    matches = matches or [column for column in free if column.kind == "stamp"]
+    if matches:
+        return matches
+    for column in called:
+        if column.kind == "text" and needed:
+            raise _unclear(source.name, column, f"'{column.sample}' is no time stamp")
+    first = [column for column in source.columns[:1] if column in free]
+    return [c for c in first if c.kind == "number" and time_unit(c.unit)]
 
 
-def _clock_of(source: Table, column: Column, spelled: str | None) -> Clock:
+def _clock_of(source: Table, column: Column, typed: str | None) -> Clock:
     """Return the clock of a time column.
 
     Raises
@@ -383,18 +370,16 @@ def _clock_of(source: Table, column: Column, spelled: str | None) -> Clock:
         Its figures count something that is no known unit of time.
     """
     name = source.name
-    if column.kind == "stamp" and spelled is not None:
-        raise InputError(
-            f"{name}: {column.label} holds time stamps: leave out `time_unit`"
-        )
+    if column.kind == "stamp" and typed is not None:
+        raise InputError(f"{name}: {column.label} holds stamps: leave out `time_unit`")
     if column.kind == "stamp":
         return Clock(name, "stamps", column, unit="s")
-    if spelled is not None:
-        factor = parse_time_unit(spelled)
-        return Clock(name, "column", column, factor, spelled.strip(), is_typed=True)
+    if typed is not None:
+        return Clock(name, "column", column, parse_time_unit(typed), unit="")
     unit = _stated_unit(name, column)
     clock = Clock(name, "column", column, ratio(unit, "s"), unit)
-    clock.rate_beside = source.stated.rate
+    with contextlib.suppress(InputError):
+        clock.rate_beside = stated_rate(name, source.settings, source.decimal)[0]
     return clock
 
 
@@ -406,25 +391,20 @@ def _stated_unit(name: str, column: Column) -> str | None:
     InputError
         What it states is no unit of time.
     """
-    statement = column.unit
-    if statement is not None and statement.lower() not in _NO_UNIT:
+    statement = column.unit or "-"
+    if statement.lower() not in _NO_UNIT:
         before, _, _ = statement.partition(" since ")  # netCDF: s since 2026-01-02
-        unit = time_unit(before)
-    else:
-        parts = words(column.quantity)
-        units = {time_unit(word) for word in parts if len(word) > 1} - {None, "min"}
-        if len(units) == 1:
-            return units.pop()
-        counted = sorted(parts & _COUNTED) or sorted(unit for unit in units if unit)
-        if not counted:
-            return None
-        unit, statement = None, counted[0]
-    if unit is None:
-        raise InputError(
-            f"{name}: {column.label}: '{statement}' is not a unit of time: type `time_unit` ms, 10us, "
-            "..., or `sample_rate` HZ"
-        )
-    return unit
+        if time_unit(before) is None:
+            raise _unclear(name, column, f"'{statement}' is not a unit of time")
+        return time_unit(before)
+    parts = words(column.quantity)
+    units = {time_unit(word) for word in parts if len(word) > 1} - {None, "min"}
+    if len(units) == 1:
+        return units.pop()
+    if units or parts & _COUNTED:
+        what = ", ".join(sorted(parts & _COUNTED or parts))
+        raise _unclear(name, column, f"'{what}' is not a unit of time")
+    return None
 
 
 def parse_time_unit(text: str) -> Fraction:

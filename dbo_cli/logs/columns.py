@@ -170,38 +170,24 @@ def named(source: Table, selector: str, option: str) -> Column:
     Raises
     ------
     InputError
-        There is none, or there are several.
-    UsageError
-        The number is not above 0.
+        There is none, there are several, or it holds no numbers.
     """
-    name, columns = source.name, source.columns
     how, _, remaining = selector.partition("=")
     text = remaining if how in ("number", "name") else selector
-    by_name = [] if how == "number" else _by_name(columns, text)
-    by_number: list[Column] = []
-    if how != "name" and re.fullmatch(r"[-+]?\d{1,9}", text):
-        if int(text) < 1:
-            raise UsageError(f"`{option}` {text}: columns are counted from 1")
-        by_number = columns[int(text) - 1 : int(text)]
-    if by_name and by_number and by_name != by_number:
-        raise InputError(
-            f"{name}: `{option}` {text}: {by_number[0].label}, or {by_name[0].number}, which is named "
-            f"'{text}'? (`{option}` number={text} or `{option}` name={text})"
-        )
-    matches = by_number or by_name
-    if len(matches) > 1:
-        numbers = " or ".join(f"`{option}` {column.number}" for column in matches)
-        raise InputError(f"{name}: column '{text}' occurs more than once ({numbers})")
-    column = matches[0] if matches else source.find(text)
-    if column is None:
-        raise InputError(
-            f"{name}: no column '{text}': {listing_of(columns)}{source.hint} (`{option}` NAME or NUMBER)"
-        )
-    if column.kind in ("text", "empty"):
-        raise InputError(
-            f"{name}: {column.label} holds neither numbers nor known time stamps: {listing_of(columns)}"
-        )
-    return column
+    matches = [] if how == "number" else _by_name(source.columns, text)
+    if how != "name" and re.fullmatch(r"\d{1,9}", text):
+        numbered = source.columns[int(text) - 1 : int(text)] if int(text) else []
+        matches += [column for column in numbered if column not in matches]
+    found = None if matches else source.find(text)
+    matches += [] if found is None else [found]
+    kinds = ("number", "stamp") if option == "time" else ("number",)
+    if len(matches) == 1 and matches[0].kind in kinds:
+        return matches[0]
+    typed = " or ".join(f"number={column.number}" for column in matches[1:] and matches)
+    raise InputError(
+        f"{source.name}: `{option}` {text} is not one column of numbers: {listing_of(source.columns)}"
+        f"{source.hint} (`{option}` {typed or 'NAME or NUMBER'})"
+    )
 
 
 def _by_name(columns: Sequence[Column], selector: str) -> list[Column]:
@@ -250,10 +236,6 @@ def choose(
     for role, selector in selectors.items():
         if selector is not None:
             picks[role] = named(table, selector, role)
-            if picks[role].kind == "stamp":
-                raise InputError(
-                    f"{table.name}: `{role}`: {picks[role].label} holds time stamps"
-                )
     used = [*clock_columns, *picks.values()]
     unclear: dict[str, list[Column]] = {}
     untyped = [role for role in selectors if role not in picks]
@@ -266,15 +248,20 @@ def choose(
             picks[role] = matches[0]
         elif role not in optional:
             unclear[role] = matches
-    _refuse_shared(table, picks)
+    shared = [role for role in picks if list(picks.values()).count(picks[role]) > 1]
+    if shared:
+        options = " ".join(f"`{role}` NAME" for role in shared)
+        raise InputError(
+            f"{table.name}: {picks[shared[0]].label} cannot be both {' and '.join(shared)}: "
+            f"{listing_of(table.columns)} ({options})"
+        )
     if unclear:
         used = [*clock_columns, *picks.values()]
         free = [c for c in table.columns if c.kind == "number" and c not in used]
         if not all(unclear.values()):
-            untyped = [role for role in untyped if role in picks]
-            unclear |= _rivals({role: picks[role] for role in untyped}, free)
-        question = _question(table, unclear, free)
-        raise InputError(f"{table.name}: {question}{table.hint}")
+            found = {role: picks[role] for role in untyped if role in picks}
+            unclear |= _rivals(found, free)
+        raise InputError(f"{table.name}: {_question(table, unclear, free)}{table.hint}")
     return {role: picks[role] for role in selectors if role in picks}
 
 
@@ -284,22 +271,11 @@ def _rivals(
     """Return the roles that a column might have which is left for another role."""
     rivals = {}
     for role, column in picks.items():
-        fitting = [c for c in free if kind_of(c.unit) in role_of(role, None).proving]
+        proving = role_of(role, None).proving
+        fitting = [c for c in free if kind_of(c.unit) in proving]
         if fitting:
             rivals[role] = [column, *fitting]
     return rivals
-
-
-def _refuse_shared(table: Table, picks: Mapping[str, Column]) -> None:
-    """Refuse one column for two roles (InputError)."""
-    roles: dict[int, str] = {}
-    for role, column in picks.items():
-        first = roles.setdefault(column.number, role)
-        if first != role:
-            raise InputError(
-                f"{table.name}: {column.label} cannot be both {first} and {role}: "
-                f"{listing_of(table.columns)} (`{first}` and `{role}` NAME or NUMBER)"
-            )
 
 
 def _question(
@@ -319,11 +295,14 @@ def _question(
     example = "FILE::COLUMN"
     if free:
         example = "NAME" if any(column.name for column in free) else "NUMBER"
-    if len(unclear) == 1:
-        against = role_of(next(iter(unclear)), None).against
-        remaining = [column for column in free if not words(column.name) & against]
-        if len(remaining) == 1 and not _is_monotone(table, remaining[0]):
-            example = _typed(remaining[0], table.columns)
+    against = role_of(next(iter(unclear)), None).against
+    remaining = [column for column in free if not words(column.name) & against]
+    if len(unclear) == len(remaining) == 1 and not _is_monotone(table, remaining[0]):
+        name = remaining[0].name
+        is_clear = (
+            name and not name.isdigit() and _by_name(table.columns, name) == remaining
+        )
+        example = shlex.quote(name) if is_clear else f"number={remaining[0].number}"
     options = " ".join(f"`{role}` {example}" for role in unclear)
     text = f"{' '.join(questions)} {listing_of(table.columns)} (for example {options})"
     patterns = [_pattern(matches) for matches in unclear.values()]
@@ -354,16 +333,6 @@ def _pattern(columns: Sequence[Column]) -> tuple[str, tuple[str, ...]]:
     stop = -len(after) or None
     channels = tuple(name[len(before) : stop] for name in names)
     return f"{before}{{}}{after}", channels if before or after else ("",)
-
-
-def _typed(column: Column, columns: Sequence[Column]) -> str:
-    """Return how a column is typed in the shell: its name, or its number where that is not enough."""
-    same = [twin for twin in columns if twin.name == column.name]
-    if not column.name or len(same) > 1 or column.name.isdigit():
-        number = str(column.number)
-        is_name = any(twin.name == number != column.name for twin in columns)
-        return f"number={number}" if is_name else number
-    return shlex.quote(column.name)
 
 
 def fitting(columns: Sequence[Column], role: str) -> list[Column]:

@@ -8,7 +8,7 @@ above it. What is not clear is refused with the option that says it.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import (
@@ -35,6 +35,7 @@ _DELIMITERS = {
 }  # fmt: skip
 _DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
 _TWO_READINGS = re.compile(r"\s*[-+]?\d+,\d+\s*", re.ASCII)
+_DELIMITED = re.compile(r"\d[;\t|]|[;\t|]\d")
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}", re.ASCII)
 ERROR = r"#[A-Z][A-Z/0]*[!?]?[;,\t|]"  # how a row begins that a spreadsheet could not compute
 
@@ -64,8 +65,6 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
         There are no rows of numbers, or it is not clear how they are written.
     """
     skipped = reading.skip_lines or 0
-    if not any(line.strip() for line in lines):
-        raise InputError(f"{name}: the file is empty")
     rows = [n for n in range(skipped, len(lines)) if not is_no_row(lines[n])]
     while rows and not lines[rows[-1]].strip("\t ;,|"):
         rows.pop()
@@ -75,65 +74,93 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
         raise InputError(
             f"{name}: no line holds numbers only: try `delimiter`, `decimal` or `skip_lines`"
         )
-    if reading.delimiter is None:
-        _refuse_other_delimiter(name, layout)
+    table = [split_cells(lines[n], layout.delimiter) for n in rows[-_JUDGED:]]
     if reading.decimal is None:
-        table = [split_cells(lines[n], layout.delimiter) for n in rows[-_JUDGED:]]
         layout.decimal = _shown_decimal(layout, table)
-        if layout.decimal == ",":
-            _refuse_commas(name, table)
     layout.first = _first_row(layout, lines, rows)
-    _refuse_other_rows(name, layout, lines, rows)
-    layout.names, layout.units = [""] * layout.width, [""] * layout.width
-    layout.first_row = split_cells(lines[layout.first], layout.delimiter)
-    layout.counts = lines[layout.first].startswith('"') and 0 in layout.numeric
+    layout.first_line = lines[layout.first]
     above, below = lines[skipped : layout.first], lines[layout.first :]
     read_header(name, above, below, layout)
-    _refuse_other_names(name, layout, lines)
-    is_named = any(layout.names)
-    if not is_named and reading.skip_lines is None:
-        _refuse_numbers_as_names(name, layout, lines)
-    if not is_named and reading.delimiter is None and reading.decimal is None:
-        _refuse_two_readings(name, layout, sample)
+    _refuse_two_readings(name, layout, sample, table, reading)
+    for n, skip in _unclear_starts(
+        layout, lines, [n for n in rows if n < layout.first]
+    ):
+        if n != layout.first or reading.skip_lines is None:
+            raise InputError(
+                f"{name}:{n + 1}: '{lines[n].strip()[:40]}': names, or a row? Type `skip_lines` {skip}, or "
+                "`delimiter` or `decimal`"
+            )
     return layout
 
 
-def _refuse_other_delimiter(name: str, layout: Layout) -> None:
-    """Refuse a column of texts such as ``500;1`` (InputError)."""
-    for kind, text in layout.kinds:
-        for mark in ("semicolon", "tab", "pipe"):
-            sign = re.escape(_DELIMITERS[mark])
-            if kind == "text" and re.search(rf"\d{sign}|{sign}\d", text):
-                raise InputError(
-                    f"{name}: {text!r} holds another delimiter: type `delimiter` {mark}"
-                )
+def _refuse_two_readings(
+    name: str,
+    layout: Layout,
+    sample: Sequence[str],
+    table: Sequence[Sequence[str]],
+    reading: Reading,
+) -> None:
+    """Refuse what may be read in two ways, where the user does not say which (InputError).
 
-
-def _refuse_numbers_as_names(name: str, layout: Layout, lines: Sequence[str]) -> None:
-    """Refuse a first row 0, 1, 2 above rows with decimals: it may be the names of a frame."""
-    cells = [cell for cell in layout.first_row if cell]
-    start = 1 if cells[:1] == ["1"] else 0
-    counted = [str(start + k) for k in range(len(cells))]
-    below = lines[layout.first + 1 : layout.first + 3]
-    has_decimals = any(layout.decimal in line for line in below)
-    if len(cells) > 1 and cells == counted and has_decimals:
-        number = layout.first + 1
+    ``500;1`` holds another delimiter; commas may all stand between thousands; ``0,5`` may
+    be two columns where nothing is called by a name.
+    """
+    doubtful: list[str] = []
+    if reading.delimiter is None:
+        texts = [text for kind, text in layout.kinds if kind == "text"]
+        doubtful += filter(_DELIMITED.search, texts)
+    if reading.decimal is None and layout.decimal == ",":
+        cells = [cell for row in table for cell in row]
+        commas = [cell for cell in cells if "," in cell and is_number(cell, ",")]
+        doubtful += commas if all(map(_THOUSANDS.fullmatch, commas)) else []
+    is_told = reading.delimiter or reading.decimal or any(layout.names)
+    is_short = max(map(len, sample)) <= LONGEST_CELL
+    if not is_told and is_short and all(map(_TWO_READINGS.fullmatch, sample)):
+        doubtful.append(sample[-1].strip())
+    if doubtful:
         raise InputError(
-            f"{name}:{number}: {', '.join(cells)}: names (type `skip_lines` {number}) or a row "
-            "(`skip_lines` 0)?"
+            f"{name}: '{doubtful[0]}' may be read in two ways: type `delimiter` or `decimal`, or write "
+            "numbers without marks between thousands"
         )
 
 
-def _refuse_two_readings(name: str, layout: Layout, sample: Sequence[str]) -> None:
-    """Refuse ``0,5``, which may be two columns or a number, where no header says which."""
-    is_short = all(len(line) <= LONGEST_CELL for line in sample)
-    if layout.delimiter != "," or not is_short:
-        return
-    if all(map(_TWO_READINGS.fullmatch, sample)):
-        raise InputError(
-            f"{name}: '{sample[-1].strip()}' may be two columns (`delimiter` comma) or one number "
-            "(`decimal` comma)"
-        )
+def _unclear_starts(
+    layout: Layout, lines: Sequence[str], above: Sequence[int]
+) -> Iterator[tuple[int, int]]:
+    """Return lines that make it unclear where the rows begin, and how many lines to skip for that.
+
+    Numbers of another width above the rows; names for another number of columns; a first
+    row 0, 1, 2 where nothing is called by a name; names below the first rows.
+    """
+    first, width = layout.first, layout.width
+    for n in reversed(above):
+        cells = [cell for cell in split_cells(lines[n], layout.delimiter) if cell]
+        if cells and all(is_number(cell, layout.decimal) for cell in cells):
+            yield n, n + 1
+    for n in above[-1:]:
+        if not layout.is_headed and _may_be_names(lines[n:first], layout):
+            yield n, first
+    cells = [cell for cell in split_cells(lines[first], layout.delimiter) if cell]
+    counted = [[str(start + k) for k in range(len(cells))] for start in (0, 1)]
+    has_decimals = any(layout.decimal in line for line in lines[first + 1 : first + 3])
+    is_counted = len(cells) > 1 and cells in counted and has_decimals
+    if is_counted and not any(layout.names):
+        yield first, first + 1
+    for n in range(first + 1, min(first + _SAMPLE, len(lines))):
+        cells = split_cells(lines[n], layout.delimiter)
+        if len(cells) == width > 1 and are_names(cells) and cells != layout.names:
+            yield n, n
+
+
+def _may_be_names(lines: Sequence[str], layout: Layout) -> bool:
+    """Return whether the first of the lines above the rows may be names for other columns, or a torn row."""
+    cells = split_cells(lines[0].rstrip(f" {layout.delimiter}"), layout.delimiter)
+    is_last = not any(line.strip() for line in lines[1:])
+    if len(cells) < 2 or is_setting(cells[0]) or not is_last:
+        return False
+    if any(is_number(cell, ".") or is_number(cell, ",") for cell in cells):
+        return len(lines) == 1
+    return len(cells) != layout.width
 
 
 def delimiter_of(text: str) -> str:
@@ -249,18 +276,6 @@ def _is_mostly_one_kind(cells: Sequence[str], sign: str) -> bool:
     return 2 * numbers > len(cells) or is_stamped
 
 
-def _refuse_commas(name: str, table: Sequence[Sequence[str]]) -> None:
-    """Refuse commas that may all stand between thousands (InputError)."""
-    cells = [cell for row in table for cell in row]
-    commas = [cell for cell in cells if "," in cell and is_number(cell, ",")]
-    if commas and all(_THOUSANDS.fullmatch(cell) for cell in commas):
-        cell = commas[0]
-        raise InputError(
-            f"{name}: '{cell}' may be {cell.replace(',', '.')} (type `decimal` comma) or "
-            f"{cell.replace(',', '')} (write it without the comma)"
-        )
-
-
 def _is_row(line: str, layout: Layout) -> bool:
     """Return whether a line is written as the rows are."""
     cells = split_cells(line, layout.delimiter)
@@ -294,27 +309,3 @@ def _first_row(layout: Layout, lines: Sequence[str], rows: Sequence[int]) -> int
     if lines[rows[min(index + 1, len(rows) - 1)]].rstrip().endswith(":"):
         index = min(index + 2, len(rows) - 1)  # figures above "data:" are no row
     return rows[index]
-
-
-def _refuse_other_names(name: str, layout: Layout, lines: Sequence[str]) -> None:
-    """Refuse names below the first rows: what stands above them is another table (InputError)."""
-    for n in range(layout.first + 1, min(layout.first + _SAMPLE, len(lines))):
-        cells = split_cells(lines[n], layout.delimiter)
-        is_named = len(cells) == layout.width > 1 and are_names(cells)
-        if is_named and cells != layout.names:
-            raise InputError(
-                f"{name}:{n + 1}: names below numbers: type `skip_lines` {n} to begin there"
-            )
-
-
-def _refuse_other_rows(
-    name: str, layout: Layout, lines: Sequence[str], rows: Sequence[int]
-) -> None:
-    """Refuse lines of numbers above the rows, by the last: they may be rows of another width."""
-    for n in reversed([n for n in rows if n < layout.first]):
-        cells = [cell for cell in split_cells(lines[n], layout.delimiter) if cell]
-        if cells and all(is_number(cell, layout.decimal) for cell in cells):
-            raise InputError(
-                f"{name}:{n + 1}: numbers above the {layout.width} columns that begin in line "
-                f"{layout.first + 1}: type `skip_lines` {n + 1}"
-            )

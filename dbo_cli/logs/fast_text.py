@@ -19,8 +19,6 @@ from dbo_cli.arrays import Floats
 from dbo_cli.logs.cells import STAMPS, Layout
 from dbo_cli.logs.table import LONGEST_CELL, NOT_A_TIME, Column
 
-_STRETCHES = 1024  # that are looked at at once
-_STRETCH = 96  # bytes; where each stretch holds a line end, no line is longer than LONGEST_CELL
 _COMMENT = re.compile(rb"(?m)^[ \t]*[#%]")
 
 
@@ -71,22 +69,11 @@ def read_frame(
 def has_long_cell(text: bytes, delimiter: str) -> bool:
     """Return whether a cell has more than ``LONGEST_CELL`` bytes."""
     letters = np.frombuffer(text, np.uint8)
-    if _has_short_lines(letters):
-        return False
-    is_end = (letters == ord("\n")) | (letters == ord(delimiter))
-    ends = np.flatnonzero(is_end)
-    return bool(np.diff(ends, prepend=-1, append=len(text)).max() > LONGEST_CELL + 1)
-
-
-def _has_short_lines(letters: NDArray[np.uint8]) -> bool:
-    """Return whether every stretch holds a line end; looked at by what stays in caches."""
-    for start in range(0, len(letters), _STRETCHES * _STRETCH):
-        is_end = letters[start : start + _STRETCHES * _STRETCH] == ord("\n")
-        ends = is_end[: len(is_end) // _STRETCH * _STRETCH].view(np.uint64)
-        ends = ends[0::2] | ends[1::2]  # of 16 bytes
-        ends = ends[0::2] | ends[1::2]  # of 32 bytes
-        ends = ends[0::3] | ends[1::3] | ends[2::3]
-        if not ends.all():
+    is_end = np.zeros(len(letters), dtype=bool)
+    for mark in ("\n", delimiter):
+        is_end |= letters == ord(mark)
+        lengths = np.diff(np.flatnonzero(is_end), prepend=-1, append=len(text))
+        if lengths.max() <= LONGEST_CELL + 1:
             return False
     return True
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import TIME_NAMES, words
-from dbo_cli.logs.formats.stored import StoredTable
+from dbo_cli.logs.formats.stored import StoredTable, parts_of
 from dbo_cli.logs.table import Column
 from dbo_cli.units import spell, split_header, time_unit
 
@@ -44,7 +44,6 @@ class FrameTable(StoredTable):
     """
 
     cure = "leave such rows out"
-    has_paths = False
     block_rows = sys.maxsize
 
     def __init__(
@@ -60,26 +59,30 @@ class FrameTable(StoredTable):
         self._names = names or {}
         self._unstated = unstated
         for title, values, unit in entries:
-            cells = _cells(values)
+            cells = cells_of(values)
             if cells.ndim != 1:
                 raise InputError(
                     f"{name}: column '{title}': give one row of numbers, shape (n,)"
                 )
-            self.add_array(title, cells, "s" if dtype_kind(values) == "m" else unit)
+            unit = "s" if dtype_kind(values) == "m" else unit or split_header(title)[1]
+            for part in parts_of(title, cells):
+                self.add(part._replace(unit=unit))
 
-    def require_units(self, columns: Iterable[Column]) -> None:
-        """Refuse (InputError) columns whose unit is lost, as that of a renamed one is."""
-        for column in columns:
+    def as_stated(self, columns: Mapping[str, Column]) -> dict[str, Column]:
+        """Return columns by role with the names that they have in their file.
+
+        Raises
+        ------
+        InputError
+            The unit of one is lost, as that of a renamed one is.
+        """
+        renamed = {}
+        for role, column in columns.items():
             if column.name in self._unstated:
                 raise InputError(
                     f"{self.name}: {column.label} has no unit, others have one in `attrs`: "
                     f"call it '{column.name} (UNIT)', or keep its name"
                 )
-
-    def as_in_file(self, columns: Mapping[str, Column]) -> dict[str, Column]:
-        """Return columns by role with the names that they have in their file."""
-        renamed = {}
-        for role, column in columns.items():
             name = self._names.get(column.name, column.name)
             renamed[role] = replace(column, name=name)
         return renamed
@@ -165,8 +168,8 @@ def as_numbers(values: Any) -> Floats:
         raise InputError("no numbers") from None
 
 
-def _cells(values: Any) -> NDArray[Any]:
-    """Return values as an array of numbers, of dates, or of texts."""
+def cells_of(values: Any) -> NDArray[Any]:
+    """Return values as an array of numbers (durations in s), of dates, or of texts."""
     kind = dtype_kind(values)
     if kind == "M":
         return np.asarray(values, "M8[ns]")

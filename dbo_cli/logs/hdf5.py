@@ -1,22 +1,21 @@
 """HDF5 logs: 1-D datasets, columns of 2-D ones, fields of compound ones, units as attributes.
 
 A log is one file: what leads elsewhere (links, virtual datasets, external storage) is
-passed over, and refused where it is typed. MATLAB's files of version 7.3 and netCDF-4
-are HDF5, too.
+passed over, and refused where it is typed. MATLAB's files of version 7.3 and netCDF-4 are HDF5, too.
 """
 
 from __future__ import annotations
 
+import posixpath
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import h5py
 import numpy as np
 
 from dbo_cli.errors import InputError, warn
-from dbo_cli.logs.formats.stored import Fetch, StoredTable, fenced, parts_of
-from dbo_cli.logs.settings import Statement, is_clock_setting, plain_key, stated_clock
+from dbo_cli.logs.formats.stored import Fetch, Part, StoredTable, fenced, parts_of
+from dbo_cli.logs.settings import is_clock_setting, plain_key
 from dbo_cli.logs.table import Column, Reading, Table
 
 # bytes a dataset: a compressed chunk is unpacked once, not once a block
@@ -24,11 +23,12 @@ _CHUNK_CACHE = 1 << 22
 _LISTED = 9  # datasets that a message names at most
 _NOT_APPLIED = {
     "scalefactor": 1.0, "addoffset": 0.0, "scale": 1.0, "offset": 0.0, "gain": 1.0, "factor": 1.0,
-    "sensitivity": 1.0, "calibration": 1.0, "conversion": 1.0, "scalingfactor": 1.0,
+    "sensitivity": 1.0, "calibration": 1.0, "conversion": 1.0, "scalingfactor": 1.0, "yinc": 1.0,
 }  # fmt: skip
 """Attributes that may belong to a dataset's values, by their plain keys, and what changes nothing."""
 _MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
                   "uint32", "uint64", "logical")  # fmt: skip
+
 _EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
 
 
@@ -46,22 +46,10 @@ def open_hdf5(path: str, inner: str, reading: Reading) -> Table:
         file = h5py.File(path, "r", rdcc_nbytes=_CHUNK_CACHE)
     try:
         with fenced(path, "HDF5"):
-            return Hdf5Table(path, inner, file, bool(reading.scale))
+            return Hdf5Table(path, inner.strip("/"), file, bool(reading.scale))
     except BaseException:
         file.close()
         raise
-
-
-@dataclass(frozen=True)
-class _Stored:
-    """A column: its path from the part that is open, the group it stands in, and what is known of it."""
-
-    path: str
-    group: str
-    length: int
-    fetch: Fetch
-    unit: str | None
-    kind: str
 
 
 class Hdf5Table(StoredTable):
@@ -74,100 +62,80 @@ class Hdf5Table(StoredTable):
     def __init__(self, path: str, inner: str, file: Any, is_scaled: bool) -> None:
         super().__init__(path, file.close)
         self._is_scaled = is_scaled
-        self._node = self._node_at(file, inner)
-        if self._node is None:
+        self._inner = inner
+        self._nodes = _nodes_of(file)
+        if inner not in self._nodes:
             raise InputError(
-                f"{path}::{inner}: no such part; the file has {_listed(file)}"
+                f"{path}::{inner}: no such part, or a link; the file has {self._listing()}"
             )
-        datasets = _datasets_of(self._node)
-        stored = []
-        for name, dataset in datasets.items():
-            if dataset.size != 1 or len(datasets) == 1:
-                stored += self._columns_of(name, dataset)
-        stored = _shallowest(stored)
-        paths = [column.path for column in stored]
-        for column in stored:
-            name = _shortest_end(column.path, paths)
-            self.add(name, column.length, column.fetch, column.unit, column.kind)
-        self.require_numbers([_listed(file)])
-        groups = list(dict.fromkeys(column.group for column in stored))
-        statements = self._statements(groups, datasets)
-        above = self._statements([""], datasets) or _attributes(file)
-        self.stated = stated_clock(statements or above)
+        by_group: dict[str, list[Part]] = {}
+        for name, node in self._nodes.items():
+            if inner in ("", name) or name.startswith(f"{inner}/"):
+                is_single = getattr(node, "size", 0) == 1 and name != inner
+                parts = [] if is_single else self._columns_of(name, node)
+                by_group[_group(name)] = by_group.get(_group(name), []) + parts
+        groups = _shallowest(by_group)
+        parts = [part for group in groups for part in by_group[group]]
+        parents = [_group(part.name) for part in parts]
+        top = posixpath.commonpath(parents) if parents else ""
+        for part in parts:
+            self.add(part._replace(name=part.name[len(top) :].lstrip("/")))
+        self.require_numbers([self._listing()])
+        self._state_clock(groups)
+        if not self.settings:
+            self._state_clock([inner, ""])
         if len(groups) > 1:
             self.hint = f" (or one group alone: {path}::{groups[0]})"
 
-    def _statements(
-        self, groups: Sequence[str], datasets: Mapping[str, Any]
-    ) -> list[Statement]:
-        """Return what groups and the datasets in them state of the sample rate."""
-        statements: list[Statement] = []
-        for group in groups:
-            statements += _attributes(self._node[group] if group else self._node)
-        for name, dataset in datasets.items():
-            if name.rpartition("/")[0] in groups:
-                statements += _attributes(dataset) + _single_value(dataset, name)
-        return statements
+    def _state_clock(self, groups: Sequence[str]) -> None:
+        """Note what groups, the datasets in them and single values state of the sample rate."""
+        for path, node in self._nodes.items():
+            group, _, name = path.rpartition("/")
+            is_inside = group in groups and isinstance(node, h5py.Dataset)
+            if path not in groups and not is_inside:
+                continue
+            for key in filter(is_clock_setting, node.attrs):
+                values = _attribute(node, key)
+                if len(values) == 1:
+                    unit = _texts(node, f"{key}_units", f"{key}_unit")
+                    self.state(key, values[0], "".join(unit))
+            is_single = is_inside and node.size == 1 and is_clock_setting(name)
+            if is_single and not node.is_virtual and not node.external:
+                unit = _texts(node, "units", "unit")
+                self.state(name, _plain(np.ravel(node[()])[0]), "".join(unit))
 
     def find(self, name: str) -> Column | None:
         """Return the column that a dataset's path names, from the part that is open or from the top."""
-        for base in (self._node, self._node.file):
-            dataset = self._node_at(base, name)
-            if isinstance(dataset, h5py.Dataset):
-                stored = self._columns_of(name, dataset)
-                if len(stored) == 1:
-                    column = stored[0]
-                    return self.add(
-                        name, column.length, column.fetch, column.unit, column.kind
-                    )
+        for path in (f"{self._inner}/{name}", name):
+            parts = self._columns_of(path.strip("/"), self._nodes.get(path.strip("/")))
+            if len(parts) == 1:
+                return self.add(parts[0]._replace(name=name))
         return None
 
-    def _node_at(self, base: Any, inner: str) -> Any:
-        """Return the group or dataset at an inner path, or None.
-
-        Raises
-        ------
-        InputError
-            The path leads through a link.
-        """
-        node = base.file if inner.startswith("/") else base
-        for step in inner.split("/"):
-            if step in ("", "."):
-                continue
-            is_group = isinstance(node, h5py.Group)
-            link = node.get(step, getlink=True) if is_group else None
-            if isinstance(link, h5py.ExternalLink):
-                raise InputError(
-                    f"{self.name}: '{inner}' links to another file: type {link.filename}"
-                )
-            if isinstance(link, h5py.SoftLink):
-                raise InputError(
-                    f"{self.name}: '{inner}' is a link: type what it leads to, {link.path}"
-                )
-            if link is None:
-                return None
-            node = node[step]
-        return node
-
-    def _columns_of(self, path: str, dataset: Any) -> list[_Stored]:
+    def _columns_of(self, path: str, dataset: Any) -> list[Part]:
         """Take a dataset apart into columns; none where it holds no numbers."""
-        if not dataset.size or not _holds_numbers(dataset):
+        if not isinstance(dataset, h5py.Dataset) or not dataset.size:
+            return []
+        matlab = _texts(dataset, "MATLAB_class") or ["double"]
+        if matlab[0] not in _MATLAB_NUMBERS or "MATLAB_empty" in dataset.attrs:
+            return []
+        if "".join(_texts(dataset, "NAME")).startswith(_EMPTY_DIMENSION):
             return []
         group, _, name = path.rpartition("/")
         labels = _texts(dataset, "columns", "column_names", "names")
         units = _texts(dataset, "units", "unit", "Units", "Unit")
         columns = []
         parts = list(parts_of(name, dataset))
-        for number, (label, length, fetch, kind) in enumerate(parts):
-            name_path = f"{group}/{label}"
+        for number, part in enumerate(parts):
+            label = part.name
             if dataset.dtype.names is not None:
-                name_path = f"{path}/{label}"
+                label = f"{name}/{label}"
             elif len(labels) == len(parts) > 1:
-                name_path = f"{path}/{labels[number]}"
+                label = labels[number]
             unit = units[0] if len(units) == 1 else "".join(units[number : number + 1])
-            fetch = self._checked(dataset, label, fetch)
-            name_path = name_path.lstrip("/")
-            columns.append(_Stored(name_path, group, length, fetch, unit, kind))
+            fetch = self._checked(dataset, part.name, part.fetch)
+            label = posixpath.join(group, label)
+            columns.append(part._replace(name=label, fetch=fetch, unit=unit))
         return columns
 
     def _checked(self, dataset: Any, label: str, fetch: Fetch) -> Fetch:
@@ -175,95 +143,79 @@ class Hdf5Table(StoredTable):
         missing = _attribute(dataset, "_FillValue")
         missing += _attribute(dataset, "missing_value")
         factor = _not_applied(dataset)
+        called = f"{self.name}: column '{label}'"
 
         def checked(start: int, stop: int) -> Any:
             if dataset.is_virtual or dataset.external:
-                raise InputError(
-                    f"{self.name}: column '{label}' is stored in other files: copy them into one "
-                    "with h5repack"
-                )
+                raise InputError(f"{called} is stored in other files: h5repack first")
+            text = (
+                f"{called} has {factor}, which is not applied: type `scale` ROLE=FACTOR"
+            )
             if factor and not self._is_scaled:
-                raise InputError(f"{self.name}: column '{label}' {factor}")
+                raise InputError(text)
             if factor and start == 0:  # the scale may be another column's
-                warn(f"{self.name}: column '{label}' {factor}")
+                warn(text)
             rows = fetch(start, stop)
             return np.where(np.isin(rows, missing), np.nan, rows) if missing else rows
 
         return checked
 
-
-def _datasets_of(node: Any) -> dict[str, Any]:
-    """Return the datasets of a part by their paths, whatever hard links lead to them."""
-    if isinstance(node, h5py.Dataset):
-        return {node.name.rpartition("/")[2]: node}
-    datasets: dict[str, Any] = {}
-
-    def visit(name: str, member: Any) -> None:
-        if isinstance(member, h5py.Dataset) and not name.startswith("#"):  # MATLAB's
-            datasets[name] = member
-
-    node.visititems(visit)
-    return datasets
+    def _listing(self) -> str:
+        """Return the datasets of the file for a message."""
+        names = []
+        for name, node in self._nodes.items():
+            if isinstance(node, h5py.Dataset):
+                shape = "x".join(map(str, node.shape or ()))
+                names.append(f"/{name} ({shape} {node.dtype})")
+        return ", ".join(names[:_LISTED]) or "nothing"
 
 
-def _shallowest(columns: Sequence[_Stored]) -> list[_Stored]:
-    """Return the columns of the shallowest groups; of several those of the only one with more than one."""
-    numbers = [column.group for column in columns if column.kind == "number"]
-    depth = min(map(_depth, numbers), default=0)
-    groups = [group for group in numbers if _depth(group) == depth]
-    wide = {group for group in groups if groups.count(group) > 1}
-    kept = wide if len(wide) == 1 else groups
-    return [column for column in columns if column.group in kept]
+def _nodes_of(file: Any) -> dict[str, Any]:
+    """Return groups and datasets by their paths; links are not followed."""
+    nodes: dict[str, Any] = {"": file}
+
+    def visit(name: str, node: Any) -> None:
+        if not name.startswith("#"):  # MATLAB's own
+            nodes[name] = node
+
+    file.visititems(visit)
+    return nodes
+
+
+def _group(path: str) -> str:
+    return path.rpartition("/")[0]
 
 
 def _depth(group: str) -> int:
     return group.count("/") + bool(group)
 
 
-def _shortest_end(path: str, paths: Sequence[str]) -> str:
-    """Return the shortest end of a path that no other path has."""
-    steps = path.split("/")
-    for start in range(len(steps) - 1, 0, -1):
-        end = "/".join(steps[start:])
-        if sum(f"/{other}".endswith(f"/{end}") for other in paths) == 1:
-            return end
-    return path
+def _shallowest(by_group: Mapping[str, Sequence[Part]]) -> list[str]:
+    """Return the shallowest groups with numbers; of several the only one with more than one such column."""
+    numbers: dict[str, int] = {}
+    for group, parts in by_group.items():
+        numbers[group] = sum(part.kind == "number" for part in parts)
+    depth = min((_depth(group) for group in numbers if numbers[group]), default=0)
+    groups = [group for group in numbers if numbers[group] and _depth(group) == depth]
+    wide = [group for group in groups if numbers[group] > 1]
+    return wide if len(wide) == 1 else groups
 
 
 def _not_applied(dataset: Any) -> str:
     """Say which factor or offset in or beside a dataset may belong to its values (Keysight, NeXus)."""
-    for key in dataset.attrs:
-        values, neutral = _attribute(dataset, key), _NOT_APPLIED.get(plain_key(key))
+    beside = {key: _attribute(dataset, key) for key in dataset.attrs}
+    beside["YInc"] = _attribute(dataset.parent, "YInc")
+    for key, values in beside.items():
+        neutral = _NOT_APPLIED.get(plain_key(key))
         if neutral is not None and len(values) == 1 and values[0] != neutral:
-            return f"has an attribute {key}, {values[0]}, which is not applied: type `scale` ROLE=FACTOR"
-    if _attribute(dataset.parent, "YInc") not in ([], [1.0]):
-        return "has YInc beside it, which is not applied: type `scale` ROLE=FACTOR"
+            return f"{key} {values[0]} beside it"
     for sibling in (f"{dataset.name}_scaling_factor", f"{dataset.name}_offset"):
         if sibling in dataset.file:
-            return f"has {sibling} beside it, which is not applied: type `scale` ROLE=FACTOR"
+            return f"{sibling} beside it"
     return ""
 
 
 # --- what a node says ---
-
-
-def _listed(file: Any) -> str:
-    """Return the datasets of the file for a message."""
-    names = []
-    for name, dataset in list(_datasets_of(file).items())[:_LISTED]:
-        shape = "x".join(map(str, dataset.shape or ()))
-        names.append(f"/{name} ({shape} {dataset.dtype})")
-    return ", ".join(names) or "nothing"
-
-
-def _holds_numbers(dataset: Any) -> bool:
-    """Leave out what only looks like numbers: MATLAB's text and objects, netCDF's bare dimensions."""
-    name = _texts(dataset, "NAME")
-    if name and name[0].startswith(_EMPTY_DIMENSION):
-        return False
-    matlab = _texts(dataset, "MATLAB_class")
-    is_number = not matlab or matlab[0] in _MATLAB_NUMBERS
-    return is_number and "MATLAB_empty" not in dataset.attrs
 
 
 def _plain(value: Any) -> Any:
@@ -293,24 +245,3 @@ def _texts(node: Any, *names: str) -> list[str]:
         if texts:
             return texts
     return []
-
-
-def _attributes(node: Any) -> list[Statement]:
-    """Return what attributes state of the sample rate."""
-    statements: list[Statement] = []
-    for key in node.attrs:
-        values = _attribute(node, key) if is_clock_setting(key) else []
-        if len(values) == 1:
-            unit = _texts(node, f"{key}_units", f"{key}_unit")
-            statements.append((key, values[0], "".join(unit)))
-    return statements
-
-
-def _single_value(dataset: Any, path: str) -> list[Statement]:
-    """Return what a dataset of one value states of the sample rate."""
-    name = path.rpartition("/")[2]
-    is_elsewhere = dataset.is_virtual or dataset.external
-    if dataset.size != 1 or is_elsewhere or not is_clock_setting(name):
-        return []
-    unit = _texts(dataset, "units", "unit")
-    return [(name, _plain(np.ravel(dataset[()])[0]), "".join(unit))]

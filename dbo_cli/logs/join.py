@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,43 +23,12 @@ from dbo_cli.logs.table import Block
 
 SENSORS = ("displacement", "measured")  # the rows are those of their file
 _DRIVES = ("voltage", "desired", "input")
-BY_DRIVE, WITH_DELAY = "by the drive", "delay included"
 _EXPLAINED = 0.09  # of the displacement's variance may be left unexplained
 _KNOWN_TO = 0.5  # samples of the slower clock, two standard deviations, or
 _TOLERABLE = 0.005  # of the drive (RMS), by which it changes in that time
 _CLEARLY_APART = 5.0  # standard deviations from which on two clocks count as apart
 _GAP_STEPS = 2.5  # usual steps; in a longer one at least a row is missing
 _MOST_ROWS = 100_000_000  # of a log at an even rate: some gigabytes
-
-
-@dataclass(frozen=True)
-class ClockOffset:
-    """What is added to the clock of a file (s), and how it was found.
-
-    Attributes
-    ----------
-    name
-        The file.
-    seconds
-        At its beginning.
-    found
-        By what: ``BY_DRIVE``, which both hold, or ``WITH_DELAY`` of the actuator in it; "":
-        it was typed.
-    """
-
-    name: str
-    seconds: float
-    found: str = ""
-
-    @property
-    def holds_delay(self) -> bool:
-        """Whether a delay of the actuator is part of it."""
-        return self.found == WITH_DELAY
-
-    def describe(self) -> str:
-        """Return what was done, as the line on what was read has it."""
-        text = f"{os.path.basename(self.name)} moved by {self.seconds:.4g} s"
-        return f"{text}, {self.found}" if self.found else text
 
 
 def joined(
@@ -69,11 +38,11 @@ def joined(
     guest_clock: Clock,
     taken: Sequence[str],
     clock_offset: float | str | None,
-) -> tuple[Block, ClockOffset | None]:
+) -> Block:
     """Put the signals of a second log beside the rows of a first, by time.
 
     They are interpolated linearly, where both logs have rows; ``clock`` becomes that of
-    the rows which are left.
+    the rows which are left, and tells of the offset.
 
     Parameters
     ----------
@@ -93,55 +62,58 @@ def joined(
     """
     names = f"{clock.name} and {guest_clock.name}"
     time = _time_on(clock, guest_clock, guest, clock_offset)
-    offset = None
     if clock_offset is None:
         _warn_if_apart(names, rows, time, guest)
     elif clock_offset == "auto":
-        alignment, kind = _found(names, rows, time, guest)
-        offset = ClockOffset(guest_clock.name, alignment.ahead, kind)
+        alignment, by_drive = _found(names, rows, time, guest)
+        clock.offset, clock.holds_delay = alignment.ahead, not by_drive
+        how = ", by the drive" if by_drive else ", delay included"
         time = alignment.recorded_time(time)
         clock.remarks.append(
             f"{clock.name}: its clock is {alignment.ahead:.6g} ± {2.0 * alignment.lag.deviation:.1g} s "
-            f"ahead of that of {guest_clock.name} and {1e6 * alignment.lag.rate:.2g} ppm fast, {kind}"
+            f"ahead of that of {guest_clock.name} and {1e6 * alignment.lag.rate:.2g} ppm fast{how}"
         )
     else:
-        offset = ClockOffset(guest_clock.name, float(clock_offset))
-        time = time + offset.seconds
-    for role in taken:
-        rows.values.pop(role, None)
-    guest.values = {role: guest.values[role] for role in taken}
-    matched = _side_by_side(rows, time, guest, names)
+        clock.offset, how = float(clock_offset), ""
+        time = time + clock.offset
+    if clock.offset is not None:
+        file = os.path.basename(guest_clock.name)
+        clock.joined = f", {file} moved by {clock.offset:.4g} s{how}"
+    kept = {r: array for r, array in rows.values.items() if r not in taken}
+    others = {role: guest.values[role] for role in taken}
+    matched = _side_by_side(replace(rows, values=kept), time, others, names)
+    left_out = len(rows) - len(matched)
+    if left_out:
+        clock.remarks.append(
+            f"{left_out:,} rows of {clock.name} left out: {guest_clock.name} has none there"
+        )
     assert matched.time is not None
     clock.first, clock.last = float(matched.time[0]), float(matched.time[-1])
     clock.rows = len(matched)
-    return matched, offset
+    return matched
 
 
 def _time_on(
     clock: Clock, guest_clock: Clock, guest: Block, clock_offset: float | str | None
 ) -> Floats:
     """Return a second log's times on the clock of the first (InputError)."""
-    for member in (clock, guest_clock):
-        if member.kind == "none":
-            raise InputError(
-                f"{member.name} has no clock to join by: add a time column, or `sample_rate` HZ if both "
-                "have one rate"
-            )
-    assert guest.time is not None
-    stamp, guest_stamp = clock.first_stamp, guest_clock.first_stamp
-    if stamp is not None and guest_stamp is not None:
-        if (clock.origin is None) == (guest_clock.origin is None):
-            shifted: Floats = guest.time + (guest_stamp - stamp) / 1e9
+    stamps = clock.first_stamp, guest_clock.first_stamp
+    has_dates = clock.origin is not None, guest_clock.origin is not None
+    if guest.time is not None and clock.kind != "none":
+        if stamps[0] is not None and stamps[1] is not None and len(set(has_dates)) == 1:
+            shifted: Floats = guest.time + (stamps[1] - stamps[0]) / 1e9
             return shifted
-    if stamp is guest_stamp or clock_offset is not None:
-        return guest.time
+        if stamps == (None, None) or clock_offset is not None:
+            return guest.time
     raise InputError(
-        f"{clock.name} and {guest_clock.name}: only one clock has dates: give `clock_offset` SECONDS, "
-        "or auto"
+        f"{clock.name} and {guest_clock.name} have no clock in common, with dates in both or in none: "
+        "add a time column, `sample_rate` HZ, or `clock_offset` SECONDS or auto"
     )
 
 
-def _side_by_side(rows: Block, time: Floats, table: Block, pair_name: str) -> Block:
+def _side_by_side(
+    rows: Block, time: Floats, others: Mapping[str, Floats], pair_name: str
+) -> Block:
     """Put another log's signals beside rows, where it has some; none in its gaps.
 
     Raises
@@ -165,7 +137,7 @@ def _side_by_side(rows: Block, time: Floats, table: Block, pair_name: str) -> Bl
         )
     times = at[covered]
     values = {role: array[covered] for role, array in rows.values.items()}
-    for role, array in table.values.items():
+    for role, array in others.items():
         values[role] = np.interp(times, time, array)
     dt = rows.dt
     if (
@@ -177,28 +149,23 @@ def _side_by_side(rows: Block, time: Floats, table: Block, pair_name: str) -> Bl
     return Block(times, values, dt)
 
 
-def _sensor_and_drive(rows: Block, table: Block) -> tuple[Floats, Floats] | None:
-    """Return the displacement of one log and the drive of another; None where they hold none."""
+def _beside_drive(
+    rows: Block, time: Floats, table: Block
+) -> tuple[Alignment, Floats, Floats] | None:
+    """Return how the displacement of one log lies over the drive of another, and both; None if unknown."""
     drives = [table.values[role] for role in _DRIVES if role in table.values]
     sensors = [rows.values[role] for role in SENSORS if role in rows.values]
     if not drives or not sensors or rows.time is None:
         return None
-    return sensors[0], drives[0]
-
-
-def _beside_drive(rows: Block, time: Floats, table: Block) -> Alignment | None:
-    """Return how the displacement of one log lies over the drive of another; None where it does not tell."""
-    signals = _sensor_and_drive(rows, table)
-    if signals is None or rows.time is None:
-        return None
-    sensor, drive = signals
-    return align_displacements(rows.time, sensor, time, drive, rate=True, inverted=True)
+    signals = rows.time, sensors[0], time, drives[0]
+    found = align_displacements(*signals, rate=True, inverted=True)
+    return None if found is None else (found, sensors[0], drives[0])
 
 
 def _found(
     pair_name: str, rows: Block, time: Floats, table: Block
-) -> tuple[Alignment, str]:
-    """Return how two logs lie over each other, and by what.
+) -> tuple[Alignment, bool]:
+    """Return how two logs lie over each other, and whether a drive in both says so.
 
     Raises
     ------
@@ -210,31 +177,27 @@ def _found(
         if role in rows.values and role in table.values:
             by_drive = align_drives(rows.time, rows[role], time, table[role])
             if by_drive is not None:
-                return by_drive, BY_DRIVE
-    found = _beside_drive(rows, time, table)
-    problem = ""
-    if found is None:
+                return by_drive, True
+    beside = _beside_drive(rows, time, table)
+    if beside is None:
         problem = "a drive and a displacement are needed that both move, over a time that both hold"
-    elif found.lag.residual > _EXPLAINED:
-        share = 100.0 * (1.0 - found.lag.residual)
-        problem = f"the drive explains at most {share:.0f} % of the displacement"
-    elif found.lag.rival is not None:
-        other = found.ahead + found.lag.rival - found.lag.seconds
-        problem = (
-            f"{found.ahead:.6g} s and {other:.6g} s fit equally: the drive repeats"
-        )
-    elif 2.0 * found.lag.deviation > _tolerable(found, time, table):
-        problem = (
-            f"{found.ahead:.6g} s is uncertain by {2.0 * found.lag.deviation:.2g} s"
-        )
-    if problem or found is None:
-        raise InputError(f"{pair_name}: `clock_offset` auto: {problem} (give SECONDS)")
-    return found, WITH_DELAY
+    else:
+        found, _, drive = beside
+        lag, ahead = found.lag, found.ahead
+        problem = f"{ahead:.6g} s is uncertain by {2.0 * lag.deviation:.2g} s"
+        if lag.residual > _EXPLAINED:
+            share = 100.0 * (1.0 - lag.residual)
+            problem = f"the drive explains at most {share:.0f} % of the displacement"
+        elif lag.rival is not None:
+            rival = ahead + lag.rival - lag.seconds
+            problem = f"{ahead:.6g} s and {rival:.6g} s fit equally: the drive repeats"
+        elif 2.0 * lag.deviation <= _tolerable(found, time, drive):
+            return found, False
+    raise InputError(f"{pair_name}: `clock_offset` auto: {problem} (give SECONDS)")
 
 
-def _tolerable(found: Alignment, time: Floats, table: Block) -> float:
+def _tolerable(found: Alignment, time: Floats, drive: Floats) -> float:
     """Return the seconds by which clocks may be apart."""
-    drive = next(table[role] for role in _DRIVES if role in table.values)
     path = float(np.abs(np.diff(drive)).sum())
     seconds = _TOLERABLE * float(np.std(drive)) / path * float(np.ptp(time))
     return max(_KNOWN_TO * found.step, seconds)
@@ -242,13 +205,13 @@ def _tolerable(found: Alignment, time: Floats, table: Block) -> float:
 
 def _warn_if_apart(pair_name: str, rows: Block, time: Floats, table: Block) -> None:
     """Warn where the drive explains the displacement much better when its clock is moved."""
-    found, signals = _beside_drive(rows, time, table), _sensor_and_drive(rows, table)
-    if found is None or signals is None or found.lag.residual > _EXPLAINED:
+    beside = _beside_drive(rows, time, table)
+    if beside is None or beside[0].lag.residual > _EXPLAINED:
         return
+    found, sensor, drive = beside
     clearly = found.step + _CLEARLY_APART * found.lag.deviation
     if -clearly <= found.ahead <= clearly + USUAL_LAG:
         return
-    sensor, drive = signals
     assert rows.time is not None
     if not are_apart(found, rows.time, sensor, time, drive):
         return
@@ -275,25 +238,19 @@ def resampled(rows: Block, clock: Clock, rate: float) -> tuple[Block, Clock]:
     """
     if not 0.0 < rate < np.inf:
         raise UsageError(f"`resample` {rate:g}: give a rate above 0 Hz")
-    if rows.time is None:
+    first, last = (0.0, 0.0) if rows.time is None else rows.time[[0, -1]].tolist()
+    count = int(np.floor((last - first) * rate * (1.0 + 1e-12))) + 1
+    if rows.time is None or not 2 <= count <= _MOST_ROWS:
         raise InputError(
-            f"{clock.name}: `resample` needs a clock (`time` COLUMN or `sample_rate` HZ)"
-        )
-    first = float(rows.time[0])
-    span = float(rows.time[-1]) - first
-    count = int(np.floor(span * rate * (1.0 + 1e-12))) + 1
-    if count < 2 or count > _MOST_ROWS:
-        raise InputError(
-            f"{clock.name}: `resample` {rate:g}: the log lasts {span:.4g} s"
+            f"{clock.name}: `resample` {rate:g}: its clock lasts {last - first:.4g} s: give another rate, "
+            "`time` COLUMN or `sample_rate` HZ"
         )
     time = first + np.arange(count) / rate
     values = {}
     for role, array in rows.values.items():
         values[role] = np.interp(time, rows.time, array)
-    even = Clock(clock.name, "rate", rate=rate, start=first, origin=clock.origin)
-    even.step = 1.0 / rate
+    remark = f"{len(rows):,} rows are interpolated to {count:,} at {rate:g} Hz"
+    even = replace(clock, kind="rate", column=None, rate=rate, start=first, gaps=0)
+    even.step, even.remarks = 1.0 / rate, [remark]
     even.rows, even.first, even.last = count, first, float(time[-1])
-    even.remarks.append(
-        f"{len(rows):,} rows are interpolated to {count:,} at {rate:g} Hz"
-    )
     return Block(time, values, dt=even.step), even

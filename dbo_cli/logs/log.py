@@ -19,8 +19,10 @@ from dbo_cli.files import note_input
 from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import choose, named
 from dbo_cli.logs.formats import reader_of
-from dbo_cli.logs.join import SENSORS, ClockOffset, joined, resampled
-from dbo_cli.logs.scale import ColumnScale, scales_of
+from dbo_cli.logs.formats.stored import refuse_part
+from dbo_cli.logs.join import SENSORS, joined, resampled
+from dbo_cli.logs.scale import Signal, signal_of
+from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import (
     ROWS_A_BLOCK,
     Block,
@@ -28,11 +30,10 @@ from dbo_cli.logs.table import (
     Reading,
     Table,
     bad_cells,
-    is_good,
     parse_rows,
 )
-from dbo_cli.logs.text import open_text
-from dbo_cli.units import multiplied, split_header
+from dbo_cli.logs.text import TextTable
+from dbo_cli.units import multiplied
 
 _Numbers = NDArray[np.int64]  # of rows, from 1
 _Arrays = list[NDArray[Any]]
@@ -56,36 +57,27 @@ class Log:
         What was assumed, skipped or noticed; complete after the last block.
     doubtful
         The remarks about rows that were left out or cut.
-    clock_offset
-        What was added to the clock of a second file, if any.
     """
 
     def __init__(
         self,
         source: Table,
         clock: Clock,
-        picks: Mapping[str, Column],
-        scales: Mapping[str, ColumnScale],
+        signals: Mapping[str, Signal],
         reading: Reading,
     ) -> None:
         self.name = source.name
-        self.columns = {r: replace(picks[r], unit=scales[r][1]) for r in picks}
-        self._labels = {}
-        for role, column in picks.items():
-            assumed = None if role in reading.scale else scales[role][1]
-            self._labels[role] = _label(role, column, assumed)
+        self.columns = {role: signal.column for role, signal in signals.items()}
         self.clock = clock
         self.remarks = source.remarks
         self.doubtful: list[str] = []
-        self.clock_offset: ClockOffset | None = None
         self._source = source
-        self._picks = picks
-        self._scales = scales
+        self._signals = dict(signals)
         self._first, self._last = parse_rows(reading.rows)
         self._skip_bad = reading.skip_bad
         self._dropped = 0
         self._first_dropped = ""
-        self._torn: tuple[int, str] | None = None
+        self._lost: tuple[int, str] | None = None
         self._count = 0
         self._rows: Block | None = None
 
@@ -105,20 +97,13 @@ class Log:
         taken = [r for r in guest.columns if (r in roles) == (guest is second)]
         rows, others = base.read(), guest.read()
         noted = len(base.clock.remarks)
-        self._rows, self.clock_offset = joined(
-            rows, base.clock, others, guest.clock, taken, clock_offset
-        )
+        self._rows = joined(rows, base.clock, others, guest.clock, taken, clock_offset)
         self.clock = base.clock
-        kept = {r: base.columns[r] for r in base.columns if r not in taken}
-        self.columns = kept | {role: guest.columns[role] for role in taken}
-        self._labels = base._labels | {role: guest._labels[role] for role in taken}
+        kept = {r: base._signals[r] for r in base._signals if r not in taken}
+        self._signals = kept | {role: guest._signals[role] for role in taken}
+        self.columns = {role: s.column for role, s in self._signals.items()}
         self.remarks = [*base.remarks, *guest.remarks, *self.clock.remarks[noted:]]
         self.doubtful = [*base.doubtful, *guest.doubtful]
-        left_out = len(rows) - len(self._rows)
-        if left_out:
-            self.remarks.append(
-                f"{left_out:,} rows of {base.name} left out: {guest.name} has none there"
-            )
 
     def resample(self, rate: float) -> None:
         """Interpolate the log to an even rate (Hz), in memory (InputError, UsageError)."""
@@ -134,9 +119,7 @@ class Log:
     @property
     def has_found_offset(self) -> bool:
         """Whether a clock offset was found from the signals, so that the actuator's delay is in it."""
-        offset = self.clock_offset
-        holds_delay = offset is not None and offset.holds_delay
-        return holds_delay or self._source.has_found_offset
+        return self.clock.holds_delay or self._source.has_found_offset
 
     def blocks(self, rows: int = ROWS_A_BLOCK) -> Iterator[Block]:
         """Return the log once, in blocks of at most so many rows.
@@ -166,7 +149,7 @@ class Log:
             self._count = len(self._rows)
             yield self._rows
             return
-        columns = list(self._picks.values())
+        columns = [signal.stored for signal in self._signals.values()]
         if self.clock.is_read and self.clock.column is not None:
             columns.append(self.clock.column)
         time_place = len(columns) - 1
@@ -176,22 +159,24 @@ class Log:
         for arrays in self._source.blocks(columns):
             numbers = np.arange(row, row + len(arrays[0]))
             row += len(numbers)
-            numbers, arrays = self._asked(numbers, arrays)
+            numbers, arrays = self._inside(numbers, arrays)
             numbers, arrays = self._good(numbers, arrays, columns)
             if len(numbers):
-                self._refuse_torn(numbers)
+                self._refuse_lost(numbers)
                 self._count += len(numbers)
                 time, dt = self.clock.read(numbers, arrays[time_place])
                 values = {}
-                for role, array in zip(self._scales, arrays, strict=False):
-                    values[role] = multiplied(array, self._scales[role][0])
+                for (role, signal), array in zip(
+                    self._signals.items(), arrays, strict=False
+                ):
+                    values[role] = multiplied(array, signal.factor)
                 yield Block(time, values, dt)
             if self._last is not None and row > self._last:
                 break
         self.doubtful += self.remarks[noted:]
         self._finish(row - 1)
 
-    def _asked(self, numbers: _Numbers, arrays: _Arrays) -> tuple[_Numbers, _Arrays]:
+    def _inside(self, numbers: _Numbers, arrays: _Arrays) -> tuple[_Numbers, _Arrays]:
         """Return the rows inside ``rows``."""
         first, stop = int(numbers[0]), len(numbers)
         if self._last is not None:
@@ -209,39 +194,38 @@ class Log:
         InputError
             A row does not, and such rows are not to be left out.
         """
-        if all(map(is_good, arrays)):
-            return numbers, arrays
         bad = np.array([bad_cells(array) for array in arrays])
         is_bad = bad.any(axis=0)
+        if not is_bad.any():
+            return numbers, arrays
         at = int(np.argmax(is_bad))
         index = int(np.argmax(bad[:, at]))
-        row, value = int(numbers[at]), arrays[index][at]
-        location = self._source.where(row, columns[index], value)
+        where = self._source.where(int(numbers[at]), columns[index], arrays[index][at])
         count = int(is_bad.sum())
         if not self._skip_bad:
             more = f", and {count - 1:,} more such rows near it" if count > 1 else ""
-            raise InputError(f"{location}{more} ({self._source.cure})")
-        self._first_dropped = self._first_dropped or location
+            raise InputError(f"{where}{more} ({self._source.cure})")
+        self._first_dropped = self._first_dropped or where
         self._dropped += count
         good = numbers[~is_bad]
-        torn = list(self._source.torn)
-        is_guarded = len(columns) > len(self._picks) + self.clock.is_read
+        lost = bad.all(axis=0)
+        is_guarded = len(columns) > len(self._signals) + self.clock.is_read
         if is_guarded and columns[-1].kind == "number":
-            torn += numbers[bad[-1]].tolist()  # the first column alone shows them
-        for row in torn:
-            is_first = not self._count and (not len(good) or row < good[0])
-            if self._torn is None and not is_first:
-                self._torn = row, self._source.where(row, columns[-1], "")
+            lost = bad[-1]  # the guard alone shows that a row is none
+        for row in numbers[lost]:
+            is_behind = self._count or (len(good) and row > good[0])
+            if is_behind and self._lost is None:
+                self._lost = row, self._source.where(row, columns[-1], "")
         return good, [array[~is_bad] for array in arrays]
 
-    def _refuse_torn(self, numbers: _Numbers) -> None:
+    def _refuse_lost(self, numbers: _Numbers) -> None:
         """Refuse rows whose time is counted behind a line that may be no sample (InputError)."""
-        if self._torn is None or self.clock.kind != "rate":
+        if self._lost is None or self.clock.kind != "rate":
             return
-        row, location = self._torn
+        row, where = self._lost
         if numbers[-1] > row:
             raise InputError(
-                f"{location}: the time behind it is not known: cut with `rows` {self._first}:{row - 1}"
+                f"{where}: the time behind it is not known: cut with `rows` {self._first}:{row - 1}"
             )
 
     def _finish(self, rows: int) -> None:
@@ -253,22 +237,19 @@ class Log:
             )
             self.remarks.append(text)
             self.doubtful.append(text)
-        if not self._count and self._first > rows > 0:
-            raise InputError(
-                f"{self.name}: `rows` {self._first}: the log has {rows:,} data rows"
-            )
         if not self._count:
-            raise InputError(f"{self.name}: no row holds only numbers")
+            asked = f"`rows` {self._first}:{self._last or ''}"
+            raise InputError(
+                f"{self.name}: {asked}: none of its {rows:,} rows is inside and holds only numbers"
+            )
         self.clock.close()
         self.remarks += self.clock.remarks
 
     def line(self) -> str:
         """Return one line on what was read; complete after the last block."""
-        names = [self._labels[role] for role in self.columns]
+        names = [signal.label for signal in self._signals.values()]
         s = "" if self._count == 1 else "s"
         line = f"{self.name}: {self._count:,} row{s}, {self.clock.describe()}"
-        if self.clock_offset is not None:
-            line += f", {self.clock_offset.describe()}"
         return f"{line}; {', '.join(names)}"
 
     def close(self) -> None:
@@ -325,9 +306,6 @@ def open_log(
         raise UsageError(
             f"`time` {elsewhere['time']}: the time must be in the log itself"
         )
-    for role in reading.scale:
-        if role not in roles:
-            raise UsageError(f"`scale` {role}=...: give one of {', '.join(roles)}")
     roles = {role: text for role, text in roles.items() if role not in elsewhere}
     twins: list[str] = []
     if elsewhere and reading.clock_offset == "auto":  # a drive that both may hold
@@ -336,23 +314,20 @@ def open_log(
         optional = (*optional, *(role for role in twins if role in elsewhere))
     opened = path if isinstance(path, Table) else os.fspath(path)
     log = _open_file(opened, roles, reading, units, optional)
-    if not elsewhere and reading.resample is None:
-        return log
-    with log:
+    try:
         if elsewhere:
             with _open_second(log.name, elsewhere, twins, reading, units) as second:
                 log.join(second, elsewhere, reading.clock_offset)
         if reading.resample is not None:
             log.resample(reading.resample)
+        for role in reading.scale:
+            if role not in log.columns:
+                listing = ", ".join(log.columns)
+                raise UsageError(f"`scale` {role}=...: give one of {listing}")
+    except BaseException:
+        log.close()
+        raise
     return log
-
-
-def _label(role: str, column: Column, assumed: str | None) -> str:
-    """Return the name of a column with its unit, and with what is assumed where the file states none."""
-    name = column.name or f"column {column.number} ({role})"
-    if column.unit is None:
-        return f"{name} ({assumed} assumed)" if assumed else name
-    return name if split_header(name)[1] else f"{name} ({column.unit})"
 
 
 def _open_second(
@@ -381,7 +356,6 @@ def _open_file(
     optional: Sequence[str],
 ) -> Log:
     """Open one file or table as a log."""
-    factors = {role: text for role, text in reading.scale.items() if role in roles}
     source = name if isinstance(name, Table) else open_table(name, reading)
     try:
         selectors = {role: text for role, text in roles.items() if role != "time"}
@@ -389,8 +363,10 @@ def _open_file(
         clock = find_clock(source, reading, roles.get("time"), used)
         clock_columns = [] if clock.column is None else [clock.column]
         picks = choose(source, selectors, clock_columns, units, optional)
-        scales = scales_of(source.name, picks, factors, units)
-        return Log(source, clock, picks, scales, reading)
+        signals = {}
+        for role, column in picks.items():
+            signals[role] = signal_of(source.name, role, column, reading.scale, units)
+        return Log(source, clock, signals, reading)
     except BaseException:
         source.close()
         raise
@@ -406,7 +382,8 @@ def open_table(name: str, reading: Reading) -> Table:
             reader = reader_of(path, file.read(_FIRST_BYTES))
     if reader is not None:
         return reader(path, inner, reading)
-    return open_text(path, inner, reading)
+    refuse_part(path, inner)
+    return TextTable(TextStream(path, reading.encoding), reading)
 
 
 def columns_of(

@@ -17,14 +17,12 @@ from dbo_cli.logs.settings import (
     NAME_KEYS,
     TIME_UNIT_KEYS,
     UNIT_KEYS,
-    clock_of_settings,
     is_channel_key,
     is_clock_setting,
-    is_setting,
     plain_key,
     read_settings,
 )
-from dbo_cli.logs.table import LONGEST_CELL, Table
+from dbo_cli.logs.table import LONGEST_CELL, Settings, Table
 from dbo_cli.units import is_unit, kind_of, parse_unit, spell, split_header, time_unit
 
 _LINES = 3  # names, units and a remark stand above the rows at most
@@ -53,7 +51,7 @@ def read_header(
     Raises
     ------
     InputError
-        The last line above the rows has another number of cells than they have.
+        Each channel has a time column.
     """
     margin = []
     for line in rows[:_BESIDE]:
@@ -64,8 +62,10 @@ def read_header(
         raise InputError(
             f"{name}: each channel has an X column: export with X_Columns One or No"
         )
-    layout.clock = clock_of_settings(settings, layout.decimal)
+    layout.settings = settings
+    layout.names, layout.units = [""] * layout.width, [""] * layout.width
     headers = _header_lines(above, layout)
+    layout.is_headed = bool(headers)
     units = _units_line(headers)
     if units is not None:
         layout.units = headers[units]
@@ -73,9 +73,7 @@ def read_header(
     elif headers:
         with_units = (cells for cells in headers if _units_in(cells) > 1)
         layout.names = next(with_units, headers[0])  # a remark may stand below names
-    else:
-        _refuse_unclear(name, above, layout)
-    has_names = bool(headers) and (units is None or len(headers) > 1)
+    has_names = len(headers) > (units is not None)
     has_decimals = any(layout.decimal in line for line in rows[:_BESIDE])
     if len(layout.numeric) > 1 or has_decimals:  # else they are counts, and no volts
         _fill_from_settings(layout, settings, has_names)
@@ -194,9 +192,10 @@ def _fitted(cells: list[str], layout: Layout) -> list[str]:
     while len(cells) > layout.width and _is_beside(cells[-1], are_units):
         cells.pop()
     if len(cells) == layout.width - 1 and cells:
-        if not layout.first_row[-1]:
+        line = layout.first_line
+        if not split_cells(line, layout.delimiter)[-1]:
             return [*cells, ""]  # the rows end in a delimiter
-        if layout.counts and len(cells) > 1:
+        if line.startswith('"') and 0 in layout.numeric and len(cells) > 1:
             return ["", *cells]  # R numbers the rows by a quoted column without a name
     return cells
 
@@ -235,27 +234,7 @@ def _is_figure(cell: str) -> bool:
     return is_number(cell, ".") or is_number(cell, ",")
 
 
-def _refuse_unclear(name: str, above: Sequence[str], layout: Layout) -> None:
-    """Refuse a last line above the rows that may be names for other columns, or a torn row."""
-    nonempty = [n for n, line in enumerate(above) if line.strip()]
-    if not nonempty or above[nonempty[-1]].strip()[0] in "#%":
-        return
-    last = nonempty[-1]
-    cells = split_cells(above[last].rstrip(f" {layout.delimiter}"), layout.delimiter)
-    if len(cells) < 2 or is_setting(cells[0]):
-        return
-    figures = any(_is_figure(cell) for cell in cells)
-    is_near = last == len(above) - 1
-    if (figures and is_near) or (not figures and len(cells) != layout.width):
-        raise InputError(
-            f"{name}:{layout.first - len(above) + last + 1}: {len(cells)} names above rows of "
-            f"{layout.width} cells: type `skip_lines` {layout.first}, `delimiter` or `decimal`"
-        )
-
-
-def _fill_from_settings(
-    layout: Layout, settings: dict[str, list[str]], has_names: bool
-) -> None:
+def _fill_from_settings(layout: Layout, settings: Settings, has_names: bool) -> None:
     """Take names and units that are stated by channel where no line above the rows has them."""
     names, units, time = (
         _stated_by_channel(settings, keys, layout.width)
@@ -278,7 +257,7 @@ def _fill_from_settings(
 
 
 def _stated_by_channel(
-    settings: dict[str, list[str]], keys: Collection[str], width: int
+    settings: Settings, keys: Collection[str], width: int
 ) -> list[str]:
     """Return what the last setting of a key states of each channel."""
     statements: list[str] = []

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.cells import is_number, split_cells, to_number
-from dbo_cli.logs.table import StatedClock
+from dbo_cli.logs.cells import is_number, split_cells
+from dbo_cli.logs.table import Settings
 from dbo_cli.units import ratio, split_header, time_unit
-
-Statement = tuple[str, object, str]  # what a file states: key, value, unit
 
 # keys without blanks and signs, in lower case
 _RATES = frozenset(
@@ -99,112 +97,123 @@ def _kind_of(key: str) -> tuple[str, str]:
 # --- the rate ---
 
 
-def stated_clock(statements: Sequence[Statement], decimal: str = ".") -> StatedClock:
-    """Return the clock that statements give: one sample rate, or why there is none, and a start.
+def stated_rate(
+    name: str, settings: Settings, decimal: str = "."
+) -> tuple[float | None, float, str]:
+    """Return the one sample rate (Hz) that is stated, the time of the first row (s), and what is assumed.
 
     Parameters
     ----------
-    statements
-        Key, value (a number or a text such as ``10 kHz``), and a unit given beside it
-        (or an empty text).
+    name
+        The file, for messages.
+    settings
+        What the file states, such as ``10 kHz``.
     decimal
         The decimal sign of the rows.
-    """
-    clock = StatedClock()
-    try:
-        rates = _stated_rates(statements, clock, decimal)
-    except InputError as problem:
-        clock.problem = str(problem)
-        return clock
-    if rates and max(rates.values()) > (1.0 + _SAME) * min(rates.values()):
-        listing = " and ".join(rates)
-        clock.problem = (
-            f"two sample rates, {listing}: type `sample_rate` HZ, or export each channel to "
-            "a file"
-        )
-    elif rates:
-        clock.rate = next(iter(rates.values()))
-    starts: dict[str, float] = {}
-    for key, value, _ in statements:
-        text = str(value).replace(",", ".")
-        if plain_key(key) in _STARTS and is_number(text, "."):
-            start = to_number(text, ".")
-            if starts.setdefault(key, start) != start:
-                clock.problem = (
-                    f"two starts, '{key}' {starts[key]:.9g} and {start:.9g}: export each channel to "
-                    "a file (`clock_offset`)"
-                )
-            if abs(start) < _LATEST_START:
-                clock.start = start
-    return clock
-
-
-def _stated_rates(
-    statements: Iterable[Statement], clock: StatedClock, decimal: str
-) -> dict[str, float]:
-    """Return each rate (Hz) that is stated, and remark on a unit that is assumed.
 
     Raises
     ------
     InputError
-        One cannot be read. The message has no file in front.
+        A rate is not clear, or two rates or starts differ.
     """
     rates: dict[str, float] = {}
-    for key, value, unit_text in statements:
-        kind, unit_in_key = _kind_of(key)
-        text = f"{value} {unit_text}".strip()
+    starts: dict[str, float] = {}
+    start, remark, divider = 0.0, "", ""
+    for key, text in _amounts_of(settings):
         match = _AMOUNT.fullmatch(text)
-        if not kind or match is None:
-            continue  # a text under such a name is no statement (ts: a time stamp)
-        if _THOUSANDS[decimal].fullmatch(text):
-            raise InputError(
-                f"'{key}' {text} may have a thousands mark: type `sample_rate` HZ"
-            )
-        unit = match[2].strip(' []()"') or unit_in_key
-        if plain_key(split_header(key)[0]) in _BARE and not unit:
-            continue
-        rate = _rate(kind, float(match[1].replace(",", ".")), unit)
-        if rate is None:
-            raise InputError(
-                f"'{key}' {text} is not in a unit of a {kind}: type `sample_rate` HZ"
-            )
-        if not _SLOWEST <= rate < math.inf:
-            continue  # what an instrument writes when it does not know
-        if not unit and rate <= _SLOW:
-            raise InputError(
-                f"'{key}' {text} has no unit and makes {rate:.4g} Hz: type `sample_rate` HZ"
-            )
-        if not unit:
-            assumed = "Hz" if kind == "rate" else "s"
-            clock.remarks[:] = [f"'{key}' {text} has no unit: {assumed} is assumed"]
-        rates[f"'{key}' {text}"] = rate
-    return rates
+        if match is None:
+            continue  # a text under such a name states nothing (ts: a time stamp)
+        amount, unit = float(match[1].replace(",", ".")), match[2].strip(' []()"')
+        if plain_key(key) in _STARTS and unit in ("", "s"):
+            if starts.setdefault(key, amount) != amount:
+                raise _unclear(name, f"'{key}' {starts[key]:.9g} and {amount:.9g}")
+            start = amount if abs(amount) < _LATEST_START else start
+        if plain_key(key) in _DIVIDERS and amount > 1.0:
+            divider = f"'{key}' {text}"
+        rate, assumed = _rate(name, key, text, amount, unit, decimal)
+        if rate is not None:
+            rates[f"'{key}' {text}"] = rate
+            remark = assumed or remark
+    if rates and max(rates.values()) > (1.0 + _SAME) * min(rates.values()):
+        raise _unclear(name, " and ".join(rates))
+    if rates and divider:
+        raise _unclear(name, f"{divider} beside a rate")
+    return next(iter(rates.values()), None), start, remark
 
 
-def _rate(kind: str, amount: float, unit: str) -> float | None:
-    """Return a rate (Hz) by an amount of a rate or a step; None for an unknown unit, 0 for no rate."""
+def _amounts_of(settings: Settings) -> Iterator[tuple[str, str]]:
+    """Return every value with its key and its unit: that in the next cell, or that of all times."""
+    unit_of_times = ""
+    for key, values in settings.items():
+        if plain_key(key) in TIME_UNIT_KEYS:
+            unit_of_times = unit_of_times or values[0].strip('" ')
+    for key, values in settings.items():
+        texts = [value for value in dict.fromkeys(values) if value and value != key]
+        unit = unit_of_times if plain_key(key) in _IN_TIME_UNIT else ""
+        if len(texts) == 2 and re.fullmatch(r"[^\d=:\[]{1,12}", texts[1]):
+            unit = texts.pop()  # 1,kHz
+        for text in texts:
+            yield key, f"{text} {unit}".strip()
+
+
+def _unclear(name: str, statement: str) -> InputError:
+    return InputError(
+        f"{name}: {statement}: the sample rate is not clear: type `sample_rate` HZ, or export each "
+        "channel to a file"
+    )
+
+
+def _rate(
+    name: str, key: str, text: str, amount: float, unit: str, decimal: str
+) -> tuple[float | None, str]:
+    """Return the rate (Hz) that a rate or a step makes, and what is assumed; None for no rate.
+
+    Raises
+    ------
+    InputError
+        It may mean several rates.
+    """
+    kind, unit_in_key = _kind_of(key)
+    unit = unit or unit_in_key
+    is_bare = plain_key(split_header(key)[0]) in _BARE
+    if not kind or (is_bare and not unit):
+        return None, ""
+    size = _size(kind, unit)
+    if size is None or _THOUSANDS[decimal].fullmatch(text):
+        raise _unclear(name, f"'{key}' {text}")
+    # 0.1 ms is 10,000 Hz exactly
+    rate = amount * size if kind == "rate" else size / amount if amount > 0.0 else 0.0
+    if not _SLOWEST <= rate < math.inf:
+        return None, ""  # what an instrument writes when it does not know
+    if unit:
+        return rate, ""
+    if rate <= _SLOW:
+        raise _unclear(name, f"'{key}' {text} without a unit makes {rate:.4g} Hz")
+    assumed = "Hz" if kind == "rate" else "s"
+    return rate, f"'{key}' {text} has no unit: {assumed} is assumed"
+
+
+def _size(kind: str, unit: str) -> float | None:
+    """Return how many Hz a unit of a rate is, or how many of a unit of a step make a second."""
     plain = unit.replace(" ", "")
     if kind == "rate":
-        if not plain or plain.lower() in _HERTZ:
-            return amount
-        if plain[0] in _LARGE and plain[1:].lower() in _HERTZ:
-            return amount * _LARGE[plain[0]]
-        return None
+        large = 1.0
+        if plain[1:].lower() in _HERTZ:
+            large = _LARGE.get(plain[0], large)
+            plain = plain[1:] if plain[0] in _LARGE else plain
+        return large if not plain or plain.lower() in _HERTZ else None
     for suffix in ("/sample", "/Sample", "/S", "/Sa"):
         plain = plain.removesuffix(suffix)
     spelling = time_unit(plain) if plain else "s"
-    if spelling is None:
-        return None
-    # 0.1 ms is 10,000 Hz exactly
-    return float(ratio("s", spelling)) / amount if amount > 0.0 else 0.0
+    return None if spelling is None else float(ratio("s", spelling))
 
 
 # --- settings ---
 
 
-def read_settings(lines: Sequence[str], delimiter: str) -> dict[str, list[str]]:
+def read_settings(lines: Sequence[str], delimiter: str) -> Settings:
     """Read lines of a key and its values, ``Rate: 500 Hz`` and ``VUnit,V,um``; and keys above values."""
-    settings: dict[str, list[str]] = {}
+    settings: Settings = {}
     before: list[str] = []
     for line in lines[:_LOOKED_AT]:
         if len(line) > _LONGEST:
@@ -235,24 +244,3 @@ def _values(text: str, mark: str, delimiter: str) -> list[str]:
         if mark == "," and re.fullmatch(r"\s*\d+,\d+\s*[^\d,]*", text):
             return [text.strip()]
     return [cell.strip() for cell in split_cells(text, mark)]
-
-
-def clock_of_settings(settings: dict[str, list[str]], decimal: str) -> StatedClock:
-    """Return the clock that settings state above rows with this decimal sign."""
-    unit_text = ""
-    for key, values in settings.items():
-        if plain_key(key) in TIME_UNIT_KEYS:
-            unit_text = unit_text or values[0].strip('" ')
-    statements: list[Statement] = []
-    for key, values in settings.items():
-        nonempty = [value for value in dict.fromkeys(values) if value and value != key]
-        unit = unit_text if plain_key(key) in _IN_TIME_UNIT else ""
-        if len(nonempty) == 2 and re.fullmatch(r"[^\d=:\[]{1,12}", nonempty[1]):
-            unit = nonempty.pop()  # 1,kHz
-        statements += [(key, value, unit) for value in nonempty]
-    clock = stated_clock(statements, decimal)
-    for key, values in settings.items():
-        divided = plain_key(key) in _DIVIDERS and to_number(values[0], ".") > 1.0
-        if clock.rate and divided:
-            clock.problem = f"'{key}' {values[0]} beside a rate: type `sample_rate` HZ"
-    return clock

@@ -171,8 +171,6 @@ def _opened(path: str) -> IO[bytes]:
         if path.lower().endswith(".gz"):
             return cast(IO[bytes], gzip.open(path))
         return open(path, "rb")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
     except (OSError, ValueError) as problem:
         reason = getattr(problem, "strerror", None) or problem
         raise InputError(f"{path}: cannot be read: {reason}") from None

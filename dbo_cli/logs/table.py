@@ -24,6 +24,9 @@ LONGEST_CELL = 200
 TOO_LONG = f"(more than {LONGEST_CELL} characters)"
 """What stands in the place of a cell that is longer."""
 
+Settings = dict[str, list[str]]
+"""What a file states beside its rows, by key: values with their units."""
+
 
 @dataclass(frozen=True)
 class Column:
@@ -162,42 +165,11 @@ class Block:
         return cls(np.concatenate(times) if times else None, values, dt)
 
 
-def is_good(array: NDArray[Any]) -> bool:
-    """Return whether all cells are numbers or stamps."""
-    if not len(array):
-        return True
-    if array.dtype.kind == "i":
-        return bool(array.min() != NOT_A_TIME)
-    return bool(-OVERLOAD < array.min() and array.max() < OVERLOAD)  # no NaN is
-
-
 def bad_cells(array: NDArray[Any]) -> NDArray[np.bool_]:
     """Return which cells are no numbers and no stamps."""
     if array.dtype.kind == "i":
         return np.asarray(array == NOT_A_TIME)
     return np.asarray(~(np.abs(array) < OVERLOAD))
-
-
-@dataclass
-class StatedClock:
-    """What a file states of its clock beside the rows.
-
-    Attributes
-    ----------
-    rate
-        Samples a second (Hz), or None.
-    problem
-        Why a stated rate cannot be used; a refusal where the rate is needed.
-    start
-        The time (s) of the first row.
-    remarks
-        What was assumed; told where the rate is needed.
-    """
-
-    rate: float | None = None
-    problem: str = ""
-    start: float = 0.0
-    remarks: list[str] = field(default_factory=list)
 
 
 class Table:
@@ -209,44 +181,36 @@ class Table:
         How messages call the file.
     columns
         All of its columns.
-    stated
-        The clock of a file without a time column.
+    settings, decimal
+        What it states beside the rows, and the decimal sign of that; the clock of a file
+        without a time column is among it.
     guard
         A column that must hold numbers or stamps in every row, even if nothing is read
         of it: rows that begin with something else are no samples.
     hint
         What is appended to a refusal about columns.
-    has_paths
-        Whether names are paths, whose last part holds the unit.
     cure
         What helps where rows hold no numbers.
     has_found_offset
         Whether a clock offset was found when it was made of two files.
     remarks
         What the user is to be told, without the file's name in front.
-    torn
-        The rows (from 1) of the last block that have another number of cells.
     """
 
+    decimal: str = "."
     guard: Column | None = None
     hint: str = ""
     cure: str = "`skip_bad` drops such rows"
     has_found_offset: bool = False
-    has_paths = False
-    torn: Sequence[int] = ()
 
-    def __init__(self, name: str, clock: StatedClock | None = None) -> None:
+    def __init__(self, name: str) -> None:
         self.name = name
         self.columns: list[Column] = []
-        self.stated = clock or StatedClock()
+        self.settings: Settings = {}
         self.remarks: list[str] = []
 
     def add_column(
-        self,
-        header: str,
-        unit: str | None = None,
-        kind: str = "number",
-        sample: str = "",
+        self, header: str, unit: str | None, kind: str, sample: str = ""
     ) -> Column:
         """Append a column; its header holds its unit where none is stated beside it."""
         number = len(self.columns) + 1
@@ -254,16 +218,21 @@ class Table:
             self.remarks.append(f"column {number}: {TOO_LONG[1:-1]} are no name")
             header = ""
         unit = spell(unit) if unit and len(unit) <= LONGEST_CELL else None
-        last = header.rsplit("/", 1)[-1] if self.has_paths else header
-        column = Column(number, header, unit or split_header(last)[1], kind, sample)
+        unit = unit or split_header(header)[1]
+        column = Column(number, header, unit, kind, sample)
         self.columns.append(column)
         return column
+
+    def state(self, key: str, value: object, unit: str = "") -> None:
+        """Note what the file states; a key may have several values."""
+        self.settings.setdefault(key, []).append(f"{value} {unit}".strip())
 
     def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of some columns in blocks, one array a column.
 
         Numbers are float64, NaN for other cells; stamps are int64 nanoseconds
-        since 1970 or since midnight, ``NOT_A_TIME`` for other cells.
+        since 1970 or since midnight, ``NOT_A_TIME`` for other cells. A row that cannot
+        be one has other cells only.
         """
         raise NotImplementedError
 

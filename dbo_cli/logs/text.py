@@ -1,111 +1,29 @@
 """Delimited text: whole lines become arrays.
 
-Most files have known names in the first line and numbers below: ``plain_layout`` takes
-them. How others are written is found by ``dialect.py``. polars reads a block at once
+How they are written is found by ``dialect.py``. polars reads a block at once
 (``fast_text.py``); a block that is not regular is read line by line, and so is a small
 file, which does without polars.
 """
 
 from __future__ import annotations
 
-import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import InputError, UsageError
-from dbo_cli.logs.cells import Layout, Marks, split_cells, to_number
-from dbo_cli.logs.columns import KNOWN_NAMES, words
+from dbo_cli.errors import InputError
+from dbo_cli.logs.cells import Marks, split_cells, to_number
 from dbo_cli.logs.dialect import find_layout, is_no_row
 from dbo_cli.logs.names import begins_run, describe_columns
-from dbo_cli.logs.settings import is_setting
 from dbo_cli.logs.stream import TextStream
-from dbo_cli.logs.table import LONGEST_CELL, Column, Reading, Table
-from dbo_cli.units import is_unit, split_header
+from dbo_cli.logs.table import Column, Reading, Table
 
 _LONGEST_LINE = 1 << 24  # bytes; what is longer has no line ends
 _SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
 _TINY = 1 << 12  # bytes that are read faster in Python than by polars
-_FIGURES = re.compile(r"[-+.,;\t 0-9eE\r]*", re.ASCII)
-
-
-def open_text(path: str, inner: str, reading: Reading) -> Table:
-    """Read a text log; see ``Table``.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, or it is not clear how it is written.
-    """
-    if inner:
-        raise UsageError(
-            f"{path}::{inner}: '::' names a part of a file, and this is a text file"
-        )
-    return TextTable(TextStream(path, reading.encoding), reading)
-
-
-# --- the plain door ---
-
-
-def plain_layout(lines: Sequence[str], reading: Reading) -> Layout | None:
-    """Return the layout of known names in the first line above numbers; None for all else.
-
-    Where it takes a file it finds what ``find_layout`` finds.
-
-    Parameters
-    ----------
-    lines
-        The first lines.
-    reading
-        Where the user types how the file is written, the plain door is shut.
-    """
-    is_typed = reading.delimiter or reading.decimal or reading.skip_lines is not None
-    header = lines[0].rstrip("\r")
-    delimiters = [mark for mark in ",;\t" if mark in header]
-    if is_typed or len(delimiters) != 1 or len(header) > LONGEST_CELL:
-        return None
-    names = [name.strip() for name in header.split(delimiters[0])]
-    if re.search(r"[^\w ()\[\]µ/.-]", "".join(names)) or is_setting(names[0]):
-        return None
-    if not all(map(_is_known_name, names)):
-        return None
-    rows = list(lines[1:])
-    while rows and not rows[-1]:
-        rows.pop()
-    if not rows or not _are_numbers(rows, delimiters[0], len(names)):
-        return None
-    width = len(names)
-    layout = Layout(delimiters[0], ".", width * [("number", "")])
-    layout.first, layout.names, layout.units = 1, names, [""] * width
-    return layout
-
-
-def _are_numbers(rows: Sequence[str], delimiter: str, width: int) -> bool:
-    """Return whether every row has so many plain numbers."""
-    if not _FIGURES.fullmatch("".join(rows)):
-        return False  # float() takes 1_0 and nan, too
-    for row in rows:
-        cells = row.split(delimiter)
-        if len(cells) != width or len(row) > LONGEST_CELL:
-            return False
-        try:
-            list(map(float, cells))
-        except ValueError:
-            return False
-    return True
-
-
-def _is_known_name(name: str) -> bool:
-    """Return whether a name says what a column is: by a word, or by a unit behind it."""
-    if is_unit(name) or re.match(r"[\d.-]", name):
-        return False
-    return is_unit(split_header(name)[1]) or bool(words(name) & KNOWN_NAMES)
-
-
-# --- lines to arrays ---
 
 
 class TextTable(Table):
@@ -127,45 +45,49 @@ class TextTable(Table):
             lines = stream.lines(start)
             if not stream.ended and len(lines) > 2:
                 lines.pop()  # perhaps not whole
-            self.layout = self._layout_of(lines)
+            self.layout = find_layout(self.name, lines, reading)
             describe_columns(self, self.layout)
         except BaseException:
             stream.close()
             raise
-        self.stated = self.layout.clock
+        self.settings = self.layout.settings
+        self.decimal = self.layout.decimal
         if self.columns[0].kind in ("number", "stamp"):
             self.guard = self.columns[0]
         self._line = self.layout.first + 1  # of the first row in the text
         self._text = start.split(b"\n", self.layout.first)[-1]
 
-    def _layout_of(self, lines: Sequence[str]) -> Layout:
-        """Return how the file is written (InputError)."""
-        layout = plain_layout(lines, self._reading)
-        return layout or find_layout(self.name, lines, self._reading)
-
     def _has_layout(self, lines: Sequence[str]) -> bool:
         """Return whether the first lines of a pipe hold a row."""
         try:
-            self._layout_of(lines)
+            find_layout(self.name, lines, self._reading)
         except InputError:
             return False
         return True
 
     def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of some columns; see ``Table``."""
-        if self._reading.decimal is None:
-            self._marks = {c.number: Marks() for c in columns if c.kind == "number"}
+        for column in columns:
+            if column.kind == "number" and self._reading.decimal is None:
+                label = f"{self.name}: {column.label}"
+                self._marks[column.number] = Marks(label)
         for text in self._texts():
             self._text = text
-            if not text.endswith(b"\n"):
-                self._doubt_last_line(text)
+            last = self._stream.lines(text[text.rfind(b"\n") + 1 :])[0]
+            if not is_no_row(last):
+                number = self._line + text.count(b"\n")
+                self.remarks.append(
+                    f"line {number}, the last one, has no line end: was the record cut there?"
+                )
             arrays = self._read_block(text, columns)
+            for marks in self._marks.values():
+                marks.require_clear(self._first_row + len(arrays[0]) - 1)
             if len(arrays[0]):
-                self._refuse_doubtful(self._first_row + len(arrays[0]) - 1)
                 yield arrays
             self._first_row += len(arrays[0])
             self._line += self._block_lines
-        self._refuse_doubtful(self._first_row, limit=0)
+        for marks in self._marks.values():
+            marks.require_clear(self._first_row, most=0)
 
     def _texts(self) -> Iterator[bytes]:
         """Return the rows in blocks of whole lines, without those of delimiters at the end of the file."""
@@ -186,25 +108,9 @@ class TextTable(Table):
         if text:
             yield text
 
-    def _doubt_last_line(self, text: bytes) -> None:
-        """Say that a row at the end has no line end."""
-        last = self._stream.lines(text[text.rfind(b"\n") + 1 :])[0]
-        if not is_no_row(last):
-            number = self._line + text.count(b"\n")
-            self.remarks.append(
-                f"line {number}, the last one, has no line end: was the record cut there?"
-            )
-
-    def _refuse_doubtful(self, row: int, **limit: int) -> None:
-        """Refuse a column whose marks may stand between thousands (InputError)."""
-        for number, marks in self._marks.items():
-            if not marks.is_clear and marks.is_doubtful(row, **limit):
-                marks.refuse(self.name, self.columns[number - 1])
-
     def _read_block(self, text: bytes, columns: Sequence[Column]) -> list[NDArray[Any]]:
         """Read a block by polars, or line by line where it is small or not regular."""
         self._size += len(text)
-        self.torn = ()
         frame = None
         is_small = self._size <= _SMALL and "polars" not in sys.modules
         if not is_small and len(text) > _TINY:
@@ -227,14 +133,15 @@ class TextTable(Table):
 
             return read_stamps(pl.Series(cells, dtype=pl.String), column.sample)
         sign = self.layout.decimal
+        marks = self._marks.get(column.number, Marks("", is_clear=True))
         if isinstance(cells, list):
-            self._watch(column, cells, range(len(cells)))
+            marks.watch(self._first_row, cells, range(len(cells)))
         else:
             from dbo_cli.logs.fast_text import read_numbers
 
             if cells.dtype.is_float():
                 return np.asarray(cells.to_numpy())
-            self._watch(column, cells, sorted(cells.arg_unique()))
+            marks.watch(self._first_row, cells, sorted(cells.arg_unique()))
             numbers = read_numbers(cells, sign)
             if numbers is not None:
                 return numbers
@@ -252,20 +159,10 @@ class TextTable(Table):
         rows = []
         for line in self._stream.lines(text):
             if not self._is_passed(line):
-                rows.append(split_cells(line, self.layout.delimiter))
-        torn = [k for k, cells in enumerate(rows) if len(cells) != self.layout.width]
-        self.torn = [self._first_row + k for k in torn]
-        for k in torn:
-            rows[k] = [""] * self.layout.width
+                cells = split_cells(line, self.layout.delimiter)
+                is_whole = len(cells) == self.layout.width
+                rows.append(cells if is_whole else [""] * self.layout.width)
         return rows
-
-    def _watch(self, column: Column, cells: Any, rows: Iterable[int]) -> None:
-        """Take cells of a column into account, those of some rows, until its marks are clear."""
-        marks = self._marks.get(column.number, Marks(is_clear=True))
-        for row in rows:
-            if marks.is_clear:
-                break
-            marks.watch(self._first_row + row, cells[row])
 
     def where(self, row: int, column: Column, value: object) -> str:
         """Say in which line a row of the last block is, and what stands in a column of it."""
@@ -280,11 +177,8 @@ class TextTable(Table):
             s = "" if len(cells) == 1 else "s"
             return f"{at}: {len(cells)} cell{s} where the other rows have {self.layout.width}"
         cell = cells[column.number - 1]
-        if not cell:
-            return f"{at}: {column.label} is empty"
-        noun = "a known time stamp" if column.kind == "stamp" else "a measured number"
         advice = " (`decimal` comma?)" if "," in cell else ""
-        return f"{at}: {column.label} is not {noun}: '{cell[:40]}'{advice}"
+        return f"{at}: {column.label} is no measured number or time stamp: '{cell[:40]}'{advice}"
 
     def close(self) -> None:
         """Close the file."""

@@ -82,20 +82,16 @@ def add_table(
 
 def _suffix_of(path: str) -> str:
     """Return the suffix that decides the format; refuse one that is of none (UsageError)."""
-    if "::" in path:
-        file = path.partition("::")[0]
-        raise UsageError(f"{path}: an output is a whole file: type {file}")
-    stem, suffix = os.path.splitext(path)
+    file, part, _ = path.partition("::")
+    is_packed = file.lower().endswith(".gz")
+    stem, suffix = os.path.splitext(file[:-3] if is_packed else file)
     suffix = suffix.lower()
-    if suffix == ".gz":
-        suffix = os.path.splitext(stem)[1].lower()
-        if suffix in _HDF5_SUFFIXES:
-            raise UsageError(f"{path}: HDF5 compresses by itself: type {stem}")
-    if suffix in _DELIMITERS or suffix in _HDF5_SUFFIXES:
+    is_written = suffix in _DELIMITERS or (suffix in _HDF5_SUFFIXES and not is_packed)
+    if is_written and not part:
         return suffix
     if os.path.exists(path) and not os.path.isfile(path):
         return ""  # a pipe or a device
-    raise UsageError(f"{path}: {suffix} is not written: type {stem}.csv, .tsv or .h5")
+    raise UsageError(f"{path}: no format that is written: type {stem}.csv, .tsv or .h5")
 
 
 # --- columns ---
@@ -119,9 +115,6 @@ class Writer:
             A number is not finite, or the rows cannot be written.
         """
         values = [np.ascontiguousarray(array, dtype=np.float64) for array in arrays]
-        shapes = {array.shape for array in values}
-        if len(values) != len(self.columns) or shapes != {(len(values[0]),)}:
-            raise ValueError(f"{len(self.columns)} columns of one length, not {shapes}")
         for (name, _), array in zip(self.columns, values, strict=True):
             finite = np.isfinite(array)
             if not finite.all():

@@ -1,64 +1,33 @@
 """The model of an actuator: its stages, their cascade, its files and states."""
 
-from dbo_cli.model.amplifier import Amplifier
-from dbo_cli.model.cascade import Candidate, Cascade, Outside, Stage
-from dbo_cli.model.delay import Delay
-from dbo_cli.model.dynamics import Dynamics
-from dbo_cli.model.file import (
-    dumps_model,
-    dumps_set,
-    dumps_state,
-    is_set,
-    model_values,
-    read_model,
-    read_models,
-    read_state,
-    state_of,
-)
-from dbo_cli.model.gears import Gears
-from dbo_cli.model.points import Points, Scale
-from dbo_cli.model.relaxation import Relaxation
-from dbo_cli.model.sections import Lag, Mode, Resonance, Section
-from dbo_cli.model.state import (
-    Quantity,
-    Run,
-    State,
-    Steps,
-    Undoing,
-    steps_behind,
-    steps_of,
-)
-
-__all__ = [
-    "Amplifier",
-    "Candidate",
-    "Cascade",
-    "Delay",
-    "Dynamics",
-    "Gears",
-    "Lag",
-    "Mode",
-    "Outside",
-    "Points",
-    "Quantity",
-    "Relaxation",
-    "Resonance",
-    "Run",
-    "Scale",
-    "Section",
-    "Stage",
-    "State",
-    "Steps",
-    "Undoing",
-    "dumps_model",
-    "dumps_set",
-    "dumps_state",
-    "is_set",
-    "model_values",
-    "read_model",
-    "read_models",
-    "read_state",
-    "state_of",
-    "steps_behind",
-    "steps_of",
-]
+from dbo_cli.model.amplifier import Amplifier as Amplifier
+from dbo_cli.model.cascade import Candidate as Candidate
+from dbo_cli.model.cascade import Cascade as Cascade
+from dbo_cli.model.cascade import Outside as Outside
+from dbo_cli.model.cascade import Stage as Stage
+from dbo_cli.model.delay import Delay as Delay
+from dbo_cli.model.dynamics import Dynamics as Dynamics
+from dbo_cli.model.file import dumps_model as dumps_model
+from dbo_cli.model.file import dumps_set as dumps_set
+from dbo_cli.model.file import dumps_state as dumps_state
+from dbo_cli.model.file import is_set as is_set
+from dbo_cli.model.file import model_values as model_values
+from dbo_cli.model.file import read_model as read_model
+from dbo_cli.model.file import read_models as read_models
+from dbo_cli.model.file import read_state as read_state
+from dbo_cli.model.file import state_of as state_of
+from dbo_cli.model.gears import Gears as Gears
+from dbo_cli.model.points import Points as Points
+from dbo_cli.model.points import Scale as Scale
+from dbo_cli.model.relaxation import Relaxation as Relaxation
+from dbo_cli.model.sections import Lag as Lag
+from dbo_cli.model.sections import Mode as Mode
+from dbo_cli.model.sections import Resonance as Resonance
+from dbo_cli.model.sections import Section as Section
+from dbo_cli.model.state import Quantity as Quantity
+from dbo_cli.model.state import Run as Run
+from dbo_cli.model.state import State as State
+from dbo_cli.model.state import Steps as Steps
+from dbo_cli.model.state import Undoing as Undoing
+from dbo_cli.model.state import steps_behind as steps_behind
+from dbo_cli.model.state import steps_of as steps_of

@@ -33,14 +33,13 @@ static int too_short(const char *what) {
 }
 
 /* The operator's table and guide out of buffers; 0 with an error set where lengths do not match. */
-static int assemble(dbo_backlash *op, const Py_buffer *gears, const Py_buffer *guide, Py_ssize_t n, Py_ssize_t run) {
+static int assemble(dbo_backlash *op, const Py_buffer *gears, const Py_buffer *guide, Py_ssize_t n) {
     const Py_ssize_t rows = gears->len / (Py_ssize_t)sizeof(dbo_gear) - 1;
-    if (n < 1 || run < 1 || rows != n / run + (n % run > 0)) return !too_short("gears");
-    if ((uint64_t)n * (uint64_t)run >> 32) return !too_short("run");
+    if (n < 1 || rows != n || (uint64_t)n >> 32) return !too_short("gears");
     op->gears = gears->buf;
     op->n = (size_t)n;
-    op->run = (size_t)run;
-    op->row_factor = DBO_ROW_FACTOR(run);
+    op->run = 1;
+    op->row_factor = DBO_ROW_FACTOR(1);
     op->parts = (size_t)guide->len / sizeof(dbo_place);
     op->guide = op->parts > 1 ? guide->buf : NULL;
     if (op->guide) op->parts--;
@@ -81,21 +80,23 @@ static void *fixed_step(const dbo_backlash *op, const double *decay, dbo_fixed_s
     return memory;
 }
 
+/* Without a memory the actuator rests at the first sample: with factors of 0 nothing of the past is left. */
 static PyObject *backlash_run(PyObject *module, PyObject *args) {
     Py_buffer gears, guide, words, gain, memory, x, y, decay, step;
     dbo_backlash op;
     dbo_backlash_state state;
     dbo_limits limits;
-    dbo_counts counts = {0, 0, 0, 0};
+    dbo_counts counts = {0, 0};
     dbo_fixed_step fixed;
     void *table = NULL;
-    Py_ssize_t n, run;
-    int limited, ready = 0;
-    size_t count, rows;
+    double *none = NULL;
+    Py_ssize_t n;
+    int limited, rests, ready = 0;
+    size_t count, rows, first = 0;
     (void)module;
     state.checkpoints = NULL;
-    if (!PyArg_ParseTuple(args, "y*y*nnddpy*dpw*w*dy*w*y*pdddy*", &gears, &guide, &n, &run, &op.x0, &op.y0, &op.extend,
-                          &gain, &op.reference, &op.memory_on_output, &words, &memory, &state.last, &x, &y,
+    if (!PyArg_ParseTuple(args, "y*y*nddpy*dpw*w*pdy*w*y*pdddy*", &gears, &guide, &n, &op.x0, &op.y0, &op.extend,
+                          &gain, &op.reference, &op.memory_on_output, &words, &memory, &rests, &state.last, &x, &y,
                           &decay, &limited, &limits.low, &limits.high, &limits.slack, &step))
         return NULL;
     count = NUMBERS(x);
@@ -105,26 +106,44 @@ static PyObject *backlash_run(PyObject *module, PyObject *args) {
     rows = op.terms ? NUMBERS(decay) / op.terms : 1;
     limits.step = NUMBERS(step) ? step.buf : NULL;
     limits.step_stride = NUMBERS(step) > 1;
-    if (!assemble(&op, &gears, &guide, n, run)) goto done;
+    if (!assemble(&op, &gears, &guide, n)) goto done;
     if (NUMBERS(y) != count && too_short("y")) goto done;
     if (NUMBERS(memory) != op.terms && too_short("memory")) goto done;
     if (rows != 1 && rows != count && too_short("decay")) goto done;
     if (NUMBERS(step) > 1 && NUMBERS(step) != count && too_short("step")) goto done;
     if (!take_state(&op, &state, &words)) goto done;
+    if (op.terms && rests && count) {
+        none = PyMem_Calloc(op.terms, sizeof(double));
+        if (!none) {
+            PyErr_NoMemory();
+            goto done;
+        }
+        *(double *)y.buf = dbo_backlash_step(&op, &state, *(double *)x.buf, none, limited ? &limits : NULL, &counts);
+        first = 1;
+        if (limits.step) limits.step += limits.step_stride;
+    }
     ready = 1;
-    if (rows == 1 && count > op.n && (limited || (op.terms && op.memory_on_output)))
+    if (rows == 1 && count - first > op.n && (limited || (op.terms && op.memory_on_output)))
         /* An even clock: divide once a gear instead of once a sample, where that is less work. */
         table = fixed_step(&op, decay.buf, &fixed);
     Py_BEGIN_ALLOW_THREADS
-    if (table)
-        dbo_backlash_run_fixed(&op, &fixed, &state, x.buf, y.buf, count, limited ? &limits : NULL, &counts);
-    else
-        dbo_backlash_run(&op, &state, x.buf, y.buf, count, decay.buf, rows == 1 ? 0 : op.terms,
-                         limited ? &limits : NULL, &counts);
+    {
+        const double *in = (double *)x.buf + first;
+        const double *factors = (double *)decay.buf + (rows == 1 ? 0 : first * op.terms);
+        double *out = (double *)y.buf + first;
+        const size_t clipped = counts.clipped;
+        if (table)
+            dbo_backlash_run_fixed(&op, &fixed, &state, in, out, count - first, limited ? &limits : NULL, &counts);
+        else
+            dbo_backlash_run(&op, &state, in, out, count - first, factors, rows == 1 ? 0 : op.terms,
+                             limited ? &limits : NULL, &counts);
+        if (!clipped && counts.clipped) counts.first_clipped += first;
+    }
     dbo_backlash_bits(&op, &state, words.buf);
     Py_END_ALLOW_THREADS
     PyMem_Free(table);
 done:
+    PyMem_Free(none);
     PyMem_Free(state.checkpoints);
     PyBuffer_Release(&gears);
     PyBuffer_Release(&guide);
@@ -136,8 +155,7 @@ done:
     PyBuffer_Release(&decay);
     PyBuffer_Release(&step);
     if (!ready) return NULL;
-    return Py_BuildValue("(nnnn)", (Py_ssize_t)counts.outside, (Py_ssize_t)counts.first_outside,
-                         (Py_ssize_t)counts.clipped, (Py_ssize_t)counts.first_clipped);
+    return Py_BuildValue("(nn)", (Py_ssize_t)counts.clipped, (Py_ssize_t)counts.first_clipped);
 }
 
 static PyObject *backlash_decay(PyObject *module, PyObject *args) {
@@ -145,17 +163,17 @@ static PyObject *backlash_decay(PyObject *module, PyObject *args) {
     dbo_backlash op;
     dbo_backlash_state state;
     double drive;
-    Py_ssize_t n, run;
+    Py_ssize_t n;
     int ready = 0;
     (void)module;
     state.checkpoints = NULL;
     state.memory = NULL;
-    if (!PyArg_ParseTuple(args, "y*y*nnddpy*dpw*d", &gears, &guide, &n, &run, &op.x0, &op.y0, &op.extend, &gain,
+    if (!PyArg_ParseTuple(args, "y*y*nddpy*dpw*d", &gears, &guide, &n, &op.x0, &op.y0, &op.extend, &gain,
                           &op.reference, &op.memory_on_output, &words, &drive))
         return NULL;
     op.terms = 0;
     op.gain = NULL;
-    if (!assemble(&op, &gears, &guide, n, run)) goto done;
+    if (!assemble(&op, &gears, &guide, n)) goto done;
     if (!take_state(&op, &state, &words)) goto done;
     dbo_backlash_decay(&op, &state, op.n, NULL, drive);
     dbo_backlash_bits(&op, &state, words.buf);
@@ -168,6 +186,103 @@ done:
     PyBuffer_Release(&words);
     if (!ready) return NULL;
     return Py_BuildValue("");
+}
+
+/* The words of the settled state at a drive: of the gears inside the range, beside what others have in `spare`. */
+static void settled_words(const dbo_backlash *inside, dbo_backlash_state *state, const Py_buffer *spare, double drive,
+                          uint64_t *words) {
+    const double width = inside->gears[inside->n].x;
+    const uint64_t *others = spare->buf;
+    memset(words, 0, (size_t)spare->len);
+    if (drive >= inside->x0 + width)
+        for (size_t i = 0; i < inside->n; i++) words[i / 64] |= UINT64_C(1) << (i & 63);
+    else if (drive > inside->x0) {
+        dbo_backlash_decay(inside, state, inside->n, NULL, drive);
+        dbo_backlash_bits(inside, state, words);
+    }
+    for (size_t k = 0; k < (size_t)spare->len / sizeof(uint64_t); k++) words[k] |= others[k];
+}
+
+/* The drive that an inverse operator makes of an output at rest in a state; `none` are factors of 0. */
+static double rested(const dbo_backlash *op, dbo_backlash_state *state, const uint64_t *words, double output,
+                     const double *none) {
+    memset(state->memory, 0, op->terms * sizeof(double));
+    dbo_backlash_load(op, state, words);
+    return dbo_backlash_step(op, state, output, none, NULL, NULL);
+}
+
+/* The drive whose settled state leads to an output, from `below` to `above` or beyond them: halve the range until the
+ * state of its middle does, or what is left is narrow: the output then steps over what is wanted, and the drive is
+ * NaN. */
+static PyObject *backlash_settled_at(PyObject *module, PyObject *args) {
+    Py_buffer gears, guide, gain, inside_gears, inside_guide, inside_gain, spare;
+    dbo_backlash op, inside;
+    dbo_backlash_state state, settled;
+    double output, below, above, narrow, reached, drive = NAN;
+    double *numbers = NULL;
+    uint64_t *words = NULL, *again;
+    Py_ssize_t n, inside_n;
+    int ready = 0;
+    (void)module;
+    state.checkpoints = settled.checkpoints = NULL;
+    if (!PyArg_ParseTuple(args, "(y*y*nddpy*dp)(y*y*nddpy*dp)y*dddd", &gears, &guide, &n, &op.x0, &op.y0,
+                          &op.extend, &gain, &op.reference, &op.memory_on_output, &inside_gears, &inside_guide,
+                          &inside_n, &inside.x0, &inside.y0, &inside.extend, &inside_gain,
+                          &inside.reference, &inside.memory_on_output, &spare, &output, &below, &above, &narrow))
+        return NULL;
+    op.terms = NUMBERS(gain);
+    op.gain = gain.buf;
+    inside.terms = 0;
+    inside.gain = NULL;
+    settled.memory = NULL;
+    if (!assemble(&op, &gears, &guide, n)) goto done;
+    if (!assemble(&inside, &inside_gears, &inside_guide, inside_n)) goto done;
+    if ((size_t)spare.len < STATE_WORDS(op.n) * sizeof(uint64_t) && too_short("spare")) goto done;
+    if (inside.n > op.n && too_short("gears")) goto done;
+    numbers = PyMem_Calloc(2 * op.terms + 1, sizeof(double)); /* memory, and factors for a rest */
+    words = PyMem_Malloc(2 * (size_t)spare.len);
+    if (!numbers || !words) {
+        PyErr_NoMemory();
+        goto done;
+    }
+    again = words + (size_t)spare.len / sizeof(uint64_t);
+    state.memory = numbers;
+    if (!take_turns(&op, &state) || !take_turns(&inside, &settled)) goto done;
+    ready = 1;
+    settled_words(&inside, &settled, &spare, below, words);
+    reached = rested(&op, &state, words, output, numbers + op.terms);
+    if (reached <= below) drive = reached;
+    settled_words(&inside, &settled, &spare, above, words);
+    reached = rested(&op, &state, words, output, numbers + op.terms);
+    if (drive != drive && reached >= above) drive = reached;
+    while (drive != drive && above - below > narrow) {
+        const double middle = below + 0.5 * (above - below);
+        if (!(below < middle && middle < above)) break; /* neighbours in float64 */
+        settled_words(&inside, &settled, &spare, middle, words);
+        reached = rested(&op, &state, words, output, numbers + op.terms);
+        if (below <= reached && reached <= above) {
+            settled_words(&inside, &settled, &spare, reached, again);
+            if (memcmp(words, again, (size_t)spare.len) == 0) drive = reached;
+        }
+        if (reached > middle)
+            below = middle;
+        else
+            above = middle;
+    }
+done:
+    PyMem_Free(numbers);
+    PyMem_Free(words);
+    PyMem_Free(state.checkpoints);
+    PyMem_Free(settled.checkpoints);
+    PyBuffer_Release(&gears);
+    PyBuffer_Release(&guide);
+    PyBuffer_Release(&gain);
+    PyBuffer_Release(&inside_gears);
+    PyBuffer_Release(&inside_guide);
+    PyBuffer_Release(&inside_gain);
+    PyBuffer_Release(&spare);
+    if (!ready) return NULL;
+    return Py_BuildValue("(ddd)", below, above, drive);
 }
 
 static void stepper_dealloc(PyObject *object) {
@@ -208,13 +323,13 @@ static int stepper_room(stepper *self, const Py_buffer *gain, const Py_buffer *d
 
 static PyObject *stepper_new(PyTypeObject *type, PyObject *args, PyObject *keywords) {
     Py_buffer gain, decay;
-    Py_ssize_t n, run;
+    Py_ssize_t n;
     int ready = 0;
     stepper *self;
     (void)keywords;
     self = (stepper *)PyType_GenericAlloc(type, 0);
     if (!self) return NULL;
-    if (!PyArg_ParseTuple(args, "y*y*nnddpy*dpy*pdddd", &self->gears, &self->guide, &n, &run, &self->op.x0,
+    if (!PyArg_ParseTuple(args, "y*y*nddpy*dpy*pdddd", &self->gears, &self->guide, &n, &self->op.x0,
                           &self->op.y0, &self->op.extend, &gain, &self->op.reference, &self->op.memory_on_output, &decay,
                           &self->limited, &self->limits.low, &self->limits.high, &self->limits.slack,
                           &self->largest_change)) {
@@ -222,7 +337,7 @@ static PyObject *stepper_new(PyTypeObject *type, PyObject *args, PyObject *keywo
         return NULL;
     }
     self->limits.step = self->largest_change == self->largest_change ? &self->largest_change : NULL;
-    if (!assemble(&self->op, &self->gears, &self->guide, n, run)) goto done;
+    if (!assemble(&self->op, &self->gears, &self->guide, n)) goto done;
     if (NUMBERS(decay) != NUMBERS(gain) && too_short("decay")) goto done;
     if (!stepper_room(self, &gain, &decay)) goto done;
     dbo_backlash_load(&self->op, &self->now, NULL);
@@ -284,7 +399,7 @@ static dbo_backlash_state *from_now(stepper *self) {
 static double stepper_step(stepper *self, double x) {
     const dbo_limits *limits = self->limited ? &self->limits : NULL;
     dbo_backlash_state *next = from_now(self);
-    dbo_counts counts = {0, 0, 0, 0};
+    dbo_counts counts = {0, 0};
     double y;
     if (self->table)
         y = dbo_backlash_step_fixed(&self->op, &self->fixed, next, x, limits, &counts);
@@ -374,15 +489,15 @@ static PyObject *backlash_engagement(PyObject *module, PyObject *args) {
     Py_buffer gears, guide, words, x, rows, crossed;
     dbo_backlash op = {0};
     dbo_backlash_state state;
-    Py_ssize_t n, run, group_size;
+    Py_ssize_t n, group_size;
     size_t columns;
     int ready = 0;
     (void)module;
     state.checkpoints = NULL;
-    if (!PyArg_ParseTuple(args, "y*y*nndpw*y*w*w*n", &gears, &guide, &n, &run, &op.x0, &op.extend, &words, &x,
+    if (!PyArg_ParseTuple(args, "y*y*ndpw*y*w*w*n", &gears, &guide, &n, &op.x0, &op.extend, &words, &x,
                           &rows, &crossed, &group_size))
         return NULL;
-    if (!assemble(&op, &gears, &guide, n, run)) goto done;
+    if (!assemble(&op, &gears, &guide, n)) goto done;
     if (group_size < 1 && too_short("group_size")) goto done;
     columns = (op.n + (size_t)group_size - 1) / (size_t)group_size;
     if (NUMBERS(rows) != NUMBERS(x) * columns && too_short("rows")) goto done;
@@ -409,19 +524,22 @@ done:
 static PyObject *memory_run(PyObject *module, PyObject *args) {
     Py_buffer memory, x, rows, decay;
     double reference;
-    int ready = 0;
-    size_t terms, count, given;
+    int rests, ready = 0;
+    size_t terms, count, given, first = 0;
     (void)module;
-    if (!PyArg_ParseTuple(args, "dw*y*w*y*", &reference, &memory, &x, &rows, &decay)) return NULL;
+    if (!PyArg_ParseTuple(args, "dw*py*w*y*", &reference, &memory, &rests, &x, &rows, &decay)) return NULL;
     terms = NUMBERS(memory);
     count = NUMBERS(x);
     given = terms ? NUMBERS(decay) / terms : 1;
     if (NUMBERS(rows) != count * terms && too_short("rows")) goto done;
     if (given != 1 && given != count && too_short("decay")) goto done;
     ready = 1;
+    for (; rests && count && first < terms; first++)
+        ((double *)rows.buf)[first] = ((double *)memory.buf)[first] = *(double *)x.buf - reference;
+    first = rests && count;
     Py_BEGIN_ALLOW_THREADS
-    dbo_memory_run(terms, reference, memory.buf, x.buf, rows.buf, count, decay.buf,
-                   given == 1 ? 0 : terms);
+    dbo_memory_run(terms, reference, memory.buf, (double *)x.buf + first, (double *)rows.buf + first * terms,
+                   count - first, (double *)decay.buf + (given == 1 ? 0 : first * terms), given == 1 ? 0 : terms);
     Py_END_ALLOW_THREADS
 done:
     PyBuffer_Release(&memory);
@@ -578,27 +696,18 @@ done:
 }
 
 static PyObject *plays_solve(PyObject *module, PyObject *args) {
-    Py_buffer table, curve, z, y, x, share, step;
+    Py_buffer table, curve, z, y, x, share;
     dbo_plays op;
-    dbo_play_limits limits;
     Py_ssize_t n;
-    size_t clipped = 0, first = 0;
-    double last;
-    int limited, ready = 0;
+    int ready = 0;
     (void)module;
-    if (!PyArg_ParseTuple(args, "ny*y*w*y*w*y*pdddy*d", &n, &table, &curve, &z, &y, &x, &share, &limited, &limits.low,
-                          &limits.high, &limits.slack, &step, &last))
-        return NULL;
-    limits.step = NUMBERS(step) ? step.buf : NULL;
-    limits.step_stride = NUMBERS(step) > 1;
+    if (!PyArg_ParseTuple(args, "ny*y*w*y*w*y*", &n, &table, &curve, &z, &y, &x, &share)) return NULL;
     if (!assemble_plays(&op, n, &table, &curve, &z)) goto done;
     if (NUMBERS(x) != NUMBERS(y) && too_short("x")) goto done;
     if (NUMBERS(share) != (op.by_rate ? NUMBERS(y) : 0) && too_short("share")) goto done;
-    if (NUMBERS(step) > 1 && NUMBERS(step) != NUMBERS(y) && too_short("step")) goto done;
     ready = 1;
     Py_BEGIN_ALLOW_THREADS
-    clipped = dbo_plays_solve(&op, z.buf, y.buf, x.buf, NUMBERS(y), op.by_rate ? share.buf : NULL,
-                              limited ? &limits : NULL, last, &first);
+    dbo_plays_solve(&op, z.buf, y.buf, x.buf, NUMBERS(y), op.by_rate ? share.buf : NULL);
     Py_END_ALLOW_THREADS
 done:
     PyBuffer_Release(&table);
@@ -607,14 +716,14 @@ done:
     PyBuffer_Release(&y);
     PyBuffer_Release(&x);
     PyBuffer_Release(&share);
-    PyBuffer_Release(&step);
     if (!ready) return NULL;
-    return Py_BuildValue("(nn)", (Py_ssize_t)clipped, (Py_ssize_t)first);
+    return Py_BuildValue("");
 }
 
 static PyMethodDef methods[] = {
     {"backlash_run", backlash_run, METH_VARARGS, "Equations (1)-(12) over a block of samples."},
     {"backlash_decay", backlash_decay, METH_VARARGS, "The state after an oscillation that decays to a drive."},
+    {"backlash_settled_at", backlash_settled_at, METH_VARARGS, "The drive whose settled state leads to an output."},
     {"backlash_engagement", backlash_engagement, METH_VARARGS, "Part of every gear in every sample."},
     {"memory_run", memory_run, METH_VARARGS, "Relaxation terms over a block of samples."},
     {"point_run", point_run, METH_VARARGS, "Equations (13)-(16) over a block of samples."},
@@ -627,7 +736,7 @@ static PyMethodDef methods[] = {
     {"between_even", between_even, METH_VARARGS, "Evenly spaced samples, shifted by a part of a step."},
     {NULL, NULL, 0, NULL}};
 
-#define INTERFACE 3 /* of the functions' arguments; kernel.py has the same number and refuses another */
+#define INTERFACE 6 /* of the functions' arguments; kernel.py has the same number and refuses another */
 
 static int add_types(PyObject *module) {
     PyObject *type;

@@ -15,17 +15,11 @@ from typing import ClassVar
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError, ModelError
+from dbo_cli.errors import InputError
 from dbo_cli.model import kernel
-from dbo_cli.model.fields import Json
+from dbo_cli.model.fields import Keyed, number, require_above_0
 from dbo_cli.model.gears import Gears, Window, largest_step
-from dbo_cli.model.points import (
-    Curves,
-    back_through,
-    through,
-    value_back_through,
-    value_through,
-)
+from dbo_cli.model.points import Curves
 from dbo_cli.model.relaxation import checked_steps
 from dbo_cli.model.state import Run, State
 
@@ -36,7 +30,7 @@ AT_REST = 0.0, 1.0
 
 
 @dataclass(frozen=True)
-class Amplifier:
+class Amplifier(Keyed):
     """A first-order lag of the drive.
 
     Parameters
@@ -52,13 +46,11 @@ class Amplifier:
 
     seconds: float
     needs_time: ClassVar[bool] = True
+    KEYS: ClassVar = {"seconds": number}
 
     def __post_init__(self) -> None:
         """Refuse what is not a time."""
-        if not (math.isfinite(self.seconds) and self.seconds > 0.0):
-            raise ModelError(
-                f"seconds: {self.seconds!r} is not a finite time greater than 0"
-            )
+        require_above_0("seconds", self.seconds)
 
     def share(self, dt: float | Floats) -> Floats:
         """Return 1 - a for one time step (s), or for each (InputError: one is negative)."""
@@ -92,19 +84,11 @@ class Amplifier:
         if x.size == 0:
             return Run(x, state)
         decay = np.exp(-checked_steps(dt) / self.seconds)
-        memory, u = np.zeros(1), np.empty((x.size, 1))
-        first = 0
-        if state.amplifier is None:
-            memory[0] = u[0] = x[0]
-            first = 1
-        else:
-            memory[0] = state.amplifier
-        if len(decay) > 1:
-            decay = decay[first:]
-        decay = np.ascontiguousarray(decay[:, np.newaxis])
-        signal = np.ascontiguousarray(x[first:])
-        kernel.extension.memory_run(0.0, memory, signal, u[first:], decay)
-        return Run(u[:, 0].copy(), replace(state, amplifier=float(memory[0])))
+        memory, u = np.array([state.amplifier or 0.0]), np.empty(x.size)
+        kernel.extension.memory_run(
+            0.0, memory, state.amplifier is None, np.ascontiguousarray(x), u, decay
+        )
+        return Run(u, replace(state, amplifier=float(memory[0])))
 
     def undo(self, y: Floats, state: State, dt: float | Floats) -> Run:
         """Return the drive for one block of the voltage behind the amplifier, and the state after it."""
@@ -114,10 +98,6 @@ class Amplifier:
         previous = np.concatenate([[before], y[:-1]])
         drive = previous + (y - previous) / shares
         return Run(drive, replace(state, amplifier=float(y[-1])))
-
-    def keys(self) -> Json:
-        """Return what a model file holds of the stage."""
-        return {"type": "amplifier", "seconds": self.seconds}
 
     def identity(self) -> list[object]:
         """Return what a state of the stage refers to."""
@@ -134,17 +114,14 @@ class AmplifiedGears:
 
     def window(self, before: float, share: float, low: float, high: float) -> Window:
         """Return the range of the voltage at the gears for a drive from ``low`` to ``high``."""
-        ends = [
-            value_through(self.head, before + share * (end - before))
-            for end in (low, high)
-        ]
-        return min(ends), max(ends)
+        lowest, highest = (before + share * (end - before) for end in (low, high))
+        return self.head.ends(lowest, highest)
 
     def drive(
         self, voltage: float, before: float, share: float, low: float, high: float
     ) -> tuple[float, float]:
         """Return the drive for a voltage at the gears, and what comes out of the amplifier."""
-        u = value_back_through(self.head, voltage)
+        u = self.head.inverse().value(voltage)
         drive = before + (u - before) / share
         return min(max(drive, low), high), u  # rounding on the way back
 
@@ -189,7 +166,7 @@ class AmplifiedGears:
     ) -> tuple[Run, Floats]:
         """Return the drive as if there were no limits, and the voltage at the gears."""
         done = self.gears.undo(output, state, dt, extend=extend)
-        u = back_through(self.head, done.y)
+        u = self.head.inverse()(done.y)
         run = self.amplifier.undo(u, done.state, dt)
         last = float(run.y[-1])
         return Run(run.y, replace(run.state, drive=last)), done.y
@@ -216,11 +193,10 @@ class AmplifiedGears:
             after = replace(done.state, amplifier=u, drive=drive)
             return Run(np.array([drive]), after, done.clipped)
         free, voltage = self._undo_freely(output, state, dt, extend)
-        previous = np.concatenate([[before], back_through(self.head, voltage)[:-1]])
+        previous = np.concatenate([[before], self.head.inverse()(voltage)[:-1]])
         lows, highs = _range(np.concatenate([stands, free.y[:-1]]), changes, window)
         ends = [
-            through(self.head, previous + shares * (end - previous))
-            for end in (lows, highs)
+            self.head(previous + shares * (end - previous)) for end in (lows, highs)
         ]
         held = (free.y < lows) | (free.y > highs)
         held |= (voltage < np.minimum(*ends)) | (voltage > np.maximum(*ends))

@@ -26,17 +26,10 @@ from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model.amplifier import AmplifiedGears, Amplifier
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics
+from dbo_cli.model.fields import require_above_0
 from dbo_cli.model.gears import NEGLIGIBLE, Gears, Window
 from dbo_cli.model.inverter import Inverter
-from dbo_cli.model.points import (
-    Curve,
-    Curves,
-    Points,
-    Scale,
-    back_through,
-    value_back_through,
-    value_through,
-)
+from dbo_cli.model.points import Curve, Curves, Points, Scale
 from dbo_cli.model.start import Starts
 from dbo_cli.model.state import Quantity, Run, State, Steps, steps_of
 
@@ -47,10 +40,11 @@ Sign = Literal["rising", "falling"]
 StageKind = TypeVar("StageKind")
 
 MOST_CANDIDATES = 5
-_EVEN = 0.01  # of a step: what the steps of an even clock differ by at most
 _TIME_IS_NEEDED = "this model needs a clock: add `time` COLUMN or `sample_rate` HZ"
 
 
+# what undoes dynamics and delay; a stream asks for it at every block
+_inverter = functools.lru_cache(maxsize=8)(Inverter)
 # the order in which a signal passes the kinds of stages
 _RANKS = {Amplifier: 0, Points: 1, Scale: 1, Gears: 1, Dynamics: 2, Delay: 3}
 
@@ -74,17 +68,18 @@ def require_order(stages: Sequence[Stage], direction: Direction = "forward") -> 
         return f"stages[{index}]"
 
     gears = [index for index, stage in enumerate(stages) if isinstance(stage, Gears)]
-    if not gears:
-        raise ModelError("stages: one of type backlash is missing")
-    if len(gears) > 1:
-        raise ModelError(f"{key(gears[1])}: a second backlash stage")
     ranks = [_RANKS[type(stage)] for stage in stages]
+    wrong = gears[1:]
     for index, (previous, rank) in enumerate(pairwise(ranks), 1):
         if rank < previous or rank == previous != _RANKS[Gears]:
-            raise ModelError(
-                f"{key(index)}: wrong order; one amplifier, points and scales around the gears, one "
-                "dynamics, one delay (inverse: mirrored)"
-            )
+            wrong.append(index)
+    if gears and not wrong:
+        return
+    where = key(min(wrong)) if wrong else "stages"
+    raise ModelError(
+        f"{where}: wrong order; one amplifier, points and scales around one backlash, one "
+        "dynamics, one delay (inverse: mirrored)"
+    )
 
 
 def _only(kind: type[StageKind], stages: Sequence[Stage]) -> StageKind | None:
@@ -94,7 +89,7 @@ def _only(kind: type[StageKind], stages: Sequence[Stage]) -> StageKind | None:
 
 def _curves(stages: Sequence[Stage]) -> Curves:
     """Return the curves among stages."""
-    return tuple(stage for stage in stages if isinstance(stage, Points | Scale))
+    return Curves(stage for stage in stages if isinstance(stage, Points | Scale))
 
 
 @dataclass(frozen=True)
@@ -106,10 +101,7 @@ class Candidate:
 
     def __post_init__(self) -> None:
         """Refuse a weight that is not above 0, and stages that are no model."""
-        if not (math.isfinite(self.weight) and self.weight > 0.0):
-            raise ModelError(
-                f"weight: {self.weight!r} is not a finite number greater than 0"
-            )
+        require_above_0("weight", self.weight)
         require_order(self.stages)
 
 
@@ -277,7 +269,7 @@ class Cascade:
     @functools.cached_property
     def starts(self) -> Starts:
         """The starts of the gears; their voltage is that behind the curves before them."""
-        return Starts(self.gears, *self._at_gears(self.voltage.min, self.voltage.max))
+        return Starts(self.gears, *self.head.ends(self.voltage.min, self.voltage.max))
 
     def start(self, first_input: float, state: str | State = "auto") -> State:
         """Return the state before the first sample: one that is known, or by its name (``Starts.bits``).
@@ -289,7 +281,7 @@ class Cascade:
             return state
         if not self.is_forward:
             return self.forward().start_drive(first_input, state)
-        voltage = value_through(self.head, float(first_input))
+        voltage = self.head.value(float(first_input))
         return State(self.starts.bits(voltage, state))
 
     def start_drive(
@@ -314,16 +306,16 @@ class Cascade:
         self.require("forward")
         if isinstance(state, State):
             return state
-        starts, ends = self.starts, self._at_gears(low, high)
+        starts, ends = self.starts, self.head.ends(low, high)
         if state in ("empty", "full"):
             at_end = starts.inside.x_range[1 if state == "full" else 0]
-            voltage = value_back_through(self.head, min(max(at_end, ends[0]), ends[1]))
+            voltage = self.head.inverse().value(min(max(at_end, ends[0]), ends[1]))
             bits = starts.bits(at_end, state)
             return State(bits, drive=min(max(voltage, low), high))
-        output = value_back_through(self.tail, float(first))
+        output = self.tail.inverse().value(float(first))
         inner = starts.voltage_settled_at(output, *ends)
-        voltage = min(max(value_back_through(self.head, inner), low), high)
-        bits = starts.bits(value_through(self.head, voltage), state)
+        voltage = min(max(self.head.inverse().value(inner), low), high)
+        bits = starts.bits(self.head.value(voltage), state)
         return State(bits, first=voltage)
 
     # ---- simulation ----
@@ -394,10 +386,7 @@ class Cascade:
         if y.size == 0:
             return Run(y, state)
         extend = outside != "hold"
-        after = State(
-            state.bits, state.memory, state.drive, None, state.sections, state.delay,
-            state.amplifier,
-        )  # fmt: skip
+        after = replace(state, time=None, undoing=None, first=None, model="")
         last = float(y[-1])
         for stage in self.stages:
             if not isinstance(stage, Gears):
@@ -410,10 +399,12 @@ class Cascade:
             after = after.behind(after.bits, after.memory, last)
         return Run(y, after)
 
-    def _checked_steps(self, dt: Steps, count: int) -> float | Floats:
+    def _checked_steps(
+        self, dt: Steps, count: int, is_timed: bool = False
+    ) -> float | Floats:
         """Return the time steps of ``count`` samples; ModelError where they are missing, more or fewer."""
         if dt is None:
-            if self.needs_time:
+            if is_timed or self.needs_time:
                 raise ModelError(_TIME_IS_NEEDED)
             return math.inf  # nothing depends on it
         if isinstance(dt, np.ndarray) and dt.shape != (count,):
@@ -425,8 +416,8 @@ class Cascade:
         """The range of this model's input: what it was identified on, or less where its gears end."""
         low, high = self.input.min, self.input.max
         if self.is_forward:
-            ends = [value_back_through(self.head, end) for end in self.gears.x_range]
-            low, high = max(low, min(ends)), min(high, max(ends))
+            least, most = self.head.inverse().ends(*self.gears.x_range)
+            low, high = max(low, least), min(high, most)
         slack = NEGLIGIBLE * self.input.span
         return low - slack, high + slack
 
@@ -472,13 +463,9 @@ class Cascade:
         if dt is None:
             raise ModelError(_TIME_IS_NEEDED)
         if isinstance(dt, np.ndarray):
-            if dt.size > 1 and np.ptp(dt[1:]) < _EVEN * dt[1] < dt[0]:
-                raise InputError(
-                    f"row 1 comes {dt[0]:.6g} s after the state: dynamics and a delay are not undone over a "
-                    "pause; leave `state` out"
-                )
             raise InputError(
-                "the model's delay and dynamics need an even clock: add `resample` HZ"
+                "the model's delay and dynamics need an even clock: add `resample` HZ, or behind a pause "
+                "leave `state` out"
             )
         if not dt > 0.0:
             raise InputError(f"time step: {dt!r} s is not greater than 0")
@@ -523,9 +510,7 @@ class Cascade:
             Beyond the range: go on with the last slope, or hold.
         """
         y = np.ascontiguousarray(desired, dtype=np.float64).reshape(-1)
-        steps = self._checked_steps(dt, y.size)
-        if dt is None and slew is not None:
-            raise ModelError(_TIME_IS_NEEDED)
+        steps = self._checked_steps(dt, y.size, slew is not None)
         if y.size == 0:
             return Run(y, state)
         clipped = 0
@@ -536,18 +521,15 @@ class Cascade:
                 clipped = int(not window[0] < state.first < window[1])
             y = np.concatenate([reached, y[1:]])
         extend = outside != "hold"
-        output = back_through(self.tail, y)
+        output = self.tail.inverse()(y)
         if self.amplifier is None:
             result = self._undo_gears(output, state, steps, window, slew, extend)
         else:
             before = AmplifiedGears(self.amplifier, self.head, self.gears)
             result = before.undo(output, state, steps, window, slew, extend)
-        after = State(
-            result.state.bits,
-            result.state.memory,
-            float(result.y[-1]),
-            amplifier=result.state.amplifier,
-        )
+        bits, memory = result.state.bits, result.state.memory
+        last = float(result.y[-1])
+        after = State(bits, memory, last, amplifier=result.state.amplifier)
         if self.dynamics is not None or self.delay is not None:
             driven = self.run(result.y, state, dt).state
             after = replace(after, sections=driven.sections, delay=driven.delay)
@@ -568,10 +550,10 @@ class Cascade:
         if window is not None:
             inner, inner_slew = self.inner_limits(window, slew)
         if self.head and state.drive is not None:
-            at_gears = value_through(self.head, state.drive)
+            at_gears = self.head.value(state.drive)
             state = state.behind(state.bits, state.memory, at_gears)
         result = self.gears.undo(output, state, steps, inner, inner_slew, extend)
-        voltage = back_through(self.head, result.y)
+        voltage = self.head.inverse()(result.y)
         if window is not None and self.head:
             # rounding on the way back through the points
             voltage = np.clip(voltage, *window)
@@ -587,21 +569,10 @@ class Cascade:
         """
         if not self.head:
             return window, slew
-        low, high = self._at_gears(*window)
+        low, high = self.head.ends(*window)
         if slew is not None:
             for curve in self.head:
                 slew *= curve.least_slope
             slew *= 1.0 - NEGLIGIBLE  # the points round
         # a window of a last digit may be empty behind the points
         return (low, max(high, math.nextafter(low, math.inf))), slew
-
-    def _at_gears(self, low: float, high: float) -> tuple[float, float]:
-        """Return a range of the voltage behind the curves before the gears."""
-        ends = [value_through(self.head, low), value_through(self.head, high)]
-        return min(ends), max(ends)
-
-
-@functools.lru_cache(maxsize=8)
-def _inverter(dynamics: Dynamics | None, delay: Delay | None, dt: float) -> Inverter:
-    """Return what undoes dynamics and delay; a stream asks for it at every block."""
-    return Inverter(dynamics, delay, dt)

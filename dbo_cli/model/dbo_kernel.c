@@ -419,12 +419,8 @@ INLINE size_t pass_gears(walk *w, const goal *to, const int rising, const int pl
 
 /* ---- the procedure, steps 1 to 4 ------------------------------------------------------------------- */
 
-INLINE void note(size_t *counter, size_t *first, size_t index) {
-    if ((*counter)++ == 0) *first = index;
-}
-
 /* The gear that is engaged above or below the state, kept in registers; at index n, where there is
- * none (f1(0) = f0(2^n - 1) = n), `reach` is the tolerance beyond which a sample counts as outside. */
+ * none (f1(0) = f0(2^n - 1) = n), `reach` is the tolerance within which a sample stays at it. */
 typedef struct {
     double reach;
     double slope;
@@ -459,14 +455,12 @@ INLINE size_t run_within(const walk *w, engaged gear, int rising, double x0, dou
  * Returns the slope that serves the sample. One that crosses a gear by the tolerance falls short of the new
  * X_B and keeps that gear's own slope: an operator and its inverse then see the same fraction of the same
  * gear, and decide alike. */
-INLINE double cross(walk *w, double u, engaged *up, engaged *down, const int rising,
-                    int *outside) {
+INLINE double cross(walk *w, double u, engaged *up, engaged *down, const int rising) {
     const goal to = {u, 0.0, 0.0, 0};
     const size_t last = pass_gears(w, &to, rising, 1, 0, 1);
     const double d = u - w->x;
     *up = engage(w, w->zero);
     *down = engage(w, w->set);
-    *outside = rising ? d >= up->reach : -d >= down->reach;
     if (last < w->op->n && (rising ? d < 0.0 : d > 0.0))
         return w->op->gears[row_of(w->op, last, w->grouped)].slope;
     return rising ? up->slope : down->slope;
@@ -485,7 +479,7 @@ INLINE double remember(const dbo_backlash *op, double *memory, const double *a, 
 
 /* No limits, and no memory on the output: the common case, with everything in registers. */
 INLINE void run_forward(const dbo_backlash *op, dbo_backlash_state *state, const double *x, double *y,
-                        size_t count, const double *decay, size_t decay_stride, dbo_counts *counts,
+                        size_t count, const double *decay, size_t decay_stride,
                         const int remembers, const int grouped) {
     walk w = begin(op, state, grouped);
     engaged up = engage(&w, w.zero), down = engage(&w, w.set);
@@ -495,9 +489,7 @@ INLINE void run_forward(const dbo_backlash *op, dbo_backlash_state *state, const
         const int rising = d >= 0.0;
         double slope = rising ? up.slope : down.slope;
         if (rising ? d >= up.reach : -d >= down.reach) {
-            int outside;
-            slope = rising ? cross(&w, u, &up, &down, 1, &outside) : cross(&w, u, &up, &down, 0, &outside);
-            if (outside && counts) note(&counts->outside, &counts->first_outside, k);
+            slope = rising ? cross(&w, u, &up, &down, 1) : cross(&w, u, &up, &down, 0);
             quiet = 0;
         }
         if (remembers) {
@@ -524,7 +516,7 @@ static void follow_output(walk *w, double y, int rising, const dbo_fixed_step *f
 /* The relative output for the relative input `u`, `d` beyond that of the state, never crossing a gear that would
  * leave [low, high]. */
 INLINE double solve(const dbo_backlash *op, walk *w, double u, double d, double kappa, double low, double high,
-                    const dbo_fixed_step *fixed, int *outside) {
+                    const dbo_fixed_step *fixed) {
     const int rising = d >= 0.0;
     const goal to = {u, kappa, rising ? high : low, fixed};
     const size_t last = rising ? pass_gears(w, &to, 1, 0, 0, 1) : pass_gears(w, &to, 0, 0, 0, 1);
@@ -537,19 +529,13 @@ INLINE double solve(const dbo_backlash *op, walk *w, double u, double d, double 
         const size_t row = row_of(op, next < op->n ? next : op->n - 1, w->grouped);
         const dbo_gear *gear = op->gears + row;
         const double slope = fixed ? fixed->gears[row].slope : gear->dy / (gear->dx + kappa * gear->dy);
-        if (next == op->n) {
-            const double width = gear->dx + kappa * gear->dy;
-            *outside = (rising ? d : -d) >= width * (1.0 - gear->crossing_fraction);
-            if (!op->extend) return w->y;
-        }
-        return w->y + d * slope;
+        return next == op->n && !op->extend ? w->y : w->y + d * slope;
     }
 }
 
 /* The output within [low, high], the state that of the exchanged operator driven by it. */
 INLINE double solve_within(const dbo_backlash *op, walk *w, double u, double kappa, double low,
-                           double high, double slack, const dbo_fixed_step *fixed, int *outside,
-                           int *clipped) {
+                           double high, double slack, const dbo_fixed_step *fixed, int *clipped) {
     const double low_part = low - op->y0, high_part = high - op->y0;
     const double d = u - (w->x + kappa * w->y);
     double y;
@@ -558,7 +544,7 @@ INLINE double solve_within(const dbo_backlash *op, walk *w, double u, double kap
         *clipped = 1;
         return d >= 0.0 ? high : low;
     }
-    y = op->y0 + solve(op, w, u, d, kappa, low_part, high_part, fixed, outside);
+    y = op->y0 + solve(op, w, u, d, kappa, low_part, high_part, fixed);
     if (y > high) {
         *clipped = y - high > slack;
         if (d < 0.0) follow_output(w, high_part, 0, fixed);
@@ -595,7 +581,7 @@ INLINE double general_sample(const dbo_backlash *op, dbo_backlash_state *state, 
                              const dbo_fixed_step *fixed, const dbo_limits *limits, size_t k,
                              dbo_counts *counts) {
     double remembered = 0.0, u, y, drive;
-    int outside = 0, clipped = 0;
+    int clipped = 0;
     for (size_t j = 0; j < op->terms; j++) {
         state->memory[j] = a[j] * state->memory[j];
         remembered += op->gain[j] * state->memory[j];
@@ -605,12 +591,11 @@ INLINE double general_sample(const dbo_backlash *op, dbo_backlash_state *state, 
         double low = limits->low, high = limits->high;
         if (limits->step && !is_nan(state->last))
             window(limits, limits->step[k * limits->step_stride], state->last, &low, &high);
-        y = solve_within(op, w, u, kappa, low, high, limits->slack, fixed, &outside, &clipped);
+        y = solve_within(op, w, u, kappa, low, high, limits->slack, fixed, &clipped);
     } else {
-        y = op->y0 + solve(op, w, u, u - (w->x + kappa * w->y), kappa, -ENDLESS, ENDLESS, fixed, &outside);
+        y = op->y0 + solve(op, w, u, u - (w->x + kappa * w->y), kappa, -ENDLESS, ENDLESS, fixed);
     }
-    if (outside && counts) note(&counts->outside, &counts->first_outside, k);
-    if (clipped && counts) note(&counts->clipped, &counts->first_clipped, k);
+    if (clipped && counts && counts->clipped++ == 0) counts->first_clipped = k;
     drive = y - op->reference;
     for (size_t j = 0; j < op->terms; j++) state->memory[j] += (rest ? rest[j] : 1.0 - a[j]) * drive;
     state->last = y;
@@ -693,13 +678,13 @@ void dbo_backlash_run(const dbo_backlash *op, dbo_backlash_state *state, const d
     if (limits || (op->terms && op->memory_on_output))
         run_general(op, state, x, y, count, decay, decay_stride, limits, counts);
     else if (op->terms && GROUPED(op))
-        run_forward(op, state, x, y, count, decay, decay_stride, counts, 1, 1);
+        run_forward(op, state, x, y, count, decay, decay_stride, 1, 1);
     else if (op->terms)
-        run_forward(op, state, x, y, count, decay, decay_stride, counts, 1, 0);
+        run_forward(op, state, x, y, count, decay, decay_stride, 1, 0);
     else if (GROUPED(op))
-        run_forward(op, state, x, y, count, decay, decay_stride, counts, 0, 1);
+        run_forward(op, state, x, y, count, decay, decay_stride, 0, 1);
     else
-        run_forward(op, state, x, y, count, decay, decay_stride, counts, 0, 0);
+        run_forward(op, state, x, y, count, decay, decay_stride, 0, 0);
 }
 
 double dbo_backlash_step(const dbo_backlash *op, dbo_backlash_state *state, double x,

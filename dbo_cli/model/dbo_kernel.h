@@ -118,10 +118,8 @@ typedef struct {
     double parts_per_u;
 } dbo_fixed_step;
 
-/* What was unusual; add to it over as many runs as you like. Indices are relative to the run. */
+/* Samples that limits clipped; add to it over as many runs as you like. Indices are relative to the run. */
 typedef struct {
-    size_t outside;
-    size_t first_outside;
     size_t clipped;
     size_t first_clipped;
 } dbo_counts;

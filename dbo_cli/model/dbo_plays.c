@@ -1,8 +1,6 @@
 /* See dbo_plays.h. */
 #include "dbo_plays.h"
 
-#include <math.h>
-
 #define LANES DBO_PLAY_LANES
 #define MOST_STEPS 64 /* of the safeguarded Newton iteration: halving alone would need no more */
 
@@ -126,28 +124,9 @@ static double solved(const dbo_plays *op, const double *z, double y, double shar
     return op->curved ? on_curve(op, at, slope, y - reached) : at + (y - reached) / slope;
 }
 
-size_t dbo_plays_solve(const dbo_plays *op, double *z, const double *y, double *x, size_t count,
-                       const double *share, const dbo_play_limits *limits, double last, size_t *first_clipped) {
-    size_t clipped = 0;
+void dbo_plays_solve(const dbo_plays *op, double *z, const double *y, double *x, size_t count, const double *share) {
     for (size_t k = 0; k < count; k++) {
-        const double wanted = solved(op, z, y[k], share ? share[k] : 0.0);
-        double v = wanted;
-        if (limits) {
-            if (limits->step && !isnan(last)) {
-                const double step = limits->step[k * limits->step_stride];
-                v = v > last + step ? last + step : v;
-                v = v < last - step ? last - step : v;
-            }
-            v = v > limits->high ? limits->high : v;
-            v = v < limits->low ? limits->low : v;
-            const double moved = v > wanted ? v - wanted : wanted - v;
-            if (moved > limits->slack) {
-                if (!clipped) *first_clipped = k;
-                clipped++;
-            }
-        }
-        follow(op, z, v);
-        x[k] = last = v;
+        x[k] = solved(op, z, y[k], share ? share[k] : 0.0);
+        follow(op, z, x[k]);
     }
-    return clipped;
 }

@@ -21,13 +21,6 @@ typedef struct {
     double cubic, linear;
 } dbo_plays;
 
-/* What the output of the inverse, the drive, may do; step_stride 0: the same largest change for all samples. */
-typedef struct {
-    double low, high, slack;
-    const double *step;
-    size_t step_stride;
-} dbo_play_limits;
-
 /* y from x; z (padded) is the state. `share` is s of every sample, or 0 where by_rate is. */
 void dbo_plays_run(const dbo_plays *op, double *z, const double *x, double *y, size_t count, const double *share);
 
@@ -35,9 +28,7 @@ void dbo_plays_run(const dbo_plays *op, double *z, const double *x, double *y, s
 void dbo_plays_rows(const dbo_plays *op, double *z, const double *x, double *rows, size_t count);
 
 /* x from y: from where the drive stands it goes towards y, play after play engages, and where y is reached it
- * stops. That needs the slope with all plays engaged to be above 0, not the slope of the first ones. Returns how
- * many samples the limits (may be 0) clipped, and the first of them. `last` is the drive before, or NaN. */
-size_t dbo_plays_solve(const dbo_plays *op, double *z, const double *y, double *x, size_t count,
-                       const double *share, const dbo_play_limits *limits, double last, size_t *first_clipped);
+ * stops. That needs the slope with all plays engaged to be above 0, not the slope of the first ones. */
+void dbo_plays_solve(const dbo_plays *op, double *z, const double *y, double *x, size_t count, const double *share);
 
 #endif

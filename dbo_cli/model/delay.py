@@ -20,7 +20,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import kernel
-from dbo_cli.model.fields import Json
+from dbo_cli.model.fields import Keyed, number
 from dbo_cli.model.state import Held, Run, SectionStates, State
 
 WINDOW = 6
@@ -55,7 +55,7 @@ def between_even(values: Floats, position: int, fraction: float) -> Floats:
 
 
 @dataclass(frozen=True)
-class Delay:
+class Delay(Keyed):
     """A pure delay of the output, in seconds.
 
     A value between two samples is made of those alone that have come: a delay of less
@@ -69,6 +69,7 @@ class Delay:
 
     seconds: float
     needs_time: ClassVar[bool] = True
+    KEYS: ClassVar = {"seconds": number}
 
     def __post_init__(self) -> None:
         """Refuse what is not a time."""
@@ -217,10 +218,6 @@ class Delay:
         """Return one period of a signal that repeats, earlier by the delay."""
         signal = np.resize(y, y.size + self.ahead(dt))
         return self._earlier(signal, dt, tuple(y[-BEFORE:].tolist()))
-
-    def keys(self) -> Json:
-        """Return what a model file holds of the stage."""
-        return {"type": "delay", "seconds": self.seconds}
 
     def identity(self) -> list[object]:
         """Return what a state of the stage refers to."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import ClassVar
 
 import numpy as np
@@ -13,15 +13,15 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
-from dbo_cli.model.fields import Json
+from dbo_cli.model.fields import Keyed, listed
 from dbo_cli.model.relaxation import checked_steps
-from dbo_cli.model.sections import Resonance, Section
+from dbo_cli.model.sections import Resonance, Section, read_section
 from dbo_cli.model.state import Run, SectionStates, State
 from dbo_cli.model.undoing import SectionInverse, section_inverse
 
 
 @dataclass(frozen=True)
-class Dynamics:
+class Dynamics(Keyed):
     """Sections of unit gain one after the other.
 
     Parameters
@@ -37,6 +37,7 @@ class Dynamics:
 
     sections: tuple[Section, ...]
     needs_time: ClassVar[bool] = True
+    KEYS: ClassVar = {"sections": partial(listed, read=read_section)}
 
     def __post_init__(self) -> None:
         """Refuse a stage without sections."""
@@ -154,11 +155,6 @@ class Dynamics:
             return after.y, after.state.undoing[1]
 
         return repeated(undo, np.pad(y, (0, ahead), mode="wrap"), len(self.sections))
-
-    def keys(self) -> Json:
-        """Return what a model file holds of the stage."""
-        sections = [section.keys() for section in self.sections]
-        return {"type": "dynamics", "sections": sections}
 
     def identity(self) -> list[object]:
         """Return what a state of the stage refers to."""

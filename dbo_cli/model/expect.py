@@ -17,7 +17,6 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.model.cascade import Cascade
-from dbo_cli.model.points import value_through
 
 MOST_ROWS = 131_072  # of a move that are played
 STARTS = ("empty", "full", "settled")
@@ -100,7 +99,7 @@ def _spread_of_memory(
     assert relaxation is not None
     state, simulated = model.start(float(drive[0])), []
     for voltage in (model.input.min, model.input.max):
-        remaining = value_through(model.head, voltage) - relaxation.reference
+        remaining = model.head.value(voltage) - relaxation.reference
         rested = replace(state, memory=(remaining,) * len(relaxation.tau))
         simulated.append(model.simulate(drive, dt=dt, state=rested)[0][begin:])
     index = (float(drive[0]) - model.input.min) / model.input.span

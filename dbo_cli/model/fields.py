@@ -10,10 +10,13 @@ stands for, or raises ModelError with the path.
 from __future__ import annotations
 
 import json
+import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
+
+import numpy as np
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.files import note_input
@@ -65,23 +68,16 @@ def load(path: str, noun: str) -> tuple[str, Any]:
         reason = problem.strerror or problem
         raise InputError(f"{name}: cannot be read: {reason}") from None
     except json.JSONDecodeError as problem:
-        if problem.pos == 0:
-            remedy = " (identify makes a model from a log)" if noun == "model" else ""
-            raise ModelError(
-                f"{name}: not a {noun} file: it is not JSON{remedy}"
-            ) from None
         raise ModelError(
-            f"{name}: line {problem.lineno}: not valid JSON, or the file ends too early"
+            f"{name}: line {problem.lineno}: not the JSON of a {noun}, or the file ends too early"
         ) from None
     except (ValueError, RecursionError):
-        raise ModelError(f"{name}: not readable as JSON") from None
+        raise ModelError(f"{name}: not the JSON of a {noun}") from None
 
 
 def contents(values: Any, path: str, form: str, noun: str) -> Json:
     """Return what stands behind format and version, which must be of ``form``."""
-    if not isinstance(values, dict):
-        raise ModelError(f"{path or 'the file'}: is not an object")
-    fields = dict(values)
+    fields = dict(notes(values, path or "the file"))
     if fields.pop("format", None) != form:
         raise ModelError(f'{_join(path, "format")}: must be "{form}" in {noun}')
     version = fields.pop("version", None)
@@ -116,9 +112,8 @@ def build(
     **readers
         How each key is read.
     """
-    if not isinstance(values, dict):
-        raise ModelError(f"{path}: is not an object")
     parts = {}
+    values = notes(values, path)
     for key, read in readers.items():
         if key in values:
             parts[key] = read(values[key], _join(path, key))
@@ -146,13 +141,20 @@ def shown(value: object) -> str:
 
 def number(value: Any, path: str) -> float:
     """Return a finite number."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ModelError(f"{path}: {shown(value)} is not a number")
-    if not -LARGEST <= value <= LARGEST:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not -LARGEST <= value <= LARGEST:
         raise ModelError(
             f"{path}: {shown(value)} is not a finite number up to {LARGEST:g}"
         )
     return float(value)
+
+
+def require_above_0(key: str, value: float, largest: float = math.inf) -> None:
+    """Refuse a number that is not between 0 and ``largest`` (ModelError that begins with the key)."""
+    if math.isfinite(value) and 0.0 < value < largest:
+        return
+    bound = "greater than 0" if largest == math.inf else f"between 0 and {largest:g}"
+    raise ModelError(f"{key}: {value!r} is not a finite number {bound}")
 
 
 def magnitude(value: Any, path: str) -> float:
@@ -225,6 +227,47 @@ def widths(items: Any, path: str) -> list[float]:
 
     listed(items, path, read)
     return values
+
+
+# ---- what is read and written alike ----
+
+
+class Keyed:
+    """What stands in a file as an object, whose keys are its attributes.
+
+    Attributes
+    ----------
+    KEYS : mapping
+        How each key is read, in the order in which they are written.
+    OPTIONAL : tuple of str
+        Keys that may be missing: they are, where nothing stands for them.
+    """
+
+    KEYS: ClassVar[Mapping[str, Reader]] = {}
+    OPTIONAL: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def read(cls, values: Any, path: str) -> Any:
+        """Return what an object describes."""
+        return build(cls, values, path, cls.OPTIONAL, **cls.KEYS)
+
+    def keys(self) -> Json:
+        """Return the keys and plain values."""
+        values = {}
+        for key in self.KEYS:
+            value = getattr(self, key)
+            if key not in self.OPTIONAL or value:
+                values[key] = _plain(value)
+        return values
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON has it."""
+    if isinstance(value, Keyed):
+        return value.keys()
+    if isinstance(value, tuple | np.ndarray):
+        return [_plain(item) for item in value]
+    return value if value is None or isinstance(value, str) else float(value)
 
 
 # ---- writing ----

@@ -8,7 +8,6 @@ an actuator was left, so that the next run goes on from there.
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from itertools import chain, groupby, pairwise
@@ -25,13 +24,20 @@ from dbo_cli.model.fields import VERSION, Json, build, number, number_list
 from dbo_cli.model.gears import Gears
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.relaxation import Relaxation
-from dbo_cli.model.sections import Lag, Mode, Resonance
 from dbo_cli.model.state import START_NAMES, Held, Quantity, State
 
 MODEL_FORMAT = "dbo-model"
 SET_FORMAT = "dbo-model-set"
 STATE_FORMAT = "dbo-state"
-STAGE_TYPES = ("amplifier", "backlash", "point", "scale", "dynamics", "delay")
+KINDS: dict[str, type[Stage]] = {
+    "amplifier": Amplifier,
+    "backlash": Gears,
+    "point": Points,
+    "scale": Scale,
+    "dynamics": Dynamics,
+    "delay": Delay,
+}
+TYPES = {stage: name for name, stage in KINDS.items()}
 # equal widths in a row are written once from this many on: two are shorter as they are
 SHORTEST_RUN = 3
 
@@ -75,7 +81,11 @@ def read_models(path: str, only: list[str] | None = None) -> dict[str, Cascade]:
         for channel in channels if only is None else only:
             if channel not in channels:
                 names = ", ".join(channels)
-                raise InputError(f"{name}: no model {channel}; models: {names}")
+                alike = [key for key in channels if key.lower() == channel.lower()]
+                near = [*alike, *channels][0]
+                raise InputError(
+                    f"{name}: no model {channel}; models: {names}: type {name}::{near}"
+                )
             models[channel] = _model(channels[channel], f'models["{channel}"]')
     except ModelError as problem:
         raise ModelError(f"{name}: {problem}") from None
@@ -123,8 +133,8 @@ def _model(values: Any, path: str) -> Cascade:
         path,
         ("fit", "candidates", "provenance"),
         direction=partial(fields.choice, words=("forward", "inverse")),
-        input=_quantity,
-        output=_quantity,
+        input=Quantity.read,
+        output=Quantity.read,
         stages=partial(_stages, direction=direction),
         fit=_fit,
         candidates=partial(fields.listed, read=_candidate),
@@ -142,13 +152,6 @@ def _fit(values: Any, path: str) -> Json:
     return fields.notes(values, path)
 
 
-def _quantity(values: Any, path: str) -> Any:
-    unit = fields.unless_null(fields.text)
-    return build(
-        Quantity, values, path, quantity=fields.text, unit=unit, min=number, max=number
-    )
-
-
 def _candidate(values: Any, path: str) -> Any:
     return build(Candidate, values, path, weight=number, stages=_stages)
 
@@ -164,43 +167,25 @@ def _stages(
 def _stage(values: Any, path: str, direction: Direction) -> Any:
     """Return the stage that an object describes; in an inverse model it describes what undoes the stage."""
     content = dict(fields.notes(values, path))
-    kind = fields.choice(content.pop("type", None), f"{path}.type", STAGE_TYPES)
-    is_inverse = direction == "inverse"
-    if kind == "scale":
-        scale = build(Scale, content, path, gain=number, offset=number)
-        return scale.inverse() if is_inverse else scale
-    if kind == "delay":
-        delay = _negative_delay if is_inverse else Delay
-        return build(delay, content, path, seconds=number)
-    if kind == "amplifier":
-        return build(Amplifier, content, path, seconds=number)
-    if kind == "dynamics":
-        sections = partial(fields.listed, read=_section)
-        return build(Dynamics, content, path, sections=sections)
-    table = {"dx": fields.widths, "dy": fields.widths, "x0": number, "y0": number}
-    make: Callable[..., Stage] = Points if kind == "point" else Gears
-    if is_inverse:
-        make = partial(_exchanged, make)
-    if kind == "point":
-        return build(make, content, path, **table)
-    terms = partial(_relaxation, on="output" if is_inverse else "input")
-    return build(make, content, path, ("relaxation",), relaxation=terms, **table)
+    kind = fields.choice(content.pop("type", None), f"{path}.type", tuple(KINDS))
+    stage, is_inverse = KINDS[kind], direction == "inverse"
+    if "relaxation" in content:
+        terms = dict(fields.notes(content["relaxation"], f"{path}.relaxation"))
+        if terms.pop("on", None) != ("output" if is_inverse else "input"):
+            raise ModelError(f"{path}.relaxation.on: is not the side of the voltage")
+        content["relaxation"] = terms
+    if is_inverse and stage in _UNDOING:
+        make = _UNDOING[stage]
+        return build(make, content, path, stage.OPTIONAL, **stage.KEYS)
+    return stage.read(content, path)
 
 
-def _exchanged(
-    make: Callable[..., Stage], dx: Any, dy: Any, x0: float, y0: float, **terms: Any
-) -> Stage:
-    """Return the stage that exchanged axes describe (17)-(18); what is wrong has the keys of the file."""
-    try:
-        return make(dy, dx, y0, x0, **terms)
-    except ModelError as problem:
-        exchange = {"x": "y", "y": "x"}
-        text = re.sub(
-            r"\b(d?)([xy])(0?)\b",
-            lambda key: key[1] + exchange[key[2]] + key[3],
-            str(problem),
-        )
-        raise ModelError(text) from None
+def _inverse_gears(
+    dx: Any, dy: Any, x0: float, y0: float, relaxation: Relaxation | None = None
+) -> Gears:
+    """Return the gears that exchanged axes describe (17)-(18)."""
+    Gears(dx, dy, x0, y0)  # refuses what is wrong by the keys of the file
+    return Gears(dy, dx, y0, x0, relaxation)
 
 
 def _negative_delay(seconds: float) -> Delay:
@@ -210,36 +195,13 @@ def _negative_delay(seconds: float) -> Delay:
     return Delay(-seconds)
 
 
-def _relaxation(values: Any, path: str, on: str) -> Any:
-    content = dict(fields.notes(values, path))
-    if content.pop("on", None) != on:
-        raise ModelError(f"{path}.on: must be {on!r} in this direction")
-    return build(
-        Relaxation, content, path, reference=number, tau=number_list, gain=number_list
-    )
-
-
-def _section(values: Any, path: str) -> Any:
-    if "lag" in fields.notes(values, path):
-        return build(_lag, values, path, ("lead",), lag=number, lead=number)
-    return build(
-        Resonance,
-        values,
-        path,
-        ("antiresonance",),
-        frequency=number,
-        damping=number,
-        antiresonance=_mode,
-    )
-
-
-def _lag(lag: float, lead: float = 0.0) -> Lag:
-    """Return a lag by the keys that a file has."""
-    return Lag(lag, lead)
-
-
-def _mode(values: Any, path: str) -> Any:
-    return build(Mode, values, path, frequency=number, damping=number)
+_UNDOING: dict[type[Stage], Callable[..., Stage]] = {
+    Gears: _inverse_gears,
+    Points: lambda **table: Points(**table).inverse(),
+    Scale: lambda gain, offset: Scale(gain, offset).inverse(),
+    Delay: _negative_delay,
+}
+"""What makes a stage of the keys of what undoes it, where these are other ones."""
 
 
 def dumps_model(model: Cascade) -> str:
@@ -259,8 +221,8 @@ def model_values(model: Cascade) -> Json:
         "format": MODEL_FORMAT,
         "version": VERSION,
         "direction": model.direction,
-        "input": _quantity_values(model.input),
-        "output": _quantity_values(model.output),
+        "input": model.input.keys(),
+        "output": model.output.keys(),
         "stages": _stage_values(model.stages, model.direction),
     }
     if model.fit:
@@ -276,16 +238,16 @@ def model_values(model: Cascade) -> Json:
     return values
 
 
-def _quantity_values(quantity: Quantity) -> Json:
-    ends = {"min": float(quantity.min), "max": float(quantity.max)}
-    return {"quantity": quantity.quantity, "unit": quantity.unit, **ends}
-
-
 def _stage_values(
     stages: tuple[Stage, ...], direction: Direction = "forward"
 ) -> list[Json]:
     """Return stages as plain values, their types first; those of an inverse model mirrored."""
-    values = [stage.keys() for stage in stages]
+    values = []
+    for stage in stages:
+        keys = {"type": TYPES[type(stage)], **stage.keys()}
+        if "relaxation" in keys:
+            keys["relaxation"] = {"on": "input", **keys["relaxation"]}
+        values.append(keys)
     if direction == "inverse":
         values = [_mirrored(keys) for keys in reversed(values)]
     for keys in values:
@@ -296,7 +258,7 @@ def _stage_values(
 def _mirrored(keys: Json) -> Json:
     """Return the keys of what undoes a stage: exchanged axes (17)-(18), or the opposite number."""
     if keys["type"] == "scale":
-        return Scale(keys["gain"], keys["offset"]).inverse().keys()
+        return {**keys, **Scale(keys["gain"], keys["offset"]).inverse().keys()}
     if keys["type"] == "delay":
         return {**keys, "seconds": -keys["seconds"]}
     exchange = {"x0": "y0", "y0": "x0", "dx": "dy", "dy": "dx"}

@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,10 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
-from dbo_cli.model.fields import Json
+from dbo_cli.model.fields import Keyed
 from dbo_cli.model.relaxation import Relaxation
 from dbo_cli.model.state import Run, State
 from dbo_cli.model.widths import (
+    TABLE,
     checked_pair,
     equal_run,
     gear_table,
@@ -54,7 +55,7 @@ def largest_step(slew: float | None, dt: float | Floats | None) -> Any:
     return slew * dt * INWARDS
 
 
-class Gears:
+class Gears(Keyed):
     """The Discrete Backlash Operator of n gears, (1)-(12), with relaxation beside the gears.
 
     Parameters
@@ -82,6 +83,9 @@ class Gears:
     Outside [X_0, X_0 + sum dX_i] the paper says nothing. ``extend`` goes on with the
     slope of gear n - 1, the last one engaged on the way there; without it Y_B is kept.
     """
+
+    KEYS: ClassVar = {**TABLE, "relaxation": Relaxation.read}
+    OPTIONAL: ClassVar = ("relaxation",)
 
     def __init__(
         self,
@@ -159,16 +163,17 @@ class Gears:
     def _exchanged_rows(self) -> tuple[Floats, Places]:
         return kernel_table(self.exchanged)
 
-    def _operator(self, extend: bool, is_inverse: bool = False) -> tuple[Any, ...]:
+    def operator(self, extend: bool, is_inverse: bool = False) -> tuple[Any, ...]:
         """Return the kernel's first arguments, the same for all blocks; memory follows the voltage."""
         rows, origins = self.kernel_rows, (self.x0, self.y0)
         if is_inverse:
             rows, origins = self._exchanged_rows, (self.y0, self.x0)
-        ends = *origins, extend, self.gain, self._reference
-        return *rows, self.n, 1, *ends, is_inverse
+        ends = *origins, extend, self.gain, self.reference
+        return *rows, self.n, *ends, is_inverse
 
     @property
-    def _reference(self) -> float:
+    def reference(self) -> float:
+        """The voltage at which nothing is remembered."""
         return 0.0 if self.relaxation is None else self.relaxation.reference
 
     def words(self, bits: int) -> Words:
@@ -195,7 +200,7 @@ class Gears:
         if voltage >= self.x0 + self.width:
             return (1 << self.n) - 1
         words = self.words(0)
-        kernel.extension.backlash_decay(*self._operator(True), words, float(voltage))
+        kernel.extension.backlash_decay(*self.operator(True), words, float(voltage))
         return bits_of(words)
 
     def run(
@@ -225,7 +230,7 @@ class Gears:
             The state is not of these gears.
         """
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        return self._block(self._operator(extend), x, state, dt, None, None)
+        return self._block(self.operator(extend), x, state, dt, None, None)
 
     def undo(
         self,
@@ -254,7 +259,7 @@ class Gears:
             The state is not of these gears.
         """
         y = np.ascontiguousarray(y, dtype=np.float64).reshape(-1)
-        operator = self._operator(extend, is_inverse=True)
+        operator = self.operator(extend, is_inverse=True)
         return self._block(operator, y, state, dt, window, slew)
 
     def _block(
@@ -269,40 +274,14 @@ class Gears:
         """Run the kernel over a block; where no memory is known, the first sample is at rest."""
         if x.size == 0:
             return Run(x, state)
-        steps = _NO_NUMBERS
+        steps = decay = _NO_NUMBERS
         if window is not None and slew is not None:
             steps = np.array(largest_step(slew, dt), dtype=np.float64).reshape(-1)
-        if self.relaxation is None:
-            return self._kernel(operator, x, state, _NO_NUMBERS, window, steps)
-        if state.memory is not None:
+        if self.relaxation is not None:
             decay = self.relaxation.decay(dt)
-            return self._kernel(operator, x, state, decay, window, steps)
-        # at rest at the first sample: without decay nothing of the past is left
-        at_rest = state.behind(state.bits, (0.0,) * self.gain.size, state.drive)
-        none = np.zeros((1, self.gain.size))
-        first = self._kernel(operator, x[:1], at_rest, none, window, steps[:1])
-        if x.size == 1:
-            return first
-        decay = self.relaxation.decay(dt)
-        decay = decay if len(decay) == 1 else np.ascontiguousarray(decay[1:])
-        steps = steps if steps.size == 1 else steps[1:]
-        after = self._kernel(operator, x[1:], first.state, decay, window, steps)
-        y = np.concatenate([first.y, after.y])
-        clipped = first.clipped + after.clipped
-        index = 0 if first.clipped or not clipped else after.first_clipped + 1
-        return Run(y, after.state, clipped, index)
-
-    def _kernel(
-        self,
-        operator: tuple[Any, ...],
-        x: Floats,
-        state: State,
-        decay: Floats,
-        window: Window | None,
-        steps: Floats,
-    ) -> Run:
-        """Run the kernel over a block whose memory is known."""
-        memories = np.array(state.memory or (), dtype=np.float64)
+        memories = np.zeros(self.gain.size)
+        if state.memory is not None:
+            memories = np.array(state.memory, dtype=np.float64)
         if memories.size != self.gain.size:
             raise ModelError(
                 f"state: has {memories.size} relaxation terms, the model {self.gain.size}"
@@ -311,14 +290,14 @@ class Gears:
         words = self.words(state.bits)
         before = math.nan if state.drive is None else state.drive
         low, high = window or OPEN
-        counts = kernel.extension.backlash_run(
-            *operator, words, memories, before, x, y, decay,
+        clipped: tuple[int, int] = kernel.extension.backlash_run(
+            *operator, words, memories, state.memory is None, before, x, y, decay,
             window is not None, low, high, self.slack(low, high), steps,
         )  # fmt: skip
         memory = None if self.relaxation is None else tuple(memories.tolist())
         is_inverse = operator[-1]
         voltage = float(y[-1]) if is_inverse else float(x[-1])
-        return Run(y, state.behind(bits_of(words), memory, voltage), *counts[2:])
+        return Run(y, state.behind(bits_of(words), memory, voltage), *clipped)
 
     def slack(self, low: float, high: float) -> float:
         """Return by how much clipping to a range has to move a voltage to count."""
@@ -341,7 +320,7 @@ class Gears:
             decay = self.relaxation.decay(dt)
         step = largest_step(slew, dt)
         stepper = kernel.extension.Stepper(
-            *self._operator(True, is_inverse=True), decay, True, *window, self.slack(*window),
+            *self.operator(True, is_inverse=True), decay, True, *window, self.slack(*window),
             math.nan if step is None else step,
         )  # fmt: skip
         memories = np.array(state.memory or (), dtype=np.float64)
@@ -355,14 +334,6 @@ class Gears:
         stepper.get(words, memory)
         after = None if self.relaxation is None else tuple(memory.tolist())
         return State(bits_of(words), after)
-
-    def keys(self) -> Json:
-        """Return what a model file holds of the stage."""
-        keys: Json = {"type": "backlash", "x0": self.x0, "y0": self.y0}
-        keys |= {"dx": self.dx.tolist(), "dy": self.dy.tolist()}
-        if self.relaxation is not None:
-            keys["relaxation"] = {"on": "input", **self.relaxation.keys()}
-        return keys
 
     def identity(self) -> list[object]:
         """Return what a state of the stage refers to."""
@@ -387,7 +358,7 @@ class Gears:
         crossed = np.empty(-(-self.n // group_size))
         rows = np.empty((x.size, crossed.size))
         kernel.extension.backlash_engagement(
-            *self.kernel_rows, self.n, 1, self.x0, True, words, x, rows, crossed, group_size
+            *self.kernel_rows, self.n, self.x0, True, words, x, rows, crossed, group_size
         )  # fmt: skip
         return rows, bits_of(words)
 

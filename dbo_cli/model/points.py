@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -14,12 +13,12 @@ from numpy.typing import ArrayLike
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
-from dbo_cli.model.fields import Json
+from dbo_cli.model.fields import Keyed, number
 from dbo_cli.model.state import Run, State
-from dbo_cli.model.widths import checked_pair, on_binary_grid
+from dbo_cli.model.widths import TABLE, checked_pair, on_binary_grid
 
 
-class _Curve:
+class _Curve(Keyed):
     """A function of the present sample alone: what its kinds have in common as stages."""
 
     needs_time: ClassVar[bool] = False
@@ -57,6 +56,8 @@ class Points(_Curve):
     ModelError
         Lengths differ or a width is not > 0; the message begins with the key.
     """
+
+    KEYS: ClassVar = TABLE
 
     def __init__(
         self, dx: ArrayLike, dy: ArrayLike, x0: float = 0.0, y0: float = 0.0
@@ -100,11 +101,6 @@ class Points(_Curve):
         kernel.extension.point_run(self.segments, self.x0, self.y0, y, y)
         return float(y[0])
 
-    def keys(self) -> Json:
-        """Return what a model file holds of the stage."""
-        widths = {"dx": self.dx.tolist(), "dy": self.dy.tolist()}
-        return {"type": "point", "x0": self.x0, "y0": self.y0, **widths}
-
     def identity(self) -> list[object]:
         """Return what a state of the stage refers to."""
         return [[self.dx.tolist(), self.dy.tolist(), self.x0, self.y0]]
@@ -122,13 +118,12 @@ class Scale(_Curve):
 
     gain: float
     offset: float
+    KEYS: ClassVar = {"gain": number, "offset": number}
 
     def __post_init__(self) -> None:
         """Refuse what cannot be inverted."""
-        if not math.isfinite(self.gain) or self.gain == 0.0:
+        if self.gain == 0.0 or not 0.0 < abs(1.0 / self.gain) < math.inf:
             raise ModelError(f"gain: {self.gain!r} is not a finite number other than 0")
-        if not math.isfinite(1.0 / self.gain):
-            raise ModelError(f"gain: {self.gain!r} is too small to be inverted")
         if not math.isfinite(self.offset) or not math.isfinite(self.offset / self.gain):
             raise ModelError(f"offset: {self.offset!r} is not a finite number")
 
@@ -155,42 +150,34 @@ class Scale(_Curve):
         """The gain without its sign."""
         return abs(self.gain)
 
-    def keys(self) -> Json:
-        """Return what a model file holds of the stage."""
-        return {"type": "scale", "gain": self.gain, "offset": self.offset}
-
     def identity(self) -> list[object]:
         """Return what a state of the stage refers to; inverted twice, the last digits may differ."""
         return [[f"{self.gain:.9e}", f"{self.offset + 0.0:.9e}"]]
 
 
 Curve = Points | Scale
-Curves = tuple[Curve, ...]
 
 
-def through(curves: Sequence[Curve], x: Floats) -> Floats:
-    """Pass a block through curves."""
-    for curve in curves:
-        x = curve(x)
-    return x
+class Curves(tuple[Curve, ...]):
+    """Curves that a signal passes one after the other; none leave it as it is."""
 
+    def __call__(self, x: Floats) -> Floats:
+        """Return the output for one block."""
+        for curve in self:
+            x = curve(x)
+        return x
 
-def back_through(curves: Sequence[Curve], y: Floats) -> Floats:
-    """Return the block that curves make ``y`` of."""
-    for curve in reversed(curves):
-        y = curve.inverse()(y)
-    return y
+    def value(self, x: float) -> float:
+        """Return the output for one number."""
+        for curve in self:
+            x = curve.value(x)
+        return x
 
+    def ends(self, low: float, high: float) -> tuple[float, float]:
+        """Return the range of the output for an input from ``low`` to ``high``."""
+        ends = self.value(low), self.value(high)
+        return min(ends), max(ends)
 
-def value_through(curves: Sequence[Curve], x: float) -> float:
-    """Pass one number through curves."""
-    for curve in curves:
-        x = curve.value(x)
-    return x
-
-
-def value_back_through(curves: Sequence[Curve], y: float) -> float:
-    """Return the number that curves make ``y`` of."""
-    for curve in reversed(curves):
-        y = curve.inverse().value(y)
-    return y
+    def inverse(self) -> Curves:
+        """Return the curves that undo these."""
+        return Curves(curve.inverse() for curve in reversed(self))

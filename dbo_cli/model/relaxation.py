@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import kernel
-from dbo_cli.model.fields import Json
+from dbo_cli.model.fields import Keyed, number, number_list, require_above_0
 
 LEAST_SLOPE_LEFT = 0.03
 """Of the mean slope: what the negative gains must leave of every slope. At 0.1 % a wish with 1e-4 um of noise
@@ -34,7 +35,7 @@ def checked_steps(dt: float | ArrayLike) -> Floats:
 
 
 @dataclass(frozen=True)
-class Relaxation:
+class Relaxation(Keyed):
     """Lag and creep beside the gears: sum_j gain_j L_j, each L_j a first-order lag of the voltage.
 
     L_j,k = a_j L_j,k-1 + (1 - a_j)(v_k - reference), a_j = exp(-dt_k/tau_j). Beyond the
@@ -54,6 +55,7 @@ class Relaxation:
     reference: float
     tau: tuple[float, ...]
     gain: tuple[float, ...]
+    KEYS: ClassVar = {"reference": number, "tau": number_list, "gain": number_list}
 
     def __post_init__(self) -> None:
         """Refuse what no actuator has, naming the key."""
@@ -64,15 +66,7 @@ class Relaxation:
                 f"gain: has {len(self.gain)} entries where tau has {len(self.tau)}"
             )
         for index, tau in enumerate(self.tau):
-            if not (math.isfinite(tau) and tau > 0.0):
-                raise ModelError(
-                    f"tau[{index}]: {tau!r} is not a finite time greater than 0"
-                )
-
-    def keys(self) -> Json:
-        """Return what a model file holds of the terms."""
-        tau, gain = list(self.tau), list(self.gain)
-        return {"reference": self.reference, "tau": tau, "gain": gain}
+            require_above_0(f"tau[{index}]", tau)
 
     @property
     def negative(self) -> float:
@@ -128,20 +122,10 @@ class Relaxation:
         Without ``memory`` the actuator rests at the first sample.
         """
         drive = np.ascontiguousarray(voltage, dtype=np.float64)
-        memories = np.zeros(len(self.tau))
+        memories = np.array(memory or np.zeros(len(self.tau)), dtype=np.float64)
         rows = np.empty((drive.size, len(self.tau)))
-        start = 0
-        if memory is not None:
-            memories[:] = memory
-        elif drive.size:
-            memories[:] = drive[0] - self.reference
-            rows[0] = memories
-            start = 1
-        decay = self.decay(dt)
-        if len(decay) > 1:
-            decay = np.ascontiguousarray(decay[start:])
         kernel.extension.memory_run(
-            self.reference, memories, drive[start:], rows[start:], decay
+            self.reference, memories, memory is None, drive, rows, self.decay(dt)
         )
         return rows, tuple(memories.tolist())
 

@@ -18,14 +18,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
-from dbo_cli.model.fields import Json
+from dbo_cli.model.fields import Keyed, build, notes, number, require_above_0
 
 Complexes = NDArray[np.complexfloating]
 
@@ -37,18 +37,8 @@ _SERIES = 1.0
 _TERMS = 24  # of the series; the last is below 1e-20 of the first at one radian
 
 
-def _positive(key: str, value: float, largest: float = math.inf) -> None:
-    """Refuse a number that is not between 0 and ``most``, naming the key."""
-    if math.isfinite(value) and 0.0 < value < largest:
-        return
-    bound = "greater than 0"
-    if largest < math.inf:
-        bound = f"between 0 and {largest:g}"
-    raise ModelError(f"{key}: {value!r} is not a finite number {bound}")
-
-
 @dataclass(frozen=True)
-class Mode:
+class Mode(Keyed):
     """The polynomial 1 + 2 zeta s/omega + s^2/omega^2.
 
     Attributes
@@ -61,11 +51,12 @@ class Mode:
 
     frequency: float
     damping: float
+    KEYS: ClassVar = {"frequency": number, "damping": number}
 
     def __post_init__(self) -> None:
         """Refuse numbers out of range, naming the key."""
-        _positive("frequency", self.frequency)
-        _positive("damping", self.damping, 1.0)
+        require_above_0("frequency", self.frequency)
+        require_above_0("damping", self.damping, 1.0)
 
     def polynomial(self, frequency: Floats) -> Complexes:
         """Return its value at s = 2 pi i f, for frequencies in Hz."""
@@ -79,6 +70,8 @@ class Resonance(Mode):
     """A second-order section, perhaps with an antiresonance (a ``Mode``) as numerator."""
 
     antiresonance: Mode | None = None
+    KEYS: ClassVar = {**Mode.KEYS, "antiresonance": Mode.read}
+    OPTIONAL: ClassVar = ("antiresonance",)
 
     @property
     def highest(self) -> float:
@@ -95,17 +88,6 @@ class Resonance(Mode):
         ratio = self.frequency / self.antiresonance.frequency
         damping = self.antiresonance.damping - ratio * self.damping
         return ratio * ratio, 2.0 * ratio * damping
-
-    def keys(self) -> Json:
-        """Return what a model file holds of it."""
-        keys: Json = {"frequency": self.frequency, "damping": self.damping}
-        if self.antiresonance is not None:
-            mode = self.antiresonance
-            keys["antiresonance"] = {
-                "frequency": mode.frequency,
-                "damping": mode.damping,
-            }
-        return keys
 
     def step(self, dt: Floats) -> Floats:
         """Return the kernel's six numbers for each time step (s): what p and q change by."""
@@ -149,7 +131,7 @@ def _series(angle: Any, zeta: float, order: int) -> Any:
 
 
 @dataclass(frozen=True)
-class Lag:
+class Lag(Keyed):
     """A first-order section (1 + lambda s)/(1 + tau s): a lag, or creep of which 1 - lambda/tau comes late.
 
     Attributes
@@ -162,10 +144,12 @@ class Lag:
 
     seconds: float
     lead: float = 0.0
+    KEYS: ClassVar = {"lag": number, "lead": number}
+    OPTIONAL: ClassVar = ("lead",)
 
     def __post_init__(self) -> None:
         """Refuse numbers out of range, naming the key."""
-        _positive("lag", self.seconds)
+        require_above_0("lag", self.seconds)
         if not 0.0 <= self.lead < self.seconds:
             raise ModelError(
                 f"lead: {self.lead!r} is not from 0 to less than the lag of {self.seconds!r} s"
@@ -176,12 +160,10 @@ class Lag:
         """The part of u - p that the lead adds to p; nothing of q."""
         return self.lead / self.seconds, 0.0
 
-    def keys(self) -> Json:
-        """Return what a model file holds of it."""
-        keys: Json = {"lag": self.seconds}
-        if self.lead:
-            keys["lead"] = self.lead
-        return keys
+    @property
+    def lag(self) -> float:
+        """The time constant, as a model file calls it."""
+        return self.seconds
 
     def step(self, dt: Floats) -> Floats:
         """Return the kernel's six numbers for each time step (s)."""
@@ -194,3 +176,15 @@ class Lag:
 
 
 Section = Resonance | Lag
+
+
+def read_section(values: Any, path: str) -> Any:
+    """Return the section that an object of a model file describes."""
+    if "lag" not in notes(values, path):
+        return Resonance.read(values, path)
+    return build(_lag_of, values, path, Lag.OPTIONAL, **Lag.KEYS)
+
+
+def _lag_of(lag: float, lead: float = 0.0) -> Lag:
+    """Return a lag by the keys that a file has."""
+    return Lag(lag, lead)

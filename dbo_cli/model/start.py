@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from dbo_cli.errors import ModelError
+from dbo_cli.model import kernel
 from dbo_cli.model.gears import Gears
 from dbo_cli.model.state import START_NAMES, State
 from dbo_cli.model.widths import CROSSING_TOLERANCE
@@ -83,34 +85,20 @@ class Starts:
         one state exactly.
         """
 
-        def voltage_from(bits: int) -> float:
-            return float(self.gears.undo([output], State(bits)).y[0])
-
         def miss_at(voltage: float) -> float:
             state = State(self.bits(voltage))
             return abs(float(self.gears.run([voltage], state).y[0]) - output)
 
         below, above = self.inside.x_range
-        voltage = voltage_from(self.empty)
-        if voltage <= below:
-            return min(max(voltage, low), high)
-        voltage = voltage_from(self.full)
-        if voltage >= above:
-            return min(max(voltage, low), high)
         # a little beside the step, so that a voltage that is rounded on its way still
         # starts on the same side
         margin = CROSSING_TOLERANCE * (above - below)
-        while above - below > 0.001 * margin:
-            middle = below + 0.5 * (above - below)
-            if not below < middle < above:  # neighbours in float64
-                break
-            bits = self.bits(middle)
-            voltage = voltage_from(bits)
-            if below <= voltage <= above and self.bits(voltage) == bits:
-                return min(max(voltage, low), high)
-            if voltage > middle:
-                below = middle
-            else:
-                above = middle
+        halved: tuple[float, float, float] = kernel.extension.backlash_settled_at(
+            self.gears.operator(True, is_inverse=True), self.inside.operator(True),
+            self.gears.words(self.empty), output, below, above, 0.001 * margin,
+        )  # fmt: skip
+        below, above, voltage = halved
+        if not math.isnan(voltage):
+            return min(max(voltage, low), high)
         ends = [min(max(end, low), high) for end in (below - margin, above + margin)]
         return min(ends, key=miss_at)

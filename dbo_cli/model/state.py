@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
+from dbo_cli.model.fields import Keyed, number, text, unless_null
+from dbo_cli.signals import COARSEST_DECIMAL, even
 
 # seconds since the sample before: one number, or one each
 Steps = float | Floats | None
@@ -22,14 +24,9 @@ Held = tuple[tuple[float, ...], tuple[float, ...]]
 Undoing = tuple[float, SectionStates, tuple[float, ...]]
 START_NAMES = ("auto", "empty", "full", "settled")
 
-_EVEN = 1e-6  # of a step: stamps this near to an even clock are one
-# of a step: decimals no coarser than this are the rounding of an even clock
-_COARSE = 0.05
-_LOOKED_AT = 50  # stamps that tell in how many decimals they are written
-
 
 @dataclass(frozen=True)
-class Quantity:
+class Quantity(Keyed):
     """What a signal is: its name, its unit (None: not known), and the range the model covers.
 
     Raises
@@ -42,6 +39,12 @@ class Quantity:
     unit: str | None
     min: float
     max: float
+    KEYS: ClassVar = {
+        "quantity": text,
+        "unit": unless_null(text),
+        "min": number,
+        "max": number,
+    }
 
     def __post_init__(self) -> None:
         """Refuse a range whose ends are not in order."""
@@ -138,19 +141,13 @@ def steps_of(time: ArrayLike) -> float | Floats:
         Time goes backwards.
     """
     stamps = np.asarray(time, dtype=np.float64).reshape(-1)
-    steps = np.diff(stamps)
-    if not steps.size:
-        return np.zeros(stamps.size)
+    steps = np.diff(stamps, prepend=stamps[:1])
     wrong = np.flatnonzero(~(steps >= 0.0))
     if wrong.size:
-        row = int(wrong[0]) + 2
-        raise InputError(f"row {row}: time goes backwards, to {stamps[row - 1]:.9g} s")
-    mean = float(stamps[-1] - stamps[0]) / steps.size
-    slack = _EVEN * mean + 4.0 * float(np.spacing(np.abs(stamps).max()))
-    slack += _last_decimal(stamps[:_LOOKED_AT], _COARSE * mean)
-    if mean > 0.0 and float(np.abs(steps - mean).max()) <= slack:
-        return mean
-    return np.concatenate([[0.0], steps])
+        row = int(wrong[0])
+        raise InputError(f"row {row + 1}: time goes backwards, to {stamps[row]:.9g} s")
+    step = even(stamps)
+    return steps if step is None else step
 
 
 def steps_behind(last_time: float | None, time: Floats | None, dt: Steps) -> Steps:
@@ -161,18 +158,6 @@ def steps_behind(last_time: float | None, time: Floats | None, dt: Steps) -> Ste
     """
     if last_time is None or time is None or not time[0] > last_time:
         return dt
-    if isinstance(dt, float) and abs(time[0] - last_time - dt) <= _COARSE * dt:
+    if isinstance(dt, float) and abs(time[0] - last_time - dt) <= COARSEST_DECIMAL * dt:
         return dt
     return np.diff(time, prepend=last_time)
-
-
-def _last_decimal(stamps: Floats, coarsest: float) -> float:
-    """Return the last decimal place of numbers written in decimals; 0 where that is above ``coarsest``."""
-    for places in range(1, 13):
-        unit = 10.0**-places
-        if unit > coarsest:
-            continue
-        error = np.abs(stamps - np.round(stamps, places)).max()
-        if error < 1e-3 * unit + 4.0 * float(np.spacing(np.abs(stamps).max())):
-            return 1.01 * unit
-    return 0.0

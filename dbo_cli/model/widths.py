@@ -9,7 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
+from dbo_cli.model.fields import Reader, number, widths
 
+TABLE: dict[str, Reader] = {"x0": number, "y0": number, "dx": widths, "dy": widths}
+"""Keys of gears and segments in a model file."""
 CROSSING_TOLERANCE = 1e-9
 """A gear counts as crossed when all but this fraction of it is travelled (more where rounding is coarse)."""
 
@@ -23,8 +26,8 @@ _LARGEST_TOLERANCE = 1.0 / 16.0  # what 64 steps of rounding are of such a width
 def checked_pair(dx: ArrayLike, dy: ArrayLike) -> tuple[Floats, Floats]:
     """Return read-only copies of both axes' widths; raise ModelError naming the key of what is wrong."""
     pair = []
-    for key, widths in (("dx", dx), ("dy", dy)):
-        values = np.array(widths, dtype=np.float64).reshape(-1)
+    for key, axis in (("dx", dx), ("dy", dy)):
+        values = np.array(axis, dtype=np.float64).reshape(-1)
         if values.size == 0:
             raise ModelError(f"{key}: is empty")
         wrong = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
@@ -35,10 +38,9 @@ def checked_pair(dx: ArrayLike, dy: ArrayLike) -> tuple[Floats, Floats]:
             )
         values.flags.writeable = False
         pair.append(values)
-    widths, heights = pair
-    if widths.size != heights.size:
-        raise ModelError(f"dy: has {heights.size} entries where dx has {widths.size}")
-    return widths, heights
+    if pair[0].size != pair[1].size:
+        raise ModelError(f"dy: has {pair[1].size} entries where dx has {pair[0].size}")
+    return pair[0], pair[1]
 
 
 def on_binary_grid(key: str, widths: Floats) -> Floats:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import LimitError
+from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.reports.expected import Expected
 from dbo_cli.reports.merits import Merits, merits
 from dbo_cli.reports.pair import Pair, scored, undelayed
@@ -211,7 +211,13 @@ class Scores:
         ------
         InputError
             There is nothing to compare.
+        UsageError
+            A limit is below 0.
         """
+        bounds = {"max_rmse": max_rmse, "max_nrmse_percent": max_nrmse_percent}
+        for name, bound in bounds.items():
+            if bound is not None and bound < 0.0:
+                raise UsageError(f"`{name}` {bound:g}: give 0 or more")
         logs: list[LogReport] = []
         for pair in pairs:
             if pair.expected is None:

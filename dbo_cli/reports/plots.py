@@ -1,4 +1,4 @@
-"""Figures that one can put into a paper: PNG, SVG, or SVG to stand inside a page; same values, same bytes.
+"""Figures that one can put into a paper, as PNG and SVG; same values, same bytes.
 
 The look is in ``figures.mplstyle``. The two colours of a comparison differ in lightness
 as well as in hue (they survive a grey print and the common colour blindnesses), and in
@@ -12,6 +12,7 @@ import io
 import math
 import os
 import re
+from base64 import b64encode
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -33,16 +34,8 @@ if TYPE_CHECKING:
     from dbo_cli.model import Cascade, Quantity
     from dbo_cli.reports.comparison import LogReport, Scores
 
-SCHEME = {
-    "#1b1d22": "ink",
-    "#5d646f": "muted",
-    "#d5d9df": "rule",
-    "#00508f": "first",
-    "#e0751a": "second",
-    "#7fa8cc": "fill",
-}
-"""Every colour, and the variable of ``page.css`` that stands for it in a page."""
-INK, MUTED, RULE, FIRST, SECOND, FILL = SCHEME
+INK, MUTED, RULE = "#1b1d22", "#5d646f", "#d5d9df"
+FIRST, SECOND, FILL = "#00508f", "#e0751a", "#7fa8cc"
 
 SOLID: dict[str, Any] = {"color": FIRST, "linewidth": 1.3}
 DASHED: dict[str, Any] = {
@@ -57,7 +50,7 @@ FIGURE_COLUMNS = 1000  # a curve keeps the least and the greatest value in each
 MOST_POINTS = 20_000  # of a loop that stays lines in an SVG; more become a picture
 LOOP_POINTS = 501  # each way of a model's loop
 
-ImageKind = Literal["png", "svg", "inline"]
+ImageKind = Literal["png", "svg"]
 
 
 @dataclass(frozen=True)
@@ -83,37 +76,28 @@ class Plot:
 
 
 @contextlib.contextmanager
-def style(outlines: bool = True) -> Iterator[None]:
-    """Draw in this program's look, whatever the user's own configuration says.
-
-    ``outlines``: letters become outlines, which need no font; else they stay text.
-    """
+def style() -> Iterator[None]:
+    """Draw in this program's look, whatever the user's own configuration says."""
     from matplotlib import style as styles
 
     look = Path(__file__).with_name("figures.mplstyle")
-    fonts = {"svg.fonttype": "path" if outlines else "none"}
-    with styles.context([look, fonts], after_reset=True):
+    with styles.context(look, after_reset=True):
         yield
 
 
 def draw(plot: Plot, kind: ImageKind) -> bytes:
-    """Return a figure as PNG, as SVG, or as SVG that stands inside a page.
-
-    The inline form has letters as text, no background, variables for the colours of
-    ``SCHEME``, and ids that begin with the figure's key.
-    """
-    with style(outlines=kind != "inline"):
-        figure = figure_of(plot)
-        out = io.BytesIO()
-        if kind == "png":
-            figure.savefig(out, format="png", metadata={"Software": None})
-            return out.getvalue()
-        metadata = {"Date": None, "Creator": None}
-        inline = kind == "inline"
-        figure.savefig(out, format="svg", metadata=metadata, transparent=inline)
-    if inline:
-        return _for_page(out.getvalue().decode(), plot).encode()
+    """Return a figure as PNG or as SVG."""
+    metadata = {"Software": None} if kind == "png" else {"Date": None, "Creator": None}
+    out = io.BytesIO()
+    with style():
+        figure_of(plot).savefig(out, format=kind, metadata=metadata)
     return out.getvalue()
+
+
+def image(plot: Plot) -> str:
+    """Return a figure as an element of a page, which needs no other file."""
+    svg = b64encode(draw(plot, "svg")).decode()
+    return f'<img alt="{escape(plot.title)}" src="data:image/svg+xml;base64,{svg}">'
 
 
 def figure_of(plot: Plot) -> Figure:
@@ -136,20 +120,6 @@ def _legend_columns(labels: Sequence[str]) -> int:
     """Return how many names fit side by side."""
     longest = max(len(label) for label in labels)
     return max(1, min(len(labels), 56 // (longest + 7)))
-
-
-def _for_page(svg: str, plot: Plot) -> str:
-    """Turn an SVG file into an element of a page: own ids, colours as variables, no fixed size."""
-    svg = svg[svg.index("<svg") :]
-    svg = re.sub(r"<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
-    svg = re.sub(r' id="', f' id="{plot.key}-', svg)
-    svg = re.sub(r"(url\(#|href=\"#)", lambda match: f"{match[1]}{plot.key}-", svg)
-    for color, name in SCHEME.items():
-        svg = svg.replace(color, f"var(--{name})")
-    for side in ("width", "height"):
-        svg = re.sub(rf'<svg ([^>]*?){side}="[^"]*"', r"<svg \1", svg, count=1)
-    label = f'<svg role="img" aria-label="{escape(plot.title)}" '
-    return svg.replace("<svg ", label, 1).strip()
 
 
 def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:

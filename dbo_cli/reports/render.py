@@ -11,7 +11,7 @@ from importlib import resources
 from string import Template
 
 from dbo_cli.reports.comparison import Scores
-from dbo_cli.reports.plots import Plot, draw, sections_of_report
+from dbo_cli.reports.plots import Plot, image, sections_of_report
 from dbo_cli.reports.words import (
     digits,
     json_text,
@@ -191,9 +191,8 @@ def html_figures(plots: Sequence[Plot]) -> str:
     """Return figures as part of a page."""
     drawn = []
     for plot in plots:
-        image = draw(plot, "inline").decode()
         caption = f"<figcaption>{escape(plot.title)}</figcaption>"
-        drawn.append(f"<figure>{caption}{image}</figure>")
+        drawn.append(f"<figure>{caption}{image(plot)}</figure>")
     return '<div class="figures">' + "\n".join(drawn) + "</div>"
 
 

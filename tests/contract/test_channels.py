@@ -92,6 +92,25 @@ def test_simulate_and_compensate_write_all_channels_side_by_side(
         np.testing.assert_allclose(ours, table("one.csv")["voltage_V"], atol=1e-12)
 
 
+def test_identify_says_what_was_read_of_each_channel(channels: Path) -> None:
+    log = table(channels)
+    columns = {name: log[name] for name in log if name[1:2] != "c"}
+    write("two.csv", ",".join(columns), *columns.values())
+    said = done("identify", "two.csv", *SIDES, *QUICK, "-o", "models.json").said
+    for name in "ab":
+        assert any("500 Hz" in line and f"V{name}_V" in line for line in said)
+
+
+def test_a_model_in_another_case_is_offered(channels: Path) -> None:
+    assert "type set.json::a" in refused(1, "simulate", "set.json::A", channels)
+    log = table(channels)
+    write("upper.csv", "time_s,DA_um,DB_um", TIME, log["Da_um"], log["Db_um"])
+    words = ("compensate", "set.json", "upper.csv", "--displacement", "D{}_um")
+    line = refused(1, *words)
+    assert "no model A" in line and "set.json::a" in line and "--displacement" in line
+    done(*words[:1], "set.json::a", "upper.csv", "--displacement", "DA_um", "-q")
+
+
 def test_a_pattern_that_finds_nothing_is_refused(channels: Path) -> None:
     error = refused(1, "simulate", "set.json", channels, "--input", "Q{}")
     assert "mirror.csv" in error and "Q{}" in error

@@ -398,7 +398,44 @@ def test_a_check_needs_something_to_check_and_bounds_that_are_bounds() -> None:
         assert bound in refused(2, "report", "moved.csv", bound, -1)
 
 
+def test_a_loop_behind_its_run_in_asks_for_the_rows_of_the_period() -> None:
+    period = 3.0 + 2.0 * np.sin(2.0 * np.pi * np.arange(200) / 200.0)
+    write("period.csv", MOVE, TIME[:200], period)
+    done(
+        "compensate",
+        model("creep"),
+        "period.csv",
+        "--periodic",
+        "--passes",
+        2,
+        "-o",
+        "loop.csv",
+    )
+    assert "--rows" in failed("loop.csv", "--loop").lines[-1]
+    words = ("waveform", "loop.csv", "--to", "npy", "--loop", "-o", "loop.npy")
+    assert "--rows" in dbo(*words).lines[-1]
+    done("check", "loop.csv", "--loop", "--rows", "401:")
+    done(*words, "--rows", "401:")
+
+
+def test_a_loop_that_does_not_close_names_no_step_that_is_allowed() -> None:
+    wish = 3.0 + 2.0 * np.sin(2.0 * np.pi * np.arange(200) / 200.0)
+    write("loop.csv", MOVE, TIME[:200], wish)
+    line = refused(
+        3, "compensate", model("creep"), "loop.csv", "--periodic", "--max-slew", 1000
+    )
+    assert "does not close within --max-slew 1000 V/s" in line
+    done("compensate", model("creep"), "loop.csv", "--periodic", "--max-slew", 1500)
+
+
 # --- ``check``: is it what was played ---
+
+
+@pytest.mark.parametrize("seed", [0, 4, 8, 49])
+def test_a_drive_is_what_it_is_to_the_last_digit(seed: int) -> None:
+    values = np.random.default_rng(seed).normal(size=91)
+    write("odd.csv", DRIVE, TIME[:91], values)
+    done("check", "odd.csv", "--against", "odd.csv", "--tolerance", 0)
 
 
 def odd_row() -> Floats:

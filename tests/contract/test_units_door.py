@@ -231,15 +231,13 @@ def test_a_masked_row_is_a_missing_row(creep: dbo.Model) -> None:
 
 
 def test_truth_is_no_rate(creep: dbo.Model) -> None:
-    from dbo_cli.drive.live import Controller
-
     write("log.csv", "voltage_V,displacement_um", TIME, MOVE)
     for wrong in (True, np.True_, 0, -5.0, float("nan"), "5V"):
         for call in (
             lambda wrong: creep.simulate(MOVE, sample_rate=wrong),
             lambda wrong: creep.compensate(MOVE, sample_rate=wrong),
             lambda wrong: creep.controller(sample_rate=wrong),
-            lambda wrong: Controller(creep.actuator, wrong),
+            lambda wrong: creep.controller(wrong),
             lambda wrong: dbo.identify(TIME, MOVE, sample_rate=wrong),
             lambda wrong: dbo.report(MOVE, MOVE, sample_rate=wrong),
             lambda wrong: dbo.read_log("log.csv", sample_rate=wrong),
@@ -551,6 +549,29 @@ def test_a_range_has_a_unit_that_there_is() -> None:
     assert shell(*line, "0:5µm").out.startswith("time_s,displacement_um")
     path = without_units()
     assert PLAIN in refused(2, *line, "0:5um", "--model", path)
+
+
+def test_a_plain_range_asks_for_the_unit_where_the_model_is_not_in_um() -> None:
+    line = ("trajectory", "sine", "--rate", 1000, "--frequency", 5, "--range")
+    values = values_of("small")
+    values["output"] |= {"unit": "nm"}
+    path = store("nm.json", values)
+    assert "3:10nm or 3:10um" in refused(2, *line, "3:10", "--model", path)
+    assert shell(*line, "3:8nm", "--model", path).out.startswith(
+        "time_s,displacement_nm"
+    )
+
+
+def test_a_model_in_mv_says_its_voltages_in_full() -> None:
+    values = values_of("small")
+    values["input"] |= {"unit": "mV", "max": 1e5}
+    values["stages"][0]["dx"] = [1e4 * width for width in values["stages"][0]["dx"]]
+    path = store("mv.json", values)
+    write("move.csv", MOVED, TIME, 5.0 - 4.9 * np.cos(30.0 * TIME))
+    said = shell(
+        "compensate", path, "move.csv", "--on-limit", "clip", "-o", "d.csv"
+    ).err
+    assert " mV" in said and "e+0" not in said
 
 
 def test_logs_of_one_actuator_have_units_alike(played: Any) -> None:

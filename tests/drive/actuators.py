@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -178,5 +177,4 @@ def driven_in_blocks(driver: Driver, blocks: Iterable[Any]) -> Drive:
     """Return the drive of a trajectory that comes in blocks, with its rows."""
     parts = [driver.rows(desired, dt, time) for time, dt, desired in blocks]
     rest, drive = driver.finish()
-    rows = stacked([*parts, rest])
-    return replace(drive, time=rows.time, desired=rows.x, voltage=rows.y)
+    return drive.with_rows(stacked([*parts, rest]))

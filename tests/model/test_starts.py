@@ -1,20 +1,11 @@
 """Where gears begin, and gears that go on beyond the range of the drive."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from dbo_cli.model import (
-    Cascade,
-    Gears,
-    Points,
-    Quantity,
-    Relaxation,
-    Scale,
-)
+from dbo_cli.model import Cascade, Gears, Points, Quantity, Relaxation, Scale, State
 from tests.model.random_models import DT, Floats, random_drive
 
 WIDTH = 0.125
@@ -68,6 +59,35 @@ def driven(model: Cascade, wanted: Floats, start: str) -> Floats:
     """The drive within limits, which a slow one clips."""
     state = model.start_drive(float(wanted[0]), start, 0.5, 9.5)
     return model.drive(wanted, state, DT, (0.5, 9.5), 2000.0).y
+
+
+def halved(model: Cascade, output: float) -> tuple[float, float]:
+    """The plain procedure: between which voltages the one lies whose settled state leads to an output."""
+    low, high = model.input.min, model.input.max
+    margin = 1e-12 * (high - low)
+    while high - low > margin:
+        middle = low + 0.5 * (high - low)
+        bits = model.starts.bits(middle)
+        voltage = float(model.gears.undo([output], State(bits)).y[0])
+        if low <= voltage <= high and model.starts.bits(voltage) == bits:
+            return voltage, voltage
+        if voltage > middle:
+            low = middle
+        else:
+            high = middle
+    return low, high
+
+
+@pytest.mark.parametrize("seed", range(2, 40, 3))
+def test_a_drive_starts_where_its_own_settled_state_leads(seed: int) -> None:
+    for model in plain_and_spare(seed):
+        for output in np.linspace(0.02, 0.98, 40) * model.output.span:
+            low, high = halved(model, float(output))
+            first = model.start_drive(float(output)).first
+            if low == high:
+                assert first == low
+            else:
+                assert first == pytest.approx(low, abs=2e-8)
 
 
 def test_starts_of_spare_gears_are_those_of_the_range() -> None:

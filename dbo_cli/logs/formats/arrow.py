@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from dbo_cli.logs.formats.stored import (
     Fetch,
     FileFormat,
+    Part,
     StoredTable,
     fenced,
+    quiet,
     refuse_part,
 )
 from dbo_cli.logs.table import NOT_A_TIME, Reading, Table
@@ -27,7 +29,7 @@ def _read(path: str, inner: str, reading: Reading) -> Table:
     refuse_part(path, inner)
     table = StoredTable(path)
     table.block_rows = _STRETCH
-    with fenced(path, _KIND):
+    with fenced(path, _KIND), quiet():
         with open(path, "rb") as file:
             is_parquet = file.read(4) == b"PAR1"
         scan_file = pl.scan_parquet if is_parquet else pl.scan_ipc
@@ -39,7 +41,7 @@ def _read(path: str, inner: str, reading: Reading) -> Table:
                 kind = "stamp"
             elif stored.is_numeric() or stored == pl.Boolean:
                 kind = "number"
-            table.add(name, rows, _fetch_of(scan, name), kind=kind)
+            table.add(Part(name, rows, _fetch_of(scan, name), kind))
     return table
 
 
@@ -48,7 +50,8 @@ def _fetch_of(scan: Any, name: str) -> Fetch:
     import polars as pl
 
     def fetch(start: int, stop: int) -> NDArray[Any]:
-        series = scan.select(name).slice(start, stop - start).collect()[name]
+        with quiet():
+            series = scan.select(name).slice(start, stop - start).collect()[name]
         if series.dtype == pl.Datetime:  # in UTC, whatever zone it is shown in
             series = series.dt.cast_time_unit("ns")
         if series.dtype in (pl.Datetime, pl.Time):

@@ -2,7 +2,7 @@
 
 A file of version 5 is a row of elements, each behind a tag of its type and size. The
 tags are walked here, for scipy ends the process at a damaged one; what they say of a
-matrix of numbers is all that is needed to read it. Version 4 is left to scipy.
+matrix of numbers is all that is needed to read it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.errors import InputError
 from dbo_cli.logs.formats.stored import FileFormat, StoredTable, fenced, refuse_part
 from dbo_cli.logs.table import Reading, Table
 
@@ -25,14 +26,8 @@ _TYPES = {
 }  # fmt: skip
 """NumPy's names of the types of elements that hold numbers."""
 _CLASSES = {
-    1: "cell",
-    2: "struct",
-    3: "object",
-    4: "char",
-    5: "sparse",
-    16: "function",
-    17: "table",
-}
+    1: "cell", 2: "struct", 3: "object", 4: "char", 5: "sparse", 16: "function", 17: "table",
+}  # fmt: skip
 """Classes of matrices that hold no plain numbers; tables are objects without a public form."""
 _NUMBERS = range(6, 16)  # classes: double, single, and integers
 _IS_COMPLEX = 0x0800
@@ -69,40 +64,38 @@ class Variable:
         return ""
 
 
-class Elements:
-    """The elements in some bytes, with the byte order of the file (ValueError where they end early)."""
+Elements = Iterator[tuple[int, bytes]]
+"""The types and the bytes of elements."""
 
-    def __init__(self, data: bytes, order: str) -> None:
-        self.data = data
-        self.order = order
-        self.position = 0
 
-    def next(self) -> tuple[int, bytes]:
-        """Return the type and the bytes of the next element."""
-        start = self.position
-        tag = np.frombuffer(self.data, self.order + "u4", 2, start)
-        kind, size = map(int, tag)
-        begin = start + 8
-        self.position = begin + size
+def elements_of(data: bytes, order: str) -> Elements:
+    """Walk through the elements in some bytes, in a byte order (ValueError where they end early)."""
+    start = 0
+    while start < len(data):
+        kind, size = map(int, np.frombuffer(data, order + "u4", 2, start))
+        begin, stop = start + 8, start + 8 + size
         if kind >> 16:  # four bytes at most stand in the tag
-            kind, size, begin = kind & 0xFFFF, kind >> 16, start + 4
-            self.position = start + 8
+            kind, size = kind & 0xFFFF, kind >> 16
+            begin, stop = start + 4, start + 8
         elif kind != _COMPRESSED:
-            self.position += -size % 8
-        if begin + size > len(self.data) or (begin == start + 4 and size > 4):
+            stop += -size % 8
+        if begin + size > min(len(data), stop):
             raise ValueError("it ends early")
-        return kind, self.data[begin : begin + size]
+        yield kind, data[begin : begin + size]
+        start = stop
 
-    def numbers(self) -> NDArray[Any]:
-        """Return the numbers of the next element."""
-        kind, data = self.next()
-        if kind not in _TYPES:
-            raise ValueError(f"{kind} is no type of numbers")
-        return np.frombuffer(data, self.order + _TYPES[kind])
 
-    def text(self) -> str:
-        """Return the text of the next element."""
-        return self.next()[1].decode("utf-8", "replace")
+def _numbers(elements: Elements, order: str) -> NDArray[Any]:
+    """Return the numbers of the next element."""
+    kind, data = next(elements, (0, b""))
+    if kind not in _TYPES:
+        raise ValueError(f"{kind} is no type of numbers")
+    return np.frombuffer(data, order + _TYPES[kind])
+
+
+def _text(elements: Elements) -> str:
+    """Return the text of the next element."""
+    return next(elements, (0, b""))[1].decode("utf-8", "replace")
 
 
 def variables_of(data: bytes) -> Iterator[Variable]:
@@ -110,74 +103,58 @@ def variables_of(data: bytes) -> Iterator[Variable]:
     order = {b"IM": "<", b"MI": ">"}.get(data[_HEADER - 2 : _HEADER])
     if order is None:
         raise ValueError("it states no byte order")
-    elements = Elements(data[_HEADER:], order)
-    while elements.position < len(elements.data):
-        kind, content = elements.next()
+    for kind, content in elements_of(data[_HEADER:], order):
         if kind == _COMPRESSED:
-            kind, content = Elements(zlib.decompress(content), order).next()
+            packed = elements_of(zlib.decompress(content), order)
+            kind, content = next(packed, (0, b""))
         if kind != _MATRIX:
             raise ValueError(f"{kind} is no variable")
-        yield _variable_of(Elements(content, order))
+        yield _variable_of(elements_of(content, order), order)
 
 
-def _variable_of(elements: Elements) -> Variable:
+def _variable_of(elements: Elements, order: str) -> Variable:
     """Read a variable from its elements: flags, size, name, values."""
-    flags = elements.numbers()
+    flags = _numbers(elements, order)
     number = int(flags[0]) & 0xFF if len(flags) else 0
     if number == 17:
-        return Variable(elements.text(), _CLASSES[17], ())
-    shape = tuple(int(length) for length in elements.numbers())
-    name = elements.text()
+        return Variable(_text(elements), _CLASSES[17], ())
+    shape = tuple(int(length) for length in _numbers(elements, order))
+    name = _text(elements)
     if number not in _NUMBERS or int(flags[0]) & _IS_COMPLEX:
         kind = _CLASSES.get(number, "complex")
-        return Variable(name, kind, shape, _fields_of(elements, kind))
-    values = elements.numbers()
+        fields = _fields_of(elements, order) if kind == "struct" else ()
+        return Variable(name, kind, shape, fields)
+    values = _numbers(elements, order)
     if np.prod(shape, dtype=object) != len(values):
         raise ValueError(f"{name} has another size than its values")
     return Variable(name, "double", shape, (), values.reshape(shape, order="F"))
 
 
-def _fields_of(elements: Elements, kind: str) -> tuple[str, ...]:
+def _fields_of(elements: Elements, order: str) -> tuple[str, ...]:
     """Return the names of a struct's fields."""
-    if kind != "struct":
-        return ()
-    lengths = elements.numbers()
-    names = elements.next()[1]
+    lengths, names = _numbers(elements, order), _text(elements)
     length = max(int(lengths[0]), 1) if len(lengths) else 1
     cells = [names[k : k + length] for k in range(0, len(names), length)]
-    return tuple(cell.partition(b"\0")[0].decode("utf-8", "replace") for cell in cells)
+    return tuple(cell.partition("\0")[0] for cell in cells)
 
 
 def _read(path: str, inner: str, reading: Reading) -> Table:
-    """Read the vectors and matrices of a file before version 7.3 (InputError)."""
+    """Read the vectors and matrices of a file of version 5 to 7 (InputError)."""
     refuse_part(path, inner)
-    table = StoredTable(path)
-    arrays: dict[str, Any] = {}
     with open(path, "rb") as file, fenced(path, "MATLAB"):
         data = file.read()
         if 0 in data[:4]:
-            arrays = _version_4(path)
-            table.add_arrays(arrays)
-            return table.require_numbers(arrays)
+            raise InputError(f"{path}: MATLAB before version 5: save(..., '-v7') again")
         variables = [variable for variable in variables_of(data) if variable.name]
+    table = StoredTable(path)
     lines = [variable.advice() for variable in variables if variable.advice()]
     table.hint = f": in MATLAB, {lines[0]}" if lines else ""
+    arrays = {}
     for variable in variables:
         if variable.values is not None:
             arrays[variable.name] = np.squeeze(variable.values)
     table.add_arrays(arrays)
     return table.require_numbers(variable.describe() for variable in variables)
-
-
-def _version_4(path: str) -> dict[str, Any]:
-    """Read a file of version 4."""
-    import scipy.io
-
-    try:
-        contents = scipy.io.loadmat(path, squeeze_me=True)
-    except (IndexError, EOFError):
-        raise ValueError("it ends early") from None
-    return {name: array for name, array in contents.items() if name[:2] != "__"}
 
 
 MATLAB = FileFormat((b"MATLAB",), _read, (".mat",))

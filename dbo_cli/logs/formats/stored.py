@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import os
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, InputError
-from dbo_cli.logs.settings import Statement, is_clock_setting, stated_clock
+from dbo_cli.logs.settings import is_clock_setting
 from dbo_cli.logs.table import ROWS_A_BLOCK, Column, Reading, Table
+from dbo_cli.units import split_header
 
 TableReader = Callable[[str, str, Reading], Table]
 """Takes a path, the part behind ``::`` and how to read."""
@@ -24,6 +26,16 @@ _KINDS = defaultdict(
     lambda: "text", f="number", i="number", u="number", b="number", M="stamp"
 )
 """The kind of a column by NumPy's letter of its type."""
+
+
+class Part(NamedTuple):
+    """A stored column: its name or path, its rows, what fetches them, and what is known of it."""
+
+    name: str
+    length: int
+    fetch: Fetch
+    kind: str = "number"
+    unit: str | None = None
 
 
 @dataclass(frozen=True)
@@ -65,9 +77,30 @@ def fenced(path: str, kind: str) -> Iterator[None]:
         yield
     except (DboError, KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
-    except BaseException as problem:  # a panic of polars is no Exception
+    except Exception as problem:
         reason = str(problem).strip().splitlines() or [type(problem).__name__]
         raise InputError(f"{path}: cannot be read as {kind}: {reason[0]}") from None
+    except BaseException:  # a panic of polars
+        raise InputError(
+            f"{path}: cannot be read as {kind}: damaged: write it again"
+        ) from None
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Keep off standard error what a library writes there: a log, or where it panicked."""
+    try:
+        stderr = os.dup(2)
+    except OSError:  # it is closed
+        yield
+        return
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    try:
+        yield
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
 
 
 def refuse_part(path: str, inner: str) -> None:
@@ -94,43 +127,28 @@ class StoredTable(Table):
         What is remarked behind the last row.
     """
 
-    has_paths = True
     block_rows = ROWS_A_BLOCK
     doubt = ""
 
     def __init__(self, path: str, close: Callable[[], object] = lambda: None) -> None:
         super().__init__(path)
-        self._lengths: list[int] = []
-        self._fetches: list[Fetch] = []
+        self._parts: list[Part] = []
         self._close = close
 
-    def add(
-        self,
-        name: str,
-        length: int,
-        fetch: Fetch,
-        unit: str | None = None,
-        kind: str = "number",
-    ) -> Column:
-        """Add a column of so many rows."""
-        self._lengths.append(length)
-        self._fetches.append(fetch)
-        return self.add_column(name, unit, kind)
-
-    def add_array(self, name: str, stored: Any, unit: str | None = None) -> None:
-        """Add the columns of an array; see ``parts_of``."""
-        for label, length, fetch, kind in parts_of(name, stored):
-            self.add(label, length, fetch, unit, kind)
+    def add(self, part: Part) -> Column:
+        """Add a column; the last step of its path holds its unit where none is stated."""
+        self._parts.append(part)
+        unit = part.unit or split_header(part.name.rsplit("/", 1)[-1])[1]
+        return self.add_column(part.name, unit, part.kind)
 
     def add_arrays(self, arrays: Mapping[str, Any]) -> None:
         """Add arrays by name; a single value is no column, but may state the clock."""
-        statements: list[Statement] = []
         for name, array in arrays.items():
             if np.size(array) > 1:
-                self.add_array(name, np.asarray(array))
+                for part in parts_of(name, np.asarray(array)):
+                    self.add(part)
             elif is_clock_setting(name) and np.size(array):
-                statements.append((name, np.ravel(array)[0].item(), ""))
-        self.stated = stated_clock(statements)
+                self.state(name, np.ravel(array)[0].item())
 
     def require_numbers(self, contents: Iterable[str]) -> StoredTable:
         """Return the table; refuse (InputError) one without columns of numbers, whose contents are these."""
@@ -149,7 +167,7 @@ class StoredTable(Table):
         InputError
             The columns are of unequal length, or the library fails.
         """
-        lengths = [self._lengths[column.number - 1] for column in columns]
+        lengths = [self._parts[column.number - 1].length for column in columns]
         if len(set(lengths)) > 1:
             pairs = zip(columns, lengths, strict=True)
             text = ", ".join(f"{column.label} {rows:,} rows" for column, rows in pairs)
@@ -163,7 +181,7 @@ class StoredTable(Table):
     def _rows(self, column: Column, start: int, stop: int) -> NDArray[Any]:
         """Read rows of one column as float64, or dates as int64 nanoseconds."""
         with fenced(self.name, column.label):
-            stored = np.asarray(self._fetches[column.number - 1](start, stop))
+            stored = np.asarray(self._parts[column.number - 1].fetch(start, stop))
             if stored.dtype.kind == "M":
                 stored = stored.astype("datetime64[ns]").astype(np.int64)
             elif column.kind == "number":
@@ -177,33 +195,31 @@ class StoredTable(Table):
         self._close()
 
 
-def parts_of(name: str, stored: Any) -> Iterator[tuple[str, int, Fetch, str]]:
+def parts_of(name: str, stored: Any) -> Iterator[Part]:
     """Take an array or a dataset apart: a vector, a matrix whose longer axis is time, or records.
 
-    Yields
-    ------
-    label, length, fetch, kind
-        Of each column; nothing of what holds neither numbers, nor dates, nor a row of texts.
+    There are no parts of what holds neither numbers, nor dates, nor a row of texts.
     """
     kind, shape = stored.dtype, stored.shape
     if kind.names is not None and len(shape) == 1:
         for label in kind.names:
             if not kind[label].shape:
-                yield (
-                    label,
-                    shape[0],
-                    _field_of(stored, label),
-                    _KINDS[kind[label].kind],
-                )
+                fetch = _field_of(stored, label)
+                yield Part(label, shape[0], fetch, _KINDS[kind[label].kind])
     elif len(shape) == 1:
-        yield name, shape[0], lambda start, stop: stored[start:stop], _KINDS[kind.kind]
+        yield Part(name, shape[0], rows_of(stored), _KINDS[kind.kind])
     elif len(shape) == 2 and _KINDS[kind.kind] != "text":
         along = 0 if shape[0] >= shape[1] else 1
         width = shape[1 - along]
         for number in range(width):
             label = f"{name}[{number + 1}]" if name and width > 1 else name
             fetch = _column_of(stored, along, number)
-            yield label, shape[along], fetch, _KINDS[kind.kind]
+            yield Part(label, shape[along], fetch, _KINDS[kind.kind])
+
+
+def rows_of(stored: Any) -> Fetch:
+    """Return what fetches rows of an array."""
+    return lambda start, stop: stored[start:stop]
 
 
 def _field_of(stored: Any, label: str) -> Fetch:

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
-import logging
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from dbo_cli.logs.formats.stored import (
-    Fetch,
     FileFormat,
+    Part,
     StoredTable,
     fenced,
     import_extra,
+    quiet,
+    rows_of,
 )
-from dbo_cli.logs.settings import Statement, stated_clock
 from dbo_cli.logs.table import Reading, Table
 
 _LEAD_IN = 28
@@ -30,7 +29,7 @@ def _read(path: str, inner: str, reading: Reading) -> Table:
     stream = open(path, "rb")
     table = StoredTable(path, stream.close)
     try:
-        with fenced(path, "TDMS"), _silent(nptdms.log.log_manager.console_handler):
+        with fenced(path, "TDMS"), quiet():
             file = nptdms.TdmsFile.open(stream)
             groups = [group for group in file.groups() if inner in ("", group.name)]
             _add_channels(table, groups)
@@ -43,17 +42,6 @@ def _read(path: str, inner: str, reading: Reading) -> Table:
     if len(groups) > 1:
         table.hint = f" (or one group alone: {path}::{groups[0].name})"
     return table
-
-
-@contextlib.contextmanager
-def _silent(handler: logging.Handler) -> Iterator[None]:
-    """Keep a library's log off standard error."""
-    level = handler.level
-    handler.setLevel(logging.CRITICAL + 1)
-    try:
-        yield
-    finally:
-        handler.setLevel(level)
 
 
 def _is_cut(path: str) -> bool:
@@ -69,7 +57,6 @@ def _is_cut(path: str) -> bool:
 
 def _add_channels(table: StoredTable, groups: Sequence[Any]) -> None:
     """Add the channels of numbers, and what they state of their rate."""
-    statements: list[Statement] = []
     for group in groups:
         for channel in group.channels():
             if not len(channel) or channel.dtype.kind not in "fiubM":
@@ -78,28 +65,21 @@ def _add_channels(table: StoredTable, groups: Sequence[Any]) -> None:
             unit = properties.get("unit_string") or properties.get("NI_UnitDescription")
             name = channel.name if len(groups) == 1 else f"{group.name}/{channel.name}"
             kind = "stamp" if channel.dtype.kind == "M" else "number"
-            table.add(name, len(channel), _fetch_of(channel), unit, kind)
-            statements += _statements(properties)
-    table.stated = stated_clock(statements)
+            fetch = rows_of(channel)
+            table.add(Part(name, len(channel), fetch, kind, unit))
+            _state_clock(table, properties)
 
 
-def _fetch_of(channel: Any) -> Fetch:
-    return lambda start, stop: channel[start:stop]
-
-
-def _statements(properties: Any) -> list[Statement]:
-    """Return what the properties of a channel state of its clock; a spectrum has none."""
-    statements: list[Statement] = []
+def _state_clock(table: StoredTable, properties: Any) -> None:
+    """Note what the properties of a channel state of its clock; a spectrum has none."""
     if str(properties.get("wf_xname") or "Time").lower() != "time":
-        return statements
-    for key in ("wf_increment", "wf_start_offset"):
-        if isinstance(properties.get(key), int | float):
-            statements.append((key, properties[key], "s"))
-    start = properties.get("wf_start_time")
-    if isinstance(start, np.datetime64):
-        seconds = start.astype("datetime64[us]").astype(int) / 1e6
-        statements.append(("wf_start_time", seconds, "s"))
-    return statements
+        return
+    for key in ("wf_increment", "wf_start_offset", "wf_start_time"):
+        value = properties.get(key)
+        if isinstance(value, np.datetime64):
+            value = value.astype("datetime64[us]").astype(int) / 1e6
+        if value is not None:
+            table.state(key, value, "s")
 
 
 TDMS = FileFormat((b"TDSm",), _read)
