@@ -18,7 +18,7 @@ import pytest
 import scipy.io
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.formats import arrow, reader_of, stored
+from dbo_cli.logs.formats import reader_of, stored
 from dbo_cli.logs.formats.npy import NUMPY
 from dbo_cli.logs.settings import stated_rate
 from dbo_cli.logs.table import Reading, Table
