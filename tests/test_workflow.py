@@ -15,7 +15,7 @@ import dbo_cli as dbo
 ROOT = Path(__file__).resolve().parent.parent
 WORKFLOW = ROOT / "workflow"
 MODEL = ROOT / "tests" / "contract" / "models" / "small.json"
-MANY = int(os.environ.get("DBO_LOGS", "2"))  # make labs: 40
+MANY = int(os.environ.get("DBO_LOGS", "3"))  # make labs: 40
 IDENTIFY = "--gears 32 --points 0 --relaxation 0 --delay 0 --dynamics 0"
 
 
@@ -134,13 +134,7 @@ f,,rising,0.10,0.0010,0.01
 
 def test_the_table_flags_what_is_unlike_the_others(tmp_path: Path) -> None:
     (tmp_path / "summary.csv").write_text(TABLE)
-    line = [
-        sys.executable,
-        str(WORKFLOW / "table.py"),
-        "logs",
-        str(tmp_path),
-        "--judge",
-    ]
+    line = [sys.executable, WORKFLOW / "table.py", "logs", tmp_path, "--judge"]
     ended = subprocess.run(line, capture_output=True, text=True, check=False)
     assert ended.returncode == 0
     flagged = [text for text in ended.stderr.splitlines() if text.startswith("warning")]

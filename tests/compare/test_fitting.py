@@ -88,6 +88,13 @@ def test_a_bent_plant_needs_dead_zones():
     assert modified.parameters == modified.design.plays + modified.design.segments
 
 
+@pytest.mark.parametrize("delay", [3.0, 1.5])
+def test_a_delay_is_found(delay):
+    model = fitted("pi", recording(delay=delay, noise=1e-5))
+    assert model.design.delay == pytest.approx(delay, abs=0.13)
+    assert model.parameters == model.design.plays + 2
+
+
 @pytest.mark.parametrize("name", RIVAL)
 def test_inverse_after_forward(name):
     model = bent(name)

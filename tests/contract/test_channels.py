@@ -162,15 +162,8 @@ def test_channels_keep_an_uneven_clock(channels: Path) -> None:
     words = ("--max-slew", 60, "--on-limit", "clip", "-q")
     line = ("compensate", "set.json", "uneven.csv", "--displacement", "D{}_um", *words)
     done(*line, "-o", "set.csv")
-    line = (
-        "compensate",
-        "set.json::b",
-        "uneven.csv",
-        "--displacement",
-        "Db_um",
-        *words,
-    )
-    done(*line, "-o", "one.csv")
+    alone = ("uneven.csv", "--displacement", "Db_um", *words)
+    done("compensate", "set.json::b", *alone, "-o", "one.csv")
     ours, alone = table("set.csv"), table("one.csv")
     np.testing.assert_allclose(ours["voltage_b_V"], alone["voltage_V"], atol=1e-12)
     np.testing.assert_array_equal(ours["time_s"], alone["time_s"])

@@ -78,24 +78,6 @@ def test_extrapolate_leaves_the_identified_range_as_far_as_typed() -> None:
     )
 
 
-def test_a_slew_limit_holds_for_every_step() -> None:
-    move(sine(8.0, 3.0))
-    free = compensated("small")["voltage_V"]
-    slew = 0.5 * np.abs(np.diff(free)).max() * 1000.0
-    words = ("--max-slew", slew, "--on-limit", "clip", "--return", 1.5)
-    written = compensated("small", *words)
-    voltage = written["voltage_V"]
-    assert np.abs(np.diff(voltage)).max() <= slew / 1000.0 * (1.0 + 1e-12)
-    assert not np.array_equal(voltage[:400], free)
-    assert voltage[-1] == pytest.approx(1.5, abs=1e-9)
-    assert written["time_s"][-1] > TIME[-1]
-    # from 0 V the first step would be too far: held back, or refused
-    outcome = dbo(*SMALL, "--from", 0, *words[:4], "-o", "drive.csv")
-    assert outcome.code in (0, 3)
-    if outcome.code == 0:
-        assert table("drive.csv")["voltage_V"][0] <= slew / 1000.0 * (1.0 + 1e-9)
-
-
 def test_limits_and_trajectories_take_units() -> None:
     move(sine(8.0))
     same = {
@@ -132,24 +114,6 @@ def test_an_approach_leads_from_where_the_amplifier_stands() -> None:
     assert np.abs(np.diff(voltage)).max() < 0.5
     np.testing.assert_allclose(time[~before], TIME, atol=1e-12)
     np.testing.assert_allclose(desired[~before], sine(8.0, 3.0), atol=1e-12)
-
-
-@pytest.mark.parametrize("name", ["small", "creep"])
-def test_condition_sweeps_the_range_first(name: str) -> None:
-    values = values_of(name)
-    low, high = values["input"]["min"], values["input"]["max"]
-    top = values["output"]["max"]
-    move(sine(0.8 * top, 0.4 * top))
-    time, desired, voltage = compensated(name, "--condition").values()
-    before = time < -1e-9
-    sweep = voltage[before]
-    assert sweep.min() < low + 0.05 * (high - low)
-    assert sweep.max() > high - 0.05 * (high - low)
-    join = int(before.sum())
-    steps = np.abs(np.diff(voltage))
-    assert steps[join - 3 : join + 3].max() <= steps.max() * (1.0 + 1e-9)
-    error = simulated(name, "drive.csv", "--state", "full") - desired
-    assert np.abs(error[~before][1:]).max() < 0.02 * top
 
 
 def test_condition_makes_the_past_known() -> None:
@@ -284,30 +248,6 @@ def test_a_loop_that_does_not_close_and_options_without_a_partner_are_refused() 
     assert outcome.code in (1, 3) and "period" in outcome.lines[-1]
     for option in ("--passes 2", "--voltage 2", "--measured 2", "--history h.json"):
         refused(2, *SMALL, *option.split(), "-o", "d.csv")
-
-
-@pytest.fixture
-def wrong_model() -> Path:
-    """Return a model whose displacement is 5 % more than that of the stored model ``creep``."""
-    values = values_of("creep")
-    values["stages"][1]["dy"] = [1.05 * dy for dy in values["stages"][1]["dy"]]
-    values["output"]["max"] = sum(values["stages"][1]["dy"])
-    return store("wrong.json", values)
-
-
-def test_learning_brings_the_error_down(wrong_model: Path) -> None:
-    """Three passes on an actuator that is not the model; the history keeps each error."""
-    move(sine(4.0, 1.5))
-    words = ("compensate", wrong_model, "wish.csv", "-o", "drive.csv", "-q")
-    done(*words)
-    errors = []
-    for _ in range(3):
-        done("simulate", model("creep"), "drive.csv", "-o", "came.csv", "-q")
-        error = table("came.csv")["displacement_um"] - table("drive.csv")["desired_um"]
-        errors.append(rms(error - error.mean()))
-        done(*words, "--tracked", "came.csv", "--history", "passes.json")
-    assert errors[2] < 0.3 * errors[0]
-    assert "rmse" in json.dumps(load("passes.json"))
 
 
 def test_bandwidth_rounds_the_corners_and_resample_writes_at_the_card_s_rate() -> None:

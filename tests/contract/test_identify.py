@@ -153,16 +153,7 @@ def test_a_delay_is_found() -> None:
 
 
 def test_a_structure_that_is_typed_is_taken() -> None:
-    words = (
-        "--points",
-        6,
-        "--gears",
-        64,
-        "--relaxation",
-        "0.01,300ms",
-        "--delay",
-        0.004,
-    )
+    words = "--points 6 --gears 64 --relaxation 0.01,300ms --delay 0.004".split()
     stages = identified(moved_log(), *words, "--dynamics", 0, "--force")["stages"]
     kinds = [one["type"] for one in stages]
     assert done("show", FITTED, "--format", "json").json["gears"] == 64
@@ -403,7 +394,6 @@ def test_memories_that_may_have_rested_elsewhere_are_in_the_stated_error() -> No
     model = Cascade("forward", volts, microns, (gears,), fit={"left_out_rmse": 0.01},
                     candidates=(Candidate(1.0, (gears,)),))  # fmt: skip
     error = expected_error(model, 50.0 + 10.0 * np.sin(TIME), 0.01)
-    assert error is not None
     assert error.known == pytest.approx(0.01)
     # 100 V times 0.02 um/V, equally likely anywhere: a twelfth of the square
     unknown = error.rms(past_known=True)

@@ -250,11 +250,6 @@ def test_what_is_wrong_is_an_error_of_a_class(small: Any, creep: Any) -> None:
         creep.save("no/where.json")
 
 
-def test_an_inverse_is_a_model(small: Any) -> None:
-    found = small.inverse().simulate(WANTED)
-    np.testing.assert_allclose(found, small.compensate(WANTED), atol=1e-12)
-
-
 def test_plot_and_html(creep: Any) -> None:
     axes = creep.plot().axes[0]
     label = axes.get_ylabel().replace("\N{GREEK SMALL LETTER MU}", "u")

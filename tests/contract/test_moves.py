@@ -98,7 +98,6 @@ def test_numpy_reads_npy_and_the_gain_is_divided_out() -> None:
     written = np.load("d.npy").ravel()
     np.testing.assert_allclose(written, VOLTS / 20.0, rtol=1e-12)
     said = re.search(r"([\d.]+) Vpp, offset ([\d.]+) V at gain 20", outcome.err)
-    assert said is not None
     assert float(said[1]) == pytest.approx(np.ptp(written), rel=1e-4)
     middle = 0.5 * (written.max() + written.min())
     assert float(said[2]) == pytest.approx(middle, rel=1e-4)

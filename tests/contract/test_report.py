@@ -125,22 +125,6 @@ def test_a_late_sensor_is_late_in_samples_and_seconds(late: int) -> None:
         assert found["lag_left_s"] == pytest.approx(0.004, abs=5e-4)
 
 
-def test_rows_and_the_lag_count_rows_of_desired() -> None:
-    measured = WANTED.copy()
-    measured[100:] += 1.0
-    write("step.csv", PAIR, TIME, WANTED, measured)
-    assert merits("step.csv", "--rows", "1:100")["rmse"] == 0.0
-    assert merits("step.csv", "--rows", "1:100", "--lag", 1)["samples"] == 100
-
-
-def test_offset_removed() -> None:
-    write("up.csv", PAIR, TIME, WANTED, WANTED + 0.25)
-    found = merits("up.csv", "--remove-offset")
-    assert found["rmse"] < 1e-12
-    assert found["offset_removed"] == pytest.approx(0.25)
-    assert merits("up.csv")["mean"] == pytest.approx(0.25)
-
-
 def test_units_of_the_two_are_brought_together() -> None:
     write("nm.csv", "time_s,desired_um,measured_nm", TIME, WANTED, 1000.0 * WANTED)
     assert merits("nm.csv")["rmse"] < 1e-9

@@ -1,5 +1,7 @@
 """Files of other libraries: values to the bit, units, rates, and refusals that say what to do."""
 
+from __future__ import annotations
+
 import datetime
 import importlib.metadata
 import pickle
@@ -185,6 +187,12 @@ def test_parts_are_chosen_or_asked_for(tmp_path: Path) -> None:
     FRAME.to_parquet(tmp_path / "a.parquet")
     with pytest.raises(InputError, match="no parts"):
         opened(tmp_path / "a.parquet", "x")
+
+
+def test_a_cell_of_a_workbook_keeps_all_its_digits(tmp_path: Path) -> None:
+    values = [0.1, 3.333333333333333e-08, -2.5, 123456.789012345]
+    pd.DataFrame({"t_s": T, "u": values}).to_excel(tmp_path / "a.xlsx", index=False)
+    np.testing.assert_array_equal(read(opened(tmp_path / "a.xlsx"))["u"], values)
 
 
 # --- refusals ---

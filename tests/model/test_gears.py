@@ -103,7 +103,6 @@ def test_another_voltage_that_was_applied_is_followed(seed: int) -> None:
     rng = np.random.default_rng(seed)
     forward = random_gears(rng, negative=True)
     applied = random_drive(rng, *forward.x_range, 100)
-    assert forward.relaxation is not None
     memory = (0.1,) * forward.gain.size
     begun = State(0, memory, float(applied[0]))
     live = forward.stepper(begun, DT, OPEN, None)
