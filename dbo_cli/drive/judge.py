@@ -324,8 +324,8 @@ class Judge:
         (low, high), standing = self.limits.identified, self.standing
         if standing is not None and abs(self._first - standing) > JUMP * (high - low):
             texts.append(
-                f"jumps from {in_full(standing)} to {in_full(self._first)}{self.limits.suffix} at row 1, and the "
-                "error there is not in the expected one: add `approach` auto"
+                f"jumps from {in_full(standing)} to {in_full(self._first)}{self.limits.suffix} at row 1, and "
+                "the error there is not in the expected one: add `approach` auto"
             )
         return texts
 
