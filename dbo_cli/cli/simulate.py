@@ -56,12 +56,12 @@ def simulate(
             simulator, quantity = simulators[""], models[""].output
             units = {"input": models[""].input.unit}
             with open_log(log, columns, reading, units) as signal:
-                write_stream(simulator, signal, outputs, output)
+                simulate_stream(simulator, signal, outputs, output)
             text = (
                 f"{simulator.row_count:,} rows of {quantity.quantity}{quantity.suffix}"
             )
         else:
-            rows = write_set(simulators, log, columns, reading, outputs, output)
+            rows = simulate_set(simulators, log, columns, reading, outputs, output)
             text = f"{len(models)} channels, {rows:,} rows"
         texts = {}
         for name, simulator in simulators.items():
@@ -75,7 +75,7 @@ def simulate(
     say_output(output, text)
 
 
-def write_stream(
+def simulate_stream(
     simulator: Simulator, signal: Log, outputs: Outputs, output: str
 ) -> None:
     """Run a model over a log and write both, block by block."""
@@ -99,7 +99,7 @@ def write_stream(
     simulator.finish().send(table.write)
 
 
-def write_set(
+def simulate_set(
     simulators: dict[str, Simulator],
     log: str,
     columns: dict[str, str | None],

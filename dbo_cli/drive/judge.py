@@ -10,7 +10,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import Lead
-from dbo_cli.drive.limits import Limits, plain, rounded_up
+from dbo_cli.drive.limits import Limits, in_full, rounded_up
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Cascade, Run, State, Steps, expect
 
@@ -324,8 +324,8 @@ class Judge:
         (low, high), standing = self.limits.identified, self.standing
         if standing is not None and abs(self._first - standing) > JUMP * (high - low):
             texts.append(
-                f"jumps from {plain(standing)} to {plain(self._first)}{self.limits.suffix} at row 1, and the "
-                "error there is not in the expected one: add `approach` auto"
+                f"jumps from {in_full(standing)} to {in_full(self._first)}{self.limits.suffix} at row 1, and "
+                "the error there is not in the expected one: add `approach` auto"
             )
         return texts
 
