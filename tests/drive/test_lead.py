@@ -42,16 +42,10 @@ def test_typed_seconds_are_the_whole_way_of_a_sweep() -> None:
     model = actuator(tau=(0.1, 2.0), gain=(0.01, 0.02))
     wanted = ripple(model, 300, 0.3)
     for start, seconds in ((None, 4.0), (60.0, 200.0), (0.0, 5.0)):
-        drive = plan(
-            model,
-            wanted,
-            0.01,
-            limits_of(model, max_slew=120.0),
-            start=start,
-            condition=True,
-            approach=seconds,
-            on_limit="clip",
-        )
+        limits = limits_of(model, max_slew=120.0)
+        options: dict[str, Any] = {"start": start, "approach": seconds}
+        options |= {"condition": True, "on_limit": "clip"}
+        drive = plan(model, wanted, 0.01, limits, **options)
         assert drive.lead_seconds == pytest.approx(seconds, abs=0.05)
         lead = drive.voltage[: drive.move.start]
         assert (lead.min(), lead.max()) == (0.0, 100.0)
@@ -96,15 +90,9 @@ def test_the_way_joins_the_move(
     rest = model.output.min + (0.1 + 0.8 * begins) * model.output.span
     wanted = np.full(400, rest)
     typed = None if slew is None else slew * model.input.span
-    drive = plan(
-        model,
-        wanted,
-        1e-3,
-        limits_of(model, max_slew=typed),
-        start=start,
-        approach="auto",
-        on_limit="clip",
-    )
+    limits = limits_of(model, max_slew=typed)
+    options: dict[str, Any] = {"start": start, "approach": "auto", "on_limit": "clip"}
+    drive = plan(model, wanted, 1e-3, limits, **options)
     assert drive.voltage[0] == start
     steps = np.abs(np.diff(drive.voltage))
     join = drive.move.start

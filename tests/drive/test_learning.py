@@ -32,16 +32,8 @@ def learned(
     tracked: list[Tracked] = []
     errors = []
     for _ in range(passes):
-        drive = plan(
-            model,
-            wanted,
-            DT,
-            limits,
-            state="empty",
-            tracked=tracked,
-            history=history,
-            on_limit="clip",
-        )
+        passes = {"tracked": tracked, "history": history, "on_limit": "clip"}
+        drive = plan(model, wanted, DT, limits, state="empty", **passes)
         history = list(drive.history)
         y = plant.run(
             drive.voltage, plant.start(float(drive.voltage[0]), "empty"), DT

@@ -43,14 +43,9 @@ def test_lookahead_undoes_what_needs_the_future(parts):
     wanted = ripple(model, 600)
     live = Controller(model, RATE, lookahead="auto")
     sent = stepped(live, wanted)
-    led = plan(
-        model,
-        wanted,
-        1 / RATE,
-        Limits.within(model.input),
-        lead="auto",
-        on_limit="clip",
-    ).voltage
+    limits = Limits.within(model.input)
+    drive = plan(model, wanted, 1 / RATE, limits, lead="auto", on_limit="clip")
+    led = drive.voltage
     shared = min(len(sent), len(led))
     np.testing.assert_allclose(sent[:shared], led[:shared], rtol=0, atol=1e-7)
     later = Controller(model, RATE, lookahead=(live.lookahead + 3) / RATE)

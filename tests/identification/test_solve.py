@@ -67,17 +67,11 @@ def test_a_gain_is_believed_as_far_as_the_log_shows_it() -> None:
     table = columns(log_of(drive, Cells.of()), [0.02, 100.0])
     noise = np.random.default_rng(3).standard_normal(len(drive))
     slow = table[:, -3] - table[:, -3].mean()
+    weights, shares = np.full(len(drive), 1.0 / len(drive)), Cells.of().shares
     gains = []
     for size in (1e-4, 1e-2, 1e-1):
         output = drive + 0.5 * slow + size * noise
-        rows = Rows(
-            table,
-            output,
-            np.full(len(drive), 1.0 / len(drive)),
-            np.zeros((len(drive), 0)),
-            Cells.of().shares,
-            2,
-        )
+        rows = Rows(table, output, weights, np.zeros((len(drive), 0)), shares, 2)
         gains.append(float(solve(rows, Structure(memories="t")).gains[1]))
     assert gains[0] == pytest.approx(0.5, rel=0.05)
     assert gains[0] > gains[1] > gains[2]

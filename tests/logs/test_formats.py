@@ -1,7 +1,5 @@
 """Files of other libraries: values to the bit, units, rates, and refusals that say what to do."""
 
-from __future__ import annotations
-
 import datetime
 import importlib.metadata
 import pickle

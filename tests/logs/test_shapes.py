@@ -4,8 +4,6 @@ The files are data (``tests/shapes/text.json``): what is in them, what is asked 
 what must come out, or the options that the refusal must name.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 import re

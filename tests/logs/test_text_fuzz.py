@@ -44,17 +44,7 @@ class Written:
 def table(rng: random.Random) -> Written:
     """Write a random table in a random way."""
     count = rng.choice([2, 3, 5, 8, 40, 300])
-    delimiter, decimal = rng.choice(
-        [
-            (",", "."),
-            (";", "."),
-            (";", ","),
-            ("\t", "."),
-            ("\t", ","),
-            (" ", "."),
-            ("|", "."),
-        ]
-    )
+    delimiter, decimal = rng.choice([",.", ";.", ";,", "\t.", "\t,", " .", "|."])
     digits = rng.choice([0, 1, 3, 6])
     rows, values = [], []
     for number in range(count):

@@ -42,16 +42,9 @@ def test_figures() -> None:
     assert parse_quantity("3kA/m/s", "A/m/s") == 3000.0
     assert parse_quantity("-1.5e-3 kV", "V") == -1.5
     assert parse_quantity("7", None) == 7.0
-    for figure, unit in (
-        ("4bar", "V"),
-        ("nan", "V"),
-        ("x", "V"),
-        ("2V", "V/s"),
-        ("1 2", "V"),
-        (float("inf"), "V"),
-    ):
+    for figure in ("4bar", "nan", "x", "2V/s", "1 2", float("inf")):
         with pytest.raises(UsageError, match="`v_max`"):
-            parse_quantity(figure, unit, "v_max")
+            parse_quantity(figure, "V", "v_max")
 
 
 def test_what_a_signal_is_called() -> None:

@@ -66,15 +66,8 @@ def test_rows_before_time_0_take_no_part():
 
 
 def test_match_by_rows_takes_the_trajectory_s_time():
-    wanted_time = np.arange(-20, 80) / 100.0
-    pair = match(
-        "run",
-        np.ones(90),
-        np.zeros(100),
-        measured_time=np.arange(90) / 100.0,
-        desired_time=wanted_time,
-        match="rows",
-    )
+    times = np.arange(90) / 100.0, np.arange(-20, 80) / 100.0
+    pair = match("run", np.ones(90), np.zeros(100), *times, match="rows")
     assert len(pair) == 90
     assert pair.time[0] == -0.2
     assert any("10 rows fewer" in note for note in pair.notes)
