@@ -142,7 +142,7 @@ def test_refining_keeps_what_fits_and_offers_one_more() -> None:
     model = plant(Resonance(60.0, 0.02), Resonance(150.0, 0.02))
     _, fast = split([recorded(model, swept())])
     begun = (Resonance(61.0, 0.03),)
-    sections, _, _ = dynamics.refine(plant(), fast, begun, 0.0)
+    _, sections, _, _ = dynamics.refine(plant(), fast, begun, 0.0)
     frequencies = [one.frequency for one in sections if isinstance(one, Resonance)]
     assert frequencies == pytest.approx([60.0, 150.0], rel=0.01)
 
