@@ -191,11 +191,11 @@ def _with_delay(
 
 
 def _with_amplifier(signals: Sequence[Signals], behind: Fitted, band: Band) -> Fitted:
-    """Return dynamics with the lag before the gears, unless the fast rows ask for it behind them.
+    """Return dynamics with the lag before the gears, unless it earns its place behind them.
 
-    The actuator is the capacity that an amplifier charges. In a small sweep the gears are
-    nearly straight, and both places explain it alike; faster moves tell them apart. A
-    lag of less than half a step is no more than late.
+    The actuator is the capacity that an amplifier charges. In a sweep of 1 % of the range
+    the gears are nearly straight, and both places explain it alike; a larger one tells
+    them apart. A lag of less than half a step is no more than late.
     """
     step = min(segment.dt for segment in signals)
     *leading, lag = behind.parameters.tolist()
@@ -205,7 +205,7 @@ def _with_amplifier(signals: Sequence[Signals], behind: Fitted, band: Band) -> F
     tail = [leading.pop()] if behind.form.delay else []
     start = np.array([*leading, lag, *tail, late])
     before = fitted(signals, [start], replace(behind.form, amplifier=True), band)
-    return behind if behind.left_out <= EARNED * before.left_out else before
+    return behind if _earned(signals, behind, before, band) else before
 
 
 def _one_more(

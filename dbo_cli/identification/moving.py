@@ -3,7 +3,8 @@
 A static model of the slow rows finds the sections. They tell how late slow moves are;
 with that known, memories of milliseconds and wider loops no longer stand for it, and the
 slow rows are read again: with memories of the drive, and with creep behind the gears
-instead. The sections are then fitted again to the better reading.
+instead. The sections are then fitted again to the better reading, with a lag before the
+gears, where an amplifier has it: to slow moves it is only late, wherever it stands.
 """
 
 from __future__ import annotations
