@@ -132,7 +132,7 @@ class Files:
         except DboError as problem:
             return one_line(problem)
         values = table["voltage"]
-        if values.size != table.rows or not np.isfinite(values).all():
+        if values.size != len(table) or not np.isfinite(values).all():
             raise AssertionError("a table is not what it says")
         return "read"
 

@@ -7,9 +7,8 @@ turns and a small sweep are played, a model is identified from the two noisy rec
 and sines and rounded triangles at f_r/1000 to f_r/5 are compensated and played. RMS
 errors in % of the move, without the sensor's noise: of the model without dynamics, and
 of the model as identified. Exit 1 where the second exceeds 0.05 % up to f_r/30, 0.08 %
-at f_r/10 or 0.25 % at f_r/5. The stages' amplifiers lag before the gears, which the
-model has behind them: with ``--amplifier-output`` what is logged and driven is the
-amplifier's output.
+at f_r/10 or 0.25 % at f_r/5. The stages' amplifiers lag before the gears: with
+``--amplifier-output`` what is logged and driven is the amplifier's output.
 """
 
 from __future__ import annotations
@@ -121,6 +120,7 @@ def main() -> int:
         print(
             f"{name}: modes {p.modes}, amplifier lag {p.amplifier_lag} s; {took:.0f} s"
         )
+        print(f"  found {models[1].amplifier}")
         print(f"  found {models[1].dynamics and models[1].dynamics.sections}")
         low, high = models[0].output.min, models[0].output.max
         for shape in SHAPES:

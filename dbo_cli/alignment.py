@@ -73,11 +73,6 @@ class Alignment:
         """Seconds by which the recording's stamps are ahead of the other's at its beginning."""
         return self.start - self.reference_start + self.lag.seconds
 
-    @property
-    def deviation_rows(self) -> float:
-        """One standard deviation of it in rows of the slower clock."""
-        return self.lag.deviation / self.step
-
     def recorded_time(self, reference_time: Floats) -> Floats:
         """Return stamps of the other recording on the clock of the recording (s)."""
         times: Floats = reference_time - self.reference_start + self.lag.seconds
@@ -264,6 +259,6 @@ def on_whole_rows(
         return found
     rows = round(found.lag.seconds / steps[1])
     fraction = abs(found.lag.seconds / steps[1] - rows)
-    if fraction > max(slack, 3.0 * found.deviation_rows):
+    if fraction > max(slack, 3.0 * found.lag.deviation / found.step):
         return found
     return replace(found, lag=replace(found.lag, seconds=rows * steps[1]))

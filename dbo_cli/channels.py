@@ -17,7 +17,6 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from dbo_cli.arrays import Floats
 from dbo_cli.errors import (
     DboError,
     DboWarning,
@@ -33,14 +32,12 @@ from dbo_cli.model.state import START_NAMES
 from dbo_cli.units import split_header
 
 if TYPE_CHECKING:
-    from dbo_cli.drive import Drive, Limits
+    from dbo_cli.drive import Drive, Driver
     from dbo_cli.drive.drive import PassRecord
     from dbo_cli.files import Outputs
     from dbo_cli.logs import Reading
     from dbo_cli.model import Cascade
 
-Result = tuple[str, str | None, Floats]
-"""A column of the result: its name, unit and values."""
 PLACE = "{}"
 ALONE = ("",)
 """The channels of a log whose columns are no patterns."""
@@ -326,43 +323,30 @@ def histories_of(
 # --- tables of all channels ---
 
 
-def write_results(
-    outputs: Outputs,
-    output: str,
-    time: Floats | None,
-    results: Sequence[Result],
-    origin: dict[str, str | float] | None = None,
-) -> None:
-    """Write the columns of channels side by side, behind their time."""
-    from dbo_cli.logs import add_table
-
-    columns = [*results] if time is None else [("time", "s", time), *results]
-    names = [(name, unit) for name, unit, _ in columns]
-    add_table(outputs, output, names, origin).write(*(values for *_, values in columns))
-
-
 def heading(
-    model: Cascade, limits: Limits, time: Floats | None
+    drives: Mapping[str, Drive] | Mapping[str, Driver], clocked: bool
 ) -> tuple[list[tuple[str, str | None]], dict[str, str | float]]:
-    """Return names and units of the columns of a drive, and what an HDF5 file says of it."""
-    columns: list[tuple[str, str | None]] = [] if time is None else [("time", "s")]
-    columns.append(("desired", model.output.unit))
-    columns.append((model.input.quantity, model.input.unit))
-    return columns, {"model": model.digest, "limits": json.dumps(limits.as_dict())}
+    """Return names and units of the columns of drives, side by side, and what an HDF5 file says of them."""
+    columns: list[tuple[str, str | None]] = [("time", "s")] if clocked else []
+    digests, limits = {}, {}
+    for name, drive in drives.items():
+        into, out = drive.model.input, drive.model.output
+        ending = f"_{name}" if name else ""
+        columns.append((f"desired{ending}", out.unit))
+        columns.append((f"{into.quantity}{ending}", into.unit))
+        digests[name], limits[name] = drive.model.digest, drive.limits.as_dict()
+    if tuple(drives) == ALONE:
+        return columns, {"model": digests[""], "limits": json.dumps(limits[""])}
+    return columns, {"model": json.dumps(digests), "limits": json.dumps(limits)}
 
 
 def write_drives(outputs: Outputs, output: str, drives: Mapping[str, Drive]) -> None:
     """Write drives side by side: the time, then displacement and voltage of each channel."""
-    results: list[Result] = []
-    for name, drive in drives.items():
-        into, out = drive.model.input, drive.model.output
-        ending = f"_{name}" if name else ""
-        results.append((f"desired{ending}", out.unit, drive.desired))
-        results.append((f"{into.quantity}{ending}", into.unit, drive.voltage))
-    first = next(iter(drives.values()))
-    _, origin = heading(first.model, first.limits, None)
-    if tuple(drives) != ALONE:
-        limits = {name: drive.limits.as_dict() for name, drive in drives.items()}
-        digests = {name: drive.model.digest for name, drive in drives.items()}
-        origin = {"model": json.dumps(digests), "limits": json.dumps(limits)}
-    write_results(outputs, output, first.time, results, origin)
+    from dbo_cli.logs import add_table
+
+    time = next(iter(drives.values())).time
+    columns, origin = heading(drives, time is not None)
+    values = [] if time is None else [time]
+    for drive in drives.values():
+        values += [drive.desired, drive.voltage]
+    add_table(outputs, output, columns, origin).write(*values)

@@ -160,7 +160,7 @@ def write_stream(driver: Driver, log: Log, outputs: Outputs, output: str) -> Dri
 
     blocks = progress(log.blocks(), "driven")
     first = next(blocks)
-    columns, origin = heading(driver.model, driver.limits, first.time)
+    columns, origin = heading({"": driver}, first.time is not None)
     table = add_table(outputs, output, columns, origin)
     for block in chain([first], blocks):
         rows = driver.rows(block.values["displacement"], block.dt, block.time)

@@ -56,12 +56,12 @@ def simulate(
             simulator, quantity = simulators[""], models[""].output
             units = {"input": models[""].input.unit}
             with open_log(log, columns, reading, units) as signal:
-                write_stream(simulator, signal, outputs, output)
+                simulate_stream(simulator, signal, outputs, output)
             text = (
                 f"{simulator.row_count:,} rows of {quantity.quantity}{quantity.suffix}"
             )
         else:
-            rows = write_set(simulators, log, columns, reading, outputs, output)
+            rows = simulate_set(simulators, log, columns, reading, outputs, output)
             text = f"{len(models)} channels, {rows:,} rows"
         texts = {}
         for name, simulator in simulators.items():
@@ -75,7 +75,7 @@ def simulate(
     say_output(output, text)
 
 
-def write_stream(
+def simulate_stream(
     simulator: Simulator, signal: Log, outputs: Outputs, output: str
 ) -> None:
     """Run a model over a log and write both, block by block."""
@@ -99,7 +99,7 @@ def write_stream(
     simulator.finish().send(table.write)
 
 
-def write_set(
+def simulate_set(
     simulators: dict[str, Simulator],
     log: str,
     columns: dict[str, str | None],
@@ -110,9 +110,11 @@ def write_set(
     """Run the model of each channel over its input, write all side by side, and return the number of rows."""
     from dbo_cli import channels
     from dbo_cli.drive.simulate import stacked
+    from dbo_cli.logs import add_table
     from dbo_cli.recordings import read_table
 
-    results: list[channels.Result] = []
+    names: list[tuple[str, str | None]] = []
+    values = []
     for name, simulator in simulators.items():
         into, out = simulator.model.input, simulator.model.output
         roles = channels.columns_for(columns, name)
@@ -120,7 +122,10 @@ def write_set(
         with channels.naming(name):
             ready = simulator.rows(table["input"], table.dt, table.time)
             rows = stacked([ready, simulator.finish()])
-        results.append((f"{into.quantity}_{name}", into.unit, rows.x))
-        results.append((f"{out.quantity}_{name}", out.unit, rows.y))
-    channels.write_results(outputs, output, table.time, results)
+        names.append((f"{into.quantity}_{name}", into.unit))
+        names.append((f"{out.quantity}_{name}", out.unit))
+        values += [rows.x, rows.y]
+    if table.time is not None:
+        names, values = [("time", "s"), *names], [table.time, *values]
+    add_table(outputs, output, names).write(*values)
     return len(table)

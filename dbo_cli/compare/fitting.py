@@ -303,7 +303,7 @@ class Solution:
 
 def shares(drive: Floats, time: Floats | None, fastest: float) -> Floats:
     """Return how much of the second set of weights of [7] counts in each row."""
-    if time is None:
+    if time is None or not fastest > 0.0:
         raise FitError("the rate needs a clock: give `time` or `sample_rate`")
     share: Floats = np.minimum(rates_of(drive, time) / fastest, 1.0)
     return share
@@ -443,8 +443,6 @@ def fit(rival: Design, problem: RivalProblem) -> PlayModel:
     FitError
         The rival cannot be fitted to these logs; the message says why.
     """
-    if rival.by_rate and not problem.fastest > 0.0:
-        raise FitError("the rate needs a clock: give `time` or `sample_rate`")
     rows = with_delay(rival, problem)
     if rival.plays > 1 and not (rival.free_first or rival.one_sided):
         falling = with_delay(replace(rival, falling=True), problem)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.drive.limits import Gate, Limits
+from dbo_cli.drive.smooth import open_seam
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.signals import between, lag, noise
 
@@ -26,7 +27,6 @@ EVEN_STEPS = 0.1
 """Of a step: the steps around a gap differ by less, but for one in ``NEIGHBOURS``. On an uneven clock
 nothing says when the next row is due. Stamps of so even a clock may be rounded, to a twentieth of a step.
 """
-OPEN_SEAM = 3.0  # times the largest step inside, from which on a loop does not close
 ANOTHER = 0.5  # correlation below which a recording is of another drive
 ONE_RATE = 1e-6  # relative difference of two rates that are one
 
@@ -298,13 +298,8 @@ def _seam(voltage: Floats, gate: Gate, waits: Floats | None) -> list[str]:
     bad = gate.broken(voltage[:1], None if waits is None else waits[:1], "return")
     if bad.any():
         return [f"from the last row to the first: {gate.reason(first, last, 'return')}"]
-    inside = float(np.abs(np.diff(voltage)).max(initial=0.0))
-    if abs(first - last) > OPEN_SEAM * inside:
-        return [
-            f"the loop is open: {last:.6g} to {first:.6g}; the largest step inside is {inside:.3g}: "
-            "give one whole period (`rows` A:B leaves a run-in out)"
-        ]
-    return []
+    seam = open_seam(voltage)
+    return [seam] if seam else []
 
 
 # --- what was played ---

@@ -83,6 +83,8 @@ class Driver:
         self.return_to = voltage_in("return", return_to, model.input)
         self.lead = lead = Lead() if lead is None else lead
         self._standing = lead.standing(limits, model.input)
+        if lead.approach is not None and not lead.condition and self._standing is None:
+            raise UsageError("`approach` needs `from_` VOLT or a `state` file")
         self._gate = Gate(limits, self._standing)
         self._judge = Judge(model, limits, lead, self._standing, on_limit, name)
         self._state: State | None = None
@@ -159,12 +161,10 @@ class Driver:
         blocks = [self._driven(dt, *block) for block in self._ahead.remaining()]
         self._judge.require_reached(self._step)
         voltage = self._way_back(return_rows)
-        if voltage.size:
-            assert self._state is not None
-            begin = self._state.time
-            count = np.arange(1.0, voltage.size + 1.0)
-            stamps = (begin or 0.0) + self._step * count
-            blocks.append(self._played(stamps, voltage, "return", begin is not None))
+        assert self._state is not None
+        begin = self._state.time
+        stamps = (begin or 0.0) + self._step * np.arange(1.0, voltage.size + 1.0)
+        blocks.append(self._played(stamps, voltage, "return", begin is not None))
         return stacked(blocks), self._judge.concluded(self._state, self._step)
 
     def _way_back(self, count: int) -> Floats:
@@ -207,8 +207,8 @@ class Driver:
             )
         loop = self._loop_of(target, dt, passes)
         plan = loop.planned()
-        run, state = plan.settled.run, plan.settled.before
-        self._judge.clip(desired, loop.static_target, run, state, dt)
+        state = plan.before
+        self._judge.clip(desired, loop.static_target, plan.run, state, dt)
         self._judge.require_reached(dt, is_loop=True)
         texts = loop.require_settled(plan, self.on_limit)
         leading, period = plan.lead_voltage, plan.voltage
@@ -216,9 +216,7 @@ class Driver:
         self._gate.require_reachable(first, first, dt)
         self._state, self._step = plan.begin, dt
         stamps = time[0] - dt * np.arange(leading.size, 0.0, -1.0)
-        before = NO_ROWS
-        if leading.size:
-            before = self._played(stamps, leading, "lead", True)
+        before = self._played(stamps, leading, "lead", True)
         first_pass = self._played(time, period, "move", True)
         self._gate.admit(period[:1], dt)  # the seam
         unsettled = first_pass.x - loops.settled_run(model, period, dt, state)
@@ -467,6 +465,8 @@ class Driver:
 
     def _played(self, time: Floats, voltage: Floats, phase: str, clocked: bool) -> Rows:
         """Return rows that are played as they are, with the displacement that the model expects of them."""
+        if not voltage.size:
+            return NO_ROWS
         assert self._state is not None
         run = self.model.run(voltage, self._state, self._step)
         self._admit(voltage, self._step, phase)
@@ -484,12 +484,10 @@ class Driver:
         if not bad.any():
             return
         row = int(np.argmax(bad))
-        where = f"{self.name}: row {self._row_count + row + 1:,}"
-        if np.isfinite(values[row]):
-            raise InputError(
-                f"{where}: {values[row]:g} is no displacement: check column and unit"
-            )
-        raise InputError(f"{where} holds no number (`skip_bad` drops such rows)")
+        raise InputError(
+            f"{self.name}: row {self._row_count + row + 1:,}: {values[row]:g} is no displacement: check "
+            "column and unit (`skip_bad` drops rows without a number)"
+        )
 
 
 def _aged(model: Cascade, state: State, time: Floats | None, step: float) -> State:

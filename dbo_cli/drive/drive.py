@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.limits import Limits, plain
+from dbo_cli.drive.limits import Limits, in_full
 from dbo_cli.drive.simulate import Rows
 from dbo_cli.model import Cascade, State
 
@@ -113,12 +113,12 @@ class Drive:
         state = "within limits" if self.limits.given else "within the identified range"
         if self.clipped:
             state = f"{self.clipped:,} {'row' if self.clipped == 1 else 'rows'} clipped"
-        text = f"{self.rows:,} rows, {plain(low)} to {plain(high)}{unit}, {state}"
+        text = f"{self.rows:,} rows, {in_full(low)} to {in_full(high)}{unit}, {state}"
         if self.lead_range is not None:
             low, high = self.lead_range
-            text += f"; {self.lead_seconds:.3g} s before the move, {plain(low)} to {plain(high)}{unit}"
+            text += f"; {self.lead_seconds:.3g} s before the move, {in_full(low)} to {in_full(high)}{unit}"
         if self.starts_at is not None:
-            text += f"; starts at {plain(self.starts_at)}{unit}: `from` VOLT"
+            text += f"; starts at {in_full(self.starts_at)}{unit}: `from` VOLT"
         return text
 
     def expected_line(self) -> str:

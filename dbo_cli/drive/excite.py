@@ -101,6 +101,7 @@ def excite(
         ("duration", duration),
         ("rest", rest),
         ("max_slew", max_slew),
+        ("sweep_to", sweep_to),
     ):
         if value is not None and not 0.0 < value < math.inf:
             raise UsageError(f"`{name}` {value:g}: give a number above 0")
@@ -214,8 +215,6 @@ def _check_sweep(
     span: float, rate: float, sweep_to: float, crest: float, max_slew: float | None
 ) -> None:
     """Refuse a sweep that the rate does not resolve, or that range or slew do not allow."""
-    if not 0.0 < sweep_to < math.inf:
-        raise UsageError(f"`sweep_to` {sweep_to:g}: give a frequency in Hz above 0")
     if rate < SWEEP_ROWS_A_PERIOD * sweep_to * (1.0 - 1e-9):
         raise UsageError(
             f"`sweep_to` {sweep_to:g}: needs `sample_rate` {SWEEP_ROWS_A_PERIOD * sweep_to:g} or "

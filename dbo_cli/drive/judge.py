@@ -10,7 +10,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import Lead
-from dbo_cli.drive.limits import Limits, plain, rounded_up
+from dbo_cli.drive.limits import Limits, in_full, rounded_up
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Cascade, Run, State, Steps, expect
 
@@ -69,9 +69,7 @@ class Judge:
         # the first rows, which judgements play again: voltages and steps, part by part
         self._voltages: list[Floats] = []
         self._steps: list[Steps] = []
-        # what the static part was to reach for the move, with the steps, and the state before
-        self._targets: list[tuple[Floats, Steps]] = []
-        self._before: State | None = None
+        self._needed_slew = 0.0
 
     # --- rows ---
 
@@ -108,11 +106,9 @@ class Judge:
             lost[: max(self._first_clipped - 1 - before, 0)] = 0.0
             self._squares += float(np.square(lost).sum())
             self._largest = max(self._largest, float(np.abs(lost).max()))
-        if self._before is None:
-            self._before = state
-        self._targets.append((target, dt))
-        if self.limits.slew is None or self._move_rows > FIRST_ROWS:
-            self._targets.clear()
+        if run.clipped and self.limits.slew is not None and before < FIRST_ROWS:
+            slew = self._slew_of(target, state, dt)
+            self._needed_slew = max(self._needed_slew, slew)
         if self._clipped and self.on_limit == "error":
             raise LimitError(
                 f"{self.name}: {self._exceeding()}{self._would_fit()} (or `on_limit` clip)"
@@ -211,8 +207,8 @@ class Judge:
     def _would_fit(self, period: float | None = None) -> str:
         """Return what would fit, where that is one number; else an empty text."""
         texts, limits = self._reach_texts(), self.limits
-        slower = self._times_slower()
-        if not texts and slower > 1.0:
+        if not texts and limits.slew is not None and self._needed_slew > limits.slew:
+            slower = self._needed_slew / limits.slew
             fits = f"it {rounded_up(slower):g} times slower"
             if period is not None:
                 fits = f"{1.0 / (slower * period):.2g} Hz"
@@ -235,20 +231,13 @@ class Judge:
                 )
         return texts
 
-    def _times_slower(self) -> float:
-        """Return how many times the slew limit the move needs; 0 where that is not known."""
-        if self.limits.slew is None or not self._targets:
-            return 0.0
-        fastest, state = 0.0, self._before
-        assert state is not None
-        for target, dt in self._targets:
-            run = self.model.drive(target, state, dt, self.limits.move)
-            state = run.state
-            seconds = np.broadcast_to(np.asarray(dt), target.shape)[1:]
-            steps = np.abs(np.diff(run.y))[seconds > 0.0]
-            rates = steps / seconds[seconds > 0.0]
-            fastest = max(fastest, float(rates.max(initial=0.0)))
-        return fastest / self.limits.slew
+    def _slew_of(self, target: Floats, state: State, dt: Steps) -> float:
+        """Return the slew of rows that no slew limit clips."""
+        voltage = self.model.drive(target, state, dt, self.limits.move).y
+        seconds = np.broadcast_to(np.asarray(dt), target.shape)[1:]
+        forward = seconds > 0.0
+        rates = np.abs(np.diff(voltage))[forward] / seconds[forward]
+        return float(rates.max(initial=0.0))
 
     # --- the end ---
 
@@ -335,8 +324,8 @@ class Judge:
         (low, high), standing = self.limits.identified, self.standing
         if standing is not None and abs(self._first - standing) > JUMP * (high - low):
             texts.append(
-                f"jumps from {plain(standing)} to {plain(self._first)}{self.limits.suffix} at row 1, and the "
-                "error there is not in the expected one: add `approach` auto"
+                f"jumps from {in_full(standing)} to {in_full(self._first)}{self.limits.suffix} at row 1, and "
+                "the error there is not in the expected one: add `approach` auto"
             )
         return texts
 

@@ -171,7 +171,7 @@ class LeadIn:
             The start is outside the rating, typed seconds are too few for the slew
             limit, or more than a minute would be needed that nobody typed.
         UsageError
-            The amplifier's voltage is not known, or a piece is too long for any memory.
+            A piece is too long for any memory.
         """
         lead, last = self.lead, self.last
         moves = lead.condition or lead.approach is not None
@@ -202,8 +202,6 @@ class LeadIn:
         last, swept = self.last, NO_VOLTAGES
         if lead.condition:
             swept = self._conditioning(last)
-        elif last is None:
-            raise UsageError("`approach` needs `from_` VOLT or a `state` file")
         before = np.concatenate([before, swept])
         stands = before[:1] if before.size else np.array([last])
         before = np.concatenate([np.repeat(stands, hold), before])
@@ -263,11 +261,7 @@ class LeadIn:
             end = self._goes_on(self.model.start(low, "empty"))
             distance = abs(begin - low) + 2.0 * (high - low) + abs(end - low)
             shortest = _rows(distance, dt, dt, limits) * dt
-            if limits.slew is not None and shortest > seconds + dt:
-                raise LimitError(
-                    f"`approach` {seconds:g}: too fast for `max_slew`; give at least "
-                    f"{rounded_up(shortest, 4):.9g} s for the whole way, or auto"
-                )
+            _require_time("approach", seconds, shortest, dt)
             inwards = seconds * abs(begin - low) / distance
             sweeping = seconds * (high - low) / distance
         count = _rows(high - low, dt, sweeping, limits)
@@ -342,12 +336,18 @@ def ramp(
         The typed seconds are too few for the slew limit.
     """
     voltage = _swing(begin, end, dt, seconds, limits)
-    if isinstance(seconds, float) and voltage.size * dt > seconds + dt:
-        raise LimitError(
-            f"`{name}` {seconds:g}: too fast for `max_slew`; give at least {voltage.size * dt:.4g} s, or "
-            "auto"
-        )
+    if isinstance(seconds, float):
+        _require_time(name, seconds, voltage.size * dt, dt)
     return voltage
+
+
+def _require_time(name: str, seconds: float, shortest: float, dt: float) -> None:
+    """Refuse typed seconds that are too few for the slew limit, and say how many are not (LimitError)."""
+    if shortest > seconds + dt:
+        raise LimitError(
+            f"`{name}` {seconds:g}: too fast for `max_slew`; give at least {rounded_up(shortest, 4):.9g} s "
+            "for the whole way, or auto"
+        )
 
 
 def _swing(

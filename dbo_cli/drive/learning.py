@@ -366,13 +366,11 @@ class RepeatedMove:
         was_swept = float(np.abs(np.diff(extremes)).sum()) > SWEEP_TRAVEL * span
         if was_swept == is_swept:
             return
-        text = "with a sweep before the move, which makes another past: add `condition`"
-        if not was_swept:
-            text = (
-                "without the sweep of `condition`, which makes another past: leave `condition` out, or "
-                "record a pass with it"
-            )
-        raise InputError(f"{recording.name}: recorded {text}")
+        how = "with" if was_swept else "without"
+        raise InputError(
+            f"{recording.name}: recorded {how} a sweep before the move, which makes another past: record a "
+            "pass of this drive, or change `condition`"
+        )
 
     # --- refusals ---
 

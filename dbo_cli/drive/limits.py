@@ -191,7 +191,7 @@ class Limits:
         return text
 
 
-def plain(voltage: float) -> str:
+def in_full(voltage: float) -> str:
     """Return a voltage to four digits, for lines: 100000 of a drive in mV, not 1e+05."""
     return f"{float(f'{voltage:.4g}'):.12g}"
 

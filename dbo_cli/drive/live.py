@@ -7,6 +7,7 @@ leaves no trace. The values are those of ``compensate``.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 from pathlib import Path
@@ -304,16 +305,15 @@ class Controller:
 
 def _number(value: float, name: str, low: float, high: float, spans: float) -> float:
     """Return a value as a float; InputError where it is not a number, or too many ranges away."""
-    if type(value) is not float:
-        if isinstance(value, (bool, np.bool_, str, bytes)):
-            raise InputError(f"`{name}` {value!r}: not a number")
-        try:
-            value = float(value)
-        except (TypeError, ValueError, OverflowError):
-            raise InputError(f"`{name}` {value!r}: not a number") from None
+    number: float = math.nan
+    if type(value) is float:
+        number = value
+    elif not isinstance(value, (bool, np.bool_, str, bytes)):
+        with contextlib.suppress(TypeError, ValueError, OverflowError):
+            number = float(value)
     far = spans * (high - low)
-    if not low - far <= value <= high + far:  # NaN as well
+    if not low - far <= number <= high + far:  # NaN as well
         raise InputError(
-            f"`{name}` {value!r}: no value near the range, {low:.6g} to {high:.6g}"
+            f"`{name}` {value!r}: give a number near the range, {low:.6g} to {high:.6g}"
         )
-    return value
+    return number

@@ -22,7 +22,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.judge import ALLOWED_PART
 from dbo_cli.drive.lead import MOST_LEAD_ROWS, Lead, ramp
 from dbo_cli.drive.limits import Limits
-from dbo_cli.drive.smooth import soft_rise
+from dbo_cli.drive.smooth import open_seam, soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 from dbo_cli.model import Cascade, Run, State
 
@@ -37,8 +37,6 @@ MOST_STARTS = 20
 # of the move: a loop that the model repeats further off than this is not settled
 LOOP_ERROR = 1e-6
 FEWEST_PERIOD_ROWS = 4  # of a period: fewer have no shape
-# times the largest step inside a period, from which on its last row does not meet its first
-SEAM = 3.0
 
 
 class LoopPlan(NamedTuple):
@@ -50,14 +48,20 @@ class LoopPlan(NamedTuple):
         Before the first row.
     lead_voltage, voltage : array
         What leads to the period, and the period.
-    settled : Settled
-        The settled drive and the state before it.
+    run : Run
+        Of the settled drive.
+    before : State
+        Before a pass of it.
+    converged : bool
+        Whether it stays.
     """
 
     begin: State
     lead_voltage: Floats
     voltage: Floats
-    settled: Settled
+    run: Run
+    before: State
+    converged: bool
 
 
 @dataclass(frozen=True)
@@ -112,13 +116,9 @@ class Loop:
             raise InputError(
                 f"{self.name}: {period.size} rows are too few for a loop; give {FEWEST_PERIOD_ROWS} or more"
             )
-        seam = largest_difference(period[:1], period[-1:])
-        inside = largest_difference(period[1:], period[:-1])
-        if seam > SEAM * inside:
-            raise InputError(
-                f"{self.name}: the loop is open: its seam is a step of {seam:.3g}, the largest inside "
-                f"{inside:.3g}: give one whole period"
-            )
+        seam = open_seam(period)
+        if seam:
+            raise InputError(f"{self.name}: {seam}")
 
     @cached_property
     def static_target(self) -> Floats:
@@ -128,13 +128,13 @@ class Loop:
     def require_settled(self, plan: LoopPlan, on_limit: str) -> tuple[str, ...]:
         """Warn of a loop that the model does not repeat; refuse it where it costs too much (LimitError)."""
         model, dt, target = self.model, self.dt, self.static_target
-        static, period = model.static, plan.settled.run.y
+        static, period = model.static, plan.run.y
         size = max(float(np.ptp(target)), LOOP_ERROR * model.output.span)
         state = static.run(plan.lead_voltage, plan.begin, dt).state
         looped = looped_state(model, period, dt, state)
-        aim = static.run(period, plan.settled.before, dt).y
+        aim = static.run(period, plan.before, dt).y
         residual = largest_difference(static.run(period, looped, dt).y, aim)
-        if plan.settled.converged and residual <= LOOP_ERROR * size:
+        if plan.converged and residual <= LOOP_ERROR * size:
             return ()
         text = (
             f"{self.name}: the loop does not settle: however often it is repeated, it ends {residual:.3g}"
@@ -160,16 +160,12 @@ class Loop:
         ------
         LimitError
             The loop does not close within the limits.
-        UsageError
-            Nothing says where an ``approach`` begins.
         """
         model, limits, start = self.model, self.limits, self.lead.state
         target = self.static_target
         begin = self.begin
         if begin is not None:
             state = model.start(begin, start)
-        elif self.lead.approach is not None:
-            raise UsageError("`approach` needs `from_` VOLT or a `state` file")
         else:
             state = model.start_drive(float(target[0]), start, *limits.move)
             if self.passes:
@@ -177,7 +173,7 @@ class Loop:
         settled = settled_drive(model, target, self.dt, state, limits)
         for _ in range(MOST_STARTS):
             last = settled
-            voltage = self._closed(last.run.y)
+            voltage = self._closed(last[0].y)
             stands = float(voltage[0]) if begin is None else begin
             before, begin_state = (
                 self._before(voltage, stands),
@@ -186,11 +182,11 @@ class Loop:
             state = model.run(before, begin_state, self.dt).state
             settled = settled_drive(model, target, self.dt, state, limits)
             if (
-                largest_difference(settled.run.y, last.run.y)
+                largest_difference(settled[0].y, last[0].y)
                 <= ONE_LOOP * model.input.span
             ):
                 break
-        return LoopPlan(begin_state, before, voltage, last)
+        return LoopPlan(begin_state, before, voltage, *last)
 
     def _before(self, period: Floats, begin: float) -> Floats:
         """Return what leads to a period: a ramp, or a pass in which it grows, then whole passes of it.
@@ -260,18 +256,10 @@ class Loop:
 # --- the settled drive ---
 
 
-class Settled(NamedTuple):
-    """The run of one period of a settled drive, the state before it, and whether it stays."""
-
-    run: Run
-    before: State
-    converged: bool
-
-
 def settled_drive(
     model: Cascade, target: Floats, dt: float, state: State, limits: Limits
-) -> Settled:
-    """Return the drive of one period whose end is its own beginning.
+) -> tuple[Run, State, bool]:
+    """Return the run of one period of a settled drive, the state before it, and whether it stays.
 
     Parameters
     ----------
@@ -294,8 +282,8 @@ def settled_drive(
         change = largest_difference(again.y, run.y)
         run = again
         if change <= SETTLED * model.input.span:
-            return Settled(run, before, True)
-    return Settled(run, before, False)
+            return run, before, True
+    return run, before, False
 
 
 def largest_difference(values: Floats, others: Floats) -> float:

@@ -189,14 +189,12 @@ class Simulator:
         if isinstance(self.state, State):
             self.state = replace(self.state, model=self.model.digest)
         if self.outside_count:
-            drive, verb = self._forward.input, "leave"
-            if not self.model.is_forward:
-                is_held = self.outside == "hold"
-                verb = f"of its drive {'are held in' if is_held else verb}"
+            drive = self._forward.input
+            held = ", where they are held" if self.outside == "hold" else ""
             warn(
                 f"{self.name}: {self.outside_count:,} of {self.row_count:,} rows (first: row "
-                f"{self.first_outside:,}) {verb} the identified range, {drive.min:.6g} to "
-                f"{drive.max:.6g}{drive.suffix}"
+                f"{self.first_outside:,}) leave the identified range of the drive, {drive.min:.6g} to "
+                f"{drive.max:.6g}{drive.suffix}{held}"
             )
         return rows
 

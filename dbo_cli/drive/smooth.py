@@ -14,6 +14,7 @@ REACH = 10.0
 """Periods of the cut-off, over which what a sample does to others dies away."""
 MOST_PADDED_ROWS = 100_000_000  # that the ends of a signal are held for
 
+OPEN_SEAM = 3.0  # times the largest step inside, from which on a loop does not close
 ROUNDED = 1e-9  # of a row: what rounding may add to a number of rows
 
 
@@ -47,6 +48,18 @@ def swing_rows(
 def soft_rise(t: Floats) -> Floats:
     """Return a rise from 0 at t = 0 to 1 at t = 1; speed and acceleration are zero at either end."""
     return t**3 * (10.0 - 15.0 * t + 6.0 * t * t)
+
+
+def open_seam(period: Floats) -> str:
+    """Say by how much the last row of a period does not meet its first; empty where it does."""
+    inside = float(np.abs(np.diff(period)).max(initial=0.0))
+    seam = abs(float(period[0] - period[-1]))
+    if seam <= OPEN_SEAM * inside:
+        return ""
+    return (
+        f"the loop is open: its seam is a step of {seam:.3g}, the largest inside {inside:.3g}: give one "
+        "whole period (`rows` A:B leaves a run-in out)"
+    )
 
 
 def low_pass(

@@ -11,6 +11,7 @@ identified again with the sections known, and ``refine`` fits the sections again
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,9 @@ SURE, MOST_OF_IT = 200.0, 0.3
 this share of what they are beyond white noise."""
 DAMPINGS = (0.002, 0.02, 0.1, 0.4)  # starts: the error has several minima in it
 INSIDE = 1.02  # times a bound at which a fit would like to go on
+WHITE = 0.05  # of the noise's mean square: so little more is noise alone
 NEAR = 0.03  # of the logarithms of two resonances that undo each other
+LATE = 0.5  # of a step: a shorter lag is no amplifier's
 SEEN_DELAY = 0.1  # periods of the highest frequency: less is fitted as a lag
 FAST_LAGS = 2.0  # periods of the lowest frequency: shorter relaxation is dynamics
 UNEXPLAINED = 0.1  # of what the fast rows do: more is a warning
@@ -86,20 +89,23 @@ def refine(
     delay: float,
     order: str | int = "auto",
     creep: Sequence[Lag] = (),
-) -> tuple[tuple[Section, ...], float, dict[str, Any]]:
-    """Return sections, delay and figures fitted again around those found, with a static model that knew them.
+) -> tuple[float, tuple[Section, ...], float, dict[str, Any]]:
+    """Return amplifier's lag, sections, delay and figures, with a static model that knew the sections found.
 
-    What hides a weak second resonance from the first reading of the slow rows is gone
-    with the second: one more is offered. ``creep`` stands behind the gears and before
-    the sections; it is not among those returned.
+    They are fitted again, and the lag may stand before the gears. What hides a weak
+    second resonance from the first reading of the slow rows is gone with the second: one
+    more is offered. ``creep`` stands behind the gears and before the sections; it is not
+    among those returned.
     """
     band = _band(fast)
     signals = _signals(static, fast, creep)
     form, start = parameters_of(sections, delay, signals)
-    best = fitted(signals, [start], form, band)
-    if order == "auto" and form.resonances < MOST_RESONANCES and not best.white:
-        best = _one_more(signals, best, band) or best
-    return sections_of(best, signals), best.delay, _figures(best, signals, fast)
+    best = _with_amplifier(signals, fitted(signals, [start], form, band), band)
+    if order == "auto" and form.resonances < MOST_RESONANCES:
+        if not _is_noise(signals, best):
+            best = _one_more(signals, best, band) or best
+    figures = _figures(best, signals, fast)
+    return best.amplifier, sections_of(best, signals), best.delay, figures
 
 
 def least_relaxation(fast: Sequence[FastPart]) -> float:
@@ -158,7 +164,7 @@ def _chosen(
     best = fitted(signals, starts, Form(0, delay=delay > 0.0), band)
     limit = MOST_RESONANCES if order == "auto" else int(order)
     while best.form.resonances < limit:
-        if order == "auto" and best.form.resonances and best.white:
+        if order == "auto" and best.form.resonances and _is_noise(signals, best):
             break
         more = _one_more(signals, best, band, always=order != "auto")
         if more is None:
@@ -175,13 +181,31 @@ def _with_delay(
     A sensor that is late by half a period of a resonance turns its phase around:
     without the delay no resonance fits.
     """
-    if without.form.resonances and without.white:
+    if without.form.resonances and _is_noise(signals, without):
         return without
     phase_lag = phase_delay(signals, band)
     if phase_lag * band[1] < SEEN_DELAY:
         return without
     delayed = _chosen(signals, band, order, phase_lag)
     return delayed if delayed.left_out <= EARNED * without.left_out else without
+
+
+def _with_amplifier(signals: Sequence[Signals], behind: Fitted, band: Band) -> Fitted:
+    """Return dynamics with the lag before the gears, unless it earns its place behind them.
+
+    The actuator is the capacity that an amplifier charges. In a sweep of 1 % of the range
+    the gears are nearly straight, and both places explain it alike; a larger one tells
+    them apart. A lag of less than half a step is no more than late.
+    """
+    step = min(segment.dt for segment in signals)
+    *leading, lag = behind.parameters.tolist()
+    late = float(np.log(LATE * step))
+    if lag <= late:
+        return behind
+    tail = [leading.pop()] if behind.form.delay else []
+    start = np.array([*leading, lag, *tail, late])
+    before = fitted(signals, [start], replace(behind.form, amplifier=True), band)
+    return behind if _earned(signals, behind, before, band) else before
 
 
 def _one_more(
@@ -193,9 +217,9 @@ def _one_more(
     have one.
     """
     count = best.form.resonances
-    form = Form(count + 1, False, best.form.delay)
+    form = replace(best.form, resonances=count + 1, antiresonance=False)
     *leading, lag = best.parameters.tolist()
-    tail = [leading.pop()] if form.delay else []
+    tail = leading[len(leading) - form.amplifier - form.delay :]
     tail.append(max(lag, float(np.log(0.02 / band[1]))))
     peak = peak_of(signals, best, band)
     starts = []
@@ -212,7 +236,7 @@ def _one_more(
         for side in (-NEAR, NEAR):
             notch = [frequency + side, damping]
             notched.append(np.array([*start[: 2 * count + 2], *notch, *tail]))
-    with_notch = Form(count + 1, True, form.delay)
+    with_notch = replace(form, antiresonance=True)
     other = fitted(signals, notched, with_notch, band)
     if _earned(signals, other, more, band):
         more = other
@@ -228,10 +252,21 @@ def _earned(signals: Sequence[Signals], more: Fitted, best: Fitted, band: Band) 
         return True
     if not best.form.resonances:
         return False
-    rows = sum(segment.measured.size for segment in signals)
+    rows = _rows(signals)
     gained = rows * (best.left_out**2 - more.left_out**2)
     excess = rows * (best.left_out**2 - best.noise)
     return gained >= max(SURE * best.noise, MOST_OF_IT * excess)
+
+
+def _is_noise(signals: Sequence[Signals], best: Fitted) -> bool:
+    """Return whether what is left beyond white noise cannot pay for another resonance."""
+    beyond = best.rmse**2 - best.noise
+    return beyond <= min(WHITE, SURE / _rows(signals)) * best.noise
+
+
+def _rows(signals: Sequence[Signals]) -> int:
+    """Return how many fast rows there are."""
+    return sum(segment.measured.size for segment in signals)
 
 
 def _is_inside(resonance: Resonance, band: Band) -> bool:

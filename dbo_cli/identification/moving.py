@@ -3,7 +3,8 @@
 A static model of the slow rows finds the sections. They tell how late slow moves are;
 with that known, memories of milliseconds and wider loops no longer stand for it, and the
 slow rows are read again: with memories of the drive, and with creep behind the gears
-instead. The sections are then fitted again to the better reading.
+instead. The sections are then fitted again to the better reading, with a lag before the
+gears, where an amplifier has it: to slow moves it is only late, wherever it stands.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from dbo_cli.identification.search import CURVES, Choices, Search
 from dbo_cli.identification.solve import Fit
 from dbo_cli.identification.stages import model_of
 from dbo_cli.model import (
+    Amplifier,
     Candidate,
     Cascade,
     Delay,
@@ -53,6 +55,8 @@ class Moving:
         The slow rows as read again: freed of creep where that stands behind the gears.
     sections
         Behind the gears, creep first; none where the fast rows ask for none.
+    amplifier
+        The lag before the gears (s); 0 for none.
     delay
         Pure delay behind all (s).
     figures
@@ -62,6 +66,7 @@ class Moving:
     problem: Problem
     fits: list[Fit]
     sections: tuple[Section, ...]
+    amplifier: float
     delay: float
     figures: dict[str, Any]
 
@@ -78,10 +83,12 @@ class Moving:
         )
 
     def _moving(self, stages: Sequence[Stage]) -> tuple[Stage, ...]:
-        """Return the static stages, the sections, and the delay."""
+        """Return the amplifier, the static stages, the sections, and the delay."""
         kept: list[Stage] = [
             one for one in stages if not isinstance(one, Dynamics | Delay)
         ]
+        if self.amplifier > 0.0:
+            kept.insert(0, Amplifier(self.amplifier))
         kept.append(Dynamics(self.sections))
         if self.delay > 0.0:
             kept.append(Delay(self.delay))
@@ -116,7 +123,7 @@ def moving(
     order = options.dynamics
     sections, delay, figures = find(static, fast, order)
     if not sections:
-        return Moving(problem, fits, (), 0.0, figures)
+        return Moving(problem, fits, (), 0.0, 0.0, figures)
     slower = problem.taus[problem.taus >= least_relaxation(fast)]
     problem = replace(problem, taus=slower)
     total_delay = delay + lateness(sections)
@@ -129,8 +136,10 @@ def moving(
             problem, fits, creep = freed, others, lags
             best = min(fits, key=lambda fit: fit.score)
     static = model_of(problem, best, logs[0], options)
-    sections, delay, figures = refine(static, fast, sections, delay, order, creep)
-    return Moving(problem, fits, (*creep, *sections), delay, figures)
+    amplifier, sections, delay, figures = refine(
+        static, fast, sections, delay, order, creep
+    )
+    return Moving(problem, fits, (*creep, *sections), amplifier, delay, figures)
 
 
 def lateness(sections: Sequence[Section]) -> float:

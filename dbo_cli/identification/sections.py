@@ -13,7 +13,17 @@ from scipy.signal import csd, welch
 from dbo_cli.arrays import Floats
 from dbo_cli.identification.fast import FastPart
 from dbo_cli.identification.recording import white_noise
-from dbo_cli.model import Cascade, Delay, Dynamics, Lag, Mode, Resonance, Section, State
+from dbo_cli.model import (
+    Amplifier,
+    Cascade,
+    Delay,
+    Dynamics,
+    Lag,
+    Mode,
+    Resonance,
+    Section,
+    State,
+)
 
 Band = tuple[float, float]  # lowest and highest frequency swept, Hz
 
@@ -26,16 +36,19 @@ SMALL = 1e-5  # of a parameter's logarithm, for derivatives
 APART = 0.3  # of the logarithms of two resonances
 SAME_GAIN = 0.3  # of the logarithm: up to here the phase tells a delay
 ENERGY = 0.003  # of the strongest amplitude of the drive: with less nothing is known
-WHITE = 1.05  # of the noise's mean square: what is left is noise alone
 
 
 @dataclass(frozen=True)
 class Form:
-    """How many resonances, an antiresonance of the highest or none, and a delay behind all or none."""
+    """How many resonances, an antiresonance of the highest or none, a delay behind all or none.
+
+    With ``amplifier`` another lag stands before the gears.
+    """
 
     resonances: int
     antiresonance: bool = False
     delay: bool = False
+    amplifier: bool = False
 
 
 @dataclass(frozen=True)
@@ -48,7 +61,7 @@ class Fitted:
         What was fitted.
     parameters
         Logarithms: frequency (Hz) and damping of each resonance, of the antiresonance,
-        the delay (s), the lag (s).
+        the amplifier's lag (s), the delay (s), the lag (s).
     rmse, left_out
         On all fast rows, and on blocks left out.
     noise
@@ -62,9 +75,9 @@ class Fitted:
     noise: float
 
     @property
-    def white(self) -> bool:
-        """Whether what is left is noise alone."""
-        return self.rmse**2 <= WHITE * self.noise
+    def amplifier(self) -> float:
+        """The lag before the gears (s)."""
+        return amplifier_of(self.parameters, self.form)
 
     @property
     def delay(self) -> float:
@@ -84,11 +97,15 @@ class Signals:
         self, static: Cascade, segment: FastPart, creep: Sequence[Lag] = ()
     ) -> None:
         log, rows = segment.recording, segment.rows
-        modelled, _ = static.simulate(log.voltage[: rows.stop], dt=segment.dt)
         if creep:
-            modelled = Dynamics(tuple(creep)).run(modelled, State(), segment.dt).y
-        self.dt = segment.dt
-        self.predicted = np.asarray(modelled[rows], dtype=np.float64)
+            static = static.with_stages((*static.stages, Dynamics(tuple(creep))))
+        self._static, self._drive, self.dt = static, log.voltage[rows], segment.dt
+        self._before: State | str = "auto"
+        if rows.start:
+            before = log.voltage[: rows.start]
+            _, self._before = static.simulate(before, dt=self.dt)
+        self.predicted = self._static_output(static)
+        self._behind_amplifier = 0.0, self.predicted
         self.measured = log.displacement[rows]
         size = self.measured.size
         self.block = np.arange(size) * BLOCKS // size
@@ -96,16 +113,32 @@ class Signals:
         self._drift = np.column_stack([np.ones(size), ramp])
         self._drift /= np.sqrt(np.sum(self._drift**2, axis=0))
 
+    def _static_output(self, model: Cascade) -> Floats:
+        """Return what a model without dynamics predicts; an amplifier rests at the first row."""
+        output, _ = model.simulate(self._drive, dt=self.dt, state=self._before)
+        return output
+
+    def behind_amplifier(self, seconds: float) -> Floats:
+        """Return what the static model predicts for a drive that lags; the last is stored."""
+        if not seconds:
+            return self.predicted
+        if seconds != self._behind_amplifier[0]:
+            stages = (Amplifier(seconds), *self._static.stages)
+            output = self._static_output(self._static.with_stages(stages))
+            self._behind_amplifier = seconds, output
+        return self._behind_amplifier[1]
+
     def free(self, signal: Floats) -> Floats:
         """Return what an offset and an even drift do not explain of a signal."""
         residuals: Floats = signal - self._drift @ (self._drift.T @ signal)
         return residuals
 
     def modelled(self, parameters: Floats, form: Form) -> Floats:
-        """Return the prediction through lag, resonances and delay."""
+        """Return the prediction through lags, resonances and delay."""
+        predicted = self.behind_amplifier(amplifier_of(parameters, form))
         sections: list[Section] = [Lag(float(np.exp(parameters[-1])))]
         sections += resonances_of(parameters, form)
-        modelled = Dynamics(tuple(sections)).run(self.predicted, State(), self.dt).y
+        modelled = Dynamics(tuple(sections)).run(predicted, State(), self.dt).y
         if form.delay:
             pure_delay = Delay(float(np.exp(parameters[-2])))
             modelled = pure_delay.run(modelled, State(), self.dt).y
@@ -153,6 +186,9 @@ def _bounds(
     damping = MOST_BESIDE if form.antiresonance else MOST_DAMPING
     low = [band[0], LEAST_DAMPING] * pairs
     high = [1.5 * band[1], damping] * pairs
+    if form.amplifier:
+        low.append(0.5 * NO_LAG * step)
+        high.append(10.0 / band[1])
     if form.delay:
         low.append(0.01 / band[1])
         high.append(10.0 / band[1])
@@ -195,6 +231,11 @@ def _in_order(parameters: Floats, form: Form) -> Floats:
     pairs = parameters[: 2 * count].reshape(count, 2)
     ordered = pairs[np.argsort(pairs[:, 0])]
     return np.concatenate([ordered.ravel(), parameters[2 * count :]])
+
+
+def amplifier_of(parameters: Floats, form: Form) -> float:
+    """Return the lag before the gears (s) of logarithms, 0 where the form has none."""
+    return float(np.exp(parameters[-2 - form.delay])) if form.amplifier else 0.0
 
 
 def resonances_of(parameters: Floats, form: Form) -> list[Resonance]:

@@ -174,7 +174,7 @@ class Clock:
             at = int(np.argmax(steps < 0.0))
             after = float(time[at - len(steps)])
             problem = f"row {numbers[at]}: time goes back from {after - steps[at]:.9g} to {after:.9g} s"
-            raise _unclear(self.name, self.column, f"{problem}: cut with `rows` A:B")
+            raise _unclear(self.name, self.column, f"{problem} (`rows` A:B cuts there)")
         if not self.uneven:
             self.step = self._even_step(time, high)
             self.uneven = self.step is None

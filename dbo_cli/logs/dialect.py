@@ -82,13 +82,12 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     above, below = lines[skipped : layout.first], lines[layout.first :]
     read_header(name, above, below, layout)
     _refuse_two_readings(name, layout, sample, table, reading)
-    for n, skip in _unclear_starts(
-        layout, lines, [n for n in rows if n < layout.first]
-    ):
+    above_rows = [n for n in rows if n < layout.first]
+    for n, skip in _unclear_starts(layout, lines, above_rows):
         if n != layout.first or reading.skip_lines is None:
+            text = " ".join(lines[n].split())[:40]
             raise InputError(
-                f"{name}:{n + 1}: '{lines[n].strip()[:40]}': names, or a row? Type `skip_lines` {skip}, or "
-                "`delimiter` or `decimal`"
+                f"{name}:{n + 1}: '{text}': row or names? Type `skip_lines` {skip}, `delimiter` or `decimal`"
             )
     return layout
 

@@ -208,11 +208,11 @@ class Log:
         self._first_dropped = self._first_dropped or where
         self._dropped += count
         good = numbers[~is_bad]
-        lost = bad.all(axis=0)
+        lost = list(self._source.torn)
         is_guarded = len(columns) > len(self._signals) + self.clock.is_read
         if is_guarded and columns[-1].kind == "number":
-            lost = bad[-1]  # the guard alone shows that a row is none
-        for row in numbers[lost]:
+            lost += numbers[bad[-1]].tolist()  # the guard alone shows these
+        for row in lost:
             is_behind = self._count or (len(good) and row > good[0])
             if is_behind and self._lost is None:
                 self._lost = row, self._source.where(row, columns[-1], "")

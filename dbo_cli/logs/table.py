@@ -136,11 +136,6 @@ class Block:
         """Return the array of a role."""
         return self.values[role]
 
-    @property
-    def rows(self) -> int:
-        """The number of rows."""
-        return len(self)
-
     def part(self, start: int, stop: int) -> Block:
         """Return some of the rows."""
         values = {role: array[start:stop] for role, array in self.values.items()}
@@ -195,6 +190,8 @@ class Table:
         Whether a clock offset was found when it was made of two files.
     remarks
         What the user is to be told, without the file's name in front.
+    torn
+        The rows (from 1) of the last block that have another number of cells.
     """
 
     decimal: str = "."
@@ -208,6 +205,7 @@ class Table:
         self.columns: list[Column] = []
         self.settings: Settings = {}
         self.remarks: list[str] = []
+        self.torn: list[int] = []
 
     def add_column(
         self, header: str, unit: str | None, kind: str, sample: str = ""
@@ -231,8 +229,7 @@ class Table:
         """Return all rows of some columns in blocks, one array a column.
 
         Numbers are float64, NaN for other cells; stamps are int64 nanoseconds
-        since 1970 or since midnight, ``NOT_A_TIME`` for other cells. A row that cannot
-        be one has other cells only.
+        since 1970 or since midnight, ``NOT_A_TIME`` for other cells.
         """
         raise NotImplementedError
 

@@ -111,6 +111,7 @@ class TextTable(Table):
     def _read_block(self, text: bytes, columns: Sequence[Column]) -> list[NDArray[Any]]:
         """Read a block by polars, or line by line where it is small or not regular."""
         self._size += len(text)
+        self.torn = []
         frame = None
         is_small = self._size <= _SMALL and "polars" not in sys.modules
         if not is_small and len(text) > _TINY:
@@ -156,12 +157,15 @@ class TextTable(Table):
 
     def _rows_of(self, text: bytes) -> list[list[str]]:
         """Split a block in Python; rows of another width become rows of empty cells."""
-        rows = []
+        rows: list[list[str]] = []
         for line in self._stream.lines(text):
-            if not self._is_passed(line):
-                cells = split_cells(line, self.layout.delimiter)
-                is_whole = len(cells) == self.layout.width
-                rows.append(cells if is_whole else [""] * self.layout.width)
+            if self._is_passed(line):
+                continue
+            cells = split_cells(line, self.layout.delimiter)
+            if len(cells) != self.layout.width:
+                self.torn.append(self._first_row + len(rows))
+                cells = [""] * self.layout.width
+            rows.append(cells)
         return rows
 
     def where(self, row: int, column: Column, value: object) -> str:

@@ -534,9 +534,11 @@ static PyObject *memory_run(PyObject *module, PyObject *args) {
     if (NUMBERS(rows) != count * terms && too_short("rows")) goto done;
     if (given != 1 && given != count && too_short("decay")) goto done;
     ready = 1;
-    for (; rests && count && first < terms; first++)
-        ((double *)rows.buf)[first] = ((double *)memory.buf)[first] = *(double *)x.buf - reference;
-    first = rests && count;
+    if (rests && count) { /* at the first sample */
+        double *row = rows.buf, *rest = memory.buf;
+        for (size_t j = 0; j < terms; j++) row[j] = rest[j] = *(double *)x.buf - reference;
+        first = 1;
+    }
     Py_BEGIN_ALLOW_THREADS
     dbo_memory_run(terms, reference, memory.buf, (double *)x.buf + first, (double *)rows.buf + first * terms,
                    count - first, (double *)decay.buf + (given == 1 ? 0 : first * terms), given == 1 ? 0 : terms);

@@ -114,8 +114,8 @@ class AmplifiedGears:
 
     def window(self, before: float, share: float, low: float, high: float) -> Window:
         """Return the range of the voltage at the gears for a drive from ``low`` to ``high``."""
-        lowest, highest = (before + share * (end - before) for end in (low, high))
-        return self.head.ends(lowest, highest)
+        lowest = before + share * (low - before)
+        return self.head.ends(lowest, before + share * (high - before))
 
     def drive(
         self, voltage: float, before: float, share: float, low: float, high: float

@@ -178,6 +178,10 @@ class Curves(tuple[Curve, ...]):
         ends = self.value(low), self.value(high)
         return min(ends), max(ends)
 
+    @cached_property
+    def _undone(self) -> Curves:
+        return Curves(curve.inverse() for curve in reversed(self))
+
     def inverse(self) -> Curves:
         """Return the curves that undo these."""
-        return Curves(curve.inverse() for curve in reversed(self))
+        return self._undone

@@ -18,21 +18,12 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import UsageError
 
 Codes = NDArray[np.int64]
+Values = NDArray[np.float64 | np.int64]
+"""Volts or codes; channels stand side by side, shape (points, channels)."""
 Span = tuple[float, float]
 
 BUNCH = 10  # points a command, as in PI's own example: every controller takes so many
 WHOLE_RATE = 1e-6  # of a rate: closer to a whole number, it is that
-
-
-class Samples(NamedTuple):
-    """What is written: volts or codes, points a second, and the volts of the lowest and highest code.
-
-    Channels stand side by side: the values are of shape (points, channels).
-    """
-
-    values: NDArray[np.float64 | np.int64]
-    rate: float
-    volts: Span
 
 
 class Generator(NamedTuple):
@@ -41,7 +32,8 @@ class Generator(NamedTuple):
     Attributes
     ----------
     write : callable
-        From a signal to bytes.
+        From values, points a second, and the volts of the lowest and highest code to
+        bytes.
     codes : (int, int), optional
         The lowest and the highest code; None where volts are written.
     volts_needed : bool
@@ -50,7 +42,7 @@ class Generator(NamedTuple):
         Whether one file holds several channels.
     """
 
-    write: Callable[[Samples], bytes]
+    write: Callable[[Values, float, Span], bytes]
     codes: tuple[int, int] | None = None
     volts_needed: bool = False
     holds_channels: bool = False
@@ -87,50 +79,50 @@ def _positional(value: float) -> str:
     return str(np.format_float_positional(value, trim="-"))
 
 
-def _npy(signal: Samples) -> bytes:
+def _npy(values: Values, rate: float, volts: Span) -> bytes:
     buffer = io.BytesIO()
-    np.save(buffer, signal.values)
+    np.save(buffer, values)
     return buffer.getvalue()
 
 
-def _wav(signal: Samples) -> bytes:
-    rate = round(signal.rate)
-    if rate < 1 or abs(signal.rate - rate) > WHOLE_RATE * rate:
+def _wav(values: Values, rate: float, volts: Span) -> bytes:
+    whole = round(rate)
+    if whole < 1 or abs(rate - whole) > WHOLE_RATE * whole:
         raise UsageError(
-            f"a WAV file needs a whole rate, not {signal.rate:.9g}: type `rate` {max(rate, 1)}"
+            f"a WAV file needs a whole rate, not {rate:.9g}: type `rate` {max(whole, 1)}"
         )
     buffer = io.BytesIO()
     with wave.open(buffer, "wb") as file:
-        file.setnchannels(1 if signal.values.ndim == 1 else signal.values.shape[1])
+        file.setnchannels(1 if values.ndim == 1 else values.shape[1])
         file.setsampwidth(2)
-        file.setframerate(rate)
-        file.writeframes(signal.values.astype("<i2").tobytes())
+        file.setframerate(whole)
+        file.writeframes(values.astype("<i2").tobytes())
     return buffer.getvalue()
 
 
-def _words(kind: str, signal: Samples) -> bytes:
-    return signal.values.astype(kind).tobytes()
+def _words(kind: str, values: Values, rate: float, volts: Span) -> bytes:
+    return values.astype(kind).tobytes()
 
 
-def _pi_gcs(signal: Samples) -> bytes:
+def _pi_gcs(values: Values, rate: float, volts: Span) -> bytes:
     """Return one command for every ten points: WAV 1 X|& PNT first count values."""
     lines = []
-    for first in range(0, signal.values.size, BUNCH):
-        bunch = signal.values[first : first + BUNCH].tolist()
+    for first in range(0, values.size, BUNCH):
+        bunch = values[first : first + BUNCH].tolist()
         append = "&" if first else "X"
         points = " ".join(map(_positional, bunch))
         lines.append(f"WAV 1 {append} PNT {first + 1} {len(bunch)} {points}\n")
     return "".join(lines).encode()
 
 
-def _keysight(signal: Samples) -> bytes:
-    low, high = signal.volts
+def _keysight(values: Values, rate: float, volts: Span) -> bytes:
+    low, high = volts
     lines = [
-        "File Format:1.10", "Channel Count:1", "Column Char:TAB", f"Sample Rate:{_positional(signal.rate)}",
+        "File Format:1.10", "Channel Count:1", "Column Char:TAB", f"Sample Rate:{_positional(rate)}",
         f"High Level:{_positional(high)}", f"Low Level:{_positional(low)}", 'Data Type:"Short"',
-        'Filter:"OFF"', f"Data Points:{signal.values.size}", "Data:",
+        'Filter:"OFF"', f"Data Points:{values.size}", "Data:",
     ]  # fmt: skip
-    lines += map(str, signal.values.tolist())
+    lines += map(str, values.tolist())
     return "".join(f"{line}\r\n" for line in lines).encode()
 
 

@@ -8,13 +8,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.check import check_drive
 from dbo_cli.drive.limits import Gate, Limits
 from dbo_cli.errors import LimitError, UsageError
-from dbo_cli.moves.generators import GENERATORS, Coding, Generator, Samples, Span
+from dbo_cli.moves.generators import GENERATORS, Coding, Generator, Span, Values
 
 
 class Waveform(NamedTuple):
@@ -39,7 +38,7 @@ class Waveform(NamedTuple):
     rate: float
     line: str
     codes: str = ""
-    values: NDArray[np.float64 | np.int64] = np.zeros(0)
+    values: Values = np.zeros(0)
 
 
 def waveform(
@@ -118,7 +117,7 @@ def waveform(
     exact = resampled / gain
     ends = _ends(form, exact, volts, gain, name)
     allowed = _at_generator(limits, gain)
-    values: NDArray[np.float64 | np.int64] = exact
+    values: Values = exact
     heard, meaning = exact, ""
     if form.codes is not None:
         low, high = codes or form.codes
@@ -138,7 +137,7 @@ def waveform(
         if allowed.slew is not None:  # codes stand a step beside
             allowed = replace(allowed, slew=allowed.slew + coding.step * rate)
     Gate(allowed).admit(heard, 1.0 / rate, "return")
-    data = form.write(Samples(values, rate, ends))
+    data = form.write(values, rate, ends)
     line = _line(heard, rate, gain, shift)
     return Waveform(data, heard, rate, line, meaning, values)
 
@@ -164,7 +163,7 @@ def side_by_side(channels: Sequence[Waveform], to: str) -> bytes | None:
     if not GENERATORS[to].holds_channels:
         return None
     values = np.column_stack([channel.values for channel in channels])
-    return GENERATORS[to].write(Samples(values, channels[0].rate, (0.0, 0.0)))
+    return GENERATORS[to].write(values, channels[0].rate, (0.0, 0.0))
 
 
 def _check_codes(

@@ -10,14 +10,10 @@ from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import fields
 
 if TYPE_CHECKING:
-    from dbo_cli.arrays import Floats
-    from dbo_cli.model import Cascade
+    pass
 
 SAME_MOVE = 0.01
 """Part of the move by which the ends of a summary's move may differ from the log's."""
-SLACK = 1e-9
-"""Part of the range that rounding may add to a drive which ends at its limit."""
-
 Ends = tuple[float, float]
 
 
@@ -33,8 +29,6 @@ class Expected:
         Least and greatest desired value of the move it is stated for; None: any move.
     move_time
         First and last time (s) of the move in its drive; None where they are not known.
-    footer
-        What the page says of the drive.
     sensor_delay
         Seconds by which the sensor is late, which is no error.
     past_known
@@ -44,7 +38,6 @@ class Expected:
     rmse: float | None
     move: Ends | None = None
     move_time: Ends | None = None
-    footer: str = ""
     sensor_delay: float = 0.0
     past_known: bool = False
 
@@ -54,37 +47,6 @@ class Expected:
             return True
         slack = SAME_MOVE * (high - low)
         return abs(self.move[0] - low) <= slack and abs(self.move[1] - high) <= slack
-
-
-def expected_of_drive(
-    model: Cascade, voltage: Floats, dt: Floats | None, name: str, past_known: bool
-) -> Expected:
-    """Return what a model states for this very drive; unknown where the drive leaves its range.
-
-    Parameters
-    ----------
-    model
-        Forward.
-    voltage : array of shape (rows,)
-        In the model's unit.
-    dt : array of shape (rows,), optional
-        Seconds since the row before.
-    name
-        How the report calls the model.
-    past_known
-        Whether the state before the drive is known.
-    """
-    from dbo_cli.model.expect import expected_error
-
-    slack = SLACK * model.input.span
-    low, high = float(voltage.min()), float(voltage.max())
-    rmse = None
-    if model.input.min - slack <= low and high <= model.input.max + slack:
-        error = expected_error(model, voltage, dt)
-        rmse = None if error is None else error.rms(past_known, past_known)
-    footer = f"Model {name} ({model.digest[:12]})"
-    delay = model.sensor_delay
-    return Expected(rmse, footer=footer, sensor_delay=delay, past_known=past_known)
 
 
 def expected_in(source: str | Mapping[str, Any], unit: str | None = None) -> Expected:
@@ -119,16 +81,12 @@ def expected_in(source: str | Mapping[str, Any], unit: str | None = None) -> Exp
         move_time = _value(content, "move_time", fields.interval)
         delay = _value(content, "sensor_delay", fields.magnitude)
         past_known = content.get("past_known") is True
-        limits = _value(content, "limits", fields.notes)
-        footer = ""
-        if limits is not None:
-            footer = _footer(limits, fields.text(content.get("model"), "model"))
     except ModelError as problem:
         raise ModelError(f"{name}: {problem}") from None
     if own_unit and unit and own_unit != unit:
         raise InputError(f"{name}: is in {own_unit}, the comparison in {unit}")
     # an error of exactly 0 was never measured: it states nothing
-    return Expected(rmse or None, move, move_time, footer, delay or 0.0, past_known)
+    return Expected(rmse or None, move, move_time, delay or 0.0, past_known)
 
 
 def _read(path: str) -> tuple[str, Mapping[str, Any]]:
@@ -148,14 +106,3 @@ def _read(path: str) -> tuple[str, Mapping[str, Any]]:
 def _value(values: Mapping[str, Any], key: str, read: fields.Reader) -> Any:
     """Return what a key holds; None where it is null or missing."""
     return fields.unless_null(read)(values.get(key), key)
-
-
-def _footer(limits: Mapping[str, Any], model: str) -> str:
-    """Return what the page says of a drive (ModelError)."""
-    unit = _value(limits, "unit", fields.text) or ""
-    low, high = fields.interval(limits.get("rating"), "limits.rating")
-    slew = _value(limits, "max_slew", fields.magnitude)
-    text = f"Limits {low:g} to {high:g} {unit}"
-    if slew:
-        text += f", {slew:g} {unit}/s"
-    return f"{text}; drive of model {model[:12]}"

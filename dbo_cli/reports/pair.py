@@ -16,10 +16,13 @@ from numpy.typing import NDArray
 from dbo_cli.alignment import mean_step
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
-from dbo_cli.reports.expected import Expected, expected_of_drive
+from dbo_cli.reports.expected import Expected
 
 if TYPE_CHECKING:
     from dbo_cli.model import Cascade, State
+
+SLACK = 1e-9
+"""Part of the range that rounding may add to a drive which ends at its limit."""
 
 RowRange = tuple[int | None, int | None]
 """First and last row that count, from 1, both included; None: no end."""
@@ -205,6 +208,8 @@ def predict(
     ModelError
         The model is inverse, or it needs a clock.
     """
+    from dbo_cli.model.expect import expected_error
+
     model.require("forward", model_name)
     voltage, time = recording.voltage, recording.time
     assert voltage is not None
@@ -212,7 +217,12 @@ def predict(
     steps = None
     if time is not None and len(time) > 1:
         steps = np.diff(time, prepend=2.0 * time[0] - time[1])
-    expected = expected_of_drive(
-        model, voltage, steps, model_name, past_known=state != "auto"
-    )
+    slack = SLACK * model.input.span
+    low, high = float(voltage.min()), float(voltage.max())
+    error = None
+    if model.input.min - slack <= low and high <= model.input.max + slack:
+        error = expected_error(model, voltage, steps)
+    past_known = state != "auto"
+    rmse = None if error is None else error.rms(past_known, past_known)
+    expected = Expected(rmse, sensor_delay=model.sensor_delay, past_known=past_known)
     return replace(recording, desired=predicted, expected=expected)

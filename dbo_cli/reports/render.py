@@ -125,10 +125,7 @@ def settings_line(report: Scores) -> str:
 def to_html(report: Scores) -> str:
     """Return a page that needs no other file: verdict, table, figures, footer."""
     unit = shown_unit(report.unit)
-    verdicts = []
-    for verdict in report.verdicts:
-        verdicts.append(replace(verdict, unit=verdict.unit.replace(" um", " µm")))
-    report = replace(report, unit=unit or None, verdicts=tuple(verdicts))
+    report = replace(report, unit=unit or None)
     titles, rows = report_table(report)
     headings = []
     for title in titles:
@@ -160,14 +157,10 @@ def _verdict(report: Scores) -> str:
 
 
 def footer_lines(report: Scores) -> list[str]:
-    """Return who made the page, from what: version, command, model, limits; no time of day."""
+    """Return who made the page, and how: version and command; no time of day."""
     lines = [f"dbo {__version__}"]
     if report.command:
         lines.append(report.command)
-    for log in report.logs:
-        expected = log.pair.expected
-        if expected is not None and expected.footer not in ("", *lines):
-            lines.append(expected.footer)
     return lines
 
 

@@ -8,6 +8,7 @@ from dbo_cli.identification import dynamics
 from dbo_cli.identification.fast import FastPart, split
 from dbo_cli.identification.recording import Recording
 from dbo_cli.model import (
+    Amplifier,
     Cascade,
     Delay,
     Dynamics,
@@ -36,7 +37,7 @@ def plant(*sections: Lag | Resonance, delay: float = 0.0) -> Cascade:
     return Cascade("forward", drive, moved, tuple(stages))
 
 
-def swept(slow_seconds: float = 2.0) -> np.ndarray:
+def swept(slow_seconds: float = 2.0, crest: float = 1.0) -> np.ndarray:
     """Loops of 1 Hz, a way to the middle, a sweep of 2 to 200 Hz, a way back."""
     loops = np.arange(round(slow_seconds * RATE)) / RATE
     slow = 50.0 - 50.0 * np.cos(2.0 * np.pi * loops)
@@ -44,7 +45,7 @@ def swept(slow_seconds: float = 2.0) -> np.ndarray:
     part = np.arange(round(1.4 * RATE)) / (1.4 * RATE)
     turns = 2.0 * 1.4 / np.log(100.0) * np.expm1(np.log(100.0) * part)
     fade = np.clip(np.minimum(part, 1.0 - part) / 0.05, 0.0, 1.0)
-    sweep = 50.0 + 0.25**part * fade * np.sin(2.0 * np.pi * turns)
+    sweep = 50.0 + crest * 0.25**part * fade * np.sin(2.0 * np.pi * turns)
     rest = np.full(600, 50.0)
     return np.concatenate([slow, way, rest, sweep, rest, way[::-1]])
 
@@ -130,9 +131,28 @@ def test_refining_keeps_what_fits_and_offers_one_more() -> None:
     model = plant(Resonance(60.0, 0.02), Resonance(150.0, 0.02))
     _, fast = split([recorded(model, swept())])
     begun = (Resonance(61.0, 0.03),)
-    sections, _, _ = dynamics.refine(plant(), fast, begun, 0.0)
+    _, sections, _, _ = dynamics.refine(plant(), fast, begun, 0.0)
     frequencies = [one.frequency for one in sections if isinstance(one, Resonance)]
     assert frequencies == pytest.approx([60.0, 150.0], rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("crest", "is_behind", "is_found_before"),
+    [(1.0, False, True), (15.0, False, True), (15.0, True, False)],
+)
+def test_a_lag_stands_before_the_gears_unless_a_large_sweep_shows_it_behind(
+    crest: float, is_behind: bool, is_found_before: bool
+) -> None:
+    resonance = Resonance(60.0, 0.05)
+    model = plant(*((Lag(2e-3), resonance) if is_behind else (resonance,)))
+    if not is_behind:
+        model = model.with_stages((Amplifier(2e-3), *model.stages))
+    _, fast = split([recorded(model, swept(crest=crest))])
+    begun = (Lag(2e-3), Resonance(61.0, 0.05))
+    amplifier, sections, _, _ = dynamics.refine(plant(), fast, begun, 0.0)
+    behind = sum(one.seconds for one in sections if isinstance(one, Lag))
+    assert (amplifier > 0.0) == is_found_before
+    assert amplifier + behind == pytest.approx(2e-3, rel=0.1)
 
 
 def test_resonances_without_a_sweep_are_refused() -> None:

@@ -115,6 +115,6 @@ def test_stamps_of_two_files_are_one_clock(tmp_path: Path) -> None:
         stamped("s.csv", 0, "displacement_um"), stamped("d.csv", 10, "voltage_V")
     )
     np.testing.assert_array_equal(table["voltage"], table["displacement"])
-    assert table.rows == 30
+    assert len(table) == 30
     assert table.time is not None
     assert table.time[0] == 10.0

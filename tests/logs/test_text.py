@@ -152,7 +152,7 @@ def test_a_record_that_may_be_cut_is_told(tmp_path: Path) -> None:
             table, log = read(path)
         except InputError as problem:
             assert "run.csv:21: " in str(problem) and size < len(content)
-            assert read(path, skip_bad=True)[0].rows == 19
+            assert len(read(path, skip_bad=True)[0]) == 19
             continue
         assert log.doubtful[0].startswith("line 21, the last one, has no line end")
         assert table["displacement"][:19].tolist() == [n + 0.25 for n in range(19)]

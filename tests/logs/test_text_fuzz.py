@@ -113,7 +113,7 @@ def read(path: Path, written: Written, rng: random.Random) -> list[list[float]] 
         return None
     time = read.time
     if time is None:  # its name was damaged
-        time = np.array([row[0] for row in written.values[: read.rows]])
+        time = np.array([row[0] for row in written.values[: len(read)]])
     return np.column_stack([time, read["voltage"], read["displacement"]]).tolist()
 
 

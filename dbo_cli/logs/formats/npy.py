@@ -8,13 +8,7 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.formats.excel import open_workbook
-from dbo_cli.logs.formats.stored import (
-    FileFormat,
-    StoredTable,
-    fenced,
-    parts_of,
-    refuse_part,
-)
+from dbo_cli.logs.formats.stored import FileFormat, StoredTable, fenced, refuse_part
 from dbo_cli.logs.table import Reading, Table
 
 
@@ -24,8 +18,7 @@ def _read_array(path: str, inner: str, reading: Reading) -> Table:
     with fenced(path, "NumPy"):
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     table = StoredTable(path)
-    for part in parts_of("", array):
-        table.add(part)
+    table.add_arrays({"": array})
     return table.require_numbers([f"{array.dtype} {array.shape}"])
 
 
