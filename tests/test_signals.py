@@ -17,22 +17,6 @@ def drive_of(seed: int, rows: int = 6_000) -> Floats:
 
 
 @pytest.mark.parametrize(
-    ("stamps", "step"),
-    [
-        (np.arange(1000) / 3000, 1 / 3000),
-        (np.round(np.arange(1000) / 3000, 6), 1 / 3000),
-        (1.7e9 + np.arange(50) * 1e-3, 1e-3),
-        (np.round(np.arange(100) / 3.0, 2), 1 / 3),
-    ],
-)
-def test_stamps_that_are_even_up_to_their_decimals_have_one_step(
-    stamps: Floats, step: float
-) -> None:
-    assert even(stamps) == pytest.approx(step, rel=2e-3)
-    assert even(stamps + 5.0, step) == step
-
-
-@pytest.mark.parametrize(
     "stamps",
     [
         [0.0, 1.0, 3.0],
@@ -50,16 +34,6 @@ def test_a_clock_that_goes_on_keeps_its_step() -> None:
     assert even(np.array([9.0, 10.0]), 1.0) == 1.0
     assert even(np.array([9.0, 11.0]), 1.0) is None
     assert even(np.array([9.0]), 1.0) == 1.0
-
-
-@pytest.mark.parametrize("samples_a_period", [8, 20, 500, 5_000])
-@pytest.mark.parametrize("sigma", [1e-5, 1e-2])
-def test_white_noise_is_told_from_motion(samples_a_period: int, sigma: float) -> None:
-    motion = np.sin(2.0 * np.pi * ROWS / samples_a_period)
-    white = sigma * np.random.default_rng(1).standard_normal(ROWS.size)
-    assert noise(motion) < 1e-12
-    if samples_a_period > 8 or sigma > 1e-3:
-        assert noise(motion + white) == pytest.approx(sigma, rel=0.05)
 
 
 def test_jumps_turns_and_spikes_are_no_noise() -> None:

@@ -27,30 +27,6 @@ def actuator(low=0.0, high=10.0, dynamics=()):
     )
 
 
-def cornered(axis):
-    """Return the largest change of speed from row to row, in units of the largest speed."""
-    return np.abs(np.diff(axis, 2)).max() / np.abs(np.diff(axis)).max()
-
-
-@pytest.mark.parametrize("shape", MOVES)
-def test_a_rounded_move_starts_and_stops_softly(shape):
-    made = trajectory(shape, rate=RATE, range=ENDS, bandwidth=40.0, **MOVES[shape])
-    for axis in made.axes:
-        fastest = np.abs(np.diff(axis)).max()
-        assert abs(axis[1] - axis[0]) < 0.05 * fastest
-        assert abs(axis[-1] - axis[-2]) < 0.05 * fastest
-        assert cornered(axis) < 0.3
-
-
-def test_a_rise_is_one_period_of_a_sine_in_acceleration():
-    options = {"rate": RATE, "range": (0.0, 1.0), "steps": 1, "dwell": 0.01}
-    rise = trajectory("staircase", bandwidth=10.0, **options).axes[0][10:111]
-    bend = np.sin(2.0 * np.pi * np.arange(1, 100) / 100.0)
-    found = np.diff(rise, 2)
-    np.testing.assert_allclose(found, found.max() * bend, atol=1e-12)
-    assert rise[0] == 0.0 and rise[50] == pytest.approx(0.5) and rise[-1] == 1.0
-
-
 def test_a_move_is_trusted_to_a_third_of_the_lowest_resonance():
     swinging = Dynamics((Resonance(900.0, 0.02), Resonance(300.0, 0.02)))
     assert trusted_frequency([actuator(dynamics=(swinging,))]) == pytest.approx(100.0)

@@ -32,20 +32,6 @@ def test_lengths_must_agree():
         Pair("run", np.zeros(4), np.zeros(3))
 
 
-@pytest.mark.parametrize("rows", [(41, 60), (None, 60), (41, None)])
-def test_rows_are_those_of_desired(rows):
-    error = np.arange(1.0, 101.0)
-    report = Report.of([Pair("run", np.zeros(100), error, rows=rows)])
-    low, high = rows[0] or 1, rows[1] or 100
-    assert report.logs[0].merits.samples == high - low + 1
-    assert report.logs[0].largest_row == high
-    # with a lag the measured rows lie beyond them
-    late = Report.of([Pair("run", np.zeros(100), error, rows=(41, 60))], lag=5)
-    assert late.logs[0].merits.samples == 20
-    assert late.logs[0].merits.max_abs == 65.0
-    assert late.logs[0].largest_row == 60
-
-
 def test_rows_before_time_0_take_no_part():
     time = np.arange(-50, 100) / 100.0
     error = np.where(time < 0.0, 9.0, 1.0)

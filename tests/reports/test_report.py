@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import InputError
-from dbo_cli.reports import Expected, Pair, Report, expected_in
+from dbo_cli.reports import Pair, Report, expected_in
 from dbo_cli.reports.plots import draw, envelope, figure_of, file_stems, plots_of_report
 from dbo_cli.reports.words import digits, shortened
 
@@ -28,14 +28,6 @@ def two_logs(**options):
         Pair("logs/with <b>&.csv", desired, second, time=time, voltage=drive),
     ]
     return Report.of(pairs, unit="um", voltage_unit="V", **options)
-
-
-@pytest.fixture(scope="module")
-def page_text():
-    """The page of two logs, one of them above its limit."""
-    expected = Expected(0.1)
-    command = "dbo report a.csv -o r.html"
-    return two_logs(max_rmse=0.5, command=command, expected=expected).to_html()
 
 
 def test_digits():
