@@ -200,9 +200,9 @@ class Marks:
             return 0
         return row - max(self.plain[0], self.grouped[0])
 
-    def require_clear(self, row: int, most: int = _MOST_DOUBTFUL) -> None:
+    def require_clear(self, row: int, limit: int = _MOST_DOUBTFUL) -> None:
         """Refuse (InputError) what is still doubtful by more than so many rows above a row."""
-        if self.is_clear or self._doubtful_rows(row) <= most:
+        if self.is_clear or self._doubtful_rows(row) <= limit:
             return
         assert self.plain is not None and self.grouped is not None
         raise InputError(

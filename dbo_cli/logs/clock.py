@@ -361,7 +361,7 @@ def _time_columns(source: Table, used: Sequence[Column], needed: bool) -> list[C
     return [c for c in first if c.kind == "number" and time_unit(c.unit)]
 
 
-def _clock_of(source: Table, column: Column, typed: str | None) -> Clock:
+def _clock_of(source: Table, column: Column, spelled: str | None) -> Clock:
     """Return the clock of a time column.
 
     Raises
@@ -370,12 +370,12 @@ def _clock_of(source: Table, column: Column, typed: str | None) -> Clock:
         Its figures count something that is no known unit of time.
     """
     name = source.name
-    if column.kind == "stamp" and typed is not None:
+    if column.kind == "stamp" and spelled is not None:
         raise InputError(f"{name}: {column.label} holds stamps: leave out `time_unit`")
     if column.kind == "stamp":
         return Clock(name, "stamps", column, unit="s")
-    if typed is not None:
-        return Clock(name, "column", column, parse_time_unit(typed), unit="")
+    if spelled is not None:
+        return Clock(name, "column", column, parse_time_unit(spelled), unit="")
     unit = _stated_unit(name, column)
     clock = Clock(name, "column", column, ratio(unit, "s"), unit)
     with contextlib.suppress(InputError):
@@ -402,8 +402,8 @@ def _stated_unit(name: str, column: Column) -> str | None:
     if len(units) == 1:
         return units.pop()
     if units or parts & _COUNTED:
-        what = ", ".join(sorted(parts & _COUNTED or parts))
-        raise _unclear(name, column, f"'{what}' is not a unit of time")
+        counted = ", ".join(sorted(parts & _COUNTED or parts))
+        raise _unclear(name, column, f"'{counted}' is not a unit of time")
     return None
 
 

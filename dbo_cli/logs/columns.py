@@ -183,10 +183,12 @@ def named(source: Table, selector: str, option: str) -> Column:
     kinds = ("number", "stamp") if option == "time" else ("number",)
     if len(matches) == 1 and matches[0].kind in kinds:
         return matches[0]
-    typed = " or ".join(f"number={column.number}" for column in matches[1:] and matches)
+    choices = " or ".join(
+        f"number={column.number}" for column in matches[1:] and matches
+    )
     raise InputError(
         f"{source.name}: `{option}` {text} is not one column of numbers: {listing_of(source.columns)}"
-        f"{source.hint} (`{option}` {typed or 'NAME or NUMBER'})"
+        f"{source.hint} (`{option}` {choices or 'NAME or NUMBER'})"
     )
 
 

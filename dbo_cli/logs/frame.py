@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import TIME_NAMES, words
-from dbo_cli.logs.formats.stored import StoredTable, parts_of
+from dbo_cli.logs.formats.stored import StoredTable, columns_in
 from dbo_cli.logs.table import Column
 from dbo_cli.units import spell, split_header, time_unit
 
@@ -65,8 +65,8 @@ class FrameTable(StoredTable):
                     f"{name}: column '{title}': give one row of numbers, shape (n,)"
                 )
             unit = "s" if dtype_kind(values) == "m" else unit or split_header(title)[1]
-            for part in parts_of(title, cells):
-                self.add(part._replace(unit=unit))
+            for column in columns_in(title, cells):
+                self.add(column._replace(unit=unit))
 
     def as_stated(self, columns: Mapping[str, Column]) -> dict[str, Column]:
         """Return columns by role with the names that they have in their file.

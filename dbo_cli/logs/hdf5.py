@@ -14,7 +14,13 @@ import h5py
 import numpy as np
 
 from dbo_cli.errors import InputError, warn
-from dbo_cli.logs.formats.stored import Fetch, Part, StoredTable, fenced, parts_of
+from dbo_cli.logs.formats.stored import (
+    Fetch,
+    StoredColumn,
+    StoredTable,
+    columns_in,
+    fenced,
+)
 from dbo_cli.logs.settings import is_clock_setting, plain_key
 from dbo_cli.logs.table import Column, Reading, Table
 
@@ -68,18 +74,18 @@ class Hdf5Table(StoredTable):
             raise InputError(
                 f"{path}::{inner}: no such part, or a link; the file has {self._listing()}"
             )
-        by_group: dict[str, list[Part]] = {}
+        by_group: dict[str, list[StoredColumn]] = {}
         for name, node in self._nodes.items():
             if inner in ("", name) or name.startswith(f"{inner}/"):
                 is_single = getattr(node, "size", 0) == 1 and name != inner
-                parts = [] if is_single else self._columns_of(name, node)
-                by_group[_group(name)] = by_group.get(_group(name), []) + parts
+                columns = [] if is_single else self._columns_of(name, node)
+                by_group[_group(name)] = by_group.get(_group(name), []) + columns
         groups = _shallowest(by_group)
-        parts = [part for group in groups for part in by_group[group]]
-        parents = [_group(part.name) for part in parts]
+        columns = [column for group in groups for column in by_group[group]]
+        parents = [_group(column.name) for column in columns]
         top = posixpath.commonpath(parents) if parents else ""
-        for part in parts:
-            self.add(part._replace(name=part.name[len(top) :].lstrip("/")))
+        for column in columns:
+            self.add(column._replace(name=column.name[len(top) :].lstrip("/")))
         self.require_numbers([self._listing()])
         self._state_clock(groups)
         if not self.settings:
@@ -107,12 +113,14 @@ class Hdf5Table(StoredTable):
     def find(self, name: str) -> Column | None:
         """Return the column that a dataset's path names, from the part that is open or from the top."""
         for path in (f"{self._inner}/{name}", name):
-            parts = self._columns_of(path.strip("/"), self._nodes.get(path.strip("/")))
-            if len(parts) == 1:
-                return self.add(parts[0]._replace(name=name))
+            columns = self._columns_of(
+                path.strip("/"), self._nodes.get(path.strip("/"))
+            )
+            if len(columns) == 1:
+                return self.add(columns[0]._replace(name=name))
         return None
 
-    def _columns_of(self, path: str, dataset: Any) -> list[Part]:
+    def _columns_of(self, path: str, dataset: Any) -> list[StoredColumn]:
         """Take a dataset apart into columns; none where it holds no numbers."""
         if not isinstance(dataset, h5py.Dataset) or not dataset.size:
             return []
@@ -125,17 +133,17 @@ class Hdf5Table(StoredTable):
         labels = _texts(dataset, "columns", "column_names", "names")
         units = _texts(dataset, "units", "unit", "Units", "Unit")
         columns = []
-        parts = list(parts_of(name, dataset))
-        for number, part in enumerate(parts):
-            label = part.name
+        stored = list(columns_in(name, dataset))
+        for number, column in enumerate(stored):
+            label = column.name
             if dataset.dtype.names is not None:
                 label = f"{name}/{label}"
-            elif len(labels) == len(parts) > 1:
+            elif len(labels) == len(stored) > 1:
                 label = labels[number]
             unit = units[0] if len(units) == 1 else "".join(units[number : number + 1])
-            fetch = self._checked(dataset, part.name, part.fetch)
+            fetch = self._checked(dataset, column.name, column.fetch)
             label = posixpath.join(group, label)
-            columns.append(part._replace(name=label, fetch=fetch, unit=unit))
+            columns.append(column._replace(name=label, fetch=fetch, unit=unit))
         return columns
 
     def _checked(self, dataset: Any, label: str, fetch: Fetch) -> Fetch:
@@ -190,11 +198,11 @@ def _depth(group: str) -> int:
     return group.count("/") + bool(group)
 
 
-def _shallowest(by_group: Mapping[str, Sequence[Part]]) -> list[str]:
+def _shallowest(by_group: Mapping[str, Sequence[StoredColumn]]) -> list[str]:
     """Return the shallowest groups with numbers; of several the only one with more than one such column."""
     numbers: dict[str, int] = {}
-    for group, parts in by_group.items():
-        numbers[group] = sum(part.kind == "number" for part in parts)
+    for group, columns in by_group.items():
+        numbers[group] = sum(column.kind == "number" for column in columns)
     depth = min((_depth(group) for group in numbers if numbers[group]), default=0)
     groups = [group for group in numbers if numbers[group] and _depth(group) == depth]
     wide = [group for group in groups if numbers[group] > 1]
@@ -203,9 +211,9 @@ def _shallowest(by_group: Mapping[str, Sequence[Part]]) -> list[str]:
 
 def _not_applied(dataset: Any) -> str:
     """Say which factor or offset in or beside a dataset may belong to its values (Keysight, NeXus)."""
-    beside = {key: _attribute(dataset, key) for key in dataset.attrs}
-    beside["YInc"] = _attribute(dataset.parent, "YInc")
-    for key, values in beside.items():
+    factors = {key: _attribute(dataset, key) for key in dataset.attrs}
+    factors["YInc"] = _attribute(dataset.parent, "YInc")
+    for key, values in factors.items():
         neutral = _NOT_APPLIED.get(plain_key(key))
         if neutral is not None and len(values) == 1 and values[0] != neutral:
             return f"{key} {values[0]} beside it"

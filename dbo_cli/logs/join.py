@@ -178,11 +178,11 @@ def _found(
             by_drive = align_drives(rows.time, rows[role], time, table[role])
             if by_drive is not None:
                 return by_drive, True
-    beside = _beside_drive(rows, time, table)
-    if beside is None:
+    pair = _beside_drive(rows, time, table)
+    if pair is None:
         problem = "a drive and a displacement are needed that both move, over a time that both hold"
     else:
-        found, _, drive = beside
+        found, _, drive = pair
         lag, ahead = found.lag, found.ahead
         problem = f"{ahead:.6g} s is uncertain by {2.0 * lag.deviation:.2g} s"
         if lag.residual > _EXPLAINED:
@@ -205,10 +205,10 @@ def _tolerable(found: Alignment, time: Floats, drive: Floats) -> float:
 
 def _warn_if_apart(pair_name: str, rows: Block, time: Floats, table: Block) -> None:
     """Warn where the drive explains the displacement much better when its clock is moved."""
-    beside = _beside_drive(rows, time, table)
-    if beside is None or beside[0].lag.residual > _EXPLAINED:
+    pair = _beside_drive(rows, time, table)
+    if pair is None or pair[0].lag.residual > _EXPLAINED:
         return
-    found, sensor, drive = beside
+    found, sensor, drive = pair
     clearly = found.step + _CLEARLY_APART * found.lag.deviation
     if -clearly <= found.ahead <= clearly + USUAL_LAG:
         return

@@ -21,7 +21,7 @@ from dbo_cli.logs.columns import choose, named
 from dbo_cli.logs.formats import reader_of
 from dbo_cli.logs.formats.stored import refuse_part
 from dbo_cli.logs.join import SENSORS, joined, resampled
-from dbo_cli.logs.scale import Signal, signal_of
+from dbo_cli.logs.scale import ScaledColumn, scaled_column
 from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import (
     ROWS_A_BLOCK,
@@ -63,7 +63,7 @@ class Log:
         self,
         source: Table,
         clock: Clock,
-        signals: Mapping[str, Signal],
+        signals: Mapping[str, ScaledColumn],
         reading: Reading,
     ) -> None:
         self.name = source.name
@@ -365,7 +365,9 @@ def _open_file(
         picks = choose(source, selectors, clock_columns, units, optional)
         signals = {}
         for role, column in picks.items():
-            signals[role] = signal_of(source.name, role, column, reading.scale, units)
+            signals[role] = scaled_column(
+                source.name, role, column, reading.scale, units
+            )
         return Log(source, clock, signals, reading)
     except BaseException:
         source.close()

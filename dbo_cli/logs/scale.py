@@ -21,7 +21,7 @@ from dbo_cli.units import (
 
 
 @dataclass(frozen=True)
-class Signal:
+class ScaledColumn:
     """A column with a role.
 
     Attributes
@@ -40,13 +40,13 @@ class Signal:
     label: str
 
 
-def signal_of(
+def scaled_column(
     name: str,
     role: str,
     column: Column,
     scale: Mapping[str, str | float],
     units: Mapping[str, str | None],
-) -> Signal:
+) -> ScaledColumn:
     """Scale a column of a file by what the user types for its role, then to the unit that is wanted.
 
     Raises
@@ -78,7 +78,7 @@ def signal_of(
         label += f" ({column.unit})"
     elif unit and column.unit is None and role not in scale:
         label += f" ({unit} assumed)"
-    return Signal(column, replace(column, unit=unit), factor, label)
+    return ScaledColumn(column, replace(column, unit=unit), factor, label)
 
 
 def _typed_scale(

@@ -87,7 +87,7 @@ class TextTable(Table):
             self._first_row += len(arrays[0])
             self._line += self._block_lines
         for marks in self._marks.values():
-            marks.require_clear(self._first_row, most=0)
+            marks.require_clear(self._first_row, limit=0)
 
     def _texts(self) -> Iterator[bytes]:
         """Return the rows in blocks of whole lines, without those of delimiters at the end of the file."""

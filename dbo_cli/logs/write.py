@@ -82,12 +82,12 @@ def add_table(
 
 def _suffix_of(path: str) -> str:
     """Return the suffix that decides the format; refuse one that is of none (UsageError)."""
-    file, part, _ = path.partition("::")
+    file, inner, _ = path.partition("::")
     is_packed = file.lower().endswith(".gz")
     stem, suffix = os.path.splitext(file[:-3] if is_packed else file)
     suffix = suffix.lower()
     is_written = suffix in _DELIMITERS or (suffix in _HDF5_SUFFIXES and not is_packed)
-    if is_written and not part:
+    if is_written and not inner:
         return suffix
     if os.path.exists(path) and not os.path.isfile(path):
         return ""  # a pipe or a device

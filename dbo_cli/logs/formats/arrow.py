@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dbo_cli.logs.formats.stored import (
     Fetch,
     FileFormat,
-    Part,
+    StoredColumn,
     StoredTable,
     fenced,
     quiet,
@@ -41,7 +41,7 @@ def _read(path: str, inner: str, reading: Reading) -> Table:
                 kind = "stamp"
             elif stored.is_numeric() or stored == pl.Boolean:
                 kind = "number"
-            table.add(Part(name, rows, _fetch_of(scan, name), kind))
+            table.add(StoredColumn(name, rows, _fetch_of(scan, name), kind))
     return table
 
 

@@ -28,7 +28,7 @@ _KINDS = defaultdict(
 """The kind of a column by NumPy's letter of its type."""
 
 
-class Part(NamedTuple):
+class StoredColumn(NamedTuple):
     """A stored column: its name or path, its rows, what fetches them, and what is known of it."""
 
     name: str
@@ -132,21 +132,21 @@ class StoredTable(Table):
 
     def __init__(self, path: str, close: Callable[[], object] = lambda: None) -> None:
         super().__init__(path)
-        self._parts: list[Part] = []
+        self._stored: list[StoredColumn] = []
         self._close = close
 
-    def add(self, part: Part) -> Column:
+    def add(self, stored: StoredColumn) -> Column:
         """Add a column; the last step of its path holds its unit where none is stated."""
-        self._parts.append(part)
-        unit = part.unit or split_header(part.name.rsplit("/", 1)[-1])[1]
-        return self.add_column(part.name, unit, part.kind)
+        self._stored.append(stored)
+        unit = stored.unit or split_header(stored.name.rsplit("/", 1)[-1])[1]
+        return self.add_column(stored.name, unit, stored.kind)
 
     def add_arrays(self, arrays: Mapping[str, Any]) -> None:
         """Add arrays by name; a single value is no column, but may state the clock."""
         for name, array in arrays.items():
             if np.size(array) > 1:
-                for part in parts_of(name, np.asarray(array)):
-                    self.add(part)
+                for column in columns_in(name, np.asarray(array)):
+                    self.add(column)
             elif is_clock_setting(name) and np.size(array):
                 self.state(name, np.ravel(array)[0].item())
 
@@ -167,7 +167,7 @@ class StoredTable(Table):
         InputError
             The columns are of unequal length, or the library fails.
         """
-        lengths = [self._parts[column.number - 1].length for column in columns]
+        lengths = [self._stored[column.number - 1].length for column in columns]
         if len(set(lengths)) > 1:
             pairs = zip(columns, lengths, strict=True)
             text = ", ".join(f"{column.label} {rows:,} rows" for column, rows in pairs)
@@ -181,7 +181,7 @@ class StoredTable(Table):
     def _rows(self, column: Column, start: int, stop: int) -> NDArray[Any]:
         """Read rows of one column as float64, or dates as int64 nanoseconds."""
         with fenced(self.name, column.label):
-            stored = np.asarray(self._parts[column.number - 1].fetch(start, stop))
+            stored = np.asarray(self._stored[column.number - 1].fetch(start, stop))
             if stored.dtype.kind == "M":
                 stored = stored.astype("datetime64[ns]").astype(np.int64)
             elif column.kind == "number":
@@ -195,7 +195,7 @@ class StoredTable(Table):
         self._close()
 
 
-def parts_of(name: str, stored: Any) -> Iterator[Part]:
+def columns_in(name: str, stored: Any) -> Iterator[StoredColumn]:
     """Take an array or a dataset apart: a vector, a matrix whose longer axis is time, or records.
 
     There are no parts of what holds neither numbers, nor dates, nor a row of texts.
@@ -205,16 +205,16 @@ def parts_of(name: str, stored: Any) -> Iterator[Part]:
         for label in kind.names:
             if not kind[label].shape:
                 fetch = _field_of(stored, label)
-                yield Part(label, shape[0], fetch, _KINDS[kind[label].kind])
+                yield StoredColumn(label, shape[0], fetch, _KINDS[kind[label].kind])
     elif len(shape) == 1:
-        yield Part(name, shape[0], rows_of(stored), _KINDS[kind.kind])
+        yield StoredColumn(name, shape[0], rows_of(stored), _KINDS[kind.kind])
     elif len(shape) == 2 and _KINDS[kind.kind] != "text":
         along = 0 if shape[0] >= shape[1] else 1
         width = shape[1 - along]
         for number in range(width):
             label = f"{name}[{number + 1}]" if name and width > 1 else name
             fetch = _column_of(stored, along, number)
-            yield Part(label, shape[along], fetch, _KINDS[kind.kind])
+            yield StoredColumn(label, shape[along], fetch, _KINDS[kind.kind])
 
 
 def rows_of(stored: Any) -> Fetch:

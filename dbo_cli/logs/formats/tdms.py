@@ -10,7 +10,7 @@ import numpy as np
 
 from dbo_cli.logs.formats.stored import (
     FileFormat,
-    Part,
+    StoredColumn,
     StoredTable,
     fenced,
     import_extra,
@@ -66,7 +66,7 @@ def _add_channels(table: StoredTable, groups: Sequence[Any]) -> None:
             name = channel.name if len(groups) == 1 else f"{group.name}/{channel.name}"
             kind = "stamp" if channel.dtype.kind == "M" else "number"
             fetch = rows_of(channel)
-            table.add(Part(name, len(channel), fetch, kind, unit))
+            table.add(StoredColumn(name, len(channel), fetch, kind, unit))
             _state_clock(table, properties)
 
 
