@@ -84,7 +84,7 @@ def test_large_files_of_many_ways(change: Callable[[str], str], tmp_path: Path) 
         (
             "20.000,20000.00,",
             20002,
-            "'displacement_um' is no measured number or time stamp: ''",
+            "'displacement_um' is no finite number: ''",
         ),
         ("20.000,x,20000.25", 20002, "'voltage_V'"),
         ("20.000,inf,20000.25", 20002, "'voltage_V'"),
