@@ -20,7 +20,7 @@ from dbo_cli.identification.basis import (
     sums_of,
     time_constants,
 )
-from dbo_cli.identification.recording import Options, Recording, Swings
+from dbo_cli.identification.recording import Options, Recording, Swings, runs_of
 from dbo_cli.identification.solve import Rows
 from dbo_cli.signals import noise
 
@@ -308,9 +308,8 @@ def groups_of(rows: Booleans, stride: int, size: int) -> tuple[Integers, Integer
     Where in a stride a group begins changes by the golden ratio: a log that holds each
     value for some rows would else be seen at one phase of its steps.
     """
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], rows, [False]))))
     begins, ends = [], []
-    for begin, end in edges.reshape(-1, 2).tolist():
+    for begin, end in runs_of(rows).tolist():
         places = np.arange(begin, end, stride)
         fraction = np.arange(len(places)) * GOLDEN % 1.0
         places = np.minimum(

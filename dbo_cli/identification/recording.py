@@ -169,6 +169,12 @@ def white_noise(signals: Sequence[Floats]) -> float:
     return float(np.mean(np.concatenate(bends) ** 2)) / 6.0
 
 
+def runs_of(mask: Booleans) -> Integers:
+    """Return begin and end of each run of true values; (runs, 2)."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
+    return edges.reshape(-1, 2)
+
+
 @dataclass(frozen=True)
 class Swings:
     """The monotone ways of a drive.
