@@ -45,10 +45,12 @@ class Average:
         some = weights[order] / weights[order].sum()
         return Average(tuple(fits[index] for index in order), some)
 
-    def residuals(self, number: int) -> Floats:
-        """Return what the mean prediction leaves of a part that was left out."""
-        parts = [fit.residuals[number] for fit in self.fits]
-        residuals: Floats = np.einsum("k,kr->r", self.weights, np.stack(parts))
+    @property
+    def residuals(self) -> list[Floats]:
+        """What the mean prediction leaves of each part that was left out."""
+        residuals = []
+        for parts in zip(*(fit.residuals for fit in self.fits), strict=True):
+            residuals.append(np.einsum("k,kr->r", self.weights, np.stack(parts)))
         return residuals
 
     def words(self) -> list[str]:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -20,7 +19,13 @@ from dbo_cli.identification.basis import (
     sums_of,
     time_constants,
 )
-from dbo_cli.identification.recording import Options, Recording, Swings, runs_of
+from dbo_cli.identification.recording import (
+    Options,
+    Recording,
+    Swings,
+    falling,
+    runs_of,
+)
 from dbo_cli.identification.solve import Rows
 from dbo_cli.signals import noise
 
@@ -35,7 +40,6 @@ ROUNDING = 1e-9  # of the range: smaller noise of a drive is that of numbers
 ROWS_WITH_NOISE = 20  # of a swing: with fewer, the drive's motion looks like noise
 MOST_DEVIATIONS = 4.0  # of the noise that a drive's range is drawn in by
 KNOWN = 0.005  # of the range: an unknown past that adds more lessens the row's weight
-SAME_LEVEL = 0.1  # of the range: turns that are nearer are alike
 LEAST_PART, MOST_PART = 0.08, 0.9  # of the way, of small swings that are left out
 
 
@@ -97,8 +101,7 @@ class Problem:
         """How many swings differ in a turn: one that is repeated tells nothing new."""
         different: set[tuple[float, float]] = set()
         for log, swings in zip(self.logs, self.swings, strict=True):
-            levels = np.round(log.drive[swings.turns] / SAME_LEVEL).tolist()
-            different |= set(pairwise(levels))
+            different |= swings.different(log.drive)
         return len(different)
 
     @cached_property
@@ -331,12 +334,3 @@ def output_scale(recordings: Sequence[Recording]) -> tuple[float, float]:
     if high == low:
         high = low + 1.0
     return (low - high, high) if falling(recordings) else (high - low, low)
-
-
-def falling(recordings: Sequence[Recording]) -> bool:
-    """Whether the displacement falls as the drive rises."""
-    together = 0.0
-    for log in recordings:
-        v, y = log.voltage[log.usable], log.displacement[log.usable]
-        together += float(np.sum((v - v.mean()) * (y - y.mean())))
-    return together < 0.0

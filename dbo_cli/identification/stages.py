@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -115,6 +115,17 @@ def model_of(
         reached, _ = model.static.simulate(np.asarray([voltage]), dt=1.0, state=state)
         ends.append(float(reached[0]))
     return replace(model, output=Quantity(*log.output, min(ends), max(ends)))
+
+
+def with_changed_stages(
+    model: Cascade, changed: Callable[[Sequence[Stage]], tuple[Stage, ...]]
+) -> Cascade:
+    """Return a model whose stages, and those of its candidates, are changed alike."""
+    candidates = []
+    for candidate in model.candidates:
+        candidates.append(replace(candidate, stages=changed(candidate.stages)))
+    stages = changed(model.stages)
+    return replace(model, stages=stages, candidates=tuple(candidates))
 
 
 def zero_of(log: Recording, options: Options) -> float:
