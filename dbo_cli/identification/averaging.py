@@ -168,4 +168,4 @@ def invented_log(problem: Problem) -> PreparedLog:
     drive = (1.0 + 2.0 * BEYOND) * np.concatenate(parts) - BEYOND
     every = np.arange(len(drive))
     time = np.asarray(dt * every, dtype=np.float64)
-    return PreparedLog("invented", drive, drive, time, float(dt), every, every + 1)
+    return PreparedLog(drive, drive, time, float(dt), every, every + 1)

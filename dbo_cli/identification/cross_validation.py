@@ -73,16 +73,12 @@ def score(problem: Problem, fit: Fit, residuals: Sequence[Floats]) -> float:
     for mask, error in zip(problem.parts, residuals, strict=True):
         square = float(np.average(error**2, weights=problem.known[mask]))
         errors.append(math.sqrt(square))
-    return math.log(max(float(np.mean(errors)), floor)) + price(problem, fit)
+    structure = fit.structure
+    families = len(structure.memories) + structure.past
+    price = PRICE * families + DRIFT_PRICE * structure.drift
+    return math.log(max(float(np.mean(errors)), floor)) + price
 
 
 def least_score(problem: Problem, fit: Fit) -> float:
     """Return what the score can be at best: no part is predicted better than it is fitted."""
     return score(problem, fit, [fit.error[mask] for mask in problem.parts])
-
-
-def price(problem: Problem, fit: Fit) -> float:
-    """Return what the families of terms of a structure cost."""
-    structure = fit.structure
-    families = len(structure.memories) + structure.past
-    return PRICE * families + DRIFT_PRICE * structure.drift

@@ -13,7 +13,6 @@ import numpy as np
 from dbo_cli.arrays import Floats, Integers
 from dbo_cli.errors import FitError, LimitError
 from dbo_cli.identification.averaging import Average, invented_log
-from dbo_cli.identification.basis import means
 from dbo_cli.identification.cross_validation import error_left_out, without_lost_offsets
 from dbo_cli.identification.problem import Problem, known_weights
 from dbo_cli.identification.recording import (
@@ -132,7 +131,7 @@ def line_left_out(problem: Problem, average: Average) -> float:
     """
     drift = problem.drift(average.fits[0].structure.drift)
     offset = np.column_stack((np.ones(len(drift)), drift))
-    drive = [means(log.drive, log.rows, log.ends) for log in problem.logs]
+    drive = [log.fitted(log.drive) for log in problem.logs]
     errors = []
     for table in (offset, np.column_stack((offset, np.concatenate(drive)))):
         residuals = []
@@ -166,8 +165,8 @@ def unexplained_share(problem: Problem, residuals: Sequence[Floats]) -> float:
 def _windows(problem: Problem, shift: float) -> Integers:
     """Return the number of each row's swing; swings begin a part ``shift`` of themselves later."""
     numbers, first = [], 0
-    for log, swings in zip(problem.logs, problem.swings, strict=True):
-        begins = swings.turns[:-1] + shift * swings.rows
+    for log in problem.logs:
+        begins = log.swings.turns[:-1] + shift * log.swings.rows
         numbers.append(first + np.searchsorted(begins, log.rows, side="right"))
         first += len(begins) + 1
     return np.concatenate(numbers)

@@ -19,17 +19,18 @@ from scipy.optimize import nnls
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError
 from dbo_cli.identification.recording import Options, Recording
+from dbo_cli.identification.solve import LEAST_CURVE
 from dbo_cli.identification.stages import zero_of
 from dbo_cli.model import Cascade, Gears, Points, Quantity, Scale
 
 GEARS = 25  # the paper's
-FINE_GEARS, GROUP = 1280, 20  # gears of the fine operator, and how many share a slope
+FINE_WIDTHS, GROUP = np.full(1280, 1.0 / 1280), 20
+"""Of the fine operator's gears, and how many of them share a slope."""
 SEGMENTS = 2
 """Of the curve behind the gears: 1, 2 and 4 leave 0.89, 0.90, 1.04 um on the authors' other log."""
 SHRUNK = tuple(k / 20 for k in range(20, 5, -1))  # amplitudes, over the cycle's
 CYCLE_WEIGHT = 10.0  # of the cycle's own amplitude, over each smaller one
 LEAST_SLOPE = 0.3  # of a gear, of the mean slope
-LEAST_CURVE = 0.03  # slope of a segment's inverse, of the mean slope
 EXACT = 1e3  # weight of the condition that the curve keeps its ends
 
 
@@ -98,12 +99,12 @@ def _fine_slopes(drive: Floats, output: Floats, segments: int) -> tuple[Floats, 
 
     Returns
     -------
-    slopes : array, shape (FINE_GEARS / GROUP,)
+    slopes : array, shape (groups,)
         Heights of the groups of gears.
     curve : array, shape (segments,)
         Widths of the curve's segments; their heights are equal.
     """
-    engaged = _engaged(_fine_gears(), np.tile(drive, 2), GROUP)[drive.size :]
+    engaged = _engaged(FINE_WIDTHS, np.tile(drive, 2), GROUP)[drive.size :]
     cells = engaged.shape[1]
     edges = np.arange(segments) / segments
     travelled = np.clip(output[:, None] - edges, 0.0, 1.0 / segments)
@@ -120,13 +121,9 @@ def _fine_slopes(drive: Floats, output: Floats, segments: int) -> tuple[Floats, 
     return slopes, inverse / inverse.sum()
 
 
-def _fine_gears() -> Gears:
-    width = np.full(FINE_GEARS, 1.0 / FINE_GEARS)
-    return Gears(width, width, 0.0, 0.0)
-
-
-def _engaged(gears: Gears, drive: Floats, group: int) -> Floats:
-    engaged, _ = gears.engagement(drive, 0, group)
+def _engaged(widths: Floats, drive: Floats, group: int) -> Floats:
+    """Return the engaged part of each group of gears of slope 1."""
+    engaged, _ = Gears(widths, widths, 0.0, 0.0).engagement(drive, 0, group)
     return np.asarray(engaged, dtype=np.float64)
 
 
@@ -140,8 +137,8 @@ def _few_heights(drive: Floats, fine: Floats, widths: Floats) -> Floats:
     shrunk = [np.tile(0.5 + amplitude * (drive - 0.5), 2) for amplitude in SHRUNK]
     repeated = np.concatenate(shrunk)
     counts = np.tile(np.repeat([False, True], rows), len(SHRUNK))
-    target = (_engaged(_fine_gears(), repeated, GROUP) @ fine)[counts]
-    parts = _engaged(Gears(widths, widths, 0.0, 0.0), repeated, 1)[counts]
+    target = (_engaged(FINE_WIDTHS, repeated, GROUP) @ fine)[counts]
+    parts = _engaged(widths, repeated, 1)[counts]
     growing = (parts * widths) @ np.tril(np.ones((count, count)))
     offsets = np.repeat(np.eye(len(SHRUNK)), rows, axis=0)
     table = np.hstack([growing, offsets, -offsets])

@@ -28,13 +28,11 @@ from dbo_cli.identification.recording import (
     white_noise,
 )
 from dbo_cli.identification.stages import with_changed_stages
+from dbo_cli.identification.verdict import BEYOND_STATED
 from dbo_cli.model import Cascade, Delay, Dynamics, Scale, State, steps_of
 from dbo_cli.model.expect import expected_error
 
 STUDENT = 2.0  # standard errors of a 95 % interval
-BROKEN = 2.0
-"""Times the prior's own error: a shape that leaves more, noise aside, has changed. On four invented actuators
-the same shape left at most 1.1 times, a loop 1.25 times as wide 1.6 to 9 times."""
 LEAST_KNOWN = 0.5  # of the rows: those behind the first way over the log's range
 STEPS = 8  # of Gauss and Newton: the prediction is not linear in the delay
 LONGEST_DELAY = 0.25  # of the usual swing, to either side
@@ -250,7 +248,7 @@ def _check_shape(
     stated_error = change.gain * _stated_of_logs(prior, predictions)
     squares = float(np.mean(np.concatenate(residuals) ** 2))
     shape = float(np.sqrt(max(squares - white_noise(residuals), 0.0)))
-    if shape <= BROKEN * stated_error:
+    if shape <= BEYOND_STATED * stated_error:
         return []
     name, unit = predictions[0].log.name, prior.output.suffix
     text = (

@@ -81,44 +81,32 @@ class Problem:
     @cached_property
     def output(self) -> Floats:
         """The normalised output of the fitted rows."""
-        return np.concatenate([log.fitted for log in self.logs])
-
-    @cached_property
-    def swings(self) -> list[Swings]:
-        """The swings of each log."""
-        return [Swings.of(log.drive) for log in self.logs]
+        return np.concatenate([log.fitted(log.output) for log in self.logs])
 
     @property
     def swing_count(self) -> int:
         """How many swings there are in fitted rows: those of a fast part tell nothing of loops."""
-        count = 0
-        for log, swings in zip(self.logs, self.swings, strict=True):
-            count += len(np.unique(swings.number[log.rows]))
-        return count
+        return sum(len(np.unique(log.swings.number[log.rows])) for log in self.logs)
 
     @cached_property
     def different_swings(self) -> int:
         """How many swings differ in a turn: one that is repeated tells nothing new."""
         different: set[tuple[float, float]] = set()
-        for log, swings in zip(self.logs, self.swings, strict=True):
-            different |= swings.different(log.drive)
+        for log in self.logs:
+            different |= log.swings.different(log.drive)
         return len(different)
 
     @cached_property
     def swing(self) -> float:
         """Seconds that a swing usually takes, the mean over all logs weighted by rows."""
-        seconds, weights = [], []
-        for log, swings in zip(self.logs, self.swings, strict=True):
-            seconds.append(swings.usual_rows * log.dt)
-            weights.append(len(log.drive))
+        seconds = [log.swings.usual_rows * log.dt for log in self.logs]
+        weights = [len(log.drive) for log in self.logs]
         return float(np.average(seconds, weights=weights))
 
     @cached_property
     def smaller(self) -> Booleans:
         """Which of the fitted rows belong to loops of less than three quarters of the largest."""
-        sizes = []
-        for log, swings in zip(self.logs, self.swings, strict=True):
-            sizes.append(swings.loops[swings.number[log.rows]])
+        sizes = [log.swings.loops[log.swings.number[log.rows]] for log in self.logs]
         size = np.concatenate(sizes)
         small: Booleans = size < SMALL * size.max()
         return small
@@ -199,15 +187,13 @@ class Problem:
         owner = self.owner
         columns = []
         for index, log in enumerate(self.logs):
-            clock = log.time[log.rows]
-            ramp = np.zeros(len(owner))
-            ramp[owner == index] = (
-                2.0 * (clock - clock.mean()) / max(np.ptp(clock), 1e-300)
-            )
             if index:
                 columns.append((owner == index).astype(float))
             if straight:
-                columns.append(ramp)
+                clock = log.time[log.rows]
+                ramp = 2.0 * (clock - clock.mean()) / max(np.ptp(clock), 1e-300)
+                columns.append(np.zeros(len(owner)))
+                columns[-1][owner == index] = ramp
         return np.array(columns).reshape(-1, len(owner)).T
 
     def rows(self, structure: Structure) -> Rows:
@@ -250,7 +236,7 @@ def prepare(recordings: Sequence[Recording], options: Options) -> Problem:
         output = (log.displacement - offset) / scale
         limit = max(round(STEADY * Swings.of(drive).usual_rows), 1)
         rows, ends = groups_of(log.usable, stride, min(stride, limit))
-        logs.append(PreparedLog(log.name, drive, output, time, steps, rows, ends))
+        logs.append(PreparedLog(drive, output, time, steps, rows, ends))
     clock = all(log.time is not None for log in recordings)
     taus = np.zeros(0)
     if options.taus is not None:
@@ -325,12 +311,10 @@ def groups_of(rows: Booleans, stride: int, size: int) -> tuple[Integers, Integer
 
 def output_scale(recordings: Sequence[Recording]) -> tuple[float, float]:
     """Return scale and offset that bring the displacement to 0..1 and let it rise with the drive."""
-    lows, highs = [], []
-    for log in recordings:
-        low, high = np.percentile(log.displacement[log.usable], [1.0, 99.0]).tolist()
-        lows.append(low)
-        highs.append(high)
-    low, high = min(lows), max(highs)
+    ends = [
+        np.percentile(log.displacement[log.usable], [1.0, 99.0]) for log in recordings
+    ]
+    low, high = float(np.min(ends)), float(np.max(ends))
     if high == low:
         high = low + 1.0
     return (low - high, high) if falling(recordings) else (high - low, low)

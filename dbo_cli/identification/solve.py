@@ -392,10 +392,10 @@ class Equations:
         self.positive = (x > 0.0) | ~self.bounded
         return x + lowest
 
-    def solve(self, first: Fit | None = None, steps: int = STEPS) -> Fit:
+    def solve(self, first: Fit | None = None) -> Fit:
         """Return the fit at the least penalised squares that Gauss-Newton reaches."""
         fit = self.start(first)
-        for number in range(steps):
+        for number in range(STEPS):
             fit = self.believe(fit)
             full_step = self.fit_of(self.step(products(self.table(fit)), fit))
             before = fit.penalised

@@ -64,11 +64,9 @@ def _gears_of(problem: Problem, fit: Fit, height: float, base: float) -> Gears:
     """Return the gears and their relaxation: output is ``base + height * u``."""
     cells, span = problem.cells, problem.high - problem.low
     terms = len(problem.taus)
-    lags, rests = np.zeros(terms), np.zeros(terms)
-    if fit.gains.size:
-        lags = fit.gains[:terms]
-    if fit.gains.size > terms:
-        rests = fit.gains[terms:]
+    both = np.zeros(2 * terms)
+    both[: fit.gains.size] = fit.gains
+    lags, rests = both[:terms], both[terms:]
     counts = cells.gears.copy()
     counts[-1] += 2 * cells.spare
     mean = float(fit.slopes @ cells.shares) + float(rests.sum())

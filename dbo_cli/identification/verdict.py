@@ -15,7 +15,9 @@ from dbo_cli.identification.recording import Recording
 from dbo_cli.model import Cascade
 
 BEYOND_STATED = 2.0
-"""Times the stated error: from there on a validation log is another case than the logs."""
+"""Times the stated error: from there on a validation log is another case than the logs, and a prior's shape
+has changed. On four invented actuators the same shape left at most 1.1 times, a loop 1.25 times as wide 1.6
+to 9 times."""
 LEADING = 0.4
 """Of -1 to 1: sense of a loop from which the output leads; 60 of 62 logs are beyond (measured)."""
 CURVE_ORDER = 3
