@@ -60,6 +60,11 @@ class Structure:
     drift: bool = False
     past: bool = False
 
+    @property
+    def frame(self) -> tuple[float, float]:
+        """Delay (s) and bend, with which the columns change."""
+        return self.delay, self.bend
+
 
 @dataclass(frozen=True)
 class PreparedLog:

@@ -36,9 +36,8 @@ def cross_validate(problem: Problem, fit: Fit, equations: Equations) -> Fit:
         error = fit.error
         try:
             share = float(rows.weights[mask].sum())
-            error = equations.fit_of(
-                equations.step(remaining / (1.0 - share), fit)
-            ).error
+            step = equations.step(remaining / (1.0 - share))
+            error = equations.fit_of(step).error
         except FitError:
             pass
         residuals.append(without_lost_offsets(error, mask, problem)[mask])

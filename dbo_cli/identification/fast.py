@@ -15,11 +15,11 @@ from dbo_cli.arrays import Booleans
 from dbo_cli.identification.recording import Recording, runs_of
 from dbo_cli.signals import turns
 
-FEWEST_ROWS = 40  # of a slow part
+FEWEST_SLOW_ROWS = 40  # of a slow part
 NOTICEABLE = 3e-4  # of the range: a smaller reversal of the drive is no turn
 SMALL_SWING = 0.35  # of the range: a sweep's largest swing
 FEWEST_TURNS = 6  # of slow rows, to tell how fast they are
-FEWEST_SWINGS = 40  # in a sweep
+FEWEST_IN_SWEEP = 40  # in a sweep
 SWEPT = 5.0  # highest over lowest frequency of a sweep, at least
 SMOOTH = 0.7  # of the logarithms of neighbouring half periods: a sweep is gradual
 FEWEST_A_PERIOD = 6  # samples of the highest frequency
@@ -119,7 +119,7 @@ def _sweep(log: Recording, span: float) -> FastPart | None:
     gradual = np.abs(np.diff(np.log(np.maximum(halves, 1.0)))) <= SMOOTH
     quick = np.minimum(halves[1:], halves[:-1]) <= FEWEST_A_PERIOD
     first, last = _longest_run(small[1:] & small[:-1] & (gradual | quick))
-    if last - first < FEWEST_SWINGS:
+    if last - first < FEWEST_IN_SWEEP:
         return None
     periods = 2.0 * step * halves[first : last + 1]
     fastest, slowest = np.quantile(periods, (0.05, 0.98)).tolist()
@@ -128,7 +128,7 @@ def _sweep(log: Recording, span: float) -> FastPart | None:
     wider = round(WIDER * slowest / step)
     begin = max(int(rows[first]) - wider, 0)
     end = min(int(rows[last + 1]) + wider, len(log.voltage))
-    if begin + len(log.voltage) - end < FEWEST_ROWS:
+    if begin + len(log.voltage) - end < FEWEST_SLOW_ROWS:
         return None  # nothing else is left to tell the gears from
     band = 1.0 / slowest, 1.0 / float(periods.min())
     return FastPart(log, slice(begin, end), step, band)

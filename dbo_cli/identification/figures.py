@@ -120,8 +120,11 @@ def rmse_where_known(problem: Problem, residuals: Sequence[Floats]) -> float:
 
     Rows weigh the less, the more another past of the gears would change them.
     """
-    weights = np.concatenate([problem.known[mask] for mask in problem.parts])
-    return math.sqrt(float(np.average(np.concatenate(residuals) ** 2, weights=weights)))
+    squares = total = 0.0
+    for mask, residual in zip(problem.parts, residuals, strict=True):
+        squares += float(problem.known[mask] @ residual**2)
+        total += float(problem.known[mask].sum())
+    return math.sqrt(squares / total)
 
 
 def line_left_out(problem: Problem, average: Average) -> float:
@@ -196,12 +199,12 @@ def measured(
     model: Cascade, logs: Sequence[Recording], options: Options, notes: Sequence[str]
 ) -> Cascade:
     """Return the model with its figures on the logs; refuse (FitError) what is no better than a line."""
-    residuals = errors_of(model, logs, residuals_of(model, logs))
-    rmse, line = pooled(residuals), line_rmse(logs)
+    errors = errors_of(model, logs, residuals_of(model, logs))
+    rmse, line = pooled(errors), line_rmse(logs)
     if not options.force:
         if "left_out_line_rmse" not in model.fit:  # no part was left out
             refuse_no_better(rmse, line, logs)
-        _refuse_drift(model, residuals)
+        _refuse_drift(model, errors)
     speeds, rests, ways = [], [], []
     for log in logs:
         if log.time is not None:
@@ -219,7 +222,7 @@ def measured(
         "longest_rest": max(rests, default=None),
         "longest_swing": max(ways, default=None),
         "sample_period": min((log.dt for log in logs if log.dt), default=None),
-        "logs": residuals,
+        "logs": errors,
         "notes": list(notes),
     }
     if options.known_sensor_delay:
@@ -238,10 +241,10 @@ def refuse_no_better(error: float, line: float, logs: Sequence[Recording]) -> No
     )
 
 
-def _refuse_drift(model: Cascade, residuals: Sequence[dict[str, Any]]) -> None:
+def _refuse_drift(model: Cascade, errors: Sequence[dict[str, Any]]) -> None:
     """Refuse (FitError) a drift that goes further than the drive moves the actuator."""
     unit, span = model.output.suffix, model.output.span
-    for log in residuals:
+    for log in errors:
         if abs(log["drift"]) > span:
             raise FitError(
                 f"{log['name']}: the displacement drifts by {log['drift']:.3g}{unit}, the drive moves it by "

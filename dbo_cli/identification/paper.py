@@ -23,15 +23,15 @@ from dbo_cli.identification.solve import LEAST_CURVE
 from dbo_cli.identification.stages import zero_of
 from dbo_cli.model import Cascade, Gears, Points, Quantity, Scale
 
-GEARS = 25  # the paper's
+PAPER_GEARS = 25  # the paper's
 FINE_WIDTHS, GROUP = np.full(1280, 1.0 / 1280), 20
 """Of the fine operator's gears, and how many of them share a slope."""
-SEGMENTS = 2
+PAPER_SEGMENTS = 2
 """Of the curve behind the gears: 1, 2 and 4 leave 0.89, 0.90, 1.04 um on the authors' other log."""
 SHRUNK = tuple(k / 20 for k in range(20, 5, -1))  # amplitudes, over the cycle's
 CYCLE_WEIGHT = 10.0  # of the cycle's own amplitude, over each smaller one
-LEAST_SLOPE = 0.3  # of a gear, of the mean slope
-EXACT = 1e3  # weight of the condition that the curve keeps its ends
+FLATTEST_GEAR = 0.3  # of a gear, of the mean slope
+ENDS_KEPT = 1e3  # weight of the condition that the curve keeps its ends
 
 
 def identify_paper(recording: Recording, options: Options) -> Cascade:
@@ -55,8 +55,10 @@ def identify_paper(recording: Recording, options: Options) -> Cascade:
             f"{recording.name}: the displacement falls as the voltage rises: use `method` "
             "least-squares"
         )
-    count = GEARS if options.gears == "auto" else int(options.gears)
-    segments = SEGMENTS if options.points == "auto" else max(int(options.points), 1)
+    count = PAPER_GEARS if options.gears == "auto" else int(options.gears)
+    segments = (
+        PAPER_SEGMENTS if options.points == "auto" else max(int(options.points), 1)
+    )
 
     low, swing = float(voltage.min()), float(np.ptp(voltage))
     lowest, stroke = float(displacement.min()), float(np.ptp(displacement))
@@ -113,8 +115,8 @@ def _fine_slopes(drive: Floats, output: Floats, segments: int) -> tuple[Floats, 
     offset = np.ones((drive.size, 1))
     table = np.hstack([growing, offset, -offset, -travelled])
     ends = np.zeros(table.shape[1])
-    ends[-segments:] = EXACT
-    bound = np.append(lowest, EXACT * segments * (1.0 - LEAST_CURVE))
+    ends[-segments:] = ENDS_KEPT
+    bound = np.append(lowest, ENDS_KEPT * segments * (1.0 - LEAST_CURVE))
     unknown, _ = nnls(np.vstack([table, ends]), bound, maxiter=100 * table.shape[1])
     slopes = np.cumsum(unknown[:cells]) / cells
     inverse = LEAST_CURVE + unknown[-segments:]
@@ -145,7 +147,7 @@ def _few_heights(drive: Floats, fine: Floats, widths: Floats) -> Floats:
     squares = np.ones(len(SHRUNK))
     squares[0] = CYCLE_WEIGHT
     weight = np.sqrt(np.repeat(squares, rows))
-    bound = weight * (target - LEAST_SLOPE * (parts @ widths))
+    bound = weight * (target - FLATTEST_GEAR * (parts @ widths))
     unknown, _ = nnls(weight[:, None] * table, bound, maxiter=100 * table.shape[1])
-    heights: Floats = widths * (LEAST_SLOPE + np.cumsum(unknown[:count]))
+    heights: Floats = widths * (FLATTEST_GEAR + np.cumsum(unknown[:count]))
     return heights

@@ -34,9 +34,9 @@ from dbo_cli.model.expect import expected_error
 
 STUDENT = 2.0  # standard errors of a 95 % interval
 LEAST_KNOWN = 0.5  # of the rows: those behind the first way over the log's range
-STEPS = 8  # of Gauss and Newton: the prediction is not linear in the delay
+DELAY_STEPS = 8  # of Gauss and Newton: the prediction is not linear in the delay
 LONGEST_DELAY = 0.25  # of the usual swing, to either side
-EXACT = 1e-6  # of the output's range: the least error that a prior may state
+LEAST_STATED = 1e-6  # of the output's range: the least error that a prior may state
 
 
 @dataclass(frozen=True)
@@ -153,9 +153,9 @@ def _simulated(prior: Cascade, log: Recording, before: float, start: str) -> Flo
 
 
 def _stated_error(prior: Cascade) -> float:
-    """Return the error (RMS) that the prior states of itself, at least ``EXACT``."""
+    """Return the error (RMS) that the prior states of itself, at least ``LEAST_STATED``."""
     stated_error = prior.fit.get("expected_rmse") or prior.fit.get("rmse") or 0.0
-    return max(float(stated_error), EXACT * prior.output.span)
+    return max(float(stated_error), LEAST_STATED * prior.output.span)
 
 
 def _stated_of_logs(prior: Cascade, predictions: Sequence[Prediction]) -> float:
@@ -167,7 +167,7 @@ def _stated_of_logs(prior: Cascade, predictions: Sequence[Prediction]) -> float:
         expected = expected_error(prior, log.voltage, steps)
         error = _stated_error(prior) if expected is None else expected.known
         squares.append(error**2)
-    return max(float(np.sqrt(np.mean(squares))), EXACT * prior.output.span)
+    return max(float(np.sqrt(np.mean(squares))), LEAST_STATED * prior.output.span)
 
 
 def _changes(
@@ -183,7 +183,7 @@ def _changes(
     delay = 0.0
     swings = sum(each.swings for each in predictions)
     displacement = np.concatenate([each.displacement for each in predictions])
-    for _ in range(STEPS):
+    for _ in range(DELAY_STEPS):
         total = prior.delay_seconds + delay
         table = np.vstack([each.columns(total) for each in predictions])
         target = displacement - table[:, 0]

@@ -166,7 +166,7 @@ class Problem:
 
     def columns(self, structure: Structure) -> Floats:
         """Return the columns of the fitted rows; stored for each delay and bend."""
-        key = structure.delay, structure.bend
+        key = structure.frame
         if key not in self._columns:
             tables = []
             for log, sums in zip(self.logs, self._sums_of(structure.bend), strict=True):
@@ -192,8 +192,9 @@ class Problem:
             if straight:
                 clock = log.time[log.rows]
                 ramp = 2.0 * (clock - clock.mean()) / max(np.ptp(clock), 1e-300)
-                columns.append(np.zeros(len(owner)))
-                columns[-1][owner == index] = ramp
+                column = np.zeros(len(owner))
+                column[owner == index] = ramp
+                columns.append(column)
         return np.array(columns).reshape(-1, len(owner)).T
 
     def rows(self, structure: Structure) -> Rows:

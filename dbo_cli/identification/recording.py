@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
@@ -80,16 +80,6 @@ class Recording:
             raise InputError(
                 f"{self.name}: most time stamps repeat: replace them with `sample_rate` HZ"
             )
-
-    def part(self, rows: slice) -> Recording:
-        """Return some of the rows, with everything that is known of them."""
-        return replace(
-            self,
-            voltage=self.voltage[rows],
-            displacement=self.displacement[rows],
-            time=None if self.time is None else self.time[rows],
-            good=None if self.good is None else self.good[rows],
-        )
 
     @property
     def dt(self) -> float | None:

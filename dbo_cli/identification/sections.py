@@ -25,13 +25,13 @@ from dbo_cli.model import (
     State,
 )
 
-BLOCKS, FOLDS = 40, 5  # blocks of the fast rows, dealt out to the folds in turn
+FAST_BLOCKS, FOLDS = 40, 5  # blocks of the fast rows, dealt out to the folds in turn
 LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.98
 MOST_BESIDE = 0.1  # damping of resonances one of which has an antiresonance
 NO_LAG = 2e-3  # of a time step: a lag at the lower end of its range is none
 SLOWEST_LAG = 10.0  # periods of the highest frequency: lags and delays are shorter
 FEW_STEPS, FINALISTS, MOST_STEPS = 6, 2, 40  # of a refinement
-SMALL = 1e-5  # of a parameter's logarithm, for derivatives
+DERIVATIVE_STEP = 1e-5  # of a parameter's logarithm, for derivatives
 APART = 0.3  # of the logarithms of two resonances
 SAME_GAIN = 0.3  # of the logarithm: up to here the phase tells a delay
 ENERGY = 0.003  # of the strongest amplitude of the drive: with less nothing is known
@@ -125,7 +125,7 @@ class Signals:
         self._behind_amplifier = 0.0, self.predicted
         self.part, self.measured = segment, log.displacement[rows]
         size = self.measured.size
-        self.block = np.arange(size) * BLOCKS // size
+        self.block = np.arange(size) * FAST_BLOCKS // size
         ramp = np.linspace(-1.0, 1.0, size)
         self._drift = np.column_stack([np.ones(size), ramp])
         self._drift /= np.sqrt(np.sum(self._drift**2, axis=0))
@@ -219,7 +219,7 @@ def fitted(rows: FastRows, starts: Sequence[Floats], form: Form) -> Fitted:
     def refined(start: Floats, steps: int) -> tuple[float, Floats]:
         # no bound on the gradient: it has the displacement's unit
         found = least_squares(error, np.clip(start, low, high), bounds=(low, high),
-                              x_scale=0.1, diff_step=SMALL, gtol=None, max_nfev=steps)  # fmt: skip
+                              x_scale=0.1, diff_step=DERIVATIVE_STEP, gtol=None, max_nfev=steps)  # fmt: skip
         return float(found.cost), np.asarray(found.x)
 
     different = {tuple(np.clip(start, low, high).tolist()) for start in starts}
@@ -252,8 +252,8 @@ def _judged(rows: FastRows, parameters: Floats, form: Form) -> Fitted:
     residuals = np.concatenate(parts)
     columns = []
     for direction in np.eye(parameters.size):
-        stepped = rows.residuals(form, parameters + SMALL * direction)
-        columns.append((np.concatenate(stepped) - residuals) / SMALL)
+        stepped = rows.residuals(form, parameters + DERIVATIVE_STEP * direction)
+        columns.append((np.concatenate(stepped) - residuals) / DERIVATIVE_STEP)
     along = np.column_stack(columns)
     block = np.concatenate([signals.block for signals in rows.signals])
     squares = 0.0
