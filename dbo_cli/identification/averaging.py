@@ -45,10 +45,12 @@ class Average:
         some = weights[order] / weights[order].sum()
         return Average(tuple(fits[index] for index in order), some)
 
-    def residuals(self, number: int) -> Floats:
-        """Return what the mean prediction leaves of a part that was left out."""
-        parts = [fit.residuals[number] for fit in self.fits]
-        residuals: Floats = np.einsum("k,kr->r", self.weights, np.stack(parts))
+    @property
+    def residuals(self) -> list[Floats]:
+        """What the mean prediction leaves of each part that was left out."""
+        residuals = []
+        for parts in zip(*(fit.residuals for fit in self.fits), strict=True):
+            residuals.append(np.einsum("k,kr->r", self.weights, np.stack(parts)))
         return residuals
 
     def words(self) -> list[str]:
@@ -69,9 +71,10 @@ class Average:
         """
         total: dict[tuple[float, float], float] = {}
         for fit, weight in zip(self.fits, self.weights.tolist(), strict=True):
-            total[frame(fit)] = total.get(frame(fit), 0.0) + weight
+            frame = fit.structure.frame
+            total[frame] = total.get(frame, 0.0) + weight
         heaviest = max(total, key=lambda key: total[key])
-        frames = np.asarray([frame(fit) for fit in self.fits])
+        frames = np.asarray([fit.structure.frame for fit in self.fits])
         delay, bend = (self.weights @ frames).tolist()
         delay = round(delay / dt) * dt
         if np.ptp(frames[:, 0]) == 0.0:
@@ -86,11 +89,6 @@ def candidates(weighted: Sequence[tuple[float, Fit]]) -> list[tuple[float, Fit]]
     return [(weight / total, fit) for weight, fit in order]
 
 
-def frame(fit: Fit) -> tuple[float, float]:
-    """Return delay (s) and bend, with which the columns change."""
-    return fit.structure.delay, fit.structure.bend
-
-
 def average_model(problem: Problem, average: Average) -> Fit:
     """Return the fit nearest to the mean prediction on the logs' drives and on an invented one.
 
@@ -103,9 +101,10 @@ def average_model(problem: Problem, average: Average) -> Fit:
     mean = np.zeros(len(problem.output) + len(invented.rows))
     tables: dict[tuple[float, float], Floats] = {}
     for member, weight in zip(average.fits, average.weights, strict=True):
-        if frame(member) not in tables:
-            tables[frame(member)] = _table(problem, invented, member.structure)
-        mean += weight * member.predict(tables[frame(member)])
+        frame = member.structure.frame
+        if frame not in tables:
+            tables[frame] = _table(problem, invented, member.structure)
+        mean += weight * member.predict(tables[frame])
     weights = np.full(len(mean), INVENTED_WEIGHT)
     weights[: len(problem.output)] = 1.0
     weights /= weights.sum()
@@ -166,4 +165,4 @@ def invented_log(problem: Problem) -> PreparedLog:
     drive = (1.0 + 2.0 * BEYOND) * np.concatenate(parts) - BEYOND
     every = np.arange(len(drive))
     time = np.asarray(dt * every, dtype=np.float64)
-    return PreparedLog("invented", drive, drive, time, float(dt), every, every + 1)
+    return PreparedLog(drive, drive, time, float(dt), every, every + 1)

@@ -11,10 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from dbo_cli.arrays import Floats, Integers
+from dbo_cli.identification.recording import Swings
 from dbo_cli.model import Relaxation, kernel
 
 GEARS = 2048  # of a model inside its range, all of one width
@@ -58,6 +60,11 @@ class Structure:
     drift: bool = False
     past: bool = False
 
+    @property
+    def frame(self) -> tuple[float, float]:
+        """Delay (s) and bend, with which the columns change."""
+        return self.delay, self.bend
+
 
 @dataclass(frozen=True)
 class PreparedLog:
@@ -72,7 +79,6 @@ class PreparedLog:
     rows, ends : shape (k,): row k of the fit is the mean over rows[k] to ends[k]
     """
 
-    name: str
     drive: Floats
     output: Floats
     time: Floats
@@ -85,10 +91,17 @@ class PreparedLog:
         """The usual step in seconds."""
         return float(np.median(self.steps))
 
-    @property
-    def fitted(self) -> Floats:
-        """The output of the fitted rows."""
-        return means(self.output, self.rows, self.ends)
+    @cached_property
+    def swings(self) -> Swings:
+        """The swings of the drive."""
+        return Swings.of(self.drive)
+
+    def fitted(self, values: Floats) -> Floats:
+        """Return the means of drive or output that are the fitted rows."""
+        sums = np.concatenate(([0.0], np.cumsum(values - values[0])))
+        counts = self.ends - self.rows
+        averages: Floats = values[0] + (sums[self.ends] - sums[self.rows]) / counts
+        return averages
 
 
 @dataclass(frozen=True)
@@ -105,10 +118,10 @@ class Cells:
     spare: int
 
     @staticmethod
-    def of(gears: int | None = None, cells: int = CELLS) -> Cells:
+    def of(gears: int | None = None) -> Cells:
         """Return groups of gears, finer for small distances; without spare ones where they are counted."""
         count = GEARS if gears is None else gears
-        fraction = np.linspace(0.0, 1.0, min(cells, count) + 1) ** CELL_GROWTH
+        fraction = np.linspace(0.0, 1.0, min(CELLS, count) + 1) ** CELL_GROWTH
         edges = np.unique(np.round(count * fraction).astype(np.int64))
         return Cells(np.diff(edges), int(SPARE * count) if gears is None else 0)
 
@@ -284,10 +297,3 @@ def _late(log: PreparedLog, delay: float, places: Integers) -> Floats:
     within: Floats = np.interp(shifted, clock, np.arange(len(clock), dtype=float))
     position: Floats = within + np.minimum(shifted - clock[0], 0.0) / log.dt
     return position
-
-
-def means(values: Floats, rows: Integers, ends: Integers) -> Floats:
-    """Return the means over rows[k] to ends[k]."""
-    sums = np.concatenate(([0.0], np.cumsum(values - values[0])))
-    averages: Floats = values[0] + (sums[ends] - sums[rows]) / (ends - rows)
-    return averages

@@ -10,14 +10,13 @@ import numpy as np
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.errors import FitError, UsageError
 from dbo_cli.identification.recording import FEWEST_ROWS, Options, Recording
-from dbo_cli.signals import turns
+from dbo_cli.signals import NORMAL_MEDIAN, turns
 
 SPIKE_WINDOW = 7  # rows: longer ones have turns of the drive in them
 SPIKE_SIGMAS = 8.0
 SPIKE_SPREAD = 2.0  # a spike leaves its neighbours by so many times their spread
 LEAST_SPIKE = 1e-3  # of the range
 MOST_SPIKES = 0.2  # of the rows: more are no spikes
-OF_NORMAL = 1.4826  # standard deviation over the median distance, of normal noise
 STUCK_PATH = 0.08  # of the drive's range: a sensor of 5 bits repeats itself so far
 TURNS_BACK = 0.01  # of the drive's range
 
@@ -43,15 +42,16 @@ def clean(
                 f"{log.name}: {int(good.sum())} usable rows are too few; record longer, or skip less"
             )
         logs.append(replace(log, good=good))
-    counts = []
-    for log in logs:
-        noise = TURNS_BACK * float(np.ptp(log.voltage))
-        counts.append(len(turns(log.voltage, noise)))
-    if max(counts) <= 2:
+    if not any(map(turns_back, logs)):
         raise FitError(
             f"{logs[0].name}: the voltage never turns back; record a drive that goes up and down"
         )
     return logs, notes
+
+
+def turns_back(log: Recording) -> bool:
+    """Whether the drive goes up and down."""
+    return len(turns(log.voltage, TURNS_BACK * float(np.ptp(log.voltage)))) > 2
 
 
 def without_sensor_delay(log: Recording, delay: float) -> Recording:
@@ -108,7 +108,7 @@ def spiked_rows(displacement: Floats) -> Booleans:
     spread = around[:, -1 - SPIKE_WINDOW // 3] - around[:, SPIKE_WINDOW // 3]
     sigma = 0.0
     if (deviation > 0.0).any():
-        sigma = OF_NORMAL * float(np.median(deviation[deviation > 0.0]))
+        sigma = float(np.median(deviation[deviation > 0.0])) / NORMAL_MEDIAN
     spiked = (deviation > SPIKE_SIGMAS * sigma) & (deviation > SPIKE_SPREAD * spread)
     low, high = np.percentile(displacement, [1.0, 99.0])
     spiked &= deviation > LEAST_SPIKE * float(high - low)

@@ -36,9 +36,8 @@ def cross_validate(problem: Problem, fit: Fit, equations: Equations) -> Fit:
         error = fit.error
         try:
             share = float(rows.weights[mask].sum())
-            error = equations.fit_of(
-                equations.step(remaining / (1.0 - share), fit)
-            ).error
+            step = equations.step(remaining / (1.0 - share))
+            error = equations.fit_of(step).error
         except FitError:
             pass
         residuals.append(without_lost_offsets(error, mask, problem)[mask])
@@ -73,16 +72,12 @@ def score(problem: Problem, fit: Fit, residuals: Sequence[Floats]) -> float:
     for mask, error in zip(problem.parts, residuals, strict=True):
         square = float(np.average(error**2, weights=problem.known[mask]))
         errors.append(math.sqrt(square))
-    return math.log(max(float(np.mean(errors)), floor)) + price(problem, fit)
+    structure = fit.structure
+    families = len(structure.memories) + structure.past
+    price = PRICE * families + DRIFT_PRICE * structure.drift
+    return math.log(max(float(np.mean(errors)), floor)) + price
 
 
 def least_score(problem: Problem, fit: Fit) -> float:
     """Return what the score can be at best: no part is predicted better than it is fitted."""
     return score(problem, fit, [fit.error[mask] for mask in problem.parts])
-
-
-def price(problem: Problem, fit: Fit) -> float:
-    """Return what the families of terms of a structure cost."""
-    structure = fit.structure
-    families = len(structure.memories) + structure.past
-    return PRICE * families + DRIFT_PRICE * structure.drift

@@ -17,20 +17,20 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.identification.fast import FastPart
+from dbo_cli.identification.fast import Band, FastPart
 from dbo_cli.identification.recording import white_noise
 from dbo_cli.identification.sections import (
     LEAST_DAMPING,
     MOST_BESIDE,
-    Band,
+    NO_LAG,
+    FastRows,
     Fitted,
     Form,
-    Signals,
     fitted,
     parameters_of,
     peak_of,
     phase_delay,
-    sections_of,
+    swept,
 )
 from dbo_cli.model import Cascade, Gears, Lag, Relaxation, Resonance, Section
 
@@ -39,6 +39,7 @@ EARNED = 0.9  # of the error left out: what a resonance must lower it to
 SURE, MOST_OF_IT = 200.0, 0.3
 """Or, for a second resonance: the squares left out fall by so many times the noise's mean square, and by
 this share of what they are beyond white noise."""
+SHORT_LAG = 0.02  # periods of the highest frequency: a first guess
 DAMPINGS = (0.002, 0.02, 0.1, 0.4)  # starts: the error has several minima in it
 INSIDE = 1.02  # times a bound at which a fit would like to go on
 WHITE = 0.05  # of the noise's mean square: so little more is noise alone
@@ -60,7 +61,7 @@ def find(
         Identified from the slow rows; its own dynamics and delay do not count.
     fast
         The fast parts.
-    wanted
+    order
         How many resonances, or "auto". Without any the sections are empty.
 
     Raises
@@ -74,12 +75,11 @@ def find(
         raise FitError(
             f"`dynamics` {order}: no log has a sweep: record a drive of dbo excite with `sweep_to` HZ"
         )
-    band = _band(fast)
-    signals = _signals(static, fast)
-    best = _with_delay(signals, band, order, _chosen(signals, band, order, 0.0))
+    rows = _fast_rows(static, fast)
+    best = _with_delay(rows, order, _chosen(rows, order, 0.0))
     if not best.form.resonances:
-        return (), 0.0, {"warnings": _unexplained(signals, fast, best)}
-    return sections_of(best, signals), best.delay, _figures(best, signals, fast)
+        return (), 0.0, {"warnings": _unexplained(rows, best)}
+    return rows.sections(best), best.delay, _figures(rows, best)
 
 
 def refine(
@@ -97,20 +97,18 @@ def refine(
     more is offered. ``creep`` stands behind the gears and before the sections; it is not
     among those returned.
     """
-    band = _band(fast)
-    signals = _signals(static, fast, creep)
-    form, start = parameters_of(sections, delay, signals)
-    best = _with_amplifier(signals, fitted(signals, [start], form, band), band)
+    rows = _fast_rows(static, fast, creep)
+    form, start = parameters_of(sections, delay, NO_LAG * rows.step)
+    best = _with_amplifier(rows, fitted(rows, [start], form))
     if order == "auto" and form.resonances < MOST_RESONANCES:
-        if not _is_noise(signals, best):
-            best = _one_more(signals, best, band) or best
-    figures = _figures(best, signals, fast)
-    return best.amplifier, sections_of(best, signals), best.delay, figures
+        if not _is_noise(rows, best):
+            best = _one_more(rows, best) or best
+    return best.amplifier, rows.sections(best), best.delay, _figures(rows, best)
 
 
 def least_relaxation(fast: Sequence[FastPart]) -> float:
     """Return the shortest time constant (s) that slow rows may tell; what is faster is dynamics."""
-    return FAST_LAGS / _band(fast)[0]
+    return FAST_LAGS / swept(fast)[0]
 
 
 def without_fast_lags(model: Cascade, shortest: float) -> Cascade:
@@ -136,81 +134,68 @@ def without_fast_lags(model: Cascade, shortest: float) -> Cascade:
     return model.with_stages(tuple(stages))
 
 
-def _signals(
+def _fast_rows(
     static: Cascade, fast: Sequence[FastPart], creep: Sequence[Lag] = ()
-) -> list[Signals]:
+) -> FastRows:
     """Return the fast parts beside a static model without fast memories."""
     still = without_fast_lags(static.static, least_relaxation(fast))
-    return [Signals(still, segment, creep) for segment in fast]
-
-
-def _band(fast: Sequence[FastPart]) -> Band:
-    """Return the lowest and the highest frequency swept (Hz)."""
-    return min(segment.band[0] for segment in fast), max(
-        segment.band[1] for segment in fast
-    )
+    return FastRows(still, fast, creep)
 
 
 # --- which dynamics ---
 
 
-def _chosen(
-    signals: Sequence[Signals], band: Band, order: str | int, delay: float
-) -> Fitted:
+def _chosen(rows: FastRows, order: str | int, delay: float) -> Fitted:
     """Return the dynamics that earn their place, or with as many resonances as are asked for."""
+    pure_delay = [delay] if delay else []
     starts = []
-    for lag in (0.02, 0.3):
-        starts.append(np.log([delay, lag / band[1]] if delay else [lag / band[1]]))
-    best = fitted(signals, starts, Form(0, delay=delay > 0.0), band)
+    for lag in (SHORT_LAG, 0.3):
+        starts.append(np.log([*pure_delay, lag / rows.band[1]]))
+    best = fitted(rows, starts, Form(0, delay=delay > 0.0))
     limit = MOST_RESONANCES if order == "auto" else int(order)
     while best.form.resonances < limit:
-        if order == "auto" and best.form.resonances and _is_noise(signals, best):
+        if order == "auto" and best.form.resonances and _is_noise(rows, best):
             break
-        more = _one_more(signals, best, band, always=order != "auto")
+        more = _one_more(rows, best, always=order != "auto")
         if more is None:
             break
         best = more
     return best
 
 
-def _with_delay(
-    signals: Sequence[Signals], band: Band, order: str | int, without: Fitted
-) -> Fitted:
+def _with_delay(rows: FastRows, order: str | int, without: Fitted) -> Fitted:
     """Return dynamics with a pure delay behind them where the fast rows ask for it, else those without.
 
     A sensor that is late by half a period of a resonance turns its phase around:
     without the delay no resonance fits.
     """
-    if without.form.resonances and _is_noise(signals, without):
+    if without.form.resonances and _is_noise(rows, without):
         return without
-    phase_lag = phase_delay(signals, band)
-    if phase_lag * band[1] < SEEN_DELAY:
+    phase_lag = phase_delay(rows)
+    if phase_lag * rows.band[1] < SEEN_DELAY:
         return without
-    delayed = _chosen(signals, band, order, phase_lag)
+    delayed = _chosen(rows, order, phase_lag)
     return delayed if delayed.left_out <= EARNED * without.left_out else without
 
 
-def _with_amplifier(signals: Sequence[Signals], behind: Fitted, band: Band) -> Fitted:
+def _with_amplifier(rows: FastRows, behind: Fitted) -> Fitted:
     """Return dynamics with the lag before the gears, unless it earns its place behind them.
 
     The actuator is the capacity that an amplifier charges. In a sweep of 1 % of the range
     the gears are nearly straight, and both places explain it alike; a larger one tells
     them apart. A lag of less than half a step is no more than late.
     """
-    step = min(segment.dt for segment in signals)
     *leading, lag = behind.parameters.tolist()
-    late = float(np.log(LATE * step))
+    late = float(np.log(LATE * rows.step))
     if lag <= late:
         return behind
     tail = [leading.pop()] if behind.form.delay else []
     start = np.array([*leading, lag, *tail, late])
-    before = fitted(signals, [start], replace(behind.form, amplifier=True), band)
-    return behind if _earned(signals, behind, before, band) else before
+    before = fitted(rows, [start], replace(behind.form, amplifier=True))
+    return behind if _earned(rows, behind, before) else before
 
 
-def _one_more(
-    signals: Sequence[Signals], best: Fitted, band: Band, always: bool = False
-) -> Fitted | None:
+def _one_more(rows: FastRows, best: Fitted, always: bool = False) -> Fitted | None:
     """Return dynamics with one more resonance, or None where it does not earn its place.
 
     It comes with an antiresonance where that earns its own, as two modes that add up
@@ -220,14 +205,15 @@ def _one_more(
     form = replace(best.form, resonances=count + 1, antiresonance=False)
     *leading, lag = best.parameters.tolist()
     tail = leading[len(leading) - form.amplifier - form.delay :]
-    tail.append(max(lag, float(np.log(0.02 / band[1]))))
-    peak = peak_of(signals, best, band)
+    highest = rows.band[1]
+    tail.append(max(lag, float(np.log(SHORT_LAG / highest))))
+    peak = peak_of(rows, best)
     starts = []
     for damping in DAMPINGS:
-        for frequency in (peak, 0.8 * band[1])[: 1 + (count > 0)]:
+        for frequency in (peak, 0.8 * highest)[: 1 + (count > 0)]:
             pair = np.log([frequency, damping]).tolist()
             starts.append(np.array([*leading[: 2 * count], *pair, *tail]))
-    more = fitted(signals, starts, form, band)
+    more = fitted(rows, starts, form)
     if not count:
         starts = [more.parameters]
     notched = []
@@ -236,37 +222,30 @@ def _one_more(
         for side in (-NEAR, NEAR):
             notch = [frequency + side, damping]
             notched.append(np.array([*start[: 2 * count + 2], *notch, *tail]))
-    with_notch = replace(form, antiresonance=True)
-    other = fitted(signals, notched, with_notch, band)
-    if _earned(signals, other, more, band):
-        more = other
-    return more if always or _earned(signals, more, best, band) else None
+    with_notch = fitted(rows, notched, replace(form, antiresonance=True))
+    if _earned(rows, with_notch, more):
+        more = with_notch
+    return more if always or _earned(rows, more, best) else None
 
 
-def _earned(signals: Sequence[Signals], more: Fitted, best: Fitted, band: Band) -> bool:
+def _earned(rows: FastRows, more: Fitted, best: Fitted) -> bool:
     """Return whether the error left out asks for more, all of it inside the swept band."""
     for resonance in more.resonances:
-        if not _is_inside(resonance, band):
+        if not _is_inside(resonance, rows.band):
             return False
     if more.left_out <= EARNED * best.left_out:
         return True
     if not best.form.resonances:
         return False
-    rows = _rows(signals)
-    gained = rows * (best.left_out**2 - more.left_out**2)
-    excess = rows * (best.left_out**2 - best.noise)
+    gained = rows.count * (best.left_out**2 - more.left_out**2)
+    excess = rows.count * (best.left_out**2 - best.noise)
     return gained >= max(SURE * best.noise, MOST_OF_IT * excess)
 
 
-def _is_noise(signals: Sequence[Signals], best: Fitted) -> bool:
+def _is_noise(rows: FastRows, best: Fitted) -> bool:
     """Return whether what is left beyond white noise cannot pay for another resonance."""
     beyond = best.rmse**2 - best.noise
-    return beyond <= min(WHITE, SURE / _rows(signals)) * best.noise
-
-
-def _rows(signals: Sequence[Signals]) -> int:
-    """Return how many fast rows there are."""
-    return sum(segment.measured.size for segment in signals)
+    return beyond <= min(WHITE, SURE / rows.count) * best.noise
 
 
 def _is_inside(resonance: Resonance, band: Band) -> bool:
@@ -287,31 +266,27 @@ def _is_inside(resonance: Resonance, band: Band) -> bool:
 # --- warnings ---
 
 
-def _figures(
-    best: Fitted, signals: Sequence[Signals], fast: Sequence[FastPart]
-) -> dict[str, Any]:
+def _figures(rows: FastRows, best: Fitted) -> dict[str, Any]:
     """Return what the model file says of the dynamics."""
     return {
         "rmse": best.rmse,
         "left_out_rmse": best.left_out,
-        "logs": [segment.recording.name for segment in fast],
-        "warnings": _unexplained(signals, fast, best),
+        "logs": [signals.part.recording.name for signals in rows.signals],
+        "warnings": _unexplained(rows, best),
     }
 
 
-def _unexplained(
-    signals: Sequence[Signals], fast: Sequence[FastPart], best: Fitted
-) -> list[str]:
+def _unexplained(rows: FastRows, best: Fitted) -> list[str]:
     """Return a warning for each fast part of which much is not explained; noise aside."""
     warnings = []
-    for segment, one in zip(fast, signals, strict=True):
-        residuals = one.residuals(best.parameters, best.form)
+    for signals in rows.signals:
+        residuals, part = signals.residuals(best), signals.part
         excess = max(float(np.var(residuals)) - white_noise([residuals]), 0.0)
-        share = float(np.sqrt(excess / np.var(one.measured)))
+        share = float(np.sqrt(excess / np.var(signals.measured)))
         if share > UNEXPLAINED:
-            low, high = segment.band
+            low, high = part.band
             warnings.append(
-                f"{segment.recording.name}: rows {segment.rows.start + 1} to {segment.rows.stop}, {low:.3g} "
+                f"{part.recording.name}: rows {part.rows.start + 1} to {part.rows.stop}, {low:.3g} "
                 f"to {high:.3g} Hz: {100.0 * share:.0f} % unexplained: slow moves only; try a larger sweep"
             )
     return warnings

@@ -10,21 +10,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dbo_cli.identification.recording import Recording
+from dbo_cli.arrays import Booleans
+from dbo_cli.identification.recording import Recording, runs_of
 from dbo_cli.signals import turns
 
-FEWEST_ROWS = 40  # of a slow part
+FEWEST_SLOW_ROWS = 40  # of a slow part
 NOTICEABLE = 3e-4  # of the range: a smaller reversal of the drive is no turn
 SMALL_SWING = 0.35  # of the range: a sweep's largest swing
 FEWEST_TURNS = 6  # of slow rows, to tell how fast they are
-FEWEST_SWINGS = 40  # in a sweep
+FEWEST_IN_SWEEP = 40  # in a sweep
 SWEPT = 5.0  # highest over lowest frequency of a sweep, at least
 SMOOTH = 0.7  # of the logarithms of neighbouring half periods: a sweep is gradual
 FEWEST_A_PERIOD = 6  # samples of the highest frequency
 WIDER = 2.0  # periods of the lowest frequency that belong to a sweep on either side
 FASTER = 10.0  # half periods of a slow log over those of a fast one
+
+Band = tuple[float, float]  # lowest and highest frequency of a drive, Hz
 
 
 @dataclass(frozen=True)
@@ -46,33 +48,31 @@ class FastPart:
     recording: Recording
     rows: slice
     dt: float
-    band: tuple[float, float]
+    band: Band
 
 
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPart]]:
     """Return the logs with only their slow rows usable, and their fast parts."""
     span = max(float(np.ptp(log.voltage)) for log in recordings)
     sweeps = [_sweep(log, span) for log in recordings]
-    rests, halves = [], []
+    halves = []
     for log, sweep in zip(recordings, sweeps, strict=True):
-        fast_rows = slice(0, 0) if sweep is None else sweep.rows
-        rests.append(log if sweep is None else _without(log, fast_rows))
-        halves.append(_median_half_period(log, span, fast_rows))
+        halves.append(_median_half_period(log, sweep, span))
     slowest = max((half for half in halves if half is not None), default=0.0)
     slow: list[Recording] = []
     fast: list[FastPart] = []
-    for log, sweep, slow_rows, half in zip(
-        recordings, sweeps, rests, halves, strict=True
-    ):
+    for log, sweep, half in zip(recordings, sweeps, halves, strict=True):
         step = even_step(log)
         if step is not None and half is not None and FASTER * half <= slowest:
-            fast.append(
-                FastPart(log, slice(0, len(log.voltage)), step, _band(log, span, step))
-            )
-            continue
-        if sweep is not None:
+            rows = slice(0, len(log.voltage))
+            fast.append(FastPart(log, rows, step, _band(log, span, step)))
+        elif sweep is not None:
             fast.append(sweep)
-        slow.append(slow_rows)
+            usable = log.usable.copy()
+            usable[sweep.rows] = False  # driven through, but they do not count
+            slow.append(replace(log, good=usable))
+        else:
+            slow.append(log)
     return slow, fast
 
 
@@ -88,16 +88,20 @@ def even_step(log: Recording) -> float | None:
     return step if float(deviation.max()) <= 0.5 * step else None
 
 
-def _median_half_period(log: Recording, span: float, fast_rows: slice) -> float | None:
-    """Return the median time between turns outside fast rows (s), None where there are too few."""
+def _median_half_period(
+    log: Recording, sweep: FastPart | None, span: float
+) -> float | None:
+    """Return the median time between turns outside a sweep (s), None where there are too few."""
     rows = turns(log.voltage, NOTICEABLE * span)
-    slow = (rows < fast_rows.start) | (rows >= fast_rows.stop)
+    slow = np.ones(len(rows), bool)
+    if sweep is not None:
+        slow = (rows < sweep.rows.start) | (rows >= sweep.rows.stop)
     if log.time is None or np.count_nonzero(slow) < FEWEST_TURNS:
         return None
     return float(np.median(np.diff(log.time[rows[slow]])))
 
 
-def _band(log: Recording, span: float, step: float) -> tuple[float, float]:
+def _band(log: Recording, span: float, step: float) -> Band:
     """Return the lowest and highest frequency of a fast log's drive (Hz), by its turns."""
     halves = step * np.diff(turns(log.voltage, NOTICEABLE * span))[1:-1]
     shortest, longest = np.quantile(halves[halves > 0.0], (0.02, 0.98))
@@ -115,7 +119,7 @@ def _sweep(log: Recording, span: float) -> FastPart | None:
     gradual = np.abs(np.diff(np.log(np.maximum(halves, 1.0)))) <= SMOOTH
     quick = np.minimum(halves[1:], halves[:-1]) <= FEWEST_A_PERIOD
     first, last = _longest_run(small[1:] & small[:-1] & (gradual | quick))
-    if last - first < FEWEST_SWINGS:
+    if last - first < FEWEST_IN_SWEEP:
         return None
     periods = 2.0 * step * halves[first : last + 1]
     fastest, slowest = np.quantile(periods, (0.05, 0.98)).tolist()
@@ -124,24 +128,16 @@ def _sweep(log: Recording, span: float) -> FastPart | None:
     wider = round(WIDER * slowest / step)
     begin = max(int(rows[first]) - wider, 0)
     end = min(int(rows[last + 1]) + wider, len(log.voltage))
-    if begin + len(log.voltage) - end < FEWEST_ROWS:
+    if begin + len(log.voltage) - end < FEWEST_SLOW_ROWS:
         return None  # nothing else is left to tell the gears from
     band = 1.0 / slowest, 1.0 / float(periods.min())
     return FastPart(log, slice(begin, end), step, band)
 
 
-def _longest_run(mask: NDArray[np.bool_]) -> tuple[int, int]:
+def _longest_run(mask: Booleans) -> tuple[int, int]:
     """Return begin and end of the longest run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
-    if edges.size == 0:
+    runs = runs_of(mask)
+    if not len(runs):
         return 0, 0
-    lengths = edges[1::2] - edges[::2]
-    longest = int(np.argmax(lengths))
-    return int(edges[2 * longest]), int(edges[2 * longest + 1])
-
-
-def _without(log: Recording, rows: slice) -> Recording:
-    """Return a log in which these rows are driven through and do not count."""
-    usable = log.usable.copy()
-    usable[rows] = False
-    return replace(log, good=usable)
+    first, last = runs[np.argmax(runs[:, 1] - runs[:, 0])].tolist()
+    return first, last

@@ -13,10 +13,16 @@ import numpy as np
 from dbo_cli.arrays import Floats, Integers
 from dbo_cli.errors import FitError, LimitError
 from dbo_cli.identification.averaging import Average, invented_log
-from dbo_cli.identification.basis import means
 from dbo_cli.identification.cross_validation import error_left_out, without_lost_offsets
-from dbo_cli.identification.problem import Problem, falling, known_weights
-from dbo_cli.identification.recording import Options, Recording, Swings
+from dbo_cli.identification.problem import Problem, known_weights
+from dbo_cli.identification.recording import (
+    Options,
+    Recording,
+    Swings,
+    centred,
+    falling,
+)
+from dbo_cli.identification.search import FEWEST_SWINGS
 from dbo_cli.model import Cascade
 from dbo_cli.model.expect import expected_error, fastest_drive, longest_rest
 from dbo_cli.signals import noise
@@ -24,8 +30,6 @@ from dbo_cli.signals import noise
 NO_BETTER = 0.95  # of another error: above it there is nothing to be learnt
 UNRELATED = 0.7
 """Of the displacement within swings, left unexplained: 29 real logs at most .46, most walks .8 and more."""
-FEW_SWINGS = 4  # fewer leave nothing that the rest holds, too
-MOST_DRIFT = 1.0  # of the range
 LARGE_DRIFT = 0.05  # of the range: no sensor's
 
 
@@ -52,14 +56,19 @@ def left_out_figures(
         They are predicted no better than by a line or an offset, or not at all within
         swings.
     """
-    error, line = left_out_rmse(problem, average), line_left_out(problem, average)
-    unexplained = unexplained_share(problem, average)
+    residuals, size = average.residuals, abs(problem.scale)
+    error, line = size * error_left_out(residuals), line_left_out(problem, average)
+    unexplained = unexplained_share(problem, residuals)
     if not options.force:
         refuse_no_better(error, line, logs)
-        _refuse_unrelated(unexplained, logs)
+        if unexplained > UNRELATED:
+            raise FitError(
+                f"{_names(logs)}: within swings of the drive {min(unexplained, 1.0):.0%} of the displacement "
+                "does not follow it: check columns and clocks (`force` keeps it)"
+            )
     return {
         "method": "least-squares",
-        "left_out_rmse": left_out_rmse(problem, average, past_known=True),
+        "left_out_rmse": size * rmse_where_known(problem, residuals),
         "unknown_past_rmse": error,
         "left_out_line_rmse": line,
         "unexplained": unexplained,
@@ -76,15 +85,14 @@ def stated(
     shows, and for an unknown past from the first row on. ``figures`` are those of the
     parts left out.
     """
-    sensor = noise_rms(model, logs)
+    errors = residuals_of(model, logs)
+    sensor = noise_rms(errors)
     averaged = sensor**2 / rows_a_mean(problem, logs)
+    figures = dict(figures)
     for key, is_known in (("left_out_rmse", True), ("unknown_past_rmse", False)):
-        residuals = [residual_of(model, log, is_known) for log in logs]
-        squares = (
-            float(figures[key]) ** 2 - averaged,
-            pooled(residuals) ** 2 - sensor**2,
-        )
-        figures = {**figures, key: math.sqrt(max(*squares, 0.0))}
+        left_out = float(figures[key]) ** 2 - averaged
+        followed = pooled(errors_of(model, logs, errors, is_known)) ** 2 - sensor**2
+        figures[key] = math.sqrt(max(left_out, followed, 0.0))
     model = replace(model, fit={**figures, **model.fit, "noise_rms": sensor})
     invented = invented_log(problem)
     inside = np.clip(invented.drive, 0.0, 1.0)
@@ -107,32 +115,26 @@ def rows_a_mean(problem: Problem, logs: Sequence[Recording]) -> float:
     return thinned / float(np.mean(np.concatenate(shares)))
 
 
-def left_out_rmse(
-    problem: Problem, average: Average, past_known: bool = False
-) -> float:
-    """Return the RMS over parts left out of what the mean prediction leaves of them, in the output's unit.
+def rmse_where_known(problem: Problem, residuals: Sequence[Floats]) -> float:
+    """Return the RMS of what is left of parts left out, in units of the fit.
 
-    With ``past_known`` rows weigh the less, the more another past of the gears would
-    change them.
+    Rows weigh the less, the more another past of the gears would change them.
     """
-    residuals = [average.residuals(number) for number in range(len(problem.parts))]
-    if not past_known:
-        return abs(problem.scale) * error_left_out(residuals)
     squares = total = 0.0
-    for mask, error in zip(problem.parts, residuals, strict=True):
-        squares += float(problem.known[mask] @ error**2)
+    for mask, residual in zip(problem.parts, residuals, strict=True):
+        squares += float(problem.known[mask] @ residual**2)
         total += float(problem.known[mask].sum())
-    return abs(problem.scale) * math.sqrt(squares / total)
+    return math.sqrt(squares / total)
 
 
 def line_left_out(problem: Problem, average: Average) -> float:
-    """Return the same of a straight line, or of an offset where that is better.
+    """Return what a line or, where that is better, an offset leaves of the parts: RMS, in the output's unit.
 
     Beside them stand what stands beside the heaviest fit: offsets of logs, and drifts.
     """
     drift = problem.drift(average.fits[0].structure.drift)
     offset = np.column_stack((np.ones(len(drift)), drift))
-    drive = [means(log.drive, log.rows, log.ends) for log in problem.logs]
+    drive = [log.fitted(log.drive) for log in problem.logs]
     errors = []
     for table in (offset, np.column_stack((offset, np.concatenate(drive)))):
         residuals = []
@@ -145,32 +147,29 @@ def line_left_out(problem: Problem, average: Average) -> float:
     return abs(problem.scale) * min(errors)
 
 
-def unexplained_share(problem: Problem, average: Average) -> float:
+def unexplained_share(problem: Problem, residuals: Sequence[Floats]) -> float:
     """Return what is left of parts left out over the output there, both less their mean over each swing.
 
     Walks that have nothing to do with each other go along for a while, but not within a
     swing. About 1: the displacement does not follow the drive. Windows from swing to
     swing and from mid-swing to mid-swing; the smaller share counts.
     """
-    residuals = [average.residuals(number) for number in range(len(problem.parts))]
     shares = []
     for shift in (0.0, 0.5):
         windows = _windows(problem, shift)
-        squares = np.zeros(2)
-        for mask, error in zip(problem.parts, residuals, strict=True):
-            squares += (
-                _variance_within(error, windows[mask]),
-                _variance_within(problem.output[mask], windows[mask]),
-            )
-        shares.append(math.sqrt(squares[0] / max(squares[1], 1e-300)))
+        error = output = 0.0
+        for mask, residual in zip(problem.parts, residuals, strict=True):
+            error += _variance_within(residual, windows[mask])
+            output += _variance_within(problem.output[mask], windows[mask])
+        shares.append(math.sqrt(error / max(output, 1e-300)))
     return min(shares)
 
 
 def _windows(problem: Problem, shift: float) -> Integers:
-    """Return the number of each row's swing; swings begin a part ``late`` of themselves later."""
+    """Return the number of each row's swing; swings begin a part ``shift`` of themselves later."""
     numbers, first = [], 0
-    for log, swings in zip(problem.logs, problem.swings, strict=True):
-        begins = swings.turns[:-1] + shift * swings.rows
+    for log in problem.logs:
+        begins = log.swings.turns[:-1] + shift * log.swings.rows
         numbers.append(first + np.searchsorted(begins, log.rows, side="right"))
         first += len(begins) + 1
     return np.concatenate(numbers)
@@ -183,31 +182,29 @@ def _variance_within(values: Floats, windows: Integers) -> float:
     return float(np.mean((values - mean[index]) ** 2))
 
 
-def noise_rms(model: Cascade, logs: Sequence[Recording]) -> float:
+def noise_rms(errors: Sequence[Floats]) -> float:
     """Return the RMS of what is white in the residual: the sensor's noise.
 
     Every second row of white noise is as rough as all rows, and of a random walk twice:
     2 s_1^2 - s_2^2 leaves what walks to the actuator and the model.
     """
-    squares = rows = 0.0
-    for log in logs:
-        residuals = (log.displacement - predicted(model, log))[log.usable]
-        white = 2.0 * noise(residuals) ** 2 - noise(residuals[::2]) ** 2
-        squares += len(residuals) * max(white, 0.0)
-        rows += len(residuals)
-    return math.sqrt(squares / rows)
+    squares = 0.0
+    for error in errors:
+        white = 2.0 * noise(error) ** 2 - noise(error[::2]) ** 2
+        squares += len(error) * max(white, 0.0)
+    return math.sqrt(squares / sum(map(len, errors)))
 
 
 def measured(
     model: Cascade, logs: Sequence[Recording], options: Options, notes: Sequence[str]
 ) -> Cascade:
     """Return the model with its figures on the logs; refuse (FitError) what is no better than a line."""
-    residuals = [residual_of(model, log) for log in logs]
-    rmse, line = pooled(residuals), line_rmse(logs)
+    errors = errors_of(model, logs, residuals_of(model, logs))
+    rmse, line = pooled(errors), line_rmse(logs)
     if not options.force:
         if "left_out_line_rmse" not in model.fit:  # no part was left out
             refuse_no_better(rmse, line, logs)
-        _refuse_drift(model, residuals)
+        _refuse_drift(model, errors)
     speeds, rests, ways = [], [], []
     for log in logs:
         if log.time is not None:
@@ -225,7 +222,7 @@ def measured(
         "longest_rest": max(rests, default=None),
         "longest_swing": max(ways, default=None),
         "sample_period": min((log.dt for log in logs if log.dt), default=None),
-        "logs": residuals,
+        "logs": errors,
         "notes": list(notes),
     }
     if options.known_sensor_delay:
@@ -244,21 +241,11 @@ def refuse_no_better(error: float, line: float, logs: Sequence[Recording]) -> No
     )
 
 
-def _refuse_unrelated(unexplained: float, logs: Sequence[Recording]) -> None:
-    """Refuse (FitError) a displacement that does not follow the drive within its swings."""
-    if unexplained <= UNRELATED:
-        return
-    raise FitError(
-        f"{_names(logs)}: within swings of the drive {min(unexplained, 1.0):.0%} of the displacement does "
-        "not follow it: check columns and clocks (`force` keeps it)"
-    )
-
-
-def _refuse_drift(model: Cascade, residuals: Sequence[dict[str, Any]]) -> None:
+def _refuse_drift(model: Cascade, errors: Sequence[dict[str, Any]]) -> None:
     """Refuse (FitError) a drift that goes further than the drive moves the actuator."""
     unit, span = model.output.suffix, model.output.span
-    for log in residuals:
-        if abs(log["drift"]) > MOST_DRIFT * span:
+    for log in errors:
+        if abs(log["drift"]) > span:
             raise FitError(
                 f"{log['name']}: the displacement drifts by {log['drift']:.3g}{unit}, the drive moves it by "
                 f"{span:.3g}: check the columns, or warm up and record again (`force` keeps it)"
@@ -282,7 +269,7 @@ def _warnings(model: Cascade, figures: dict[str, Any]) -> list[str]:
             "the logs hold one amplitude, so smaller loops are a guess: record several amplitudes "
             "(dbo excite)"
         )
-    elif (figures.get("swings") or FEW_SWINGS) < FEW_SWINGS:
+    elif (figures.get("swings") or FEWEST_SWINGS) < FEWEST_SWINGS:
         found.append(
             "the logs go up and down less than twice: the error may be larger than stated; record "
             "more cycles"
@@ -305,56 +292,59 @@ def _warnings(model: Cascade, figures: dict[str, Any]) -> list[str]:
     return found
 
 
-def predicted(model: Cascade, log: Recording) -> Floats:
-    """Return what a model makes of a log's drive."""
-    dt = None if log.time is not None else 1.0
-    simulated, _ = model.simulate(log.voltage, time=log.time, dt=dt)
-    return simulated
+def residuals_of(model: Cascade, logs: Sequence[Recording]) -> list[Floats]:
+    """Return what a model leaves of the usable rows of each log."""
+    residuals = []
+    for log in logs:
+        dt = None if log.time is not None else 1.0
+        predicted, _ = model.simulate(log.voltage, time=log.time, dt=dt)
+        residuals.append((log.displacement - predicted)[log.usable])
+    return residuals
 
 
-def residual_of(
-    model: Cascade, log: Recording, past_known: bool = False
-) -> dict[str, Any]:
-    """Return what a model leaves of a log beside an offset, and a straight drift where swings can tell it.
+def errors_of(
+    model: Cascade,
+    logs: Sequence[Recording],
+    residuals: Sequence[Floats],
+    past_known: bool = False,
+) -> list[dict[str, Any]]:
+    """Return what is left of each log beside an offset, and a straight drift where swings can tell it.
 
     Name, rows that count, RMS error, and how far the drift goes along the log, in the
     displacement's unit. With ``past_known`` rows weigh the less, the more of the range is
     not swept yet: gears that wide still hold what was before the log.
     """
-    rows = log.usable
-    residuals = (log.displacement - predicted(model, log))[rows]
-    weights = np.ones(len(residuals))
-    if past_known:
-        voltage = log.voltage[rows]
-        swept = np.maximum.accumulate(voltage) - np.minimum.accumulate(voltage)
-        weights = known_weights(0.5 * np.maximum(1.0 - swept / model.input.span, 0.0))
-    residuals = residuals - np.average(residuals, weights=weights)
-    drift = 0.0
-    if log.time is not None and len(Swings.of(log.voltage[rows]).sizes) >= FEW_SWINGS:
-        centred = log.time[rows] - float(np.average(log.time[rows], weights=weights))
-        squares = float(np.sum(weights * centred**2))
-        rate = float(np.sum(weights * centred * residuals)) / max(squares, 1e-300)
-        residuals = residuals - rate * centred
-        drift = rate * float(np.ptp(centred))
-    rmse = math.sqrt(float(np.average(residuals**2, weights=weights)))
-    name = os.path.basename(log.name)
-    return {"name": name, "rows": len(residuals), "rmse": rmse, "drift": drift}
+    errors = []
+    for log, error in zip(logs, residuals, strict=True):
+        voltage, weights = log.voltage[log.usable], np.ones(len(error))
+        if past_known:
+            swept = np.maximum.accumulate(voltage) - np.minimum.accumulate(voltage)
+            share = swept / model.input.span
+            weights = known_weights(0.5 * np.maximum(1.0 - share, 0.0))
+        error = error - np.average(error, weights=weights)
+        drift = 0.0
+        if log.time is not None and len(Swings.of(voltage).sizes) >= FEWEST_SWINGS:
+            time = log.time[log.usable]
+            time = time - float(np.average(time, weights=weights))
+            squares = max(float(np.sum(weights * time**2)), 1e-300)
+            rate = float(np.sum(weights * time * error)) / squares
+            error = error - rate * time
+            drift = rate * float(np.ptp(time))
+        rmse = math.sqrt(float(np.average(error**2, weights=weights)))
+        name = os.path.basename(log.name)
+        errors.append({"name": name, "rows": len(error), "rmse": rmse, "drift": drift})
+    return errors
 
 
-def pooled(residuals: Sequence[dict[str, Any]]) -> float:
+def pooled(errors: Sequence[dict[str, Any]]) -> float:
     """Return the RMS over all rows."""
-    squares = sum(log["rows"] * log["rmse"] ** 2 for log in residuals)
-    return math.sqrt(squares / sum(log["rows"] for log in residuals))
+    squares = sum(log["rows"] * log["rmse"] ** 2 for log in errors)
+    return math.sqrt(squares / sum(log["rows"] for log in errors))
 
 
 def line_rmse(logs: Sequence[Recording]) -> float:
     """Return what one straight line, with an offset for each log, leaves of the logs."""
-    voltages, displacements = [], []
-    for log in logs:
-        v, y = log.voltage[log.usable], log.displacement[log.usable]
-        voltages.append(v - v.mean())
-        displacements.append(y - y.mean())
-    v, y = np.concatenate(voltages), np.concatenate(displacements)
+    v, y = centred(logs)
     gain = float(np.sum(v * y)) / max(float(np.sum(v**2)), 1e-300)
     return math.sqrt(float(np.mean((y - gain * v) ** 2)))
 

@@ -25,10 +25,9 @@ from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.search import CURVES, Choices, Search
 from dbo_cli.identification.solve import Fit
-from dbo_cli.identification.stages import model_of
+from dbo_cli.identification.stages import model_of, with_changed_stages
 from dbo_cli.model import (
     Amplifier,
-    Candidate,
     Cascade,
     Delay,
     Dynamics,
@@ -75,24 +74,20 @@ class Moving:
         model = replace(model, fit={"dynamics": self.figures})
         if not self.sections:
             return model
-        candidates = []
-        for one in model.candidates:
-            candidates.append(Candidate(one.weight, self._moving(one.stages)))
-        return replace(
-            model, stages=self._moving(model.stages), candidates=tuple(candidates)
-        )
+        return with_changed_stages(model, self._moving)
 
     def _moving(self, stages: Sequence[Stage]) -> tuple[Stage, ...]:
         """Return the amplifier, the static stages, the sections, and the delay."""
-        kept: list[Stage] = [
-            one for one in stages if not isinstance(one, Dynamics | Delay)
-        ]
+        changed: list[Stage] = []
         if self.amplifier > 0.0:
-            kept.insert(0, Amplifier(self.amplifier))
-        kept.append(Dynamics(self.sections))
+            changed.append(Amplifier(self.amplifier))
+        for stage in stages:
+            if not isinstance(stage, Dynamics | Delay):
+                changed.append(stage)
+        changed.append(Dynamics(self.sections))
         if self.delay > 0.0:
-            kept.append(Delay(self.delay))
-        return tuple(kept)
+            changed.append(Delay(self.delay))
+        return tuple(changed)
 
 
 def moving(

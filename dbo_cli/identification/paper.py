@@ -19,18 +19,19 @@ from scipy.optimize import nnls
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError
 from dbo_cli.identification.recording import Options, Recording
+from dbo_cli.identification.solve import LEAST_CURVE
 from dbo_cli.identification.stages import zero_of
 from dbo_cli.model import Cascade, Gears, Points, Quantity, Scale
 
-GEARS = 25  # the paper's
-FINE_GEARS, GROUP = 1280, 20  # gears of the fine operator, and how many share a slope
-SEGMENTS = 2
+PAPER_GEARS = 25  # the paper's
+FINE_WIDTHS, GROUP = np.full(1280, 1.0 / 1280), 20
+"""Of the fine operator's gears, and how many of them share a slope."""
+PAPER_SEGMENTS = 2
 """Of the curve behind the gears: 1, 2 and 4 leave 0.89, 0.90, 1.04 um on the authors' other log."""
 SHRUNK = tuple(k / 20 for k in range(20, 5, -1))  # amplitudes, over the cycle's
 CYCLE_WEIGHT = 10.0  # of the cycle's own amplitude, over each smaller one
-LEAST_SLOPE = 0.3  # of a gear, of the mean slope
-LEAST_CURVE = 0.03  # slope of a segment's inverse, of the mean slope
-EXACT = 1e3  # weight of the condition that the curve keeps its ends
+FLATTEST_GEAR = 0.3  # of a gear, of the mean slope
+ENDS_KEPT = 1e3  # weight of the condition that the curve keeps its ends
 
 
 def identify_paper(recording: Recording, options: Options) -> Cascade:
@@ -54,8 +55,10 @@ def identify_paper(recording: Recording, options: Options) -> Cascade:
             f"{recording.name}: the displacement falls as the voltage rises: use `method` "
             "least-squares"
         )
-    count = GEARS if options.gears == "auto" else int(options.gears)
-    segments = SEGMENTS if options.points == "auto" else max(int(options.points), 1)
+    count = PAPER_GEARS if options.gears == "auto" else int(options.gears)
+    segments = (
+        PAPER_SEGMENTS if options.points == "auto" else max(int(options.points), 1)
+    )
 
     low, swing = float(voltage.min()), float(np.ptp(voltage))
     lowest, stroke = float(displacement.min()), float(np.ptp(displacement))
@@ -98,12 +101,12 @@ def _fine_slopes(drive: Floats, output: Floats, segments: int) -> tuple[Floats, 
 
     Returns
     -------
-    slopes : array, shape (FINE_GEARS / GROUP,)
+    slopes : array, shape (groups,)
         Heights of the groups of gears.
     curve : array, shape (segments,)
         Widths of the curve's segments; their heights are equal.
     """
-    engaged = _engaged(_fine_gears(), np.tile(drive, 2), GROUP)[drive.size :]
+    engaged = _engaged(FINE_WIDTHS, np.tile(drive, 2), GROUP)[drive.size :]
     cells = engaged.shape[1]
     edges = np.arange(segments) / segments
     travelled = np.clip(output[:, None] - edges, 0.0, 1.0 / segments)
@@ -112,21 +115,17 @@ def _fine_slopes(drive: Floats, output: Floats, segments: int) -> tuple[Floats, 
     offset = np.ones((drive.size, 1))
     table = np.hstack([growing, offset, -offset, -travelled])
     ends = np.zeros(table.shape[1])
-    ends[-segments:] = EXACT
-    bound = np.append(lowest, EXACT * segments * (1.0 - LEAST_CURVE))
+    ends[-segments:] = ENDS_KEPT
+    bound = np.append(lowest, ENDS_KEPT * segments * (1.0 - LEAST_CURVE))
     unknown, _ = nnls(np.vstack([table, ends]), bound, maxiter=100 * table.shape[1])
     slopes = np.cumsum(unknown[:cells]) / cells
     inverse = LEAST_CURVE + unknown[-segments:]
     return slopes, inverse / inverse.sum()
 
 
-def _fine_gears() -> Gears:
-    width = np.full(FINE_GEARS, 1.0 / FINE_GEARS)
-    return Gears(width, width, 0.0, 0.0)
-
-
-def _engaged(gears: Gears, drive: Floats, group: int) -> Floats:
-    engaged, _ = gears.engagement(drive, 0, group)
+def _engaged(widths: Floats, drive: Floats, group: int) -> Floats:
+    """Return the engaged part of each group of gears of slope 1."""
+    engaged, _ = Gears(widths, widths, 0.0, 0.0).engagement(drive, 0, group)
     return np.asarray(engaged, dtype=np.float64)
 
 
@@ -140,15 +139,15 @@ def _few_heights(drive: Floats, fine: Floats, widths: Floats) -> Floats:
     shrunk = [np.tile(0.5 + amplitude * (drive - 0.5), 2) for amplitude in SHRUNK]
     repeated = np.concatenate(shrunk)
     counts = np.tile(np.repeat([False, True], rows), len(SHRUNK))
-    target = (_engaged(_fine_gears(), repeated, GROUP) @ fine)[counts]
-    parts = _engaged(Gears(widths, widths, 0.0, 0.0), repeated, 1)[counts]
+    target = (_engaged(FINE_WIDTHS, repeated, GROUP) @ fine)[counts]
+    parts = _engaged(widths, repeated, 1)[counts]
     growing = (parts * widths) @ np.tril(np.ones((count, count)))
     offsets = np.repeat(np.eye(len(SHRUNK)), rows, axis=0)
     table = np.hstack([growing, offsets, -offsets])
     squares = np.ones(len(SHRUNK))
     squares[0] = CYCLE_WEIGHT
     weight = np.sqrt(np.repeat(squares, rows))
-    bound = weight * (target - LEAST_SLOPE * (parts @ widths))
+    bound = weight * (target - FLATTEST_GEAR * (parts @ widths))
     unknown, _ = nnls(weight[:, None] * table, bound, maxiter=100 * table.shape[1])
-    heights: Floats = widths * (LEAST_SLOPE + np.cumsum(unknown[:count]))
+    heights: Floats = widths * (FLATTEST_GEAR + np.cumsum(unknown[:count]))
     return heights

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,18 +27,16 @@ from dbo_cli.identification.recording import (
     Swings,
     white_noise,
 )
-from dbo_cli.model import Candidate, Cascade, Delay, Dynamics, Scale, State, steps_of
+from dbo_cli.identification.stages import with_changed_stages
+from dbo_cli.identification.verdict import BEYOND_STATED
+from dbo_cli.model import Cascade, Delay, Dynamics, Scale, State, steps_of
 from dbo_cli.model.expect import expected_error
 
 STUDENT = 2.0  # standard errors of a 95 % interval
-BROKEN = 2.0
-"""Times the prior's own error: a shape that leaves more, noise aside, has changed. On four invented actuators
-the same shape left at most 1.1 times, a loop 1.25 times as wide 1.6 to 9 times."""
 LEAST_KNOWN = 0.5  # of the rows: those behind the first way over the log's range
-SAME_LEVEL = 0.1  # of the log's range
-STEPS = 8  # of Gauss and Newton: the prediction is not linear in the delay
+DELAY_STEPS = 8  # of Gauss and Newton: the prediction is not linear in the delay
 LONGEST_DELAY = 0.25  # of the usual swing, to either side
-EXACT = 1e-6  # of the output's range: the least error that a prior may state
+LEAST_STATED = 1e-6  # of the output's range: the least error that a prior may state
 
 
 @dataclass(frozen=True)
@@ -52,6 +49,7 @@ class Prediction:
     past : shape (n,), half the distance of the two
     rows : the rows that count
     swings : how many different swings the drive makes
+    longest_delay : the largest change of the delay (s); 0 without a clock
     """
 
     log: Recording
@@ -59,6 +57,12 @@ class Prediction:
     past: Floats
     rows: NDArray[np.intp]
     swings: int
+    longest_delay: float
+
+    @property
+    def displacement(self) -> Floats:
+        """What was measured in the rows that count."""
+        return self.log.displacement[self.rows]
 
     def delayed(self, signal: Floats, delay: float) -> Floats:
         """Return a signal ``delay`` seconds later, for the rows that count."""
@@ -110,7 +114,9 @@ def rescale(
     predictions = [_prediction(prior, log) for log in recordings]
     fitted, shrunk = _changes(prior, predictions)
     warnings = _check_shape(prior, fitted, predictions, options.force)
-    return _refreshed(prior, shrunk, _residuals(prior, shrunk, predictions), warnings)
+    residuals = np.concatenate(_residuals(prior, shrunk, predictions))
+    rmse = float(np.sqrt(np.mean(residuals**2)))
+    return _refreshed(prior, shrunk, rmse, warnings)
 
 
 def _prediction(prior: Cascade, log: Recording) -> Prediction:
@@ -126,11 +132,11 @@ def _prediction(prior: Cascade, log: Recording) -> Prediction:
     settled = rows[rows >= wiped]
     if settled.size >= max(LEAST_KNOWN * rows.size, FEWEST_ROWS):
         rows = settled
-    turns = voltage[Swings.of(voltage).turns]
-    levels = np.round(turns / (SAME_LEVEL * float(np.ptp(voltage)))).tolist()
-    different = set(pairwise(levels))
+    swings = Swings.of(voltage)
+    different = len(swings.different(voltage, float(np.ptp(voltage))))
+    longest = LONGEST_DELAY * (log.dt or 0.0) * swings.usual_rows
     middle, past = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    return Prediction(log, middle, past, rows, len(different))
+    return Prediction(log, middle, past, rows, different, longest)
 
 
 def _simulated(prior: Cascade, log: Recording, before: float, start: str) -> Floats:
@@ -147,9 +153,9 @@ def _simulated(prior: Cascade, log: Recording, before: float, start: str) -> Flo
 
 
 def _stated_error(prior: Cascade) -> float:
-    """Return the error (RMS) that the prior states of itself, at least ``EXACT``."""
+    """Return the error (RMS) that the prior states of itself, at least ``LEAST_STATED``."""
     stated_error = prior.fit.get("expected_rmse") or prior.fit.get("rmse") or 0.0
-    return max(float(stated_error), EXACT * prior.output.span)
+    return max(float(stated_error), LEAST_STATED * prior.output.span)
 
 
 def _stated_of_logs(prior: Cascade, predictions: Sequence[Prediction]) -> float:
@@ -161,7 +167,7 @@ def _stated_of_logs(prior: Cascade, predictions: Sequence[Prediction]) -> float:
         expected = expected_error(prior, log.voltage, steps)
         error = _stated_error(prior) if expected is None else expected.known
         squares.append(error**2)
-    return max(float(np.sqrt(np.mean(squares))), EXACT * prior.output.span)
+    return max(float(np.sqrt(np.mean(squares))), LEAST_STATED * prior.output.span)
 
 
 def _changes(
@@ -172,18 +178,16 @@ def _changes(
     A number with a standard error u becomes d (1 - (2 u / d)^2), 0 within the interval
     (James and Stein's positive part).
     """
-    longest = min(_longest_delay(each.log) for each in predictions)
+    longest = min(each.longest_delay for each in predictions)
     middle = float(np.mean([each.middle[each.rows].mean() for each in predictions]))
     delay = 0.0
-    for _ in range(STEPS):
+    swings = sum(each.swings for each in predictions)
+    displacement = np.concatenate([each.displacement for each in predictions])
+    for _ in range(DELAY_STEPS):
         total = prior.delay_seconds + delay
         table = np.vstack([each.columns(total) for each in predictions])
-        target = np.concatenate(
-            [each.log.displacement[each.rows] for each in predictions]
-        )
-        target = target - table[:, 0]
+        target = displacement - table[:, 0]
         table[:, 0] -= middle
-        swings = sum(each.swings for each in predictions)
         numbers, errors = _solved(table, target, swings, _stated_error(prior))
         delay = float(np.clip(delay + numbers[2], -longest, longest))
     numbers[2] = delay
@@ -199,13 +203,6 @@ def _changes(
     for gain, offset, extra in (numbers[:3].tolist(), shrunk[:3].tolist()):
         changes.append(Change(1.0 + gain, offset - gain * middle, extra))
     return changes[0], changes[1]
-
-
-def _longest_delay(log: Recording) -> float:
-    """Return the largest change of the delay (s); 0 without a clock."""
-    if log.dt is None:
-        return 0.0
-    return LONGEST_DELAY * log.dt * Swings.of(log.voltage).usual_rows
 
 
 def _solved(
@@ -236,7 +233,7 @@ def _residuals(
     for each in predictions:
         table = each.columns(max(prior.delay_seconds + change.delay, 0.0))
         scaled = change.gain * table[:, 0] + change.offset
-        residual = each.log.displacement[each.rows] - scaled
+        residual = each.displacement - scaled
         nuisance = np.linalg.lstsq(table[:, 3:], residual, rcond=None)[0]
         nuisance[1] = min(max(nuisance[1], -1.0), 1.0)
         residuals.append(residual - table[:, 3:] @ nuisance)
@@ -248,17 +245,15 @@ def _check_shape(
 ) -> list[str]:
     """Refuse logs that the prior's shape does not follow, the sensor's noise aside; warn where forced."""
     residuals = _residuals(prior, change, predictions)
-    stated_error, unit = (
-        change.gain * _stated_of_logs(prior, predictions),
-        prior.output.suffix,
-    )
+    stated_error = change.gain * _stated_of_logs(prior, predictions)
     squares = float(np.mean(np.concatenate(residuals) ** 2))
     shape = float(np.sqrt(max(squares - white_noise(residuals), 0.0)))
-    if shape <= BROKEN * stated_error:
+    if shape <= BEYOND_STATED * stated_error:
         return []
+    name, unit = predictions[0].log.name, prior.output.suffix
     text = (
-        f"{predictions[0].log.name}: error {shape:.4g}{unit}, the prior states {stated_error:.4g}: its "
-        "shape has changed; identify again without it"
+        f"{name}: error {shape:.4g}{unit}, the prior states {stated_error:.4g}: its shape has changed; "
+        "identify again without it"
     )
     if not force:
         raise FitError(f"{text} (`force` keeps the shape)")
@@ -266,15 +261,10 @@ def _check_shape(
 
 
 def _refreshed(
-    prior: Cascade, change: Change, residuals: Sequence[Floats], warnings: list[str]
+    prior: Cascade, change: Change, rmse: float, warnings: list[str]
 ) -> Cascade:
     """Return the prior's model, candidates and figures with the change."""
-    candidates = []
-    for candidate in prior.candidates:
-        stages = _changed(candidate.stages, change)
-        candidates.append(Candidate(candidate.weight, stages))
-    gain = change.gain
-    rmse = float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
+    gain, offset = change.gain, change.offset
     fit: dict[str, Any] = dict(prior.fit)
     for key in ("expected_rmse", "left_out_rmse", "unknown_past_rmse"):
         if isinstance(fit.get(key), float):
@@ -285,33 +275,23 @@ def _refreshed(
         "warnings": warnings,
         "prior": {
             "gain": gain,
-            "offset": change.offset,
+            "offset": offset,
             "delay_seconds": change.delay,
             "digest": prior.digest,
         },
     }
-    low, high = prior.output.min, prior.output.max
-    output = replace(
-        prior.output, min=gain * low + change.offset, max=gain * high + change.offset
-    )
-    stages = _changed(prior.stages, change)
-    return replace(
-        prior, stages=stages, output=output, fit=fit, candidates=tuple(candidates)
-    )
+    low, high = gain * prior.output.min + offset, gain * prior.output.max + offset
+    output = replace(prior.output, min=low, max=high)
+    refreshed = replace(prior, output=output, fit=fit)
+    return with_changed_stages(refreshed, lambda stages: _changed(stages, change))
 
 
 def _changed(stages: Sequence[Any], change: Change) -> tuple[Any, ...]:
     """Return stages with another gain, offset and delay."""
-    seconds = change.delay
-    static: list[Any] = []
-    moving: list[Any] = []
-    for stage in stages:
-        if isinstance(stage, Delay):
-            seconds += stage.seconds
-        elif isinstance(stage, Dynamics):
-            moving.append(stage)
-        else:
-            static.append(stage)
+    static = [stage for stage in stages if not isinstance(stage, Delay | Dynamics)]
+    moving: list[Any] = [stage for stage in stages if isinstance(stage, Dynamics)]
+    delays = [stage.seconds for stage in stages if isinstance(stage, Delay)]
+    seconds = sum(delays, change.delay)
     scale = Scale(1.0, 0.0)
     if isinstance(static[-1], Scale):
         scale = static.pop()

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -20,7 +19,13 @@ from dbo_cli.identification.basis import (
     sums_of,
     time_constants,
 )
-from dbo_cli.identification.recording import Options, Recording, Swings
+from dbo_cli.identification.recording import (
+    Options,
+    Recording,
+    Swings,
+    falling,
+    runs_of,
+)
 from dbo_cli.identification.solve import Rows
 from dbo_cli.signals import noise
 
@@ -35,7 +40,6 @@ ROUNDING = 1e-9  # of the range: smaller noise of a drive is that of numbers
 ROWS_WITH_NOISE = 20  # of a swing: with fewer, the drive's motion looks like noise
 MOST_DEVIATIONS = 4.0  # of the noise that a drive's range is drawn in by
 KNOWN = 0.005  # of the range: an unknown past that adds more lessens the row's weight
-SAME_LEVEL = 0.1  # of the range: turns that are nearer are alike
 LEAST_PART, MOST_PART = 0.08, 0.9  # of the way, of small swings that are left out
 
 
@@ -77,45 +81,32 @@ class Problem:
     @cached_property
     def output(self) -> Floats:
         """The normalised output of the fitted rows."""
-        return np.concatenate([log.fitted for log in self.logs])
-
-    @cached_property
-    def swings(self) -> list[Swings]:
-        """The swings of each log."""
-        return [Swings.of(log.drive) for log in self.logs]
+        return np.concatenate([log.fitted(log.output) for log in self.logs])
 
     @property
     def swing_count(self) -> int:
         """How many swings there are in fitted rows: those of a fast part tell nothing of loops."""
-        count = 0
-        for log, swings in zip(self.logs, self.swings, strict=True):
-            count += len(np.unique(swings.number[log.rows]))
-        return count
+        return sum(len(np.unique(log.swings.number[log.rows])) for log in self.logs)
 
     @cached_property
     def different_swings(self) -> int:
         """How many swings differ in a turn: one that is repeated tells nothing new."""
         different: set[tuple[float, float]] = set()
-        for log, swings in zip(self.logs, self.swings, strict=True):
-            levels = np.round(log.drive[swings.turns] / SAME_LEVEL).tolist()
-            different |= set(pairwise(levels))
+        for log in self.logs:
+            different |= log.swings.different(log.drive)
         return len(different)
 
     @cached_property
     def swing(self) -> float:
         """Seconds that a swing usually takes, the mean over all logs weighted by rows."""
-        seconds, weights = [], []
-        for log, swings in zip(self.logs, self.swings, strict=True):
-            seconds.append(swings.usual_rows * log.dt)
-            weights.append(len(log.drive))
+        seconds = [log.swings.usual_rows * log.dt for log in self.logs]
+        weights = [len(log.drive) for log in self.logs]
         return float(np.average(seconds, weights=weights))
 
     @cached_property
     def smaller(self) -> Booleans:
         """Which of the fitted rows belong to loops of less than three quarters of the largest."""
-        sizes = []
-        for log, swings in zip(self.logs, self.swings, strict=True):
-            sizes.append(swings.loops[swings.number[log.rows]])
+        sizes = [log.swings.loops[log.swings.number[log.rows]] for log in self.logs]
         size = np.concatenate(sizes)
         small: Booleans = size < SMALL * size.max()
         return small
@@ -175,7 +166,7 @@ class Problem:
 
     def columns(self, structure: Structure) -> Floats:
         """Return the columns of the fitted rows; stored for each delay and bend."""
-        key = structure.delay, structure.bend
+        key = structure.frame
         if key not in self._columns:
             tables = []
             for log, sums in zip(self.logs, self._sums_of(structure.bend), strict=True):
@@ -196,15 +187,14 @@ class Problem:
         owner = self.owner
         columns = []
         for index, log in enumerate(self.logs):
-            clock = log.time[log.rows]
-            ramp = np.zeros(len(owner))
-            ramp[owner == index] = (
-                2.0 * (clock - clock.mean()) / max(np.ptp(clock), 1e-300)
-            )
             if index:
                 columns.append((owner == index).astype(float))
             if straight:
-                columns.append(ramp)
+                clock = log.time[log.rows]
+                ramp = 2.0 * (clock - clock.mean()) / max(np.ptp(clock), 1e-300)
+                column = np.zeros(len(owner))
+                column[owner == index] = ramp
+                columns.append(column)
         return np.array(columns).reshape(-1, len(owner)).T
 
     def rows(self, structure: Structure) -> Rows:
@@ -247,7 +237,7 @@ def prepare(recordings: Sequence[Recording], options: Options) -> Problem:
         output = (log.displacement - offset) / scale
         limit = max(round(STEADY * Swings.of(drive).usual_rows), 1)
         rows, ends = groups_of(log.usable, stride, min(stride, limit))
-        logs.append(PreparedLog(log.name, drive, output, time, steps, rows, ends))
+        logs.append(PreparedLog(drive, output, time, steps, rows, ends))
     clock = all(log.time is not None for log in recordings)
     taus = np.zeros(0)
     if options.taus is not None:
@@ -308,9 +298,8 @@ def groups_of(rows: Booleans, stride: int, size: int) -> tuple[Integers, Integer
     Where in a stride a group begins changes by the golden ratio: a log that holds each
     value for some rows would else be seen at one phase of its steps.
     """
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], rows, [False]))))
     begins, ends = [], []
-    for begin, end in edges.reshape(-1, 2).tolist():
+    for begin, end in runs_of(rows).tolist():
         places = np.arange(begin, end, stride)
         fraction = np.arange(len(places)) * GOLDEN % 1.0
         places = np.minimum(
@@ -323,21 +312,10 @@ def groups_of(rows: Booleans, stride: int, size: int) -> tuple[Integers, Integer
 
 def output_scale(recordings: Sequence[Recording]) -> tuple[float, float]:
     """Return scale and offset that bring the displacement to 0..1 and let it rise with the drive."""
-    lows, highs = [], []
-    for log in recordings:
-        low, high = np.percentile(log.displacement[log.usable], [1.0, 99.0]).tolist()
-        lows.append(low)
-        highs.append(high)
-    low, high = min(lows), max(highs)
+    ends = [
+        np.percentile(log.displacement[log.usable], [1.0, 99.0]) for log in recordings
+    ]
+    low, high = float(np.min(ends)), float(np.max(ends))
     if high == low:
         high = low + 1.0
     return (low - high, high) if falling(recordings) else (high - low, low)
-
-
-def falling(recordings: Sequence[Recording]) -> bool:
-    """Whether the displacement falls as the drive rises."""
-    together = 0.0
-    for log in recordings:
-        v, y = log.voltage[log.usable], log.displacement[log.usable]
-        together += float(np.sum((v - v.mean()) * (y - y.mean())))
-    return together < 0.0

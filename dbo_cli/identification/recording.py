@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ from dbo_cli.signals import turns
 
 FEWEST_ROWS = 20  # fewer tell nothing of a loop
 SMALLEST_SWING = 0.05  # of the drive's range
+SAME_LEVEL = 0.1  # of the range: turns that are nearer are alike
 
 
 @dataclass(frozen=True)
@@ -79,16 +81,6 @@ class Recording:
                 f"{self.name}: most time stamps repeat: replace them with `sample_rate` HZ"
             )
 
-    def part(self, rows: slice) -> Recording:
-        """Return some of the rows, with everything that is known of them."""
-        return replace(
-            self,
-            voltage=self.voltage[rows],
-            displacement=self.displacement[rows],
-            time=None if self.time is None else self.time[rows],
-            good=None if self.good is None else self.good[rows],
-        )
-
     @property
     def dt(self) -> float | None:
         """The usual step in seconds, None without a clock."""
@@ -131,18 +123,16 @@ class Options:
         for name in ("zero", "gears", "points", "delay", "dynamics"):
             if isinstance(getattr(self, name), bool):
                 raise UsageError(f"`{name}` {getattr(self, name)}: give a number")
-        for name in ("skip", "sensor_delay"):
+        for name, least, needed in (
+            ("skip", 0, "seconds, 0 or more"),
+            ("sensor_delay", 0, "seconds, 0 or more"),
+            ("gears", 1, "1 or more, or auto"),
+            ("points", 0, "0 or more, or auto"),
+            ("delay", 0, "seconds, 0 or more, or auto"),
+        ):
             value = getattr(self, name)
-            if not value >= 0.0:
-                raise UsageError(f"`{name}` {value:g}: give seconds, 0 or more")
-        if self.gears != "auto" and self.gears < 1:
-            raise UsageError(f"`gears` {self.gears}: give 1 or more, or auto")
-        if self.points != "auto" and self.points < 0:
-            raise UsageError(f"`points` {self.points}: give 0 or more, or auto")
-        if self.delay != "auto" and not self.delay >= 0.0:
-            raise UsageError(
-                f"`delay` {self.delay:g}: give seconds, 0 or more, or auto"
-            )
+            if value != "auto" and not value >= least:
+                raise UsageError(f"`{name}` {value:g}: give {needed}")
         if self.dynamics not in ("auto", 0, 1, 2):
             raise UsageError(f"`dynamics` {self.dynamics}: give auto, 0, 1 or 2")
         if self.relaxation != "auto" and not all(tau >= 0.0 for tau in self.relaxation):
@@ -163,10 +153,32 @@ class Options:
         return tuple(sorted(tau for tau in self.relaxation if tau > 0.0))
 
 
+def centred(logs: Sequence[Recording]) -> tuple[Floats, Floats]:
+    """Return drive and displacement of the usable rows of all logs, less their means over each log."""
+    voltages, displacements = [], []
+    for log in logs:
+        v, y = log.voltage[log.usable], log.displacement[log.usable]
+        voltages.append(v - v.mean())
+        displacements.append(y - y.mean())
+    return np.concatenate(voltages), np.concatenate(displacements)
+
+
+def falling(logs: Sequence[Recording]) -> bool:
+    """Whether the displacement falls as the drive rises."""
+    drive, displacement = centred(logs)
+    return float(np.sum(drive * displacement)) < 0.0
+
+
 def white_noise(signals: Sequence[Floats]) -> float:
     """Return the mean square of what is white in signals, by their second differences."""
     bends = [np.diff(signal, 2) for signal in signals]
     return float(np.mean(np.concatenate(bends) ** 2)) / 6.0
+
+
+def runs_of(mask: Booleans) -> Integers:
+    """Return begin and end of each run of true values; (runs, 2)."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
+    return edges.reshape(-1, 2)
 
 
 @dataclass(frozen=True)
@@ -191,6 +203,14 @@ class Swings:
         sizes = np.abs(np.diff(drive[rows]))
         number = np.searchsorted(rows[1:-1], np.arange(len(drive)), side="right")
         return Swings(rows, sizes, number.astype(np.int64))
+
+    def different(self, drive: Floats, span: float = 1.0) -> set[tuple[float, float]]:
+        """Return the swings as pairs of levels: one that is repeated tells nothing new.
+
+        Turns within a tenth of the range ``span`` are alike.
+        """
+        levels = np.round(drive[self.turns] / (SAME_LEVEL * span)).tolist()
+        return set(pairwise(levels))
 
     @property
     def loops(self) -> Floats:

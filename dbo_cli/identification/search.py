@@ -52,7 +52,7 @@ def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
     """Return what a log can tell, and the problem without memories that it cannot."""
     choices = Choices()
     if problem.clock:
-        swings = min(len(swings.sizes) for swings in problem.swings)
+        swings = min(len(log.swings.sizes) for log in problem.logs)
         choices = replace(choices, drift=swings >= FEWEST_SWINGS)
     if problem.swing_count < FEWEST_SWINGS:
         choices = replace(choices, bends=())

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from scipy.signal import csd, welch
 
 from dbo_cli.arrays import Floats
-from dbo_cli.identification.fast import FastPart
+from dbo_cli.identification.fast import Band, FastPart
 from dbo_cli.identification.recording import white_noise
 from dbo_cli.model import (
     Amplifier,
@@ -25,14 +25,13 @@ from dbo_cli.model import (
     State,
 )
 
-Band = tuple[float, float]  # lowest and highest frequency swept, Hz
-
-BLOCKS, FOLDS = 40, 5  # blocks of the fast rows, dealt out to the folds in turn
+FAST_BLOCKS, FOLDS = 40, 5  # blocks of the fast rows, dealt out to the folds in turn
 LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.98
 MOST_BESIDE = 0.1  # damping of resonances one of which has an antiresonance
 NO_LAG = 2e-3  # of a time step: a lag at the lower end of its range is none
+SLOWEST_LAG = 10.0  # periods of the highest frequency: lags and delays are shorter
 FEW_STEPS, FINALISTS, MOST_STEPS = 6, 2, 40  # of a refinement
-SMALL = 1e-5  # of a parameter's logarithm, for derivatives
+DERIVATIVE_STEP = 1e-5  # of a parameter's logarithm, for derivatives
 APART = 0.3  # of the logarithms of two resonances
 SAME_GAIN = 0.3  # of the logarithm: up to here the phase tells a delay
 ENERGY = 0.003  # of the strongest amplitude of the drive: with less nothing is known
@@ -53,12 +52,12 @@ class Form:
 
 @dataclass(frozen=True)
 class Fitted:
-    """Dynamics fitted to the fast rows.
+    """Dynamics of the fast rows.
 
     Attributes
     ----------
     form
-        What was fitted.
+        What is fitted.
     parameters
         Logarithms: frequency (Hz) and damping of each resonance, of the antiresonance,
         the amplifier's lag (s), the delay (s), the lag (s).
@@ -70,24 +69,42 @@ class Fitted:
 
     form: Form
     parameters: Floats
-    rmse: float
-    left_out: float
-    noise: float
+    rmse: float = np.inf
+    left_out: float = np.inf
+    noise: float = 0.0
 
     @property
     def amplifier(self) -> float:
-        """The lag before the gears (s)."""
-        return amplifier_of(self.parameters, self.form)
+        """The lag before the gears (s), 0 for none."""
+        if not self.form.amplifier:
+            return 0.0
+        return float(np.exp(self.parameters[-2 - self.form.delay]))
 
     @property
     def delay(self) -> float:
-        """The pure delay behind all (s)."""
+        """The pure delay behind all (s), 0 for none."""
         return float(np.exp(self.parameters[-2])) if self.form.delay else 0.0
 
     @property
+    def lag(self) -> float:
+        """The lag behind the gears (s)."""
+        return float(np.exp(self.parameters[-1]))
+
+    @property
     def resonances(self) -> list[Resonance]:
-        """The resonances, lowest first."""
-        return resonances_of(self.parameters, self.form)
+        """The resonances, lowest first; the last one has the antiresonance."""
+        count = self.form.resonances
+        pairs = np.exp(self.parameters[: 2 * count]).reshape(count, 2)
+        pairs = pairs[np.argsort(pairs[:, 0])]
+        modes = []
+        for frequency, damping in pairs.tolist():
+            modes.append(Resonance(frequency, min(damping, MOST_DAMPING)))
+        if self.form.antiresonance:
+            pair = np.exp(self.parameters[2 * count : 2 * count + 2])
+            frequency, damping = pair.tolist()
+            notch = Mode(frequency, min(damping, MOST_DAMPING))
+            modes[-1] = Resonance(modes[-1].frequency, modes[-1].damping, notch)
+        return modes
 
 
 class Signals:
@@ -106,9 +123,9 @@ class Signals:
             _, self._before = static.simulate(before, dt=self.dt)
         self.predicted = self._static_output(static)
         self._behind_amplifier = 0.0, self.predicted
-        self.measured = log.displacement[rows]
+        self.part, self.measured = segment, log.displacement[rows]
         size = self.measured.size
-        self.block = np.arange(size) * BLOCKS // size
+        self.block = np.arange(size) * FAST_BLOCKS // size
         ramp = np.linspace(-1.0, 1.0, size)
         self._drift = np.column_stack([np.ones(size), ramp])
         self._drift /= np.sqrt(np.sum(self._drift**2, axis=0))
@@ -133,40 +150,76 @@ class Signals:
         residuals: Floats = signal - self._drift @ (self._drift.T @ signal)
         return residuals
 
-    def modelled(self, parameters: Floats, form: Form) -> Floats:
+    def modelled(self, trial: Fitted) -> Floats:
         """Return the prediction through lags, resonances and delay."""
-        predicted = self.behind_amplifier(amplifier_of(parameters, form))
-        sections: list[Section] = [Lag(float(np.exp(parameters[-1])))]
-        sections += resonances_of(parameters, form)
-        modelled = Dynamics(tuple(sections)).run(predicted, State(), self.dt).y
-        if form.delay:
-            pure_delay = Delay(float(np.exp(parameters[-2])))
-            modelled = pure_delay.run(modelled, State(), self.dt).y
+        predicted = self.behind_amplifier(trial.amplifier)
+        sections = Dynamics((Lag(trial.lag), *trial.resonances))
+        modelled = sections.run(predicted, State(), self.dt).y
+        if trial.form.delay:
+            modelled = Delay(trial.delay).run(modelled, State(), self.dt).y
         return np.asarray(modelled, dtype=np.float64)
 
-    def residuals(self, parameters: Floats, form: Form) -> Floats:
+    def residuals(self, trial: Fitted) -> Floats:
         """Return what the best gain, offset and drift of the prediction leave of the measured."""
-        modelled = self.free(self.modelled(parameters, form))
+        modelled = self.free(self.modelled(trial))
         measured = self.free(self.measured)
         gain = float(modelled @ measured) / max(float(modelled @ modelled), 1e-300)
         return measured - gain * modelled
 
 
-def fitted(
-    signals: Sequence[Signals], starts: Sequence[Floats], form: Form, band: Band
-) -> Fitted:
+class FastRows:
+    """All fast parts beside one static model, with ``creep`` behind it.
+
+    Attributes
+    ----------
+    signals : of each part
+    band : lowest and highest frequency swept (Hz)
+    step : the shortest time step (s)
+    count : how many rows there are
+    """
+
+    def __init__(
+        self, static: Cascade, fast: Sequence[FastPart], creep: Sequence[Lag] = ()
+    ) -> None:
+        self.signals = [Signals(static, part, creep) for part in fast]
+        self.band = swept(fast)
+        self.step = min(part.dt for part in fast)
+        self.count = sum(signals.measured.size for signals in self.signals)
+
+    @property
+    def longest(self) -> Signals:
+        """The part with the most rows."""
+        return max(self.signals, key=lambda signals: signals.measured.size)
+
+    def residuals(self, form: Form, parameters: Floats) -> list[Floats]:
+        """Return what dynamics leave of each part."""
+        trial = Fitted(form, parameters)
+        return [signals.residuals(trial) for signals in self.signals]
+
+    def sections(self, best: Fitted) -> tuple[Section, ...]:
+        """Return the sections, a lag first where there is one."""
+        if best.lag <= NO_LAG * self.step:
+            return tuple(best.resonances)
+        return (Lag(best.lag), *best.resonances)
+
+
+def swept(fast: Sequence[FastPart]) -> Band:
+    """Return the lowest and the highest frequency swept (Hz)."""
+    lows, highs = zip(*(part.band for part in fast), strict=True)
+    return min(lows), max(highs)
+
+
+def fitted(rows: FastRows, starts: Sequence[Floats], form: Form) -> Fitted:
     """Return the best of several refinements, judged (see ``_judged``)."""
-    low, high = _bounds(signals, form, band)
+    low, high = _bounds(rows, form)
 
     def error(parameters: Floats) -> Floats:
-        return np.concatenate(
-            [segment.residuals(parameters, form) for segment in signals]
-        )
+        return np.concatenate(rows.residuals(form, parameters))
 
     def refined(start: Floats, steps: int) -> tuple[float, Floats]:
         # no bound on the gradient: it has the displacement's unit
         found = least_squares(error, np.clip(start, low, high), bounds=(low, high),
-                              x_scale=0.1, diff_step=SMALL, gtol=None, max_nfev=steps)  # fmt: skip
+                              x_scale=0.1, diff_step=DERIVATIVE_STEP, gtol=None, max_nfev=steps)  # fmt: skip
         return float(found.cost), np.asarray(found.x)
 
     different = {tuple(np.clip(start, low, high).tolist()) for start in starts}
@@ -174,42 +227,35 @@ def fitted(
     tried.sort(key=lambda one: one[0])
     finals = [refined(start, MOST_STEPS) for _, start in tried[:FINALISTS]]
     best = min(finals, key=lambda one: one[0])[1]
-    return _judged(signals, _in_order(best, form), form)
+    count = 2 * form.resonances
+    pairs = best[:count].reshape(-1, 2)
+    best[:count] = pairs[np.argsort(pairs[:, 0])].ravel()
+    return _judged(rows, best, form)
 
 
-def _bounds(
-    signals: Sequence[Signals], form: Form, band: Band
-) -> tuple[Floats, Floats]:
+def _bounds(rows: FastRows, form: Form) -> tuple[Floats, Floats]:
     """Return the bounds of the logarithms of the parameters."""
-    step = min(segment.dt for segment in signals)
-    pairs = form.resonances + form.antiresonance
+    lowest, highest = rows.band
     damping = MOST_BESIDE if form.antiresonance else MOST_DAMPING
-    low = [band[0], LEAST_DAMPING] * pairs
-    high = [1.5 * band[1], damping] * pairs
-    if form.amplifier:
-        low.append(0.5 * NO_LAG * step)
-        high.append(10.0 / band[1])
-    if form.delay:
-        low.append(0.01 / band[1])
-        high.append(10.0 / band[1])
-    low.append(0.5 * NO_LAG * step)
-    high.append(10.0 / band[1])
-    return np.log(low), np.log(high)
+    mode = (lowest, 1.5 * highest), (LEAST_DAMPING, damping)
+    lag = 0.5 * NO_LAG * rows.step, SLOWEST_LAG / highest
+    bounds = [*mode] * (form.resonances + form.antiresonance)
+    bounds += [lag] * form.amplifier
+    bounds += [(0.01 / highest, SLOWEST_LAG / highest)] * form.delay
+    low, high = np.log([*bounds, lag]).T
+    return low, high
 
 
-def _judged(signals: Sequence[Signals], parameters: Floats, form: Form) -> Fitted:
+def _judged(rows: FastRows, parameters: Floats, form: Form) -> Fitted:
     """Return a fit with its error on blocks left out, each one step from the whole fit."""
-    parts = [segment.residuals(parameters, form) for segment in signals]
+    parts = rows.residuals(form, parameters)
     residuals = np.concatenate(parts)
     columns = []
     for direction in np.eye(parameters.size):
-        stepped = [
-            segment.residuals(parameters + SMALL * direction, form)
-            for segment in signals
-        ]
-        columns.append((np.concatenate(stepped) - residuals) / SMALL)
+        stepped = rows.residuals(form, parameters + DERIVATIVE_STEP * direction)
+        columns.append((np.concatenate(stepped) - residuals) / DERIVATIVE_STEP)
     along = np.column_stack(columns)
-    block = np.concatenate([segment.block for segment in signals])
+    block = np.concatenate([signals.block for signals in rows.signals])
     squares = 0.0
     for fold in range(FOLDS):
         out = block % FOLDS == fold
@@ -225,49 +271,13 @@ def _judged(signals: Sequence[Signals], parameters: Floats, form: Form) -> Fitte
     )
 
 
-def _in_order(parameters: Floats, form: Form) -> Floats:
-    """Return parameters with the resonances in the order of their frequencies."""
-    count = form.resonances
-    pairs = parameters[: 2 * count].reshape(count, 2)
-    ordered = pairs[np.argsort(pairs[:, 0])]
-    return np.concatenate([ordered.ravel(), parameters[2 * count :]])
-
-
-def amplifier_of(parameters: Floats, form: Form) -> float:
-    """Return the lag before the gears (s) of logarithms, 0 where the form has none."""
-    return float(np.exp(parameters[-2 - form.delay])) if form.amplifier else 0.0
-
-
-def resonances_of(parameters: Floats, form: Form) -> list[Resonance]:
-    """Return the resonances of logarithms, lowest first; the last one has the antiresonance."""
-    count = form.resonances
-    pairs = np.exp(parameters[: 2 * count]).reshape(count, 2)
-    pairs = pairs[np.argsort(pairs[:, 0])]
-    found = []
-    for frequency, damping in pairs.tolist():
-        found.append(Resonance(frequency, min(damping, MOST_DAMPING)))
-    if form.antiresonance:
-        frequency, damping = np.exp(parameters[2 * count : 2 * count + 2]).tolist()
-        notch = Mode(frequency, min(damping, MOST_DAMPING))
-        found[-1] = Resonance(found[-1].frequency, found[-1].damping, notch)
-    return found
-
-
-def sections_of(best: Fitted, signals: Sequence[Signals]) -> tuple[Section, ...]:
-    """Return the sections, a lag first where there is one."""
-    lag = float(np.exp(best.parameters[-1]))
-    if lag <= NO_LAG * min(segment.dt for segment in signals):
-        return tuple(best.resonances)
-    return (Lag(lag), *best.resonances)
-
-
 def parameters_of(
-    sections: Sequence[Section], delay: float, signals: Sequence[Signals]
+    sections: Sequence[Section], delay: float, shortest: float
 ) -> tuple[Form, Floats]:
-    """Return form and parameters of sections."""
+    """Return form and parameters of sections; where there is no lag, the ``shortest`` (s)."""
     values: list[float] = []
     notch: list[float] = []
-    lag = NO_LAG * min(segment.dt for segment in signals)
+    lag = shortest
     for section in sections:
         if isinstance(section, Lag):
             lag = section.seconds
@@ -295,30 +305,26 @@ def spectra(
     return frequency[driven], power[driven], both[driven]
 
 
-def longest(signals: Sequence[Signals]) -> Signals:
-    """Return the fast part with the most rows."""
-    return max(signals, key=lambda segment: segment.measured.size)
-
-
-def peak_of(signals: Sequence[Signals], best: Fitted, band: Band) -> float:
+def peak_of(rows: FastRows, best: Fitted) -> float:
     """Return where the measured departs most from the best found (Hz), away from its resonances."""
-    one = longest(signals)
-    modelled = one.modelled(best.parameters, best.form)
-    residuals = one.residuals(best.parameters, best.form)
-    frequency, power, both = spectra(modelled, residuals, one.dt, band)
+    signals = rows.longest
+    modelled, residuals = signals.modelled(best), signals.residuals(best)
+    frequency, power, both = spectra(modelled, residuals, signals.dt, rows.band)
     distant = np.ones(frequency.size, dtype=bool)
     for resonance in best.resonances:
         distant &= np.abs(np.log(frequency / resonance.frequency)) > APART
     if not distant.any():
-        return 0.7 * band[1]
+        return 0.7 * rows.band[1]
     ratio = np.abs(both[distant]) / power[distant]
     return float(frequency[distant][np.argmax(ratio)])
 
 
-def phase_delay(signals: Sequence[Signals], band: Band) -> float:
+def phase_delay(fast: FastRows) -> float:
     """Return how late the measured is (s), by the phase where its gain is still that of slow moves."""
-    one = longest(signals)
-    frequency, power, both = spectra(one.predicted, one.measured, one.dt, band)
+    signals = fast.longest
+    frequency, power, both = spectra(
+        signals.predicted, signals.measured, signals.dt, fast.band
+    )
     if frequency.size < 3:
         return 0.0
     gain = np.abs(both) / power

@@ -380,8 +380,8 @@ class Equations:
         table *= self.roots[:, None]
         return table
 
-    def step(self, gram: Floats, fit: Fit) -> Floats:
-        """Return the unknowns of least penalised squares of linearised rows near a fit."""
+    def step(self, gram: Floats) -> Floats:
+        """Return the unknowns of least penalised squares of linearised rows."""
         matrix = gram[:-1, :-1] / self.variance + self.penalty
         right = gram[:-1, -1] / self.variance
         if self.curved:
@@ -392,12 +392,12 @@ class Equations:
         self.positive = (x > 0.0) | ~self.bounded
         return x + lowest
 
-    def solve(self, first: Fit | None = None, steps: int = STEPS) -> Fit:
+    def solve(self, first: Fit | None = None) -> Fit:
         """Return the fit at the least penalised squares that Gauss-Newton reaches."""
         fit = self.start(first)
-        for number in range(steps):
+        for number in range(STEPS):
             fit = self.believe(fit)
-            full_step = self.fit_of(self.step(products(self.table(fit)), fit))
+            full_step = self.fit_of(self.step(products(self.table(fit))))
             before = fit.penalised
             fit = self._shortened(fit, full_step, forced=number == 0 and first is None)
             if number and not fit.penalised < before * (1.0 - ENOUGH):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -64,11 +64,9 @@ def _gears_of(problem: Problem, fit: Fit, height: float, base: float) -> Gears:
     """Return the gears and their relaxation: output is ``base + height * u``."""
     cells, span = problem.cells, problem.high - problem.low
     terms = len(problem.taus)
-    lags, rests = np.zeros(terms), np.zeros(terms)
-    if fit.gains.size:
-        lags = fit.gains[:terms]
-    if fit.gains.size > terms:
-        rests = fit.gains[terms:]
+    both = np.zeros(2 * terms)
+    both[: fit.gains.size] = fit.gains
+    lags, rests = both[:terms], both[terms:]
     counts = cells.gears.copy()
     counts[-1] += 2 * cells.spare
     mean = float(fit.slopes @ cells.shares) + float(rests.sum())
@@ -115,6 +113,17 @@ def model_of(
         reached, _ = model.static.simulate(np.asarray([voltage]), dt=1.0, state=state)
         ends.append(float(reached[0]))
     return replace(model, output=Quantity(*log.output, min(ends), max(ends)))
+
+
+def with_changed_stages(
+    model: Cascade, changed: Callable[[Sequence[Stage]], tuple[Stage, ...]]
+) -> Cascade:
+    """Return a model whose stages, and those of its candidates, are changed alike."""
+    candidates = []
+    for candidate in model.candidates:
+        candidates.append(replace(candidate, stages=changed(candidate.stages)))
+    stages = changed(model.stages)
+    return replace(model, stages=stages, candidates=tuple(candidates))
 
 
 def zero_of(log: Recording, options: Options) -> float:

@@ -10,12 +10,14 @@ from dataclasses import replace
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.identification.figures import predicted
+from dbo_cli.identification.figures import residuals_of
 from dbo_cli.identification.recording import Recording
 from dbo_cli.model import Cascade
 
 BEYOND_STATED = 2.0
-"""Times the stated error: from there on a validation log is another case than the logs."""
+"""Times the stated error: from there on a validation log is another case than the logs, and a prior's shape
+has changed. On four invented actuators the same shape left at most 1.1 times, a loop 1.25 times as wide 1.6
+to 9 times."""
 LEADING = 0.4
 """Of -1 to 1: sense of a loop from which the output leads; 60 of 62 logs are beyond (measured)."""
 CURVE_ORDER = 3
@@ -36,9 +38,9 @@ def judged(
     """
     expected = model.fit.get("expected_rmse")
     entries, warnings = [], list(model.fit.get("warnings", []))
-    for log in validation:
+    residuals = residuals_of(model, validation)
+    for log, error in zip(validation, residuals, strict=True):
         name = os.path.basename(log.name)
-        error = (log.displacement - predicted(model, log))[log.usable]
         rmse, spread = math.sqrt(float(np.mean(error**2))), float(np.std(error))
         entries.append({"name": name, "rmse": rmse, "offset_free_rmse": spread})
         if any(_is_same(log, fitted) for fitted in logs):
@@ -55,10 +57,10 @@ def judged(
             "the displacement leads the drive, as that of a damper or motor does: else check `voltage` and "
             "`displacement` (exchanged?) and the clocks (`clock_offset`)"
         )
-    figures: dict[str, object] = {"warnings": warnings}
+    fit = {**model.fit, "warnings": warnings}
     if entries:
-        figures["validation"] = entries
-    return replace(model, fit={**model.fit, **figures})
+        fit["validation"] = entries
+    return replace(model, fit=fit)
 
 
 def describe_validation(model: Cascade) -> list[str]:

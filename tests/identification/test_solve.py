@@ -39,7 +39,7 @@ def hysteresis(drive: np.ndarray) -> np.ndarray:
 
 def log_of(drive: np.ndarray, cells: Cells) -> PreparedLog:
     every = np.arange(len(drive))
-    return PreparedLog("log", drive, drive, 0.01 * every, 0.01, every, every + 1)
+    return PreparedLog(drive, drive, 0.01 * every, 0.01, every, every + 1)
 
 
 def columns(log: PreparedLog, taus: list[float], delay: float = 0.0) -> np.ndarray:
