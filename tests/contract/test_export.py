@@ -12,7 +12,7 @@ import pytest
 import dbo_cli
 from tests.export.firmware import NO_COMPILER, Firmware
 
-from .program import Floats, dbo, done, load, model, refused, values_of
+from .program import dbo, done, load, model, refused, values_of
 
 pytestmark = [
     pytest.mark.skipif(NO_COMPILER, reason="needs a C compiler"),
@@ -22,7 +22,7 @@ RATE = 1000.0
 WORDS = ("--sample-rate", RATE, "-q", "-o", "firmware")
 
 
-def wanted_of(name: str, rows: int = 3000) -> Floats:
+def wanted_of(name, rows=3000):
     """Return a displacement that turns often, from the lower end of a model."""
     actuator = dbo_cli.read_model(model(name))
     low, high = actuator.output.min, actuator.output.max
@@ -33,7 +33,7 @@ def wanted_of(name: str, rows: int = 3000) -> Floats:
     return low + (high - low) * (0.02 + 0.9 * way)
 
 
-def built() -> Firmware:
+def built():
     """Compile what lies in ``firmware``, outside it."""
     files = {path.name: path.read_text() for path in Path("firmware").iterdir()}
     figures = json.loads(files.pop("export.json"))
@@ -41,14 +41,14 @@ def built() -> Firmware:
     return Firmware(export, Path("built").resolve())
 
 
-def compiled(name: str, *words: object) -> Firmware:
+def compiled(name, *words):
     """Export a model and compile it."""
     done("export", model(name), "--name", "stage", *words, *WORDS)
     return built()
 
 
 @pytest.mark.parametrize("name", ["creep", "bent"])
-def test_double_gives_the_bits_of_the_library(name: str) -> None:
+def test_double_gives_the_bits_of_the_library(name):
     wanted = wanted_of(name)
     expected = dbo_cli.read_model(model(name)).compensate(
         wanted, sample_rate=RATE, state="empty", on_limit="clip"
@@ -57,7 +57,7 @@ def test_double_gives_the_bits_of_the_library(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["late", "moving"])
-def test_the_input_comes_so_many_samples_earlier_as_live(name: str) -> None:
+def test_the_input_comes_so_many_samples_earlier_as_live(name):
     library = compiled(name)
     header = Path("firmware/stage.h").read_text()
     ahead = re.search(r"#define STAGE_AHEAD (\d+)", header)
@@ -72,7 +72,7 @@ def test_the_input_comes_so_many_samples_earlier_as_live(name: str) -> None:
 
 
 @pytest.mark.parametrize("arithmetic", ["double", "q31"])
-def test_the_self_test_passes_and_fails_where_a_table_differs(arithmetic: str) -> None:
+def test_the_self_test_passes_and_fails_where_a_table_differs(arithmetic):
     outcome = done(
         "export", model("creep"), "--arithmetic", arithmetic, *WORDS[:-3], *WORDS[-2:]
     )
@@ -88,7 +88,7 @@ def test_the_self_test_passes_and_fails_where_a_table_differs(arithmetic: str) -
     assert built().self_test()[0] == 1
 
 
-def test_limits_are_in_the_tables() -> None:
+def test_limits_are_in_the_tables():
     library = compiled("small", "--v-min", 1, "--v-max", 8, "--max-slew", 200)
     wanted = np.concatenate([np.linspace(1.0, 9.0, 100), np.linspace(9.0, 1.0, 100)])
     out = library.play(wanted)
@@ -98,7 +98,7 @@ def test_limits_are_in_the_tables() -> None:
     assert held == [8.0, 5.0, 1.0]
 
 
-def test_fewer_gears_and_a_lookup_table() -> None:
+def test_fewer_gears_and_a_lookup_table():
     words = ("--sample-rate", RATE, "-q", "-o")
     done("export", model("creep"), "--gears", 10, *words, "firmware")
     figures = load("firmware/export.json")
@@ -107,7 +107,7 @@ def test_fewer_gears_and_a_lookup_table() -> None:
     assert "corners[16]" in Path("table/actuator.c").read_text()
 
 
-def test_the_same_model_gives_the_same_bytes_without_path_and_date() -> None:
+def test_the_same_model_gives_the_same_bytes_without_path_and_date():
     """Candidates are left out: a model with them is exported as the one without."""
     for folder in ("one", "two"):
         done("export", model("creep"), "--sample-rate", RATE, "-q", "-o", folder)
@@ -129,7 +129,7 @@ def test_the_same_model_gives_the_same_bytes_without_path_and_date() -> None:
     assert values_of("known")["candidates"]
 
 
-def test_a_name_that_c_takes_and_a_rate_are_needed() -> None:
+def test_a_name_that_c_takes_and_a_rate_are_needed():
     for name in ("int", "9lives", "a-b", ""):
         assert "--name" in refused(2, "export", model("small"), "--name", name, *WORDS)
     outcome = dbo("export", model("creep"), "-o", "firmware")
@@ -137,7 +137,7 @@ def test_a_name_that_c_takes_and_a_rate_are_needed() -> None:
     assert not Path("firmware").exists()
 
 
-def test_an_export_replaces_one_of_another_arithmetic_and_name() -> None:
+def test_an_export_replaces_one_of_another_arithmetic_and_name():
     done("export", model("creep"), "--arithmetic", "q31", "--name", "old", *WORDS)
     fixed = set(os.listdir("firmware"))
     done("export", model("creep"), *WORDS)
@@ -156,9 +156,7 @@ def test_an_export_replaces_one_of_another_arithmetic_and_name() -> None:
         ("creep", "--lookup", "dx", "--gears 12"),
     ],
 )
-def test_a_refusal_names_file_key_and_remedy(
-    name: str, words: str, key: str, remedy: str
-) -> None:
+def test_a_refusal_names_file_key_and_remedy(name, words, key, remedy):
     said = refused(1, "export", model(name), *words.split(), *WORDS)
     assert f"{name}.json: stages[" in said
     assert f"].{key}: " in said and remedy in said

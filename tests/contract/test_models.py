@@ -2,7 +2,6 @@
 
 import copy
 from pathlib import Path
-from typing import Any
 
 import jsonschema
 import pytest
@@ -16,16 +15,16 @@ SCHEMA = HERE.parent.parent / "docs" / "model-file.schema.json"
 
 
 @pytest.fixture(scope="session")
-def schema() -> Any:
+def schema():
     return load(SCHEMA)
 
 
-def valid(schema: Any, values: Any) -> bool:
+def valid(schema, values):
     return bool(jsonschema.Draft202012Validator(schema).is_valid(values))
 
 
 @pytest.mark.parametrize("name", STORED)
-def test_stored_and_saved_models_fit_the_schema(schema: Any, name: str) -> None:
+def test_stored_and_saved_models_fit_the_schema(schema, name):
     assert valid(schema, values_of(name))
     dbo_cli.read_model(model(name)).save("saved.json")
     assert valid(schema, load("saved.json"))
@@ -33,7 +32,7 @@ def test_stored_and_saved_models_fit_the_schema(schema: Any, name: str) -> None:
     assert Path("again.json").read_bytes() == Path("saved.json").read_bytes()
 
 
-def at(values: Any, path: str) -> tuple[Any, Any]:
+def at(values, path):
     """Return what holds a key (``stages.0.dx``) of a model's values, and the key."""
     *parents, last = (int(key) if key.isdigit() else key for key in path.split("."))
     for key in parents:
@@ -41,35 +40,35 @@ def at(values: Any, path: str) -> tuple[Any, Any]:
     return values, last
 
 
-def put(path: str, value: Any) -> Any:
+def put(path, value):
     """Return a function that sets a key."""
 
-    def change(values: Any) -> None:
+    def change(values):
         holder, key = at(values, path)
         holder[key] = value
 
     return change
 
 
-def append(stage: Any) -> Any:
+def append(stage):
     """Return a function that adds a stage."""
     return lambda values: values["stages"].append(stage)
 
 
-def relaxed(tau: float, gain: float) -> Any:
+def relaxed(tau, gain):
     """Return a function that gives the gears a memory."""
     term = {"on": "input", "reference": 0.0, "tau": [tau], "gain": [gain]}
     return put("stages.0.relaxation", term)
 
 
-def candidates(weight: float, count: int) -> Any:
+def candidates(weight, count):
     """Return a function that gives the model candidates."""
     return lambda values: values.update(
         candidates=[{"weight": weight, "stages": values["stages"]}] * count
     )
 
 
-BROKEN: dict[str, tuple[Any, str]] = {
+BROKEN = {
     "another format": (put("format", "dbo-state"), "format"),
     "a version to come": (put("version", 2), "version"),
     "no direction": (lambda values: values.pop("direction"), "direction"),
@@ -119,9 +118,7 @@ NO_SCHEMA_KNOWS = {
 
 
 @pytest.mark.parametrize("fault", BROKEN)
-def test_a_broken_key_is_named_and_the_schema_refuses_it(
-    schema: Any, fault: str
-) -> None:
+def test_a_broken_key_is_named_and_the_schema_refuses_it(schema, fault):
     change, key = BROKEN[fault]
     values = values_of("small")
     change(values)
@@ -133,7 +130,7 @@ def test_a_broken_key_is_named_and_the_schema_refuses_it(
     assert valid(schema, values) == (fault in NO_SCHEMA_KNOWS)
 
 
-def test_a_broken_key_of_an_inverse_is_named_as_its_file_has_it() -> None:
+def test_a_broken_key_of_an_inverse_is_named_as_its_file_has_it():
     """Its axes are exchanged where it becomes a forward model, and with them what is wrong there."""
     values = done("invert", model("small")).json
     stage = next(each for each in values["stages"] if each["type"] == "backlash")
@@ -146,7 +143,7 @@ def test_a_broken_key_of_an_inverse_is_named_as_its_file_has_it() -> None:
 # --- sets ---
 
 
-def test_one_model_of_a_set_is_named() -> None:
+def test_one_model_of_a_set_is_named():
     write("drive.csv", "voltage_V", [0.0, 5.0, 10.0, 3.0])
     alone = done("simulate", model("small"), "drive.csv").raw
     assert done("simulate", f"{model('set')}::x", "drive.csv").raw == alone
@@ -165,7 +162,7 @@ def test_one_model_of_a_set_is_named() -> None:
 
 
 @pytest.mark.parametrize("name", ["bent", "known", "moving"])
-def test_show_is_one_screen(name: str) -> None:
+def test_show_is_one_screen(name):
     page = done("show", model(name)).out
     lines = page.splitlines()
     assert 3 <= len(lines) <= 40 and max(map(len, lines)) <= 120
@@ -175,7 +172,7 @@ def test_show_is_one_screen(name: str) -> None:
         assert values[side]["unit"] in page
 
 
-def test_show_tells_gears_sign_and_error_and_each_of_a_set() -> None:
+def test_show_tells_gears_sign_and_error_and_each_of_a_set():
     page = done("show", model("creep")).out
     assert "40" in page and "0.01" in page and "ris" in page
     assert "fall" in done("show", model("bent")).out

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from .program import (
-    DRIVE, LOG, MOVE, PAIR, PASS, Floats, dbo, done, load, model, refused, rms, simulated, store, store_set,
+    DRIVE, LOG, MOVE, PAIR, PASS, dbo, done, load, model, refused, rms, simulated, store, store_set,
     table, values_of, write,
 )  # fmt: skip
 
@@ -19,7 +19,7 @@ FIRST = ("compensate", model("creep"), "traj.csv", "--from", 0)
 SWEPT = (*FIRST, "--condition")
 
 
-def pink(rng: np.random.Generator, rows: int) -> Floats:
+def pink(rng, rows):
     """Return 1/f noise of standard deviation 1."""
     frequency = np.fft.rfftfreq(rows)
     frequency[0] = 1.0
@@ -28,7 +28,7 @@ def pink(rng: np.random.Generator, rows: int) -> Floats:
     return np.asarray((noise - noise.mean()) / noise.std())
 
 
-def creep(values: Floats, tau: float) -> Floats:
+def creep(values, tau):
     """Return what follows a signal with a time constant (s)."""
     weight = -np.expm1(-STEP / tau)
     followed = np.empty(len(values))
@@ -39,7 +39,7 @@ def creep(values: Floats, tau: float) -> Floats:
     return followed
 
 
-def recorded(seed: int) -> tuple[dict[str, Floats], Floats]:
+def recorded(seed):
     """Drive a slow sine with a sweep before it; return the drive, and what a stage makes of it."""
     rng = np.random.default_rng(seed)
     span = 6.0
@@ -57,7 +57,7 @@ def recorded(seed: int) -> tuple[dict[str, Floats], Floats]:
     return drive, moved
 
 
-def reported(trajectory: str, *words: object) -> dict[str, float]:
+def reported(trajectory, *words):
     """Return the figures of ``pass.csv`` beside a trajectory or a drive."""
     line = ("report", "pass.csv", "--trajectory", trajectory, "--format", "json")
     return done(*line, *words).json["logs"][0]
@@ -66,9 +66,7 @@ def reported(trajectory: str, *words: object) -> dict[str, float]:
 @pytest.mark.parametrize(
     ("seed", "start"), [(0, 0.0), (1, 1.7e9), (2, 0.0), (3, 1.7e9)]
 )
-def test_a_recorder_that_counts_from_elsewhere_is_reported_as_by_rows(
-    seed: int, start: float
-) -> None:
+def test_a_recorder_that_counts_from_elsewhere_is_reported_as_by_rows(seed, start):
     """Creep and 1/f noise pull on a fit of loops: it was five rows off, 46 nm for 22.7."""
     drive, moved = recorded(seed)
     stamps = start + STEP * np.arange(len(moved))
@@ -84,7 +82,7 @@ def test_a_recorder_that_counts_from_elsewhere_is_reported_as_by_rows(
         assert log["clock_offset_s"] == pytest.approx(ahead, abs=0.02 * STEP)
 
 
-def test_a_drive_lays_recordings_over_each_other_to_a_part_of_a_row() -> None:
+def test_a_drive_lays_recordings_over_each_other_to_a_part_of_a_row():
     """The actuator is late by 3.4 ms, which is an error; the recorder by .4 rows, which is none."""
     drive, _ = recorded(1)
     ahead, late = 0.4 * STEP, 3.4e-3
@@ -97,7 +95,7 @@ def test_a_drive_lays_recordings_over_each_other_to_a_part_of_a_row() -> None:
     assert log["lag_left_s"] == pytest.approx(late, abs=0.01 * STEP)
 
 
-def test_another_drive_is_said() -> None:
+def test_another_drive_is_said():
     drive, moved = recorded(2)
     other = 50.0 + 40.0 * np.sin(np.arange(len(moved)) / 77.0)
     write("pass.csv", PASS, drive["time_s"], other, moved)
@@ -110,7 +108,7 @@ def test_another_drive_is_said() -> None:
 
 
 @pytest.mark.parametrize("late", [0.0, 17.0, 2.37])
-def test_what_was_played_is_late_by_rows(late: float) -> None:
+def test_what_was_played_is_late_by_rows(late):
     drive, _ = recorded(3)
     rows = np.arange(len(drive["time_s"]))
     played = np.interp(rows - late, rows, drive["voltage_V"])
@@ -123,9 +121,7 @@ def test_what_was_played_is_late_by_rows(late: float) -> None:
 
 
 @pytest.mark.parametrize("start", [None, 0.0, 1.7e9])
-def test_a_pass_is_learned_from_wherever_its_recorder_counts_from(
-    start: float | None,
-) -> None:
+def test_a_pass_is_learned_from_wherever_its_recorder_counts_from(start):
     """It was refused: "its drive belongs to another trajectory"."""
     drive, moved = recorded(0)
     stamps = drive["time_s"]
@@ -142,7 +138,7 @@ def test_a_pass_is_learned_from_wherever_its_recorder_counts_from(
     assert float(said.split()[3]) == pytest.approx(off, rel=0.02)
 
 
-def test_a_mean_that_is_not_learned_is_told_and_no_sweep_is_advised_twice() -> None:
+def test_a_mean_that_is_not_learned_is_told_and_no_sweep_is_advised_twice():
     """The line stated .018 um where .110 came, nearly all mean; the drive had its sweep."""
     drive, moved = recorded(0)
     moved = moved + 0.3
@@ -166,9 +162,7 @@ def test_a_mean_that_is_not_learned_is_told_and_no_sweep_is_advised_twice() -> N
 @pytest.mark.parametrize("lead", [("--passes", 2), ("--approach", 0.13)])
 @pytest.mark.parametrize("start", [0.0, 1.7e9])
 @pytest.mark.parametrize("lost", [0, 37, 737])
-def test_a_loop_is_learned_from_wherever_its_recorder_counts_from(
-    lead: tuple[object, ...], start: float, lost: int
-) -> None:
+def test_a_loop_is_learned_from_wherever_its_recorder_counts_from(lead, start, lost):
     """Its stamps were believed: a clock from 0 put what leads to the loop into its mean, or was refused."""
     time = STEP * np.arange(400)
     desired = 5.0 - 2.0 * np.cos(2.0 * np.pi * 2.5 * time)
@@ -192,7 +186,7 @@ def test_a_loop_is_learned_from_wherever_its_recorder_counts_from(
 
 
 @pytest.mark.parametrize("start", [None, 0.0, 1.7e9])
-def test_what_was_learned_moves_the_first_value_and_no_row(start: float | None) -> None:
+def test_what_was_learned_moves_the_first_value_and_no_row(start):
     """The way behind the sweep lasts as long as it is far: the third pass was laid over some rows off."""
     time = TIME[:3000]
     desired = 3.0 - 1.5 * np.cos(2.0 * np.pi * time)
@@ -217,7 +211,7 @@ def test_what_was_learned_moves_the_first_value_and_no_row(start: float | None) 
 
 
 @pytest.mark.parametrize("name", ["late", "moving", "creep"])
-def test_rows_at_rest_behind_a_sweep_are_none_of_the_move(name: str) -> None:
+def test_rows_at_rest_behind_a_sweep_are_none_of_the_move(name):
     """A delay keeps some rows still behind the sweep: the move was taken to begin before them."""
     low, high = (
         json.loads(Path(model(name)).read_text())["output"][end]
@@ -241,7 +235,7 @@ def test_rows_at_rest_behind_a_sweep_are_none_of_the_move(name: str) -> None:
     assert float(told.split()[3]) == pytest.approx(np.std(error), rel=0.05)
 
 
-def test_both_axes_of_a_raster_are_laid_over_by_their_drives() -> None:
+def test_both_axes_of_a_raster_are_laid_over_by_their_drives():
     """A slow axis is a ramp, and a ramp that is late looks like one that is lower: 65 % off."""
     store_set("xy.json", x=values_of("creep"), y=values_of("creep"))
     words = ("--rate", 1000, "--range", "1:5", "--lines", 16, "--frequency", 5)
@@ -271,9 +265,7 @@ def test_both_axes_of_a_raster_are_laid_over_by_their_drives() -> None:
     done("compensate", *words, "--from", 0, "--tracked", "pass.csv", *recorded_as)
 
 
-def test_a_raster_recorded_without_its_drive_repeats_only_as_far_as_the_recording_reaches() -> (
-    None
-):
+def test_a_raster_recorded_without_its_drive_repeats_only_as_far_as_the_recording_reaches():
     """Late by a line it looks alike, but then lines would be missing: .1 s were left in, 1.8 um."""
     words = ("--rate", 1000, "--range", "1:5", "--lines", 32, "--frequency", 5)
     done("trajectory", "raster", *words, "--bandwidth", 50, "-o", "raster.csv")
@@ -294,7 +286,7 @@ def test_a_raster_recorded_without_its_drive_repeats_only_as_far_as_the_recordin
         assert outcome.warnings == []
 
 
-def test_what_was_learned_between_harmonics_ends_no_learning() -> None:
+def test_what_was_learned_between_harmonics_ends_no_learning():
     """The second pass was learned below 1.3 Hz for 25, and the third was refused: its error grew."""
     time = STEP * np.arange(4000)
     fast = 0.05 * np.sin(2.0 * np.pi * 24.0 * time)
@@ -319,7 +311,7 @@ def test_what_was_learned_between_harmonics_ends_no_learning() -> None:
     assert errors[2] < 1.05 * errors[1] < 0.1 * errors[0]
 
 
-def test_a_pass_with_another_past_is_refused() -> None:
+def test_a_pass_with_another_past_is_refused():
     drive, moved = recorded(1)
     write("swept.csv", PASS, drive["time_s"], drive["voltage_V"], moved)
     told = refused(1, *FIRST, "--approach", 1, "--tracked", "swept.csv")
@@ -334,7 +326,7 @@ def test_a_pass_with_another_past_is_refused() -> None:
 # --- two recorders, one log ---
 
 
-def two_recorders(delay: float, both: bool) -> None:
+def two_recorders(delay, both):
     """Record a drive of 5 kHz by a sensor of 1 kHz whose clock is 1.3 s behind and 50 ppm fast."""
     done("excite", "--v-max", 100, "--sample-rate", 5000, "-o", "drive.csv")
     played = table("drive.csv")
@@ -355,7 +347,7 @@ def two_recorders(delay: float, both: bool) -> None:
 
 
 @pytest.mark.parametrize("both", [True, False])
-def test_clocks_of_two_recorders_are_found(both: bool) -> None:
+def test_clocks_of_two_recorders_are_found(both):
     """The actuator's own delay stays in the model where both hold the drive, else it is said."""
     two_recorders(4e-3, both)
     words = ("--voltage", "drive.csv::voltage_V", "--clock-offset", "auto")
@@ -371,9 +363,7 @@ def test_clocks_of_two_recorders_are_found(both: bool) -> None:
 
 @pytest.mark.parametrize("offset", [0.0, 0.03, -0.03])
 @pytest.mark.parametrize("swings", ["many", "one"])
-def test_a_recorder_that_began_a_little_late_is_told_of_where_it_shows(
-    offset: float, swings: str
-) -> None:
+def test_a_recorder_that_began_a_little_late_is_told_of_where_it_shows(offset, swings):
     """Up to 50 ms were taken in silence; one swing that repeats is as well a wider loop."""
     done("excite", "--v-max", 100, "--sample-rate", 500, "-o", "drive.csv")
     if swings == "one":
@@ -393,7 +383,7 @@ def test_a_recorder_that_began_a_little_late_is_told_of_where_it_shows(
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.03])
-def test_what_a_report_cannot_tell_from_a_late_actuator_is_said(offset: float) -> None:
+def test_what_a_report_cannot_tell_from_a_late_actuator_is_said(offset):
     desired = 3.0 + 2.0 * np.sin(2.0 * np.pi * 0.5 * TIME) * np.exp(-0.3 * TIME)
     rng = np.random.default_rng(4)
     write("traj.csv", MOVE, TIME, desired)
@@ -404,7 +394,7 @@ def test_what_a_report_cannot_tell_from_a_late_actuator_is_said(offset: float) -
     assert outcome.warnings == []
 
 
-def test_a_late_sensor_is_no_error() -> None:
+def test_a_late_sensor_is_no_error():
     """It stands in the model and in a summary; reports and learning take it off."""
     late = 8e-3
     done("excite", "--v-max", 100, "-o", "drive.csv")
@@ -435,7 +425,7 @@ def test_a_late_sensor_is_no_error() -> None:
 # --- why an error is larger than expected ---
 
 
-def told_of(measured: Floats, desired: Floats, expected: float) -> list[str]:
+def told_of(measured, desired, expected):
     """Return the warnings of a report of a move with an expected error (um)."""
     write("run.csv", PAIR, TIME, desired, measured)
     ends = [desired.min(), desired.max()]
@@ -443,7 +433,7 @@ def told_of(measured: Floats, desired: Floats, expected: float) -> list[str]:
     return dbo("report", "run.csv", "--expected", "s.json").warnings
 
 
-def test_the_largest_cause_of_an_error_is_named_and_noise_is_none() -> None:
+def test_the_largest_cause_of_an_error_is_named_and_noise_is_none():
     rng = np.random.default_rng(3)
     desired = 3.0 + 2.0 * np.sin(2.0 * np.pi * 0.5 * TIME)
     white = 0.02 * rng.standard_normal(len(TIME))
@@ -469,7 +459,7 @@ def test_the_largest_cause_of_an_error_is_named_and_noise_is_none() -> None:
 # --- a loop at a generator ---
 
 
-def test_a_loop_keeps_its_period_at_other_points() -> None:
+def test_a_loop_keeps_its_period_at_other_points():
     """200 rows of 1 ms are 0.2 s; 100 points were 0.20101 s, with a step over the seam."""
     phase = 2.0 * np.pi * np.arange(200) / 200.0
     volts = 50.0 + 40.0 * np.sin(phase)

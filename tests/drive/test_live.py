@@ -14,7 +14,7 @@ RATE = 1000.0
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 
 
-def stepped(live: Controller, wanted: np.ndarray) -> np.ndarray:
+def stepped(live, wanted):
     return np.array([live.step(x) for x in wanted])
 
 

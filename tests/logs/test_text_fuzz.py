@@ -6,7 +6,6 @@
 import random
 import warnings
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -41,7 +40,7 @@ class Written:
     encoding: str
 
 
-def table(rng: random.Random) -> Written:
+def table(rng):
     """Write a random table in a random way."""
     count = rng.choice([2, 3, 5, 8, 40, 300])
     delimiter, decimal = rng.choice([",.", ";.", ";,", "\t.", "\t,", " .", "|."])
@@ -80,7 +79,7 @@ def table(rng: random.Random) -> Written:
     return Written(end.join(lines) + end, values, first, names, encoding)
 
 
-def damaged(text: str, rng: random.Random) -> tuple[str, tuple[int, int]]:
+def damaged(text, rng):
     """Change a letter or a few of a text; also give the first and the last line of them."""
     place = rng.randrange(len(text))
     way = rng.randrange(4)
@@ -97,9 +96,9 @@ def damaged(text: str, rng: random.Random) -> tuple[str, tuple[int, int]]:
     return changed, (text.count("\n", 0, place), text.count("\n", 0, last))
 
 
-def read(path: Path, written: Written, rng: random.Random) -> list[list[float]] | None:
+def read(path, written, rng):
     """Read a file by names or numbers; None where it is refused."""
-    roles: dict[str, str | None] = {"time": None, "voltage": None, "displacement": None}
+    roles = {"time": None, "voltage": None, "displacement": None}
     if not written.names or rng.random() < 0.5:
         roles = {"time": "1", "voltage": "2", "displacement": "3"}
     reading = Reading(time_unit=rng.choice([None, "s"]))
@@ -117,9 +116,7 @@ def read(path: Path, written: Written, rng: random.Random) -> list[list[float]] 
     return np.column_stack([time, read["voltage"], read["displacement"]]).tolist()
 
 
-def misread(
-    got: list[list[float]], written: Written, lines: tuple[int, int] | None
-) -> bool:
+def misread(got, written, lines):
     """Return whether rows are wrong that were not damaged, or are missing."""
     want = written.values
     if lines is None:
@@ -144,12 +141,12 @@ def misread(
     )
 
 
-def without_time(rows: list[list[float]]) -> list[list[float]]:
+def without_time(rows):
     """Return rows without their times: a torn header may leave a stated rate as the clock."""
     return [row[1:] for row in rows]
 
 
-def in_some_unit(got: list[list[float]], want: list[list[float]]) -> bool:
+def in_some_unit(got, want):
     """Return whether rows are those that were written; a torn header may state another unit of time."""
     if len(got) != len(want):
         return False
@@ -159,7 +156,7 @@ def in_some_unit(got: list[list[float]], want: list[list[float]]) -> bool:
     return same_time and bool((read[:, 1:] == written[:, 1:]).all())
 
 
-def once(seed: int, path: Path) -> str:
+def once(seed, path):
     """Write, damage and read one table; say what came of it."""
     rng = random.Random(seed)
     written = table(rng)
@@ -174,8 +171,8 @@ def once(seed: int, path: Path) -> str:
 
 
 @pytest.mark.parametrize("block", range(3))
-def test_nothing_is_misread(block: int, tmp_path: Path) -> None:
-    outcomes: dict[str, int] = {}
+def test_nothing_is_misread(block, tmp_path):
+    outcomes = {}
     for seed in range(300 * block, 300 * block + 300):
         outcome = once(seed, tmp_path / "run.csv")
         assert outcome != "wrong", f"seed {seed}"
