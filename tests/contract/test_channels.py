@@ -1,6 +1,5 @@
 """Many channels of one log: ``{}`` in the names of columns, and a set of models as one file."""
 
-import json
 import wave
 from pathlib import Path
 
@@ -108,16 +107,10 @@ def test_a_model_in_another_case_is_offered(channels):
     done(*words[:1], "set.json::a", "upper.csv", "--displacement", "DA_um", "-q")
 
 
-def test_a_pattern_that_finds_nothing_is_refused(channels):
-    error = refused(1, "simulate", "set.json", channels, "--input", "Q{}")
-    assert "mirror.csv" in error and "Q{}" in error
-
-
 @pytest.mark.parametrize("header", ["t_s,x_um,y_um", "t_s,Vx_V,Vy_V,x_um,y_um"])
 def test_a_bare_pattern_takes_the_columns_of_its_role(channels, header):
-    held = json.loads(Path("set.json").read_text())
-    held["models"] = dict(zip("xy", held["models"].values(), strict=False))
-    Path("xy.json").write_text(json.dumps(held))
+    models = load("set.json")["models"].values()
+    store_set("xy.json", **dict(zip("xy", models, strict=False)))
     moves = [2.0 + 0.2 * swings(number) for number in range(2)]
     volts = [swings(2), swings(3)] if "V" in header else []
     write("xy.csv", header, TIME, *volts, *moves)
@@ -128,10 +121,12 @@ def test_a_bare_pattern_takes_the_columns_of_its_role(channels, header):
     assert "no column" in error
 
 
-def test_a_channel_that_the_set_lacks_is_named(channels):
-    held = json.loads(Path("set.json").read_text())
+def test_a_pattern_that_finds_nothing_and_a_channel_that_the_set_lacks(channels):
+    error = refused(1, "simulate", "set.json", channels, "--input", "Q{}")
+    assert "mirror.csv" in error and "Q{}" in error
+    held = load("set.json")
     del held["models"]["b"]
-    Path("set.json").write_text(json.dumps(held))
+    store("set.json", held)
     error = refused(1, "simulate", "set.json", channels, "--input", "V{}_V")
     assert "b" in error and "set.json" in error
 

@@ -47,15 +47,6 @@ def compiled(name, *words):
     return built()
 
 
-@pytest.mark.parametrize("name", ["creep", "bent"])
-def test_double_gives_the_bits_of_the_library(name):
-    wanted = wanted_of(name)
-    expected = dbo_cli.read_model(model(name)).compensate(
-        wanted, sample_rate=RATE, state="empty", on_limit="clip"
-    )
-    np.testing.assert_array_equal(compiled(name).play(wanted), expected)
-
-
 @pytest.mark.parametrize("name", ["late", "moving"])
 def test_the_input_comes_so_many_samples_earlier_as_live(name):
     library = compiled(name)

@@ -14,7 +14,7 @@ import pytest
 import dbo_cli
 
 from .program import (
-    DRIVE, GOLDENS, MOVE, compensated, done, load, model, simulated, store, table, values_of, write,
+    DRIVE, GOLDENS, MOVE, compensated, done, load, model, simulated, table, values_of, write,
 )  # fmt: skip
 
 NAMES = ("small", "creep", "bent", "moving", "late")
@@ -137,17 +137,6 @@ def test_report(options):
     merits = written["logs"][0]
     for key, value in REPORTS[options].items():
         assert merits[key] == pytest.approx(value, rel=1e-9, abs=1e-9), key
-
-
-def test_repeated_values_are_the_list_that_they_stand_for():
-    values = values_of("creep")
-    gears = values["stages"][0]
-    gears["dx"] = [2.5] * 40
-    store("long.json", values)
-    stored = golden("creep")
-    write("drive.csv", DRIVE, stored["time_s"], stored["voltage_V"])
-    long = done("simulate", "long.json", "drive.csv")
-    assert long.raw == done("simulate", model("creep"), "drive.csv").raw
 
 
 def test_an_inverse_has_its_ranges_exchanged_and_inverted_again_is_the_model():

@@ -73,11 +73,7 @@ def test_what_cannot_be_is_refused():
         actuator("moving").controller(sample_rate=RATE)
     with pytest.raises(dbo.DboError):  # a commit needs a plan
         actuator("small").controller(sample_rate=RATE).commit()
-    settings = [
-        {"v_min": 5, "v_max": 5},
-        {"max_slew": -1.0},
-        {"v_max": "8um"},
-    ]
+    settings = [{"v_min": 5, "v_max": 5}, {"max_slew": -1.0}, {"v_max": "8um"}]
     for options in settings:
         with pytest.raises(dbo.DboError):
             actuator("small").controller(sample_rate=RATE, **options)

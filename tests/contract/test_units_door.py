@@ -37,13 +37,8 @@ PLAIN = "states no unit: type a plain number"
 
 def test_a_typed_unit_where_the_file_states_none():
     write("v.csv", "time_s,voltage", TIME, 98.0 * np.sin(TIME) ** 2)
-    for words in (
-        "--v-max 200mV",
-        "--v-min -1kV --v-max 120",
-        "--v-max 50um",
-        "--max-slew 1300V/min",
-        "--v-max 120 --from 5V",
-    ):
+    lines = "--v-max 200mV", "--v-min -1kV --v-max 120", "--v-max 50um"
+    for words in (*lines, "--max-slew 1300V/min", "--v-max 120 --from 5V"):
         assert PLAIN in refused(2, "check", "v.csv", *words.split())
     assert shell("check", "v.csv", "--v-min", 0, "--v-max", 120).code == 0
     write("log.csv", "time_s,desired,measured", TIME, TIME, TIME + 0.001)
@@ -78,13 +73,6 @@ def test_a_typed_unit_where_the_model_states_none(figure):
             actuator.compensate(2.5 - np.cos(30.0 * TIME), time=TIME, **words)
         with pytest.raises(dbo.UsageError, match=PLAIN):
             actuator.controller(sample_rate=1000.0, **words)
-
-
-@pytest.mark.parametrize("figure", [True, False, np.True_, float("nan"), "5 5"])
-def test_what_is_no_number_is_no_limit(figure):
-    actuator = dbo.read_model(model("creep"))
-    with pytest.raises(dbo.UsageError, match="v_max"):
-        actuator.compensate([2.0, 2.1, 2.2], sample_rate=1000.0, v_max=figure)
 
 
 @pytest.mark.parametrize(
@@ -225,7 +213,10 @@ def test_a_masked_row_is_a_missing_row(creep):
             creep.compensate(wrong, time=TIME)
 
 
-def test_truth_is_no_rate(creep):
+def test_truth_is_no_rate_and_no_limit(creep):
+    for wrong in (True, False, np.True_, float("nan"), "5 5"):
+        with pytest.raises(dbo.UsageError, match="v_max"):
+            creep.compensate([2.0, 2.1, 2.2], sample_rate=1000.0, v_max=wrong)
     write("log.csv", "voltage_V,displacement_um", TIME, MOVE)
     for wrong in (True, np.True_, 0, -5.0, float("nan"), "5V"):
         for call in (
@@ -286,10 +277,8 @@ def test_a_frame_and_a_file_give_the_same_bytes(header, played):
 
 def test_no_unit_is_invented(played):
     time, volts, moved = played
-    drive, nanometers = (
-        pd.Series(volts, name="U (V)"),
-        pd.Series(1e3 * moved, name="x (nm)"),
-    )
+    drive = pd.Series(volts, name="U (V)")
+    nanometers = pd.Series(1e3 * moved, name="x (nm)")
     named = quick(drive, nanometers, time=time)
     assert (named.input.unit, named.output.unit) == ("V", "nm")
     bare = quick(volts, moved, time=time)
@@ -298,10 +287,8 @@ def test_no_unit_is_invented(played):
     assert (typed.input.unit, typed.output.unit) == ("V", "um")
     frame = pd.DataFrame({"time": time, "voltage": volts, "displacement": moved})
     assert quick(frame).output.unit is None
-    pair = [
-        quick(one).simulate(volts, time=time)
-        for one in (frame, frame.set_index("time"))
-    ]
+    first, second = quick(frame), quick(frame.set_index("time"))
+    pair = [one.simulate(volts, time=time) for one in (first, second)]
     np.testing.assert_array_equal(*pair)
     with pytest.raises(dbo.InputError, match="`voltage`"):
         dbo.identify(pd.DataFrame({"a": volts, "b": moved}))
@@ -481,13 +468,8 @@ def test_learning_is_that_of_the_shell():
     written = compensated("known", *words, wish="move.csv")["voltage_V"]
     frame = pl.read_csv("tracked.csv")
     options = {"time": TIME, "absolute": True, "details": True}
-    for source in (
-        "tracked.csv",
-        Path("tracked.csv"),
-        frame,
-        frame.to_pandas(),
-        [frame],
-    ):
+    sources = "tracked.csv", Path("tracked.csv"), frame, frame.to_pandas(), [frame]
+    for source in sources:
         for history in ("python.json", ()):
             options |= {"tracked": source, "history": history}
             learned = actuator.compensate(MOVE, **options)
@@ -495,11 +477,8 @@ def test_learning_is_that_of_the_shell():
             assert len(learned.history) == 1
         assert Path("python.json").read_bytes() == Path("shell.json").read_bytes()
         Path("python.json").unlink()
-    alone = [
-        {"history": learned.history},
-        {"history": "new.json"},
-    ]
-    for more in (*alone, {"absolute": True}):
+    alone = {"history": learned.history}, {"history": "new.json"}, {"absolute": True}
+    for more in alone:
         with pytest.raises(dbo.UsageError, match="needs `tracked`"):
             actuator.compensate(MOVE, time=TIME, **more)
     assert not Path("new.json").exists()
@@ -538,19 +517,12 @@ def test_a_range_has_a_unit_that_there_is():
     line = ("trajectory", "sine", "--rate", 1000, "--frequency", 5, "--range")
     assert "no unit" in refused(2, *line, "0:5volts_or_so")
     assert shell(*line, "0:5µm").out.startswith("time_s,displacement_um")
-    path = without_units()
-    assert PLAIN in refused(2, *line, "0:5um", "--model", path)
-
-
-def test_a_plain_range_asks_for_the_unit_where_the_model_is_not_in_um():
-    line = ("trajectory", "sine", "--rate", 1000, "--frequency", 5, "--range")
+    assert PLAIN in refused(2, *line, "0:5um", "--model", without_units())
     values = values_of("small")
-    values["output"] |= {"unit": "nm"}
-    path = store("nm.json", values)
-    assert "3:10nm or 3:10um" in refused(2, *line, "3:10", "--model", path)
-    assert shell(*line, "3:8nm", "--model", path).out.startswith(
-        "time_s,displacement_nm"
-    )
+    values["output"] |= {"unit": "nm"}  # a plain range asks for the unit
+    by_model = ("--model", store("nm.json", values))
+    assert "3:10nm or 3:10um" in refused(2, *line, "3:10", *by_model)
+    assert shell(*line, "3:8nm", *by_model).out.startswith("time_s,displacement_nm")
 
 
 def test_a_model_in_mv_says_its_voltages_in_full():
@@ -559,9 +531,8 @@ def test_a_model_in_mv_says_its_voltages_in_full():
     values["stages"][0]["dx"] = [1e4 * width for width in values["stages"][0]["dx"]]
     path = store("mv.json", values)
     write("move.csv", MOVED, TIME, 5.0 - 4.9 * np.cos(30.0 * TIME))
-    said = shell(
-        "compensate", path, "move.csv", "--on-limit", "clip", "-o", "d.csv"
-    ).err
+    words = ("move.csv", "--on-limit", "clip", "-o", "d.csv")
+    said = shell("compensate", path, *words).err
     assert " mV" in said and "e+0" not in said
 
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from dbo_cli.drive import Driver, Lead, Limits
 from dbo_cli.errors import InputError, LimitError, UsageError
 
-from . import actuators as random
+from . import actuators as rig
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 RATE = 1000.0
@@ -26,37 +26,34 @@ def played(model, voltage, dt=DT, state="auto"):
     return np.asarray(model.run(voltage, state, dt).y)
 
 
-@given(random.actuators(static=True), st.sampled_from(["auto", "empty", "settled"]))
+@given(rig.actuators(static=True), st.sampled_from(["auto", "empty", "settled"]))
 @settings(max_examples=60, deadline=None, derandomize=True)
 def test_compensate_then_simulate_is_the_identity(model, state):
-    wanted = random.ripple(model, 700, 0.9)
+    wanted = rig.ripple(model, 700, 0.9)
     if state == "empty":
         wanted[:100] = np.linspace(model.output.min, wanted[100], 100)
         if model.sign == "falling":
             wanted[:100] = np.linspace(model.output.max, wanted[100], 100)
-    drive = random.plan(
-        model, wanted, DT, limits_of(model), state=state, on_limit="clip"
-    )
+    drive = rig.plan(model, wanted, DT, limits_of(model), state=state, on_limit="clip")
     y = played(model, drive.voltage, state=state)
     unclipped = drive.clipped == 0
     if unclipped:
-        begin = (
-            0 if state == "empty" else 1
-        )  # a settled start may step over the first value
+        # a settled start may step over the first value
+        begin = 0 if state == "empty" else 1
         assert np.abs(y - wanted)[begin:].max() <= 1e-11 * model.output.span
     else:
         assert drive.lost_most == pytest.approx(np.abs(y - wanted).max(), rel=1e-6)
 
 
-@given(random.actuators(), st.sampled_from([1, 7, 60, 333]), st.booleans())
+@given(rig.actuators(), st.sampled_from([1, 7, 60, 333]), st.booleans())
 @settings(max_examples=40, deadline=None, derandomize=True)
 def test_values_do_not_depend_on_blocks(model, rows, slow):
-    wanted = random.gentle(model, 300, 0.5)
+    wanted = rig.gentle(model, 300, 0.5)
     slew = 3.0 * model.input.span if slow else None
     limits = limits_of(model, max_slew=slew)
-    whole = random.plan(model, wanted, DT, limits, on_limit="clip")
+    whole = rig.plan(model, wanted, DT, limits, on_limit="clip")
     driver = Driver(model, limits, on_limit="clip")
-    drive = random.driven_in_blocks(driver, random.blocks_of(wanted, DT, rows))
+    drive = rig.driven_in_blocks(driver, rig.blocks_of(wanted, DT, rows))
     assert np.abs(drive.voltage - whole.voltage).max() <= 1e-12 * model.input.span
     assert drive.clipped == whole.clipped
     assert drive.first_clipped == whole.first_clipped
@@ -64,13 +61,13 @@ def test_values_do_not_depend_on_blocks(model, rows, slow):
 
 
 def test_a_pause_lets_memory_go_on():
-    model = random.actuator(tau=(0.5,), gain=(0.02,))
-    wanted = random.ripple(model, 500, 0.4)
-    first = random.plan(model, wanted, np.arange(500) * DT, limits_of(model))
+    model = rig.actuator(tau=(0.5,), gain=(0.02,))
+    wanted = rig.ripple(model, 500, 0.4)
+    first = rig.plan(model, wanted, np.arange(500) * DT, limits_of(model))
     hold = np.full(2000, first.voltage[-1])
     y = played(model, np.concatenate([first.voltage, hold]))
     time = 2.5 + np.arange(500) * DT
-    later = random.plan(model, wanted, time, limits_of(model), state=first.state)
+    later = rig.plan(model, wanted, time, limits_of(model), state=first.state)
     back = played(model, np.concatenate([first.voltage, hold, later.voltage]))
     assert np.abs(back[2500:] - wanted).max() < 1e-9
     assert abs(y[-1] - wanted[-1]) > 1e-3  # it crept meanwhile
@@ -80,49 +77,47 @@ def test_a_pause_lets_memory_go_on():
 
 
 def test_nothing_of_a_lead_that_is_too_long_leaves():
-    model = random.actuator()
+    model = rig.actuator()
     limits = limits_of(model, max_slew=1)
-    moves = random.blocks_of(random.ripple(model, 9), DT, 3)
-    parts = random.in_blocks(Driver(model, limits, Lead(condition=True)), moves)
+    moves = rig.blocks_of(rig.ripple(model, 9), DT, 3)
+    parts = rig.in_blocks(Driver(model, limits, Lead(condition=True)), moves)
     with pytest.raises(LimitError, match="max_slew"):
         next(parts)
 
 
-def test_what_cannot_be_driven():
-    model = random.actuator()
-    limits = limits_of(model)
-    with pytest.raises(InputError, match="unit"):
-        random.plan(model, np.full(10, 1e4), DT, limits)
-    with pytest.raises(InputError, match="row 3"):
-        random.plan(model, [1.0, 2.0, np.nan, 2.0], DT, limits)
-    with pytest.raises(InputError, match="row 3: time goes backwards"):
-        random.plan(model, [1.0, 2.0, 3.0, 4.0], [0.0, 0.2, 0.1, 0.3], limits)
-    with pytest.raises(InputError):
-        random.plan(model, [], DT, limits)
-    with pytest.raises(InputError, match="sample_rate"):
-        random.plan(model, [1.0, 2.0], None, limits_of(model, max_slew=1))
-    with pytest.raises(InputError, match="sample_rate"):
-        random.plan(model, [1.0, 2.0], None, limits, condition=True)
-    with pytest.raises(UsageError):
-        random.plan(model, [1.0, 2.0], DT, limits, on_limit="maybe")
-    late = random.actuator(delay=0.1)
-    with pytest.raises(LimitError, match="delay"):
-        random.plan(late, random.ripple(late, 20, 0.1), DT, limits)
-    uneven = np.cumsum(np.r_[0.0, 1e-3, 5e-3, 1e-3, 1e-3])
-    with pytest.raises(InputError, match="resample"):
-        random.plan(late, random.ripple(late, 5, 0.1), uneven, limits)
+LATE = rig.actuator(delay=0.1)
+UNEVEN = np.cumsum([0.0, 1e-3, 5e-3, 1e-3, 1e-3])
+
+
+@pytest.mark.parametrize(
+    ("error", "words", "wanted", "clock", "options"),
+    [
+        (InputError, "unit", np.full(10, 1e4), DT, {}),
+        (InputError, "row 3", [1.0, 2.0, np.nan, 2.0], DT, {}),
+        (InputError, "row 3: time goes back", np.arange(4.0), [0.0, 0.2, 0.1, 0.3], {}),
+        (InputError, None, [], DT, {}),
+        (InputError, "sample_rate", [1.0, 2.0], None, {"slew": 1}),
+        (InputError, "sample_rate", [1.0, 2.0], None, {"condition": True}),
+        (UsageError, None, [1.0, 2.0], DT, {"on_limit": "maybe"}),
+        (LimitError, "delay", rig.ripple(LATE, 20, 0.1), DT, {"model": LATE}),
+        (InputError, "resample", rig.ripple(LATE, 5, 0.1), UNEVEN, {"model": LATE}),
+    ],
+)
+def test_what_cannot_be_driven(error, words, wanted, clock, options):
+    options = {"model": rig.actuator(), "slew": None, **options}
+    limits = limits_of(options["model"], max_slew=options.pop("slew"))
+    with pytest.raises(error, match=words):
+        rig.plan(desired=wanted, clock=clock, limits=limits, **options)
 
 
 @pytest.mark.parametrize("value", [1e308, -1e61, math.inf, math.nan])
 def test_a_row_that_is_no_displacement_is_named(value):
-    model = random.actuator()
-    wanted = random.ripple(model, 100, 0.5)
+    model = rig.actuator()
+    wanted = rig.ripple(model, 100, 0.5)
     wanted[41] = value
     for options in ({}, {"bandwidth": 50.0}, {"periodic": True}):
         with pytest.raises(InputError, match="row 42"):
-            random.plan(model, wanted, DT, limits_of(model), **options)
-    rows = random.in_blocks(
-        Driver(model, limits_of(model)), random.blocks_of(wanted, DT, 30)
-    )
+            rig.plan(model, wanted, DT, limits_of(model), **options)
+    rows = rig.in_blocks(Driver(model, limits_of(model)), rig.blocks_of(wanted, DT, 30))
     with pytest.raises(InputError, match="row 42"):
         list(rows)

@@ -1,9 +1,12 @@
 """Exports in double give the bits of the library, whatever the model."""
 
+from pathlib import Path
+
 import firmware as fw
 import numpy as np
 import pytest
 
+import dbo_cli.model
 from dbo_cli.errors import UsageError
 from dbo_cli.export import export_model
 from dbo_cli.export.plan import with_fewer_gears
@@ -47,9 +50,7 @@ def test_the_bits_of_the_library(name, kept, tmp_path):
 
 @pytest.mark.parametrize("memory", [None, "soft"])
 def test_gears_beyond_the_range(memory, tmp_path):
-    from firmware import SOFT
-
-    model = fw.wide_model(SOFT if memory else None)
+    model = fw.wide_model(fw.SOFT if memory else None)
     limits = fw.limits_of(model, v_min=-5.0, v_max=105.0, extrapolate=True)
     firmware = exported(model, tmp_path, limits)
     assert "spare" in firmware.export.files["actuator.c"]
@@ -106,19 +107,10 @@ def test_more_gears_than_there_are_are_refused(gears):
 # ---- refusals and texts
 
 
-def test_files_of_the_kernel_are_the_very_files(tmp_path):
-    from pathlib import Path
-
-    import dbo_cli.model
-
-    made = export_model(
-        fw.MODELS["dynamics"], fw.limits_of(fw.MODELS["gears"]), sample_rate=fw.RATE
-    )
+def test_files_of_the_kernel_are_the_very_files():
+    limits = fw.limits_of(fw.MODELS["gears"])
+    made = export_model(fw.MODELS["dynamics"], limits, sample_rate=fw.RATE)
     own = Path(dbo_cli.model.__file__).parent
-    for name in (
-        "dbo_kernel.c",
-        "dbo_kernel.h",
-        "dbo_dynamics.c",
-        "dbo_interpolation.h",
-    ):
+    names = "dbo_kernel.c dbo_kernel.h dbo_dynamics.c dbo_interpolation.h"
+    for name in names.split():
         assert made.files[name] == (own / name).read_text()

@@ -28,7 +28,6 @@ FIRST = 1_767_323_045_000_000_000  # of STAMPS, ns since 1970
 
 def opened(path, part=""):
     reader = reader_of(str(path), path.read_bytes()[:1024])
-    assert reader is not None
     return reader(str(path), part, Reading())
 
 

@@ -86,8 +86,7 @@ def soft_links(file):
 
 
 @pytest.mark.parametrize(
-    "fill",
-    [plain, matrix, wide, compound, column_vectors, deeper, soft_links],
+    "fill", [plain, matrix, wide, compound, column_vectors, deeper, soft_links]
 )
 def test_columns_names_units_and_values(tmp_path, fill):
     source = opened(tmp_path, fill)
@@ -109,8 +108,7 @@ def test_parts_and_paths(tmp_path):
 
     source = opened(tmp_path, fill)
     assert names(source) == ["displacement", "time", "voltage"]  # the shallowest's
-    column = source.find("b/c/voltage")
-    assert column is not None
+    assert source.find("b/c/voltage") is not None
     np.testing.assert_array_equal(values(source, "b/c/voltage"), 2.0 * V)
     assert source.find("/b/c/time") is not None
     assert source.find("/b/none") is None
@@ -179,9 +177,18 @@ def test_a_scale_beside_a_dataset_is_not_passed_over(tmp_path):
         file["y"].attrs["missing_value"] = np.int16(-32768)
         file["z"] = np.array([0, 100, -1], dtype="i2")
         file["z"].attrs.update({"conversion": 0.001, "_FillValue": -1})
+        for key in keys:
+            file[key] = np.arange(3.0)
+            file[key].attrs[key] = 2.0
 
+    keys = ("scale_factor", "Scale", "Scale Factor", "GAIN")
     source = opened(tmp_path, fill)
-    for name, key in (("x", "x_scaling_factor"), ("z", "conversion")):
+    pairs = [
+        ("x", "x_scaling_factor"),
+        ("z", "conversion"),
+        *((key, key) for key in keys),
+    ]
+    for name, key in pairs:
         with pytest.raises(InputError, match=f"{key}.*`scale`"):
             values(source, name)
     np.testing.assert_array_equal(values(source, "y"), [0.0, np.nan, 2.0])
@@ -231,10 +238,7 @@ def external_storage(file, other):
     )
 
 
-@pytest.mark.parametrize(
-    "fill",
-    [external_link, virtual, external_storage],
-)
+@pytest.mark.parametrize("fill", [external_link, virtual, external_storage])
 def test_no_other_file_is_read(tmp_path, fill, monkeypatch):
     other = secret(tmp_path)
 

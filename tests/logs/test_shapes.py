@@ -53,7 +53,6 @@ def test_a_shape_is_right_or_refused(case, tmp_path):
     if case["time"] is None:
         assert table.time is None
     else:
-        assert table.time is not None
         np.testing.assert_allclose(table.time, case["time"], rtol=1e-12, atol=1e-15)
     assert log.clock.origin == pytest.approx(case.get("origin"), abs=1e-6)
     assert [column.unit for column in log.columns.values()] == case["units"]

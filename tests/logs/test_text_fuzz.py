@@ -1,14 +1,21 @@
-"""The tables of ``benchmarks/attack_files.py`` in small: read right or refused, never wrong in silence."""
+"""The files of ``benchmarks/attack_files.py`` in small: read right or refused, never wrong in silence."""
+
+from collections import Counter
 
 import pytest
-from random_tables import once
+from attack_files import Files
 
 
 @pytest.mark.parametrize("block", range(3))
 def test_nothing_is_misread(block, tmp_path):
-    outcomes = {}
-    for seed in range(300 * block, 300 * block + 300):
-        outcome = once(seed, tmp_path / "run.csv")
-        assert outcome != "wrong", f"seed {seed}"
-        outcomes[outcome] = outcomes.get(outcome, 0) + 1
-    assert outcomes["right"] > 90
+    files = Files(tmp_path)
+    seeds = range(300 * block, 300 * block + 300)
+    outcomes = Counter(files.tables(seed) for seed in seeds)
+    assert outcomes["wrong"] == 0 and outcomes["right"] > 90
+
+
+@pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
+@pytest.mark.parametrize("kind", ["texts_mutated", "models_mutated"])
+def test_damage_is_read_or_refused_in_one_line(kind, tmp_path):
+    attempt = getattr(Files(tmp_path), kind)
+    assert len({attempt(seed) for seed in range(400)}) > 1
