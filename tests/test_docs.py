@@ -47,9 +47,7 @@ def all_options():
 
 def command_lines(path):
     """Return the lines of a page that call the program."""
-    text = re.sub(
-        r"^```text\n.*?^```$", "", path.read_text(), flags=re.MULTILINE | re.DOTALL
-    )
+    text = re.sub(r"(?ms)^```text\n.*?^```$", "", path.read_text())
     found = []
     for line in text.replace("\\\n", " ").splitlines():
         if line.startswith(("    dbo ", "dbo ")):

@@ -108,14 +108,8 @@ def test_make_leaves_a_table_and_goes_on(batch):
 )
 def test_snakemake_leaves_the_same_table(batch):
     program = Path(sys.executable).parent / "snakemake"
-    words = [
-        str(program),
-        "-s",
-        str(WORKFLOW / "Snakefile"),
-        "--cores",
-        "2",
-        "--config",
-    ]
+    words = [str(program), "-s", str(WORKFLOW / "Snakefile"), "--cores", "2"]
+    words.append("--config")
     words += [f"dbo={sys.executable} -m dbo_cli", f"identify={IDENTIFY}"]
     done = made(batch, *words)
     assert done.returncode == 1, done.stderr

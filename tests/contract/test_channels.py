@@ -203,9 +203,8 @@ def test_what_stands_around_the_move_takes_equally_long(scanner, words):
     np.testing.assert_allclose(np.diff(time), 0.002, atol=1e-9)
     wanted = table(scanner)
     for axis in "xy":
-        np.testing.assert_allclose(
-            written[f"desired_{axis}_um"][move], wanted[f"D{axis}_um"], atol=1e-12
-        )
+        desired = written[f"desired_{axis}_um"][move]
+        np.testing.assert_allclose(desired, wanted[f"D{axis}_um"], atol=1e-12)
         assert np.isfinite(written[f"voltage_{axis}_V"]).all()
     if "y=8" in words:
         assert written["voltage_y_V"].max() <= 8.0 < written["voltage_x_V"].max()
@@ -271,11 +270,8 @@ def test_a_scanner_is_learned_and_looped(scanner):
 
 def test_a_limit_of_a_channel_is_typed_with_its_name(scanner):
     words = ("compensate", "scanner.json", scanner, *SCANNER, "-o", "x.csv")
-    for wrong in (
-        "--v-max z=9",
-        "--v-max x=9 --v-max x=8",
-        "--v-max 120 --extrapolate",
-    ):
+    wrong_lines = "--v-max z=9", "--v-max x=9 --v-max x=8", "--v-max 120 --extrapolate"
+    for wrong in wrong_lines:
         assert "--v-max" in refused(2, *words, *wrong.split())
     done(*words, "--v-max", "x=12", "--v-max", "y=10", "--extrapolate")
     line = ("compensate", "scanner.json::x", scanner, "--displacement", "Dx_um")

@@ -71,9 +71,8 @@ def test_extrapolate_leaves_the_identified_range_as_far_as_typed():
     move(sine(9.5))
     words = ("--v-max", 12)
     assert compensated("small", *words, "--on-limit", "clip")["voltage_V"].max() == 10.0
-    assert (
-        10.0 < compensated("small", *words, "--extrapolate")["voltage_V"].max() < 12.0
-    )
+    beyond = compensated("small", *words, "--extrapolate")["voltage_V"].max()
+    assert 10.0 < beyond < 12.0
 
 
 def test_limits_and_trajectories_take_units():
@@ -189,9 +188,8 @@ def test_a_long_file_gives_what_one_array_gives(name):
     wanted = 2.5 + np.sin(3.0 * time) * np.cos(0.7 * time)
     write("wish.csv", MOVE, time, wanted)
     written = compensated(name, "--on-limit", "clip", "--max-slew", 300)["voltage_V"]
-    whole = dbo_cli.read_model(model(name)).compensate(
-        wanted, time=time, on_limit="clip", max_slew=300.0
-    )
+    limited = {"time": time, "on_limit": "clip", "max_slew": 300.0}
+    whole = dbo_cli.read_model(model(name)).compensate(wanted, **limited)
     np.testing.assert_allclose(written, whole, rtol=0, atol=1e-9)
 
 
@@ -232,11 +230,9 @@ def test_a_loop_keeps_the_slew_over_its_seam(name, slew, code):
 
 def test_passes_come_before_the_settled_one():
     move(2.5 + np.sin(PHASE))
-    rows = [
-        compensated("creep", "--periodic", *more)["time_s"].size
-        for more in ((), ("--passes", 2))
-    ]
-    assert rows[1] - rows[0] in (400, 800)
+    once = compensated("creep", "--periodic")["time_s"].size
+    more = compensated("creep", "--periodic", "--passes", 2)["time_s"].size
+    assert more - once in (400, 800)
     assert rms(simulated("creep", "drive.csv")[-400:] - (2.5 + np.sin(PHASE))) < 0.01
 
 
@@ -250,10 +246,8 @@ def test_a_loop_that_does_not_close_and_options_without_a_partner_are_refused():
 
 def test_bandwidth_rounds_the_corners_and_resample_writes_at_the_card_s_rate():
     move(np.interp(TIME, [0.0, 0.1, 0.3, 0.4], [2.0, 2.0, 7.0, 7.0]))
-    bend = [
-        np.abs(np.diff(compensated("small", *more)["voltage_V"], 2)).max()
-        for more in ((), ("--bandwidth", 20))
-    ]
+    sharp, round_ = compensated("small"), compensated("small", "--bandwidth", 20)
+    bend = [np.abs(np.diff(one["voltage_V"], 2)).max() for one in (sharp, round_)]
     assert bend[1] < bend[0]
     written = compensated("small", "--resample", "2kHz")
     np.testing.assert_allclose(np.diff(written["time_s"]), 0.0005, rtol=1e-9)
@@ -332,9 +326,8 @@ def test_hdf5_holds_units_model_and_limits():
         attributes = {key: str(value) for key, value in file.attrs.items()}
         stored = file["voltage"][:]
     assert "9.5" in json.dumps(attributes)
-    np.testing.assert_array_equal(
-        stored, compensated("small", "--v-max", 9.5)["voltage_V"]
-    )
+    text = compensated("small", "--v-max", 9.5)["voltage_V"]
+    np.testing.assert_array_equal(stored, text)
 
 
 def test_a_saved_state_joins_two_moves():

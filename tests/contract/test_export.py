@@ -27,9 +27,8 @@ def wanted_of(name, rows=3000):
     actuator = dbo_cli.read_model(model(name))
     low, high = actuator.output.min, actuator.output.max
     steps = np.random.default_rng(8).normal(0.0, 0.02, rows)
-    way = np.abs((np.cumsum(steps) + 4.0) % 2.0 - 1.0) * np.minimum(
-        1.0, np.arange(rows) / 200.0
-    )
+    grown = np.minimum(1.0, np.arange(rows) / 200.0)
+    way = grown * np.abs((np.cumsum(steps) + 4.0) % 2.0 - 1.0)
     return low + (high - low) * (0.02 + 0.9 * way)
 
 
@@ -52,9 +51,8 @@ def test_the_input_comes_so_many_samples_earlier_as_live(name):
     library = compiled(name)
     header = Path("firmware/stage.h").read_text()
     ahead = re.search(r"#define STAGE_AHEAD (\d+)", header)
-    live = dbo_cli.read_model(model(name)).controller(
-        sample_rate=RATE, lookahead="auto", state="empty"
-    )
+    options = {"sample_rate": RATE, "lookahead": "auto", "state": "empty"}
+    live = dbo_cli.read_model(model(name)).controller(**options)
     assert ahead is not None and int(ahead[1]) == live.lookahead > 0
     wanted = wanted_of(name, 600)
     expected = [live.step(value) for value in wanted.tolist()]
@@ -64,9 +62,8 @@ def test_the_input_comes_so_many_samples_earlier_as_live(name):
 
 @pytest.mark.parametrize("arithmetic", ["double", "q31"])
 def test_the_self_test_passes_and_fails_where_a_table_differs(arithmetic):
-    outcome = done(
-        "export", model("creep"), "--arithmetic", arithmetic, *WORDS[:-3], *WORDS[-2:]
-    )
+    words = ("--arithmetic", arithmetic, *WORDS[:-3], *WORDS[-2:])
+    outcome = done("export", model("creep"), *words)
     said = Path("firmware/README.md").read_text() + outcome.err
     assert arithmetic == "double" or re.search(r"\d(\.\d+)? ?%", said)  # its bound
     assert built().self_test()[0] == 0
@@ -111,10 +108,8 @@ def test_the_same_model_gives_the_same_bytes_without_path_and_date():
         assert str(Path.cwd()) not in text
         assert not re.search(r"20\d\d-\d\d-\d\d", text)
     done("export", model("known"), *WORDS)
-    sizes = [
-        sum(path.stat().st_size for path in Path(folder).glob("*.c"))
-        for folder in ("one", "firmware")
-    ]
+    sources = [Path(folder).glob("*.c") for folder in ("one", "firmware")]
+    sizes = [sum(path.stat().st_size for path in paths) for paths in sources]
     assert abs(sizes[0] - sizes[1]) < 100
     assert "candidates" not in done("invert", model("known")).json
     assert values_of("known")["candidates"]

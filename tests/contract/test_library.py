@@ -14,9 +14,7 @@ from mypy import api
 import dbo_cli as dbo
 from dbo_cli.library import Move
 
-from .program import (
-    MOVE, SAMPLES, compensated, done, model, rms, table, write,
-)  # fmt: skip
+from .program import MOVE, SAMPLES, compensated, done, model, rms, table, write
 
 TIME = np.arange(400) / 1000.0
 WANTED = 5.0 - 3.0 * np.cos(2.0 * np.pi * 5.0 * TIME)
@@ -198,17 +196,6 @@ def test_compensate_is_the_shell_s(creep):
     np.testing.assert_allclose(drive.time, shell["time_s"], atol=1e-12)
     plain = creep.compensate(SLOW, time=TIME)
     assert isinstance(plain, np.ndarray) and plain.shape == SLOW.shape
-
-
-def test_details_are_numbers():
-    known = dbo.read_model(model("known"))
-    drive = known.compensate(SLOW, time=TIME, condition=True, details=True)
-    assert isinstance(drive.expected_error, float) and drive.expected_error > 0.0
-    assert drive.clipped == 0 and drive.lost_rms == 0.0
-    assert drive.time[0] < 0.0 and len(drive.voltage[drive.move]) == len(SLOW)
-    came = known.simulate(drive.voltage, time=drive.time, state="full")
-    assert rms(came[drive.move][1:] - SLOW[1:]) < 0.05
-    assert drive.summary()["expected_rmse"] == drive.expected_error
 
 
 @pytest.mark.parametrize("zone", [None, "UTC", "Asia/Tokyo"])

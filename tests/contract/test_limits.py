@@ -400,16 +400,8 @@ def test_a_check_needs_something_to_check_and_bounds_that_are_bounds():
 def test_a_loop_behind_its_run_in_asks_for_the_rows_of_the_period():
     period = 3.0 + 2.0 * np.sin(2.0 * np.pi * np.arange(200) / 200.0)
     write("period.csv", MOVE, TIME[:200], period)
-    done(
-        "compensate",
-        model("creep"),
-        "period.csv",
-        "--periodic",
-        "--passes",
-        2,
-        "-o",
-        "loop.csv",
-    )
+    words = ("--periodic", "--passes", 2, "-o", "loop.csv")
+    done("compensate", model("creep"), "period.csv", *words)
     assert "--rows" in failed("loop.csv", "--loop").lines[-1]
     words = ("waveform", "loop.csv", "--to", "npy", "--loop", "-o", "loop.npy")
     assert "--rows" in dbo(*words).lines[-1]
@@ -420,11 +412,9 @@ def test_a_loop_behind_its_run_in_asks_for_the_rows_of_the_period():
 def test_a_loop_that_does_not_close_names_no_step_that_is_allowed():
     wish = 3.0 + 2.0 * np.sin(2.0 * np.pi * np.arange(200) / 200.0)
     write("loop.csv", MOVE, TIME[:200], wish)
-    line = refused(
-        3, "compensate", model("creep"), "loop.csv", "--periodic", "--max-slew", 1000
-    )
-    assert "does not close within --max-slew 1000 V/s" in line
-    done("compensate", model("creep"), "loop.csv", "--periodic", "--max-slew", 1500)
+    words = ("compensate", model("creep"), "loop.csv", "--periodic", "--max-slew")
+    assert "does not close within --max-slew 1000 V/s" in refused(3, *words, 1000)
+    done(*words, 1500)
 
 
 # --- ``check``: is it what was played ---
@@ -469,8 +459,6 @@ def test_a_recording_is_what_was_played(columns, words, code, held):
     assert outcome.code == code, outcome.err
     assert held in outcome.out + outcome.err
 
-
-# --- what the program wrote passes its own check ---
 
 CLOCKS = st.fixed_dictionaries(
     {

@@ -67,10 +67,9 @@ def test_a_loop_goes_on_where_it_ended(kind):
 
 def test_bandwidth_rounds_corners():
     words = ("triangle", "--rate", 5000, *WORDS[2:])
-    bends = [
-        np.abs(np.diff(list(shape(*words, *more).values())[-1], 2)).max()
-        for more in ((), ("--bandwidth", 50))
-    ]
+    moves = [shape(*words)["displacement_um"]]
+    moves.append(shape(*words, "--bandwidth", 50)["displacement_um"])
+    bends = [np.abs(np.diff(moved, 2)).max() for moved in moves]
     assert bends[1] < 0.5 * bends[0]
 
 
@@ -93,6 +92,9 @@ def waveform(form, name, *words):
 def test_numpy_reads_npy_and_the_gain_is_divided_out():
     waveform("npy", "d.npy")
     np.testing.assert_allclose(np.load("d.npy").ravel(), VOLTS, rtol=1e-12)
+    waveform("npy", "d.npy", "--points", 500)
+    points = np.load("d.npy").ravel()
+    assert len(points) == 500 and points.min() >= 9.9 and points.max() <= 90.1
     words = ("--to", "npy", "--gain", 20, "-o", "d.npy")
     outcome = done("waveform", "drive.csv", *words)
     written = np.load("d.npy").ravel()
@@ -146,13 +148,6 @@ def test_pi_gcs_is_text():
     assert lines[1].startswith("WAV 1 & PNT 11 10 ")
     points = [float(word) for line in lines for word in line.split()[6:]]
     np.testing.assert_allclose(points, VOLTS / 20.0, rtol=1e-12)
-
-
-def test_another_number_of_points():
-    waveform("npy", "d.npy", "--points", 500)
-    points = np.load("d.npy").ravel()
-    assert len(points) == 500
-    assert points.min() >= 9.9 and points.max() <= 90.1
 
 
 @pytest.mark.parametrize("limits", ["--v-max 89", "--v-min 11", "--max-slew 900"])

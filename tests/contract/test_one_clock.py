@@ -1,8 +1,5 @@
 """Two recordings of one drive on one clock: ``report``, ``check``, ``--tracked``, ``--clock-offset``."""
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -197,15 +194,14 @@ def test_what_was_learned_moves_the_first_value_and_no_row(start):
     for _ in range(4):
         done(*words)
         drive = table("drive.csv")
-        moved = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
+        moved = simulated("creep", "drive.csv")
         moved = 0.05 + 1.03 * moved + 0.03 * np.sin(2.0 * moved)
         error = (moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP]
         errors.append(float(np.std(error)))
         stamps = drive["time_s"]
         if start is not None:
             stamps = start + STEP * np.arange(len(moved))
-        header = "time_s,voltage_V,measured_um"
-        write("pass.csv", header, stamps, drive["voltage_V"], moved)
+        write("pass.csv", PASS, stamps, drive["voltage_V"], moved)
         words[6:] = ["--tracked", "pass.csv", "--history", "h.json", "-o", "drive.csv"]
     assert max(errors[1:]) < 0.5 * errors[0], errors
 
@@ -213,10 +209,7 @@ def test_what_was_learned_moves_the_first_value_and_no_row(start):
 @pytest.mark.parametrize("name", ["late", "moving", "creep"])
 def test_rows_at_rest_behind_a_sweep_are_none_of_the_move(name):
     """A delay keeps some rows still behind the sweep: the move was taken to begin before them."""
-    low, high = (
-        json.loads(Path(model(name)).read_text())["output"][end]
-        for end in ("min", "max")
-    )
+    low, high = (values_of(name)["output"][end] for end in ("min", "max"))
     time = TIME[:3000]
     hump = np.sin(np.pi * np.clip((time - 0.5) / 2.0, 0.0, 1.0)) ** 2
     desired = low + (high - low) * (0.3 + 0.4 * hump)
@@ -228,8 +221,7 @@ def test_rows_at_rest_behind_a_sweep_are_none_of_the_move(name):
     moved += 1e-3 * (high - low) * np.sin(np.arange(len(moved)) / 50.0)
     error = (moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP]
     stamps = STEP * np.arange(len(moved))
-    header = "time_s,voltage_V,measured_um"
-    write("pass.csv", header, stamps, drive["voltage_V"], moved)
+    write("pass.csv", PASS, stamps, drive["voltage_V"], moved)
     outcome = done(*words, "next.csv", "--tracked", "pass.csv", "--bandwidth", 20)
     told = next(line for line in outcome.lines if "expected error" in line)
     assert float(told.split()[3]) == pytest.approx(np.std(error), rel=0.05)
@@ -273,10 +265,8 @@ def test_a_raster_recorded_without_its_drive_repeats_only_as_far_as_the_recordin
         words = ("raster.csv", "--displacement", f"{axis}_um", "--from", 0)
         done("compensate", model("creep"), *words, "--approach", 0.1, "-o", "d.csv")
         drive = table("d.csv")
-        moved = simulated("creep", "d.csv")
-        moved = 1.004 * moved + 0.003 * np.random.default_rng(1).standard_normal(
-            len(moved)
-        )
+        moved = 1.004 * simulated("creep", "d.csv")
+        moved += 0.003 * np.random.default_rng(1).standard_normal(len(moved))
         write("pass.csv", "time_s,measured_um", STEP * np.arange(len(moved)), moved)
         asked = ("--trajectory", "raster.csv", "--desired", f"{axis}_um")
         outcome = done("report", "pass.csv", *asked, "--format", "json")
@@ -406,9 +396,8 @@ def test_a_late_sensor_is_no_error():
     write("move.csv", MOVE, TIME, 3.0 - 2.0 * np.cos(np.pi * TIME))
     words = ("compensate", "m.json", "move.csv", "--condition", "--from", 0)
     done(*words, "-o", "d.csv", "--summary", "s.json")
-    assert (
-        load("m.json")["fit"]["sensor_delay"] == late == load("s.json")["sensor_delay"]
-    )
+    assert load("m.json")["fit"]["sensor_delay"] == late
+    assert load("s.json")["sensor_delay"] == late
     stamps, desired, volts = table("d.csv").values()
     truth = simulated("creep", "d.csv")
     write("pass.csv", PASS, stamps, volts, np.interp(stamps - late, stamps, truth))
@@ -420,9 +409,6 @@ def test_a_late_sensor_is_no_error():
     stamps, desired, _ = table("next.csv").values()
     truth = simulated("creep", "next.csv")
     assert rms((truth - desired)[stamps > -0.5 * STEP]) < off
-
-
-# --- why an error is larger than expected ---
 
 
 def told_of(measured, desired, expected):
@@ -442,21 +428,14 @@ def test_the_largest_cause_of_an_error_is_named_and_noise_is_none():
     assert "mean is 0.1" in mean and "identify again" not in mean
     late = 3.0 + 2.0 * np.sin(2.0 * np.pi * 0.5 * (TIME - 8e-3))
     (lag,) = told_of(late + white, desired, 0.005)
-    assert (
-        "8.0" in lag
-        and "ms late" in lag
-        and "sensor_delay" not in lag
-        and "--sensor-delay" in lag
-    )
+    assert "8.0" in lag and "ms late" in lag
+    assert "sensor_delay" not in lag and "--sensor-delay" in lag
     jump = np.where((TIME > 2.0) & (TIME < 2.02), 1.0, 0.0)
     (rows,) = told_of(desired + white + jump, desired, 0.005)
     assert "row 2,0" in rows
     loop = 0.05 * np.cos(2.0 * np.pi * 1.0 * TIME)
     (again,) = told_of(desired + white + loop, desired, 0.005)
     assert "identify again" in again
-
-
-# --- a loop at a generator ---
 
 
 def test_a_loop_keeps_its_period_at_other_points():

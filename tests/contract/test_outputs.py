@@ -12,8 +12,17 @@ import numpy as np
 import pytest
 
 from .program import (
-    PAIR, PASS, PROGRAM, dbo, done, listing, model, refused, table, write,
-)  # fmt: skip
+    PAIR,
+    PASS,
+    PROGRAM,
+    dbo,
+    done,
+    listing,
+    model,
+    refused,
+    table,
+    write,
+)
 
 SMALL = model("small")
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals and pipes")

@@ -124,9 +124,8 @@ def test_memory_does_not_grow_with_the_file(command):
     header = "voltage_V" if command == "simulate" else "displacement_um"
     most = []
     for rows in (800_000, 2_400_000):
-        Path("long.csv").write_text(
-            f"{header}\n" + "1.2345678\n5.2345678\n" * (rows // 2)
-        )
+        content = "1.2345678\n5.2345678\n" * (rows // 2)
+        Path("long.csv").write_text(f"{header}\n{content}")
         words = [command, str(SMALL), "long.csv", "-o", "out.csv", "-q"]
         line = [sys.executable, "-c", MEMORY, *words]
         ended = subprocess.run(line, capture_output=True, check=True)

@@ -59,12 +59,8 @@ def test_text_is_aligned_and_csv_is_a_line_a_log():
 
 
 def test_the_form_follows_the_name():
-    for name, start in (
-        ("r.json", "{"),
-        ("r.html", "<!"),
-        ("r.csv", ""),
-        ("r.txt", ""),
-    ):
+    starts = {"r.json": "{", "r.html": "<!", "r.csv": "", "r.txt": ""}
+    for name, start in starts.items():
         done("report", "good.csv", "-o", name)
         text = Path(name).read_text()
         assert text.startswith(start) and "good.csv" in text
@@ -206,8 +202,6 @@ def test_an_error_beside_the_expected_one():
     assert told["logs"][0]["expected_rmse"] == pytest.approx(expected)
     assert any("20" in text for text in [*told["warnings"], *outcome.lines])
 
-
-# --- refusals ---
 
 REFUSED = {
     "good.csv --lag 600": "--lag",

@@ -60,13 +60,8 @@ def test_version_and_help_name_every_command_and_exit_code():
     assert [name for name in listed if name in OPTIONS] == list(OPTIONS)
     assert done("-h").out == page
     words = " ".join(page.split())
-    for code in (
-        "0 done",
-        "1 input",
-        "2 wrong command line",
-        "3 outside",
-        "130 interr",
-    ):
+    codes = "0 done", "1 input", "2 wrong command line", "3 outside", "130 interr"
+    for code in codes:
         assert code in words
 
 

@@ -26,9 +26,7 @@ WAYS = {
     "quotes": ('"time_s","voltage_V"', '"{}","{}"'),
     "a remark": ("time_s,voltage_V,remark", "{},{},ok"),
 }
-QUIET = (
-    20_000  # rows that show nothing; 150 kB, more than is looked at to find a layout
-)
+QUIET = 20_000  # rows that show nothing; 150 kB: more than is looked at for a layout
 
 
 def write_numbers(numbers, way):

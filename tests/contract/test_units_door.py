@@ -325,9 +325,6 @@ def test_whole_frames_are_read_as_files_are(creep, nanometers):
     np.testing.assert_array_equal(creep.compensate(named), drive)
 
 
-# --- states ---
-
-
 def test_a_state_is_of_its_model(creep):
     other = dbo.read_model(model("soft"))
     drive = 50.0 - 50.0 * np.cos(30.0 * TIME)
@@ -354,9 +351,6 @@ def test_a_state_is_of_its_model(creep):
     assert [by_file.step(x) for x in MOVE] == [by_value.step(x) for x in MOVE]
     with pytest.raises(dbo.InputError, match=r"no\.json"):
         creep.controller(sample_rate=1000.0, state="no.json")
-
-
-# --- wrong words ---
 
 
 NEAR = {
@@ -421,11 +415,11 @@ def test_the_library_reads_what_the_shell_reads(units, shape, order, seed, libra
     }[library]()
     actuator = dbo.read_model(model("creep"))
     volts = compensated("creep", "--on-limit", "clip", wish="log.csv")["voltage_V"]
-    for found, written in (
-        (actuator.simulate(frame), simulated("creep", "log.csv")),
-        (actuator.compensate(frame, on_limit="clip"), volts),
-    ):
-        np.testing.assert_allclose(found, written, rtol=0, atol=1e-10)
+    moved = simulated("creep", "log.csv")
+    near = {"rtol": 0, "atol": 1e-10}
+    np.testing.assert_allclose(actuator.simulate(frame), moved, **near)
+    driven = actuator.compensate(frame, on_limit="clip")
+    np.testing.assert_allclose(driven, volts, **near)
     # the same columns as Series: taken as they are, or refused; never as something else
     clip = {"time": time, "on_limit": "clip"}
     for role, call, wanted in (

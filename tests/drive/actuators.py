@@ -23,7 +23,6 @@ def actuator(
     scale=1.0,
     sections=(),
     delay=0.0,
-    fit=None,
 ):
     """Return a forward model; ``bend`` and ``curve`` are slopes of points before and behind the gears."""
     dx = np.full(gears, (high - low) / gears)
@@ -44,10 +43,10 @@ def actuator(
         stages.append(dm.Delay(delay))
     voltage = dm.Quantity("voltage", "V", low, high)
     guess = dm.Quantity("displacement", "um", -1e3, 1e3)
-    model = dm.Cascade("forward", voltage, guess, tuple(stages), fit or {})
+    model = dm.Cascade("forward", voltage, guess, tuple(stages))
     ends = reach(model, low, high)
     reached = dm.Quantity("displacement", "um", min(ends), max(ends))
-    return dm.Cascade("forward", voltage, reached, tuple(stages), fit or {})
+    return dm.Cascade("forward", voltage, reached, tuple(stages))
 
 
 def _points(slopes, low, high):

@@ -65,9 +65,8 @@ def test_options_that_are_none():
     with pytest.raises(UsageError, match="from"):
         plan(model, [1.0, 2.0, 3.0], DT, limits, approach="auto")
     for number in (np.float32(0.5), np.int64(1), 1):
-        assert Lead(approach=number, rest=number) == Lead(
-            approach=float(number), rest=float(number)
-        )
+        plain = Lead(approach=float(number), rest=float(number))
+        assert Lead(approach=number, rest=number) == plain
     state = plan(model, [1.0, 2.0, 3.0], DT, limits).state
     with pytest.raises(UsageError, match="contradicts"):
         plan(model, [1.0, 2.0, 3.0], DT, limits, start=77.0, state=state)

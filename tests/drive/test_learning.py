@@ -33,9 +33,8 @@ def learned(model, plant, passes, noise=0.0):
         passes = {"tracked": tracked, "history": history, "on_limit": "clip"}
         drive = plan(model, wanted, DT, limits, state="empty", **passes)
         history = list(drive.history)
-        y = plant.run(
-            drive.voltage, plant.start(float(drive.voltage[0]), "empty"), DT
-        ).y
+        begun = plant.start(float(drive.voltage[0]), "empty")
+        y = plant.run(drive.voltage, begun, DT).y
         error = (y - wanted)[700:-700]
         errors.append(100.0 * float(np.std(error)) / float(np.ptp(wanted)))
         measured = y + noise * rng.standard_normal(y.size)
@@ -48,20 +47,10 @@ def learned(model, plant, passes, noise=0.0):
     [(760.0, 0.02), (700.0, 0.005), (600.0, 0.01), (900.0, 0.005)],
 )
 def test_learning_converges_with_a_mistuned_model(frequency, damping):
-    model = actuator(
-        256,
-        growth=1.5,
-        tau=(0.5, 20.0),
-        gain=(0.002, 0.002),
-        sections=(Resonance(800.0, 0.02),),
-    )
-    plant = actuator(
-        256,
-        growth=1.7,
-        tau=(0.5, 20.0),
-        gain=(0.002, 0.002),
-        sections=(Resonance(frequency, damping),),
-    )
+    creep = {"tau": (0.5, 20.0), "gain": (0.002, 0.002)}
+    assumed, truth = Resonance(800.0, 0.02), Resonance(frequency, damping)
+    model = actuator(256, growth=1.5, sections=(assumed,), **creep)
+    plant = actuator(256, growth=1.7, sections=(truth,), **creep)
     errors = learned(model, plant, 12, noise=0.005)
     assert errors[0] > 0.5
     assert errors[3] < 0.5 * errors[0]
@@ -83,9 +72,8 @@ def test_growth_is_refused():
         plan(model, wanted, DT, limits, state="empty", tracked=scaled, history=before)
     lesson = plan(model, wanted, DT, limits, state="empty", tracked=tracked)
     again = [*lesson.history, PassRecord("what came of it", 9.0)]
-    repeated = plan(
-        model, wanted, DT, limits, state="empty", tracked=tracked, history=again
-    )
+    learned_again = {"state": "empty", "tracked": tracked, "history": again}
+    repeated = plan(model, wanted, DT, limits, **learned_again)
     assert repeated.history == lesson.history
 
 

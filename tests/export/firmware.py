@@ -45,14 +45,12 @@ def curve(low, high, bend):
 def model_of(*stages, low=LOW, high=HIGH):
     """Return a forward model whose displacement range is what it reaches slowly."""
     voltage = dm.Quantity("voltage", "V", low, high)
-    wide = dm.Cascade(
-        "forward", voltage, dm.Quantity("displacement", "um", -1e3, 1e3), stages
-    )
+    guess = dm.Quantity("displacement", "um", -1e3, 1e3)
+    wide = dm.Cascade("forward", voltage, guess, stages)
     y, _ = wide.static.simulate([low, high], dt=1e9)
     ends = sorted(y.tolist())
-    return dm.Cascade(
-        "forward", voltage, dm.Quantity("displacement", "um", *ends), stages
-    )
+    reached = dm.Quantity("displacement", "um", *ends)
+    return dm.Cascade("forward", voltage, reached, stages)
 
 
 CREEP = dm.Relaxation(0.0, (0.01, 0.3), (0.004, 0.006))
@@ -86,9 +84,7 @@ def wide_model(relaxation=None):
     dx = np.concatenate([inside.dx, np.full(6, 2.5)])
     dy = np.concatenate([inside.dy, np.full(6, 0.2)])
     below = 7.5  # three of them
-    return model_of(
-        dm.Gears(dx, dy, LOW - below, 0.3 - 0.6, relaxation), low=LOW, high=HIGH
-    )
+    return model_of(dm.Gears(dx, dy, LOW - below, 0.3 - 0.6, relaxation))
 
 
 def wish(model, rows=1500, seed=3):
@@ -184,9 +180,7 @@ class Firmware:
         """Compile and run the self-test; return its exit code and what it says."""
         program = self.folder / "self"
         self._compile([*self._objects("play.c"), "-o", program])
-        done = subprocess.run(
-            [str(program)], capture_output=True, text=True, check=False
-        )
+        done = subprocess.run([str(program)], capture_output=True, text=True)
         return done.returncode, done.stdout
 
 
@@ -204,6 +198,5 @@ def values_of(counts, quantity):
 
 def with_rest(export, wanted):
     """Return a move behind a rest at its first value, as long as the export reads ahead and a little more."""
-    return np.concatenate(
-        [np.full(export.figures["ahead"] + MORE_REST, wanted[0]), wanted]
-    )
+    rest = np.full(export.figures["ahead"] + MORE_REST, wanted[0])
+    return np.concatenate([rest, wanted])

@@ -104,9 +104,6 @@ def test_more_gears_than_there_are_are_refused(gears):
         with_fewer_gears(fw.MODELS["creep"], gears)
 
 
-# ---- refusals and texts
-
-
 def test_files_of_the_kernel_are_the_very_files():
     limits = fw.limits_of(fw.MODELS["gears"])
     made = export_model(fw.MODELS["dynamics"], limits, sample_rate=fw.RATE)

@@ -23,9 +23,8 @@ def read(path, **reading):
 
 def test_uneven_time_gives_each_step(tmp_path):
     with pytest.warns(DboWarning) as said:
-        table, _ = read(
-            write(tmp_path, ["0", "0.001", "0.003", "0.004", "0.020", "0.020"])
-        )
+        stamps = "0 0.001 0.003 0.004 0.020 0.020"
+        table, _ = read(write(tmp_path, stamps.split()))
     assert isinstance(table.dt, np.ndarray)
     assert table.dt.tolist() == pytest.approx([0.001, 0.001, 0.002, 0.001, 0.016, 0.0])
     texts = [str(warning.message) for warning in said]
@@ -42,9 +41,7 @@ def test_units_of_time(header, factor, tmp_path):
     step = 0.5 if factor >= 1.0 else 1000.0
     path = write(tmp_path, [str(step * n) for n in range(4)], header)
     time = read(path)[0].time
-    assert time.tolist() == pytest.approx(
-        [step * factor * n for n in range(4)], rel=1e-15
-    )
+    assert time.tolist() == pytest.approx(step * factor * np.arange(4), rel=1e-15)
 
 
 def test_the_unit_is_given(tmp_path):
@@ -101,9 +98,8 @@ def test_resampling_is_linear_and_even(tmp_path):
     path = write(tmp_path, ["0", "0.1", "0.4", "0.5"])
     table, log = read(path, resample=10.0)
     assert table.dt == pytest.approx(0.1)
-    assert table["voltage"].tolist() == pytest.approx(
-        [0.5, 1.5, 1.5 + 1 / 3, 1.5 + 2 / 3, 2.5, 3.5]
-    )
+    linear = [0.5, 1.5, 1.5 + 1 / 3, 1.5 + 2 / 3, 2.5, 3.5]
+    assert table["voltage"].tolist() == pytest.approx(linear)
     assert any("interpolated" in remark for remark in log.remarks)
     with pytest.raises(InputError, match="`resample`"):
         read(path, resample=0.1)

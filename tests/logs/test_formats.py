@@ -38,9 +38,8 @@ def read(source):
         source.close()
     found = {}
     for place, column in enumerate(source.columns):
-        found[column.name or str(column.number)] = np.concatenate(
-            [b[place] for b in blocks]
-        )
+        values = np.concatenate([block[place] for block in blocks])
+        found[column.name or str(column.number)] = values
     return found
 
 
@@ -115,19 +114,13 @@ def test_a_matrix_is_read_along_its_longer_axis(tmp_path, order, turned):
 
 
 DATES = np.array(STAMPS, dtype="M8[us]")
-TOKYO = (
-    pl.Series("t", STAMPS)
-    .dt.replace_time_zone("UTC")
-    .dt.convert_time_zone("Asia/Tokyo")
-)
+UTC = pl.Series("t", STAMPS).dt.replace_time_zone("UTC")
+TOKYO = UTC.dt.convert_time_zone("Asia/Tokyo")
 
 
 def stamped_tdms(path):
-    segments(
-        path,
-        nptdms.ChannelObject("g", "t", DATES),
-        nptdms.ChannelObject("g", "v", np.array(V)),
-    )
+    columns = {"t": DATES, "v": np.array(V)}
+    segments(path, *(nptdms.ChannelObject("g", *each) for each in columns.items()))
 
 
 @pytest.mark.parametrize(
@@ -166,9 +159,8 @@ def test_rates_that_files_state(tmp_path):
 def test_parts_are_chosen_or_asked_for(tmp_path):
     with pd.ExcelWriter(tmp_path / "a.xlsx") as book:
         for sheet, values in (("Run 1", V), ("Run 2", D)):
-            pd.DataFrame({"t_s": T, "u": values}).to_excel(
-                book, sheet_name=sheet, index=False
-            )
+            frame = pd.DataFrame({"t_s": T, "u": values})
+            frame.to_excel(book, sheet_name=sheet, index=False)
     with pytest.raises(InputError, match=r"Run 1, Run 2.*a\.xlsx::Run 1"):
         opened(tmp_path / "a.xlsx")
     np.testing.assert_array_equal(read(opened(tmp_path / "a.xlsx", "Run 2"))["u"], D)

@@ -183,12 +183,8 @@ def test_a_scale_beside_a_dataset_is_not_passed_over(tmp_path):
 
     keys = ("scale_factor", "Scale", "Scale Factor", "GAIN")
     source = opened(tmp_path, fill)
-    pairs = [
-        ("x", "x_scaling_factor"),
-        ("z", "conversion"),
-        *((key, key) for key in keys),
-    ]
-    for name, key in pairs:
+    pairs = {"x": "x_scaling_factor", "z": "conversion"} | {key: key for key in keys}
+    for name, key in pairs.items():
         with pytest.raises(InputError, match=f"{key}.*`scale`"):
             values(source, name)
     np.testing.assert_array_equal(values(source, "y"), [0.0, np.nan, 2.0])

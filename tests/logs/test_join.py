@@ -26,9 +26,8 @@ def read(displacement, voltage, reading=None):
 
 
 def test_the_drive_as_the_first_file_changes_nothing(tmp_path):
-    displacement = write(
-        tmp_path / "sensor.csv", "time_s,displacement_um", TIME, 0.1 * DRIVE
-    )
+    path = tmp_path / "sensor.csv"
+    displacement = write(path, "time_s,displacement_um", TIME, 0.1 * DRIVE)
     fine = np.arange(0.3, 9.0, 1.0 / 370.0)
     volts = np.interp(fine, TIME, DRIVE)
     voltage = write(tmp_path / "drive.csv", "time_s,voltage_V", fine, volts)
@@ -106,9 +105,8 @@ def test_stamps_of_two_files_are_one_clock(tmp_path):
         (tmp_path / name).write_text("\n".join(lines) + "\n")
         return tmp_path / name
 
-    _, table = read(
-        stamped("s.csv", 0, "displacement_um"), stamped("d.csv", 10, "voltage_V")
-    )
+    sensor = stamped("s.csv", 0, "displacement_um")
+    _, table = read(sensor, stamped("d.csv", 10, "voltage_V"))
     np.testing.assert_array_equal(table["voltage"], table["displacement"])
     assert len(table) == 30
     assert table.time[0] == 10.0

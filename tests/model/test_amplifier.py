@@ -101,9 +101,8 @@ def test_files_and_states_hold_it(tmp_path):
         again = dm.read_model(str(tmp_path / "model.json"))
         assert dm.dumps_model(again) == dm.dumps_model(each)
         assert again.digest == model.digest != plant(3.1e-3, 1).digest
-    kinds = [
-        stage["type"] for stage in json.loads(dm.dumps_model(model.inverse()))["stages"]
-    ]
+    stages = json.loads(dm.dumps_model(model.inverse()))["stages"]
+    kinds = [stage["type"] for stage in stages]
     assert kinds == ["backlash", "point", "amplifier"]
 
 

@@ -69,9 +69,8 @@ def test_a_model_comes_back(tmp_path):
         SCHEMA.validate(json.loads(text))
     back = dm.read_model(written(tmp_path, dm.dumps_model(model)))
     drive = np.linspace(0.0, 5.0, 300)
-    assert np.array_equal(
-        model.simulate(drive, dt=DT)[0], back.simulate(drive, dt=DT)[0]
-    )
+    moved, again = (each.simulate(drive, dt=DT)[0] for each in (model, back))
+    assert np.array_equal(moved, again)
     assert len(dm.dumps_model(model).splitlines()) < 120
 
 
@@ -97,9 +96,8 @@ def test_sets(tmp_path):
         dm.read_model(path)
     broken = json.loads(Path(path).read_text())
     broken["models"]["y"]["stages"][0]["seconds"] = "late"
-    with pytest.raises(
-        ModelError, match=r'models\["y"\]\.stages\[0\]\.seconds: "late"'
-    ):
+    named = r'models\["y"\]\.stages\[0\]\.seconds: "late"'
+    with pytest.raises(ModelError, match=named):
         dm.read_models(written(tmp_path, json.dumps(broken)))
 
 
@@ -173,19 +171,14 @@ def test_a_state_comes_back_and_serves_the_inverse(tmp_path):
     assert np.array_equal(rest, whole[300:])
     bare = dm.dumps_state(model.start(2.0), model)
     SCHEMA.validate(json.loads(bare))
-    assert (
-        dm.read_state(written(tmp_path, bare, "s.json"), model).bits
-        == model.start(2.0).bits
-    )
+    back = dm.read_state(written(tmp_path, bare, "s.json"), model)
+    assert back.bits == model.start(2.0).bits
 
 
 @pytest.mark.parametrize(
     ("change", "place"),
     [
-        (
-            lambda s: s.update(model="0" * 64),
-            "model: the state belongs to another model",
-        ),
+        (lambda s: s.update(model="0" * 64), "model: the state belongs to another"),
         (lambda s: s.update(bits="xyz"), "bits: "),
         (lambda s: s.update(bits="f" * 99), "bits: "),
         (lambda s: s.update(gears=49), "gears: "),

@@ -51,10 +51,8 @@ def test_gears_with_memory_are_the_papers(seed):
     if gears.relaxation is not None:
         decay = np.exp(-steps[:, None] / np.asarray(gears.relaxation.tau))
     paper = paper_of(gears)
-    expected = [
-        float(paper.step(value, row))
-        for value, row in zip(drive.tolist(), decay.tolist(), strict=True)
-    ]
+    rows = zip(drive.tolist(), decay.tolist(), strict=True)
+    expected = [float(paper.step(value, row)) for value, row in rows]
     done = gears.run(drive, State(0), steps)
     low, high = gears.y_range
     np.testing.assert_allclose(done.y, expected, rtol=0, atol=1e-9 * (high - low))
@@ -73,10 +71,8 @@ def test_the_inverse_within_limits_is_the_papers(seed):
     decay = np.empty((ROWS, 0))
     if forward.relaxation is not None:
         decay = np.repeat(forward.relaxation.decay(DT), ROWS, axis=0)
-    expected = [
-        float(paper.undo(target, row, *window))
-        for target, row in zip(targets.tolist(), decay.tolist(), strict=True)
-    ]
+    rows = zip(targets.tolist(), decay.tolist(), strict=True)
+    expected = [float(paper.undo(target, row, *window)) for target, row in rows]
     done = forward.undo(targets, State(0), DT, window)
     np.testing.assert_allclose(done.y, expected, rtol=0, atol=1e-9 * (high - low))
     assert done.state.bits == paper.gears.state
@@ -89,9 +85,9 @@ def test_points_are_the_papers(seed):
     rng = np.random.default_rng(seed)
     points = random_points(rng, -1.0, 3.0)
     signal = rng.uniform(-2.0, 4.0, 50)
-    expected = reference.point(
-        points.dx.tolist(), points.dy.tolist(), points.x0, points.y0, signal.tolist()
-    )
+    widths, heights = points.dx.tolist(), points.dy.tolist()
+    origin = points.x0, points.y0
+    expected = reference.point(widths, heights, *origin, signal.tolist())
     got = points(signal)
     np.testing.assert_allclose(got, [float(y) for y in expected], rtol=0, atol=1e-12)
     np.testing.assert_allclose(points.inverse()(got), signal, rtol=0, atol=1e-13)

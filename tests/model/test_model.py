@@ -124,15 +124,11 @@ def test_dynamics_are_the_continuous_ones():
 
     def ramp(t):
         late = 2 * zeta / omega
-        swing = late * np.cos(damped * t) + (2 * zeta**2 - 1) / damped * np.sin(
-            damped * t
-        )
+        swing = late * np.cos(damped * t)
+        swing += (2 * zeta**2 - 1) / damped * np.sin(damped * t)
         return np.where(t > 0, t - late + np.exp(-zeta * omega * t) * swing, 0.0)
 
     np.testing.assert_allclose(y, ramp(time) - ramp(time - 0.1), rtol=0, atol=1e-12)
-
-
-# ---- starts ----
 
 
 def test_starts():
@@ -145,9 +141,6 @@ def test_starts():
         model.start(5.0, "sideways")
     assert model.start_drive(5.0, "full").drive == pytest.approx(10.0)
     assert model.start_drive(5.0, "full", 0.0, 9.0).drive == 9.0
-
-
-# ---- what is outside, and what is refused ----
 
 
 @pytest.mark.parametrize(

@@ -33,10 +33,8 @@ def plain_and_spare(seed):
         before = (Scale(-1.0, 10.0),)
     drive = Quantity("voltage", "V", 0.0, 10.0)
     reach = Quantity("displacement", "um", 0.0, plain.height)
-    return (
-        Cascade("forward", drive, reach, (*before, plain)),
-        Cascade("forward", drive, reach, (*before, spare)),
-    )
+    pair = [(*before, gears) for gears in (plain, spare)]
+    return tuple(Cascade("forward", drive, reach, stages) for stages in pair)
 
 
 @pytest.mark.parametrize("start", STARTS)
