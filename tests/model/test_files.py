@@ -127,6 +127,7 @@ BROKEN = [
     (lambda m: m["candidates"][0].update(weight=-1.0), "candidates[0].weight", True),
     (lambda m: m.update(candidates=3 * m["candidates"]), "candidates", True),
     (lambda m: m["stages"][1].update(dx=[{"repeat": 0, "value": 1.0}]), "stages[1].dx[0].repeat", True),
+    (lambda m: m["stages"][1].update(dx=[{"repeat": "5", "value": 1.0}]), "stages[1].dx[0].repeat", True),
     (lambda m: m["stages"][1].update(dx=[{"repeat": 10**7, "value": 1.0}]), "stages[1].dx[0].repeat", True),
     (lambda m: m["stages"][1].update(x0=1e99), "stages[1].x0: 1e+99", True),
     (lambda m: m["stages"][1].update(x0=True), "stages[1].x0: true", True),
