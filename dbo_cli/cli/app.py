@@ -28,8 +28,8 @@ COMMANDS = tuple(
 )
 """In the order of a working day; each is a function of that name in a module of that name."""
 NOT_A_NUMBER = {
-    "Input should be a valid integer": "give a whole number",
-    "Input should be a valid number": "give a number",
+    " is not a valid int": ": give a whole number",
+    " is not a valid float": ": give a number",
 }
 """What typer's library says of an option that is no number, and what this program says."""
 HELP = ("-h, --help, --help-all", "This page; --help-all lists every option.")
@@ -209,7 +209,7 @@ def _explained(problem: BaseException, words: Sequence[str]) -> tuple[int, str]:
 
 def _refused(problem: Any) -> str:
     """Return why typer refused the command line, in words of this program."""
-    text: str = problem.format_message().replace("Value error, ", "").rstrip(".")
+    text: str = problem.format_message().rstrip(".")
     for words, plain in NOT_A_NUMBER.items():
         if words in text:
             text = f"{text.partition(words)[0]}{plain}"

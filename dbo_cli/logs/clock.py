@@ -173,7 +173,7 @@ class Clock:
         if low < 0.0:
             at = int(np.argmax(steps < 0.0))
             after = float(time[at - len(steps)])
-            problem = f"row {numbers[at]}: time goes back from {after - steps[at]:.9g} to {after:.9g} s"
+            problem = f"goes back in row {numbers[at]}, from {after - steps[at]:.9g} to {after:.9g} s"
             raise _unclear(self.name, self.column, f"{problem} (`rows` A:B cuts there)")
         if not self.uneven:
             self.step = self._even_step(time, high)
@@ -218,7 +218,7 @@ class Clock:
             reason = f"its stamps would reach {reach:.6g} s"
         else:
             return
-        raise _unclear(self.name, self.column, f"it has no unit: in seconds, {reason}")
+        raise _unclear(self.name, self.column, f"has no unit, and in seconds {reason}")
 
     def close(self) -> None:
         """Warn of what is doubtful once all rows are read."""
@@ -331,11 +331,10 @@ def find_clock(
 
 
 def _unclear(name: str, column: Column | None, problem: str) -> InputError:
-    """Return the refusal of a time column."""
-    label = "" if column is None else column.label
+    """Return the refusal of a time column, of which ``problem`` is said."""
+    label = "the time" if column is None else f"the time, {column.label},"
     return InputError(
-        f"{name}: the time {label}: {problem}: type `time` COLUMN, `time_unit` s, ms, us, ns or d, or "
-        "`sample_rate` HZ"
+        f"{name}: {label} {problem}: type `time_unit` s, ms, us, ns or d, `time` COLUMN, or `sample_rate` HZ"
     )
 
 
@@ -356,7 +355,9 @@ def _time_columns(source: Table, used: Sequence[Column], needed: bool) -> list[C
         return matches
     for column in called:
         if column.kind == "text" and needed:
-            raise _unclear(source.name, column, f"'{column.sample}' is no time stamp")
+            raise _unclear(
+                source.name, column, f"holds '{column.sample}', no time stamp"
+            )
     first = [column for column in source.columns[:1] if column in free]
     return [c for c in first if c.kind == "number" and time_unit(c.unit)]
 
@@ -395,7 +396,7 @@ def _stated_unit(name: str, column: Column) -> str | None:
     if statement.lower() not in _NO_UNIT:
         before, _, _ = statement.partition(" since ")  # netCDF: s since 2026-01-02
         if time_unit(before) is None:
-            raise _unclear(name, column, f"'{statement}' is not a unit of time")
+            raise _unclear(name, column, f"states '{statement}', no unit of time")
         return time_unit(before)
     parts = words(column.quantity)
     units = {time_unit(word) for word in parts if len(word) > 1} - {None, "min"}
@@ -403,7 +404,7 @@ def _stated_unit(name: str, column: Column) -> str | None:
         return units.pop()
     if units or parts & _COUNTED:
         counted = ", ".join(sorted(parts & _COUNTED or parts))
-        raise _unclear(name, column, f"'{counted}' is not a unit of time")
+        raise _unclear(name, column, f"counts '{counted}', no unit of time")
     return None
 
 

@@ -182,7 +182,8 @@ class TextTable(Table):
             return f"{at}: {len(cells)} cell{s} where the other rows have {self.layout.width}"
         cell = cells[column.number - 1]
         advice = " (`decimal` comma?)" if "," in cell else ""
-        return f"{at}: {column.label} is no measured number or time stamp: '{cell[:40]}'{advice}"
+        noun = "time stamp" if column.kind == "stamp" else "finite number"
+        return f"{at}: {column.label} is no {noun}: '{cell[:40]}'{advice}"
 
     def close(self) -> None:
         """Close the file."""

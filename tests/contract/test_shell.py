@@ -137,9 +137,9 @@ def test_wrong_command_lines():
         assert held in refused(2, *line.split()), line
     for line in ("--lag 1e9", "--lag soon", "--lag 0.5"):
         said = refused(2, "report", "r.csv", *line.split())
-        assert "whole number" in said and "Input" not in said
+        assert "give a whole number" in said and "int" not in said
     said = refused(2, "check", "d.csv", "--gain", "much")
-    assert "--gain" in said and "give a number" in said and "Input" not in said
+    assert "--gain" in said and "give a number" in said and "float" not in said
 
 
 @pytest.mark.parametrize(

@@ -78,7 +78,7 @@ def test_stamps(stamps, tmp_path):
 
 def test_clock_times_that_pass_midnight_are_refused(tmp_path):
     path = write(tmp_path, ["23:59:59.8", "23:59:59.9", "00:00:00.0"], "time")
-    with pytest.raises(InputError, match=r"row 3: time goes back.*`sample_rate`"):
+    with pytest.raises(InputError, match=r"goes back in row 3.*`sample_rate`"):
         read(path)
     table, log = read(path, rows=":2")
     assert table.time.tolist() == pytest.approx([0.0, 0.1])

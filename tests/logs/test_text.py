@@ -74,10 +74,7 @@ def test_large_files_of_many_ways(change, tmp_path):
     [
         ("20.000,20000.00", "2 cells where"),
         ("20.000,20000.00,20000.25,7", "4 cells where"),
-        (
-            "20.000,20000.00,",
-            "'displacement_um' is no measured number or time stamp: ''",
-        ),
+        ("20.000,20000.00,", "'displacement_um' is no finite number: ''"),
         ("20.000,x,20000.25", "'voltage_V'"),
         ("20.000,inf,20000.25", "'voltage_V'"),
         ("20.000,nan,20000.25", "'voltage_V'"),
