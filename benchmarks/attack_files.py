@@ -3,7 +3,7 @@
     python benchmarks/attack_files.py [COUNT] [SEED]         20,000 of each kind from seed 1
 
 ``tables``: random tables under random headers, most of them damaged in one place
-(``tests/logs/test_text_fuzz.py``): every row that was not damaged must come out as it
+(``random_tables.py``): every row that was not damaged must come out as it
 was written. ``texts``: the files of ``tests/shapes/text.json``, mutated; ``models``:
 stored models, mutated as JSON and as text; one that is read must survive being written.
 Exit 1 where something else than a ``DboError`` came out, where one took longer than ten
@@ -27,15 +27,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from random_tables import once
+
+from dbo_cli.errors import DboError
+from dbo_cli.logs import Reading, open_log
+from dbo_cli.model import dumps_model, read_model
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-from dbo_cli.errors import DboError  # noqa: E402
-from dbo_cli.logs import Reading, open_log  # noqa: E402
-from dbo_cli.model import dumps_model, read_model  # noqa: E402
-from tests.logs import test_text_fuzz  # noqa: E402
-
 MOST_SECONDS = 10
 TOKENS = (
     b",", b";", b"\t", b" ", b"|", b"\n", b"\r\n", b"\r", b"\n\n", b'"', b'""', b"#", b"%",
@@ -109,7 +107,7 @@ class Files:
 
     def tables(self, seed: int) -> str:
         """Write, damage and read a table whose numbers are known."""
-        return test_text_fuzz.once(seed, self.folder / "table.csv")
+        return once(seed, self.folder / "table.csv")
 
     def texts_mutated(self, seed: int) -> str:
         """Mutate a text log and read it in some way."""

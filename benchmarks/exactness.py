@@ -15,8 +15,14 @@ import time
 from itertools import pairwise
 
 import numpy as np
-from random_actuators import Floats, Random, random_actuator
-from random_models import DT, random_drive, random_model
+from random_actuators import (
+    DT,
+    Floats,
+    Random,
+    random_actuator,
+    random_drive,
+    random_model,
+)
 
 from dbo_cli.model import Cascade
 

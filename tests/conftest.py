@@ -14,7 +14,7 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS"):
 os.environ.setdefault("MPLBACKEND", "agg")
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "sample_data"))
+sys.path += [str(ROOT / "sample_data"), str(ROOT / "benchmarks")]
 
 settings.register_profile(
     "suite",
@@ -30,6 +30,6 @@ settings.register_profile(
 settings.load_profile("suite")
 
 
-def pytest_collection_finish() -> None:
+def pytest_collection_finish():
     """Leave the libraries and what was collected out of every later search for garbage."""
     gc.freeze()

@@ -4,11 +4,10 @@ Every fast path must equal these. Inputs are floats, taken at their exact value.
 the range, which the paper leaves open, the slope of gear n - 1 goes on.
 """
 
-from collections.abc import Sequence
 from fractions import Fraction
 
 
-def find_first_one(bits: list[int]) -> int:
+def find_first_one(bits):
     """S = f1(B) (4); n where there is none."""
     for i, bit in enumerate(bits):
         if bit == 1:
@@ -16,7 +15,7 @@ def find_first_one(bits: list[int]) -> int:
     return len(bits)
 
 
-def find_first_zero(bits: list[int]) -> int:
+def find_first_zero(bits):
     """Z = f0(B) (5); n where there is none."""
     for i, bit in enumerate(bits):
         if bit == 0:
@@ -27,32 +26,25 @@ def find_first_zero(bits: list[int]) -> int:
 class Backlash:
     """A discrete backlash operator, (1)-(12); ``bits[i]`` is b_i."""
 
-    def __init__(
-        self,
-        dx: Sequence[float],
-        dy: Sequence[float],
-        x0: float,
-        y0: float,
-        state: int = 0,
-    ) -> None:
+    def __init__(self, dx, dy, x0, y0, state=0):
         self.dx = [Fraction(width) for width in dx]
         self.dy = [Fraction(width) for width in dy]
         self.x0, self.y0 = Fraction(x0), Fraction(y0)
         self.bits = [state >> i & 1 for i in range(len(self.dx))]
 
     @property
-    def state(self) -> int:
+    def state(self):
         """B (1)."""
         return sum(bit << i for i, bit in enumerate(self.bits))
 
-    def coordinates(self) -> tuple[Fraction, Fraction]:
+    def coordinates(self):
         """X_B (2) and Y_B (3)."""
         crossed = [i for i, bit in enumerate(self.bits) if bit == 1]
         x_b = sum((self.dx[i] for i in crossed), self.x0)
         y_b = sum((self.dy[i] for i in crossed), self.y0)
         return x_b, y_b
 
-    def step(self, value: float | Fraction) -> Fraction:
+    def step(self, value):
         """Steps 1 to 4 of the procedure, repeated until there is an output."""
         x = Fraction(value)
         n = len(self.bits)
@@ -74,15 +66,13 @@ class Backlash:
 class Relaxed:
     """Gears with memories beside them: u = Gamma(v) + sum c_j L_j; the decays a_j are taken as they are."""
 
-    def __init__(
-        self, gears: Backlash, reference: float, gain: Sequence[float]
-    ) -> None:
+    def __init__(self, gears, reference, gain):
         self.gears = gears
         self.reference = Fraction(reference)
         self.gain = [Fraction(c) for c in gain]
-        self.memory: list[Fraction] | None = None  # at rest at the first sample
+        self.memory = None  # at rest at the first sample
 
-    def step(self, value: float | Fraction, decay: Sequence[float]) -> Fraction:
+    def step(self, value, decay):
         """One sample of the voltage."""
         drive = Fraction(value) - self.reference
         if self.memory is None:
@@ -94,9 +84,7 @@ class Relaxed:
         )
         return self.gears.step(value) + known
 
-    def undo(
-        self, target: float, decay: Sequence[float], low: float, high: float
-    ) -> Fraction:
+    def undo(self, target, decay, low, high):
         """The voltage in [low, high] whose output is nearest to a target; after it the state is ``step``'s.
 
         What the memories keep of the past is known. What is left is
@@ -122,9 +110,7 @@ class Relaxed:
         return voltage
 
 
-def point(
-    dx: Sequence[float], dy: Sequence[float], x0: float, y0: float, values: list[float]
-) -> list[Fraction]:
+def point(dx, dy, x0, y0, values):
     """A discrete point operator, (13)-(16), over a signal, its state C starting at 0."""
     widths, heights = [Fraction(w) for w in dx], [Fraction(w) for w in dy]
     c, outputs = 0, []

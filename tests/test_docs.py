@@ -8,7 +8,6 @@ import sys
 import tomllib
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -32,9 +31,9 @@ OTHERS = {"--strict", "--cores", "--config", "--seed"}  # of other programs
 
 
 @cache
-def options_of(command: str) -> frozenset[str]:
+def options_of(command):
     """Return every option of a command."""
-    root: Any = program()
+    root = program()
     above = root.make_context("dbo", [], resilient_parsing=True)
     parameters = root.get_command(above, command).get_params(above)
     names = [name for one in parameters for name in one.opts if name.startswith("--")]
@@ -42,15 +41,13 @@ def options_of(command: str) -> frozenset[str]:
 
 
 @cache
-def all_options() -> frozenset[str]:
+def all_options():
     return frozenset().union(*(options_of(command) for command in COMMANDS))
 
 
-def command_lines(path: Path) -> list[str]:
+def command_lines(path):
     """Return the lines of a page that call the program."""
-    text = re.sub(
-        r"^```text\n.*?^```$", "", path.read_text(), flags=re.MULTILINE | re.DOTALL
-    )
+    text = re.sub(r"(?ms)^```text\n.*?^```$", "", path.read_text())
     found = []
     for line in text.replace("\\\n", " ").splitlines():
         if line.startswith(("    dbo ", "dbo ")):
@@ -58,7 +55,7 @@ def command_lines(path: Path) -> list[str]:
     return found
 
 
-def prose(path: Path) -> str:
+def prose(path):
     """Return a page without its blocks of code."""
     text = FENCE.sub("", path.read_text())
     return "\n".join(line for line in text.splitlines() if not line.startswith("    "))
@@ -67,7 +64,7 @@ def prose(path: Path) -> str:
 # --- options ---
 
 
-def test_options_of_the_pages_exist() -> None:
+def test_options_of_the_pages_exist():
     for path in TEXTS:
         used = set(OPTION.findall(re.sub(r"`+", " ", path.read_text())))
         assert used - all_options() - OTHERS == set(), path.name
@@ -81,7 +78,7 @@ def test_options_of_the_pages_exist() -> None:
                 assert set(OPTION.findall(rest)) <= options_of(command), (command, rest)
 
 
-def test_every_option_is_explained_on_some_page() -> None:
+def test_every_option_is_explained_on_some_page():
     text = "\n".join(path.read_text() for path in TEXTS)
     missing = {option for option in all_options() if option not in text}
     assert missing - UNEXPLAINED == set()
@@ -90,7 +87,7 @@ def test_every_option_is_explained_on_some_page() -> None:
 # --- links and lengths ---
 
 
-def anchors(path: Path) -> set[str]:
+def anchors(path):
     """Return the anchors of a page's headings."""
     found = set()
     for heading in re.findall(r"^#+ (.+)$", path.read_text(), re.MULTILINE):
@@ -99,7 +96,7 @@ def anchors(path: Path) -> set[str]:
     return found
 
 
-def test_links_and_pictures_lead_somewhere() -> None:
+def test_links_and_pictures_lead_somewhere():
     for path in TEXTS:
         for target in LINK.findall(path.read_text()):
             file, _, anchor = target.partition("#")
@@ -112,8 +109,8 @@ def test_links_and_pictures_lead_somewhere() -> None:
 
 
 def test_links_of_the_first_page_lead_somewhere_on_a_package_index(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     for name in ("README.md", "pyproject.toml"):
         shutil.copy(ROOT / name, name)
@@ -127,13 +124,13 @@ def test_links_of_the_first_page_lead_somewhere_on_a_package_index(
     assert urls["Repository"] == "https://github.com/owner/name"
 
 
-def test_every_figure_is_shown() -> None:
+def test_every_figure_is_shown():
     text = "\n".join(path.read_text() for path in PAGES)
     for figure in (DOCS / "figures").iterdir():
         assert f"figures/{figure.name}" in text
 
 
-def test_pages_are_short_and_name_no_place_of_a_machine() -> None:
+def test_pages_are_short_and_name_no_place_of_a_machine():
     assert len((ROOT / "README.md").read_text().split()) <= 450
     assert sum(len(re.findall(r"\S*\w\S*", prose(path))) for path in PAGES) <= 12_000
     for path in TEXTS:
@@ -144,7 +141,7 @@ def test_pages_are_short_and_name_no_place_of_a_machine() -> None:
 # --- what is shown runs ---
 
 
-def shell(line: str) -> str:
+def shell(line):
     """Run a line of a page that is none of the program; return what it printed."""
     line = re.sub(r"^python ", f"'{sys.executable}' ", line)
     ended = subprocess.run(["sh", "-c", line], capture_output=True, text=True)
@@ -152,9 +149,9 @@ def shell(line: str) -> str:
     return ended.stdout
 
 
-def blocks_with_output(path: Path, language: str) -> list[tuple[str, str | None]]:
+def blocks_with_output(path, language):
     """Return the blocks of a page in a language, each with the output that stands behind it."""
-    found: list[tuple[str, str | None]] = []
+    found = []
     for kind, body in FENCE.findall(path.read_text()):
         if kind == language:
             found.append((body, None))
@@ -163,9 +160,7 @@ def blocks_with_output(path: Path, language: str) -> list[tuple[str, str | None]
     return found
 
 
-def test_the_tutorial_runs_as_it_stands_and_shows_what_comes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_tutorial_runs_as_it_stands_and_shows_what_comes(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shutil.copytree(SAMPLES, "sample_data")
     for block, shown in blocks_with_output(DOCS / "tutorial.md", "sh"):
@@ -183,7 +178,7 @@ def test_the_tutorial_runs_as_it_stands_and_shows_what_comes(
     assert "<html" in Path("report.html").read_text()
 
 
-def require_alike(shown: str, came: str) -> None:
+def require_alike(shown, came):
     """Require each line of an example to have come, numbers of a message within a half."""
     lines = {form(line): line for line in came.splitlines()}
     for line in shown.splitlines():
@@ -193,12 +188,12 @@ def require_alike(shown: str, came: str) -> None:
             assert new == pytest.approx(numbers(line), rel=0.5), line
 
 
-def form(line: str) -> str:
+def form(line):
     """Return a line without its numbers and blanks."""
     return " ".join(NUMBER.sub("#", line).split())
 
 
-def numbers(line: str) -> list[float]:
+def numbers(line):
     return [float(text.replace(",", "")) for text in NUMBER.findall(line)]
 
 
@@ -214,7 +209,7 @@ WITH_COMMANDS = "files index limits moves live batches comparison scanner".split
 
 
 @pytest.fixture
-def logs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def logs(tmp_path, monkeypatch):
     """Work in a folder with the logs that the pages speak of, two seconds each."""
     monkeypatch.chdir(tmp_path)
     shutil.copy(SAMPLES / "trajectory.csv", "trajectory.csv")
@@ -233,7 +228,7 @@ def logs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write("frames.csv", "time_s,Rx_um,Ry_um", time[:200], wanted, wanted)
 
 
-def record(name: str, gain: float) -> None:
+def record(name, gain):
     """Play a drive on the simulated stage; the voltage is recorded before an amplifier."""
     from virtual_actuator import VirtualActuator
 
@@ -251,7 +246,7 @@ def record(name: str, gain: float) -> None:
 
 
 @pytest.mark.usefixtures("logs")
-def test_the_commands_of_the_pages_run() -> None:
+def test_the_commands_of_the_pages_run():
     seen = set()
     pages = [DOCS / f"{name}.md" for name in WITH_COMMANDS]
     for path in [pages[0], ROOT / "README.md", *pages[1:]]:
@@ -269,13 +264,11 @@ def test_the_commands_of_the_pages_run() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::dbo_cli.DboWarning")
-def test_the_page_of_the_library_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_page_of_the_library_runs(tmp_path, monkeypatch, capsys):
     for path in SAMPLES.glob("*.csv"):
         shutil.copy(path, tmp_path)
     monkeypatch.chdir(tmp_path)
-    names: dict[str, Any] = {}
+    names = {}
     for page in ("python.md", "live.md"):
         for code, output in blocks_with_output(DOCS / page, "python"):
             exec(compile(code, page, "exec"), names)

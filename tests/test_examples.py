@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,27 +15,27 @@ MODEL = ROOT / "tests" / "contract" / "models" / "small.json"
 sys.path.insert(0, str(ROOT / "examples"))
 
 
-def within(model: Any, *parts: float) -> list[float]:
+def within(model, *parts):
     """Return displacements at parts of what a model reaches."""
     return [model.output.min + part * model.output.span for part in parts]
 
 
-def test_a_card_gets_the_drive_of_the_trajectory() -> None:
+def test_a_card_gets_the_drive_of_the_trajectory():
     from nidaqmx_live import follow
 
     model = dbo.read_model(MODEL)
     wanted = np.linspace(*within(model, 0.0, 0.7), 50)
-    written: list[float] = []
+    written = []
     live = model.controller(5000.0, state="empty")
     follow(live, wanted, written.append, 1.0 / 5000.0)
     expected = model.compensate(wanted, sample_rate=5000.0, state="empty")
     np.testing.assert_allclose(written, expected, rtol=0, atol=1e-12)
 
 
-def test_what_a_card_did_not_take_is_not_committed() -> None:
+def test_what_a_card_did_not_take_is_not_committed():
     from nidaqmx_live import follow
 
-    def refuse(volts: float) -> None:
+    def refuse(volts):
         raise OSError("no such device")
 
     model = dbo.read_model(MODEL)
@@ -47,12 +46,12 @@ def test_what_a_card_did_not_take_is_not_committed() -> None:
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_pymodaq_moves_an_actuator(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pymodaq_moves_an_actuator(monkeypatch):
     pytest.importorskip("pymodaq", exc_type=ImportError)
     monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
     from pymodaq_gui.qt_utils import mkQApp
 
-    application: Any = mkQApp("test")
+    application = mkQApp("test")
     from daq_move_Dbo import DAQ_Move_Dbo, DataActuator
 
     model = dbo.read_model(MODEL)
@@ -75,7 +74,7 @@ def test_pymodaq_moves_an_actuator(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_qudi_scans(tmp_path: Path) -> None:
+def test_qudi_scans(tmp_path):
     """A running Qudi with dummy cards; what the cards played is played on the sample actuator."""
     place = "qudi.hardware.interfuse.ni_scanning_probe_interfuse"
     pytest.importorskip(place, exc_type=ImportError)

@@ -31,7 +31,7 @@ ARRAYS_ONLY = "model identification drive reports export compare moves".split()
 HEAVY = {"numpy", "polars", "pandas", "scipy", "h5py", "matplotlib"}
 
 
-def imported_rooms(path: Path) -> set[str]:
+def imported_rooms(path):
     """Return the rooms that a module imports, at its top or in a function."""
     names = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -44,7 +44,7 @@ def imported_rooms(path: Path) -> set[str]:
     return {name.split(".")[1] for name in names if name.startswith("dbo_cli.")}
 
 
-def test_imports_point_downwards() -> None:
+def test_imports_point_downwards():
     for path in PACKAGE.rglob("*.py"):
         room = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
         if room in ("__init__", "__main__"):
@@ -55,13 +55,13 @@ def test_imports_point_downwards() -> None:
         assert room not in ARRAYS_ONLY or "logs" not in rooms, path
 
 
-def test_no_two_files_import_each_other() -> None:
+def test_no_two_files_import_each_other():
     """Types that are imported for a checker alone count, too."""
     root, modules = PACKAGE.parent, {}
     for path in PACKAGE.rglob("*.py"):
         parts = path.relative_to(root).with_suffix("").parts
         modules[".".join(parts).removesuffix(".__init__")] = path
-    imported: dict[str, set[str]] = {}
+    imported = {}
     for name, path in modules.items():
         found = set()
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -75,14 +75,14 @@ def test_no_two_files_import_each_other() -> None:
     assert pairs == set()
 
 
-def loaded_by(code: str) -> set[str]:
+def loaded_by(code):
     """Return the heavy libraries that are loaded after some lines of Python."""
     line = [sys.executable, "-c", f"import sys; {code}; print(*sys.modules)"]
     ended = subprocess.run(line, capture_output=True, text=True, check=True)
     return HEAVY & set(ended.stdout.splitlines()[-1].split())
 
 
-def test_the_package_and_its_help_load_no_library() -> None:
+def test_the_package_and_its_help_load_no_library():
     assert loaded_by("import dbo_cli") == set()
     help_page = "from dbo_cli.cli.app import main; main(['compensate', '-h'])"
     assert loaded_by(help_page) == set()

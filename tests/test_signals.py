@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from dbo_cli.alignment import PLAYS, loop_columns
-from dbo_cli.arrays import Floats
 from dbo_cli.signals import between, even, lag, noise
 
 ROWS = np.arange(20_000.0)
 
 
-def drive_of(seed: int, rows: int = 6_000) -> Floats:
+def drive_of(seed, rows=6_000):
     """Return a smooth drive that repeats nowhere."""
     steps = np.random.default_rng(seed).standard_normal(rows + 40)
     return np.convolve(np.cumsum(steps), np.hanning(41) / 20.0, "valid")
@@ -26,17 +25,17 @@ def drive_of(seed: int, rows: int = 6_000) -> Floats:
         np.round(np.arange(100) / 30.0, 1),  # the decimal is no small part of a step
     ],
 )
-def test_uneven_stamps_have_no_step(stamps: Floats) -> None:
+def test_uneven_stamps_have_no_step(stamps):
     assert even(np.asarray(stamps)) is None
 
 
-def test_a_clock_that_goes_on_keeps_its_step() -> None:
+def test_a_clock_that_goes_on_keeps_its_step():
     assert even(np.array([9.0, 10.0]), 1.0) == 1.0
     assert even(np.array([9.0, 11.0]), 1.0) is None
     assert even(np.array([9.0]), 1.0) == 1.0
 
 
-def test_jumps_turns_and_spikes_are_no_noise() -> None:
+def test_jumps_turns_and_spikes_are_no_noise():
     rng = np.random.default_rng(2)
     staircase = np.repeat(rng.uniform(size=40), 500)
     triangle = np.abs(ROWS % 1000 - 500.0)
@@ -48,7 +47,7 @@ def test_jumps_turns_and_spikes_are_no_noise() -> None:
 
 
 @pytest.mark.parametrize("shift", [-1234.3, -2.5, 0.004, 17.25, 830.77])
-def test_a_lag_is_found_to_a_hundredth_of_a_row(shift: float) -> None:
+def test_a_lag_is_found_to_a_hundredth_of_a_row(shift):
     early, rows = drive_of(3), np.arange(5_000.0)
     inside = (rows - shift >= 0.0) & (rows - shift <= len(early) - 1)
     late = 5.0 + 3.0 * between(early, (rows - shift)[inside])
@@ -62,7 +61,7 @@ def test_a_lag_is_found_to_a_hundredth_of_a_row(shift: float) -> None:
     assert noisy.deviation < 2e-5
 
 
-def test_a_signal_that_repeats_has_a_rival_and_one_that_rests_has_no_lag() -> None:
+def test_a_signal_that_repeats_has_a_rival_and_one_that_rests_has_no_lag():
     sine = np.sin(2.0 * np.pi * np.arange(5_000) / 500)
     found = lag(sine[100:4_100], sine)
     assert found is not None and found.rival is not None
@@ -72,13 +71,13 @@ def test_a_signal_that_repeats_has_a_rival_and_one_that_rests_has_no_lag() -> No
     assert lag(sine, np.ones(100)) is None
 
 
-def test_short_signals_are_laid_over_by_whole_rows() -> None:
+def test_short_signals_are_laid_over_by_whole_rows():
     found = lag(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.0, 1.0, 2.0]))
     assert found.seconds == -1.0 and np.isinf(found.deviation)
 
 
 @pytest.mark.parametrize("rows", [2, 3, 10, 101, 1000])
-def test_plays_beside_a_lag_are_those_of_walking_row_by_row(rows: int) -> None:
+def test_plays_beside_a_lag_are_those_of_walking_row_by_row(rows):
     rng = np.random.default_rng(rows)
     signal = np.cumsum(rng.standard_normal(rows))
     begin, columns = loop_columns(signal)

@@ -19,13 +19,13 @@ MANY = int(os.environ.get("DBO_LOGS", "3"))  # make labs: 40
 IDENTIFY = "--gears 32 --points 0 --relaxation 0 --delay 0 --dynamics 0"
 
 
-def write(path: Path, header: str, *columns: np.ndarray) -> None:
+def write(path, header, *columns):
     table = np.column_stack(columns)
     np.savetxt(path, table, "%.9g", ",", header=header, comments="")
 
 
 @pytest.fixture
-def batch(tmp_path: Path) -> Path:
+def batch(tmp_path):
     """Logs of one actuator, of which one faces the other way and two are broken."""
     model = dbo.read_model(MODEL)
     rng = np.random.default_rng(1)
@@ -52,7 +52,7 @@ def batch(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def made(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+def made(folder, *words):
     environment = os.environ | {
         "OPENBLAS_NUM_THREADS": "1",
         "PYTHONPATH": str(ROOT),
@@ -66,7 +66,7 @@ def made(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def require_table(folder: Path, said: str) -> None:
+def require_table(folder, said):
     """Look at the table of a batch whose log a00 falls, and where ``cell`` and ``unit`` are broken."""
     with open(folder / "results" / "summary.csv", newline="") as file:
         lines = {line["log"]: line for line in csv.DictReader(file)}
@@ -81,7 +81,7 @@ def require_table(folder: Path, said: str) -> None:
 
 
 @pytest.mark.skipif(shutil.which("make") is None, reason="there is no make")
-def test_make_leaves_a_table_and_goes_on(batch: Path) -> None:
+def test_make_leaves_a_table_and_goes_on(batch):
     words = ("make", "-s", "-f", str(WORKFLOW / "day.mk"))
     first = made(batch, *words)
     assert first.returncode == 2, first.stderr
@@ -106,16 +106,10 @@ def test_make_leaves_a_table_and_goes_on(batch: Path) -> None:
     shutil.which("snakemake", path=f"{Path(sys.executable).parent}") is None,
     reason="there is no Snakemake (make labs has it)",
 )
-def test_snakemake_leaves_the_same_table(batch: Path) -> None:
+def test_snakemake_leaves_the_same_table(batch):
     program = Path(sys.executable).parent / "snakemake"
-    words = [
-        str(program),
-        "-s",
-        str(WORKFLOW / "Snakefile"),
-        "--cores",
-        "2",
-        "--config",
-    ]
+    words = [str(program), "-s", str(WORKFLOW / "Snakefile"), "--cores", "2"]
+    words.append("--config")
     words += [f"dbo={sys.executable} -m dbo_cli", f"identify={IDENTIFY}"]
     done = made(batch, *words)
     assert done.returncode == 1, done.stderr
@@ -132,7 +126,7 @@ f,,rising,0.10,0.0010,0.01
 """
 
 
-def test_the_table_flags_what_is_unlike_the_others(tmp_path: Path) -> None:
+def test_the_table_flags_what_is_unlike_the_others(tmp_path):
     (tmp_path / "summary.csv").write_text(TABLE)
     line = [sys.executable, WORKFLOW / "table.py", "logs", tmp_path, "--judge"]
     ended = subprocess.run(line, capture_output=True, text=True, check=False)

@@ -11,11 +11,8 @@ def test_the_numbers_of_the_dbo_are_counted():
     points = dm.Points([3.0, 3.0, 3.0], [2.0, 3.0, 4.0])
     moving = dm.Dynamics((dm.Lag(1e-3), dm.Resonance(100.0, 0.1, dm.Mode(80.0, 0.1))))
     stages = (gears, points, dm.Scale(2.0, 1.0), moving, dm.Delay(0.1))
-    sides = (
-        dm.Quantity("voltage", "V", 0.0, 6.0),
-        dm.Quantity("displacement", "um", 0, 9),
-    )
-    model = DboModel(dm.Cascade("forward", *sides, stages))
+    voltage, reach = (dm.Quantity("x", "V", 0.0, end) for end in (6.0, 9.0))
+    model = DboModel(dm.Cascade("forward", voltage, reach, stages))
     # slopes, offset, delay, memories, knots, a lag and two modes
     assert model.parameters == 2 + 1 + 1 + 2 + 2 + 1 + 4
 

@@ -11,14 +11,14 @@ RATE = 1000.0
 
 
 @pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def folder(tmp_path, monkeypatch):
     """Work in an empty folder."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
 @pytest.fixture(scope="session")
-def sample_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def sample_model(tmp_path_factory):
     """Return the model that the sample log identifies."""
     path = tmp_path_factory.mktemp("sample") / "model.json"
     done("identify", SAMPLES / "identification.csv", "-o", path, "-q")
@@ -26,7 +26,7 @@ def sample_model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def drive() -> Path:
+def drive():
     """Return half a second of drive, 0 to 10 V and back in shrinking swings, at 1 kHz."""
     time = np.arange(500) / RATE
     swing = np.linspace(5.0, 1.0, 500)
@@ -35,7 +35,7 @@ def drive() -> Path:
 
 
 @pytest.fixture
-def wish() -> Path:
+def wish():
     """Return half a second of displacement within 2 to 8 um, from 2 um, at 1 kHz."""
     time = np.arange(500) / RATE
     wanted = 5.0 - 3.0 * np.cos(2.0 * np.pi * 4.0 * time)
@@ -43,12 +43,12 @@ def wish() -> Path:
 
 
 @pytest.fixture
-def log() -> Path:
+def log():
     """Return a log of drive and displacement of the stored model ``creep``, four swings, at 500 Hz."""
     return creep_log("log.csv")
 
 
-def creep_log(name: str, seed: int = 1) -> Path:
+def creep_log(name, seed=1):
     """Write what the stored model ``creep`` does in some swings, with 2 nm of noise."""
     time = np.arange(1600) / 500.0
     swing = np.concatenate([np.full(800, 50.0), np.full(400, 32.0), np.full(400, 18.0)])

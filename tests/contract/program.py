@@ -9,22 +9,18 @@ import subprocess
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from unittest import mock
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 HERE = Path(__file__).resolve().parent
 MODELS = HERE / "models"
 GOLDENS = HERE / "goldens"
 SAMPLES = HERE.parent.parent / "sample_data"
 PROGRAM = [sys.executable, "-m", "dbo_cli"]
-
-Floats = NDArray[np.float64]
 
 
 class Outcome(NamedTuple):
@@ -35,32 +31,32 @@ class Outcome(NamedTuple):
     err: str
 
     @property
-    def out(self) -> str:
+    def out(self):
         """Return standard output as text."""
         return self.raw.decode()
 
     @property
-    def lines(self) -> list[str]:
+    def lines(self):
         """Return what was said, line by line."""
         return self.err.splitlines()
 
     @property
-    def warnings(self) -> list[str]:
+    def warnings(self):
         """Return the warnings that were said."""
         return [line for line in self.lines if line.startswith("dbo: warning: ")]
 
     @property
-    def said(self) -> list[str]:
+    def said(self):
         """Return what was said beside the warnings."""
         return [line for line in self.lines if line not in self.warnings]
 
     @property
-    def json(self) -> Any:
+    def json(self):
         """Return standard output as JSON."""
         return json.loads(self.out)
 
 
-def dbo(*words: object, stdin: bytes | str = b"") -> Outcome:
+def dbo(*words, stdin=b""):
     """Run one command line inside this process."""
     from dbo_cli.cli.app import main
 
@@ -83,23 +79,23 @@ def dbo(*words: object, stdin: bytes | str = b"") -> Outcome:
                 code = int(end.code or 0)
         out.flush()
         err.flush()
-        raw, said = out.buffer.getvalue(), err.buffer.getvalue()  # type: ignore[attr-defined]
+        raw, said = out.buffer.getvalue(), err.buffer.getvalue()
     return Outcome(code, raw, said.decode())
 
 
-def _stream() -> io.TextIOWrapper:
+def _stream():
     """Return a stream of text over bytes in memory."""
     return io.TextIOWrapper(io.BytesIO(), encoding="utf-8", newline="")
 
 
-def done(*words: object, stdin: bytes | str = b"") -> Outcome:
+def done(*words, stdin=b""):
     """Run one command line that has to succeed."""
     outcome = dbo(*words, stdin=stdin)
     assert outcome.code == 0, outcome.err
     return outcome
 
 
-def refused(code: int, *words: object, stdin: bytes | str = b"") -> str:
+def refused(code, *words, stdin=b""):
     """Run one command line that has to fail with a code, one line and no output; return the line."""
     before = listing()
     outcome = dbo(*words, stdin=stdin)
@@ -112,14 +108,14 @@ def refused(code: int, *words: object, stdin: bytes | str = b"") -> str:
     return errors[0].removeprefix("dbo: error: ")
 
 
-def process(*words: object, **more: Any) -> subprocess.CompletedProcess[bytes]:
+def process(*words, **more):
     """Run one command line as a process of its own."""
     line = [*PROGRAM, *(str(word) for word in words)]
     return subprocess.run(line, capture_output=True, check=False, timeout=600, **more)
 
 
 @contextlib.contextmanager
-def started(*words: object, program: Sequence[str] = PROGRAM) -> Iterator[Any]:
+def started(*words, program=PROGRAM):
     """Start one command line as a process with pipes, which hears interrupts; none outlives the test."""
     line = [*program, *(str(word) for word in words)]
     pipe = subprocess.PIPE
@@ -133,15 +129,15 @@ def started(*words: object, program: Sequence[str] = PROGRAM) -> Iterator[Any]:
         running.wait()
         for stream in (running.stdin, running.stdout, running.stderr):
             with contextlib.suppress(OSError):
-                stream.close()  # type: ignore[union-attr]
+                stream.close()
 
 
-def _hear_interrupts() -> None:
+def _hear_interrupts():
     """Undo what a shell does to its background jobs: they ignore interrupts."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def listing() -> dict[str, tuple[int, int]]:
+def listing():
     """Return everything in the working folder, with sizes and times."""
     found = {}
     for folder, _, names in os.walk("."):
@@ -152,28 +148,28 @@ def listing() -> dict[str, tuple[int, int]]:
     return found
 
 
-def model(name: str) -> Path:
+def model(name):
     """Return the file of a stored model."""
     return MODELS / f"{name}.json"
 
 
-def values_of(name: str) -> Any:
+def values_of(name):
     """Return a stored model as JSON values."""
     return load(model(name))
 
 
-def load(path: str | Path) -> Any:
+def load(path):
     """Return what a JSON file holds."""
     return json.loads(Path(path).read_text())
 
 
-def store(path: str, values: Any) -> Path:
+def store(path, values):
     """Write a JSON file."""
     Path(path).write_text(json.dumps(values))
     return Path(path)
 
 
-def store_set(path: str, **models: Any) -> Path:
+def store_set(path, **models):
     """Write models by name as one file."""
     return store(path, {"format": "dbo-model-set", "version": 1, "models": models})
 
@@ -185,7 +181,7 @@ PAIR = "time_s,desired_um,measured_um"
 PASS = "time_s,voltage_V,measured_um"
 
 
-def write(name: str, header: str, *columns: Iterable[float]) -> Path:
+def write(name, header, *columns):
     """Write a CSV file whose numbers read back exactly."""
     rows = zip(*(np.asarray(column, float) for column in columns), strict=True)
     body = "".join(",".join(map(repr, map(float, row))) + "\n" for row in rows)
@@ -193,25 +189,25 @@ def write(name: str, header: str, *columns: Iterable[float]) -> Path:
     return Path(name)
 
 
-def table(source: str | Path | Outcome) -> dict[str, Floats]:
+def table(source):
     """Return the columns of a CSV, a file or what a command wrote, by header; an empty cell is NaN."""
     text = source.out if isinstance(source, Outcome) else Path(source).read_text()
     frame = pl.read_csv(text.encode(), infer_schema=False).cast(pl.Float64)
     return {name: frame[name].to_numpy(writable=True) for name in frame.columns}
 
 
-def simulated(actuator: str | Path, drive: object, *words: object) -> Floats:
+def simulated(actuator, drive, *words):
     """Return the output that ``simulate`` writes, of a stored model by its name or of a file."""
     path = model(actuator) if isinstance(actuator, str) else actuator
     return list(table(done("simulate", path, drive, *words, "-q")).values())[-1]
 
 
-def compensated(name: str, *words: object, wish: str = "wish.csv") -> dict[str, Floats]:
+def compensated(name, *words, wish="wish.csv"):
     """Return what ``compensate`` with a stored model writes, and leave it as ``drive.csv``."""
     done("compensate", model(name), wish, *words, "-o", "drive.csv", "-q")
     return table("drive.csv")
 
 
-def rms(values: Floats) -> float:
+def rms(values):
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))

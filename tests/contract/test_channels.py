@@ -1,15 +1,13 @@
 """Many channels of one log: ``{}`` in the names of columns, and a set of models as one file."""
 
-import json
 import wave
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from .program import (
-    DRIVE, Floats, dbo, done, load, refused, simulated, store, store_set, table,
+    DRIVE, dbo, done, load, refused, simulated, store, store_set, table,
     values_of, write,
 )  # fmt: skip
 
@@ -20,16 +18,16 @@ SIDES = ("--voltage", "V{}", "--displacement", "D{}")
 KINDS = (("voltage", "V"), ("displacement", "um"))
 
 
-def swings(number: int) -> Floats:
+def swings(number):
     size = np.where(TIME < 0.7, 5.0, 3.0)
     return 5.0 - size * np.cos(2.0 * np.pi * 2.5 * TIME + 0.3 * number)
 
 
 @pytest.fixture
-def channels() -> Path:
+def channels():
     """Return a log of three channels, and write ``set.json`` with a model for each."""
-    columns: dict[str, Floats] = {"time_s": TIME}
-    models: dict[str, Any] = {}
+    columns = {"time_s": TIME}
+    models = {}
     for number, name in enumerate(NAMES):
         drive = np.clip(swings(number), 0.0, 10.0)
         moved = simulated("small", write("one.csv", DRIVE, TIME, drive))
@@ -42,7 +40,7 @@ def channels() -> Path:
     return write("mirror.csv", ",".join(columns), *columns.values())
 
 
-def of_channel(written: dict[str, Floats], name: str, quantity: str) -> Floats:
+def of_channel(written, name, quantity):
     """Return the one column of a channel with a quantity."""
     [values] = [
         column for key, column in written.items()
@@ -51,7 +49,7 @@ def of_channel(written: dict[str, Floats], name: str, quantity: str) -> Floats:
     return values
 
 
-def test_identify_makes_the_model_of_each_channel(channels: Path) -> None:
+def test_identify_makes_the_model_of_each_channel(channels):
     words = (*SIDES, *QUICK, "-o", "models.json", "--summary", "s.json")
     outcome = done("identify", channels, *words)
     held = load("models.json")
@@ -69,9 +67,7 @@ def test_identify_makes_the_model_of_each_channel(channels: Path) -> None:
     assert "set.json" in line and "set.json::" in line
 
 
-def test_simulate_and_compensate_write_all_channels_side_by_side(
-    channels: Path,
-) -> None:
+def test_simulate_and_compensate_write_all_channels_side_by_side(channels):
     done("simulate", "set.json", channels, "--input", "V{}_V", "-o", "out.csv", "-q")
     moved = table("out.csv")
     names = (f"{kind}_{n}_{unit}" for n in NAMES for kind, unit in KINDS)
@@ -92,7 +88,7 @@ def test_simulate_and_compensate_write_all_channels_side_by_side(
         np.testing.assert_allclose(ours, table("one.csv")["voltage_V"], atol=1e-12)
 
 
-def test_identify_says_what_was_read_of_each_channel(channels: Path) -> None:
+def test_identify_says_what_was_read_of_each_channel(channels):
     log = table(channels)
     columns = {name: log[name] for name in log if name[1:2] != "c"}
     write("two.csv", ",".join(columns), *columns.values())
@@ -101,7 +97,7 @@ def test_identify_says_what_was_read_of_each_channel(channels: Path) -> None:
         assert any("500 Hz" in line and f"V{name}_V" in line for line in said)
 
 
-def test_a_model_in_another_case_is_offered(channels: Path) -> None:
+def test_a_model_in_another_case_is_offered(channels):
     assert "type set.json::a" in refused(1, "simulate", "set.json::A", channels)
     log = table(channels)
     write("upper.csv", "time_s,DA_um,DB_um", TIME, log["Da_um"], log["Db_um"])
@@ -111,18 +107,10 @@ def test_a_model_in_another_case_is_offered(channels: Path) -> None:
     done(*words[:1], "set.json::a", "upper.csv", "--displacement", "DA_um", "-q")
 
 
-def test_a_pattern_that_finds_nothing_is_refused(channels: Path) -> None:
-    error = refused(1, "simulate", "set.json", channels, "--input", "Q{}")
-    assert "mirror.csv" in error and "Q{}" in error
-
-
 @pytest.mark.parametrize("header", ["t_s,x_um,y_um", "t_s,Vx_V,Vy_V,x_um,y_um"])
-def test_a_bare_pattern_takes_the_columns_of_its_role(
-    channels: Path, header: str
-) -> None:
-    held = json.loads(Path("set.json").read_text())
-    held["models"] = dict(zip("xy", held["models"].values(), strict=False))
-    Path("xy.json").write_text(json.dumps(held))
+def test_a_bare_pattern_takes_the_columns_of_its_role(channels, header):
+    models = load("set.json")["models"].values()
+    store_set("xy.json", **dict(zip("xy", models, strict=False)))
     moves = [2.0 + 0.2 * swings(number) for number in range(2)]
     volts = [swings(2), swings(3)] if "V" in header else []
     write("xy.csv", header, TIME, *volts, *moves)
@@ -133,15 +121,17 @@ def test_a_bare_pattern_takes_the_columns_of_its_role(
     assert "no column" in error
 
 
-def test_a_channel_that_the_set_lacks_is_named(channels: Path) -> None:
-    held = json.loads(Path("set.json").read_text())
+def test_a_pattern_that_finds_nothing_and_a_channel_that_the_set_lacks(channels):
+    error = refused(1, "simulate", "set.json", channels, "--input", "Q{}")
+    assert "mirror.csv" in error and "Q{}" in error
+    held = load("set.json")
     del held["models"]["b"]
-    Path("set.json").write_text(json.dumps(held))
+    store("set.json", held)
     error = refused(1, "simulate", "set.json", channels, "--input", "V{}_V")
     assert "b" in error and "set.json" in error
 
 
-def test_an_error_and_a_warning_of_one_channel_name_it(channels: Path) -> None:
+def test_an_error_and_a_warning_of_one_channel_name_it(channels):
     words = ("--displacement", "D{}_um", "--v-max", "7", "--on-limit", "clip")
     warned = dbo("compensate", "set.json", channels, *words, "-o", "x.csv").err
     for name in NAMES:
@@ -155,7 +145,7 @@ def test_an_error_and_a_warning_of_one_channel_name_it(channels: Path) -> None:
     assert "Vb" in error and "OVLD" in error
 
 
-def test_channels_keep_an_uneven_clock(channels: Path) -> None:
+def test_channels_keep_an_uneven_clock(channels):
     columns = table(channels)
     columns["time_s"] = TIME + 4e-4 * np.sin(np.arange(len(TIME)))
     write("uneven.csv", ",".join(columns), *columns.values())
@@ -175,7 +165,7 @@ SCANNER = ("--displacement", "D{}_um", "--on-limit", "clip")
 
 
 @pytest.fixture
-def scanner(folder: Path) -> Path:
+def scanner(folder):
     """Return two axes of 0 to 10 V, one with relaxation and a delay, and write ``scanner.json``."""
     quick, slow = values_of("small"), values_of("small")
     term = {"on": "input", "reference": 0.0, "tau": [0.05], "gain": [0.02]}
@@ -187,7 +177,7 @@ def scanner(folder: Path) -> Path:
     return write("wish.csv", "time_s,Dx_um,Dy_um", TIME, *axes)
 
 
-def drives_of(*words: object) -> dict[str, Floats]:
+def drives_of(*words):
     """Return the drives of both axes in one table; their lengths and clocks are one."""
     line = ("compensate", "scanner.json", "wish.csv", *SCANNER, *words)
     done(*line, "-o", "d.csv", "-q")
@@ -205,9 +195,7 @@ def drives_of(*words: object) -> dict[str, Floats]:
         "--lead auto",
     ],
 )
-def test_what_stands_around_the_move_takes_equally_long(
-    scanner: Path, words: str
-) -> None:
+def test_what_stands_around_the_move_takes_equally_long(scanner, words):
     written = drives_of(*words.split())
     time = written["time_s"]
     move = (time > -1e-9) & (time < TIME[-1] + 1e-9)
@@ -215,9 +203,8 @@ def test_what_stands_around_the_move_takes_equally_long(
     np.testing.assert_allclose(np.diff(time), 0.002, atol=1e-9)
     wanted = table(scanner)
     for axis in "xy":
-        np.testing.assert_allclose(
-            written[f"desired_{axis}_um"][move], wanted[f"D{axis}_um"], atol=1e-12
-        )
+        desired = written[f"desired_{axis}_um"][move]
+        np.testing.assert_allclose(desired, wanted[f"D{axis}_um"], atol=1e-12)
         assert np.isfinite(written[f"voltage_{axis}_V"]).all()
     if "y=8" in words:
         assert written["voltage_y_V"].max() <= 8.0 < written["voltage_x_V"].max()
@@ -227,7 +214,7 @@ def test_what_stands_around_the_move_takes_equally_long(
         assert (written["voltage_x_V"][0], written["voltage_y_V"][0]) == (9.0, 0.5)
 
 
-def played(columns: dict[str, Floats]) -> Path:
+def played(columns):
     """Write a recording of both axes: the drives, and displacements by their columns."""
     drives = table("d.csv")
     volts = {f"v{axis}_V": drives[f"voltage_{axis}_V"] for axis in "xy"}
@@ -235,7 +222,7 @@ def played(columns: dict[str, Floats]) -> Path:
     return write("track.csv", ",".join(all_columns), *all_columns.values())
 
 
-def test_a_channel_of_a_set_is_driven_as_if_alone(scanner: Path) -> None:
+def test_a_channel_of_a_set_is_driven_as_if_alone(scanner):
     """The axis with the longest way is the one that a single drive gives, to the bit."""
     words = ("--from", "0", "--approach", "auto", "--condition")
     both = drives_of(*words)["voltage_y_V"]
@@ -246,7 +233,7 @@ def test_a_channel_of_a_set_is_driven_as_if_alone(scanner: Path) -> None:
     np.testing.assert_allclose(both[-one.size :], one, atol=1e-9)
 
 
-def test_states_and_summaries_of_a_set_are_sets(scanner: Path) -> None:
+def test_states_and_summaries_of_a_set_are_sets(scanner):
     words = ("--save-state", "s.json", "--summary", "sum.json", "-o", "d.csv")
     outcome = done("compensate", "scanner.json", scanner, *SCANNER, *words)
     for axis in "xy":  # a line and an expected error a channel
@@ -267,7 +254,7 @@ def test_states_and_summaries_of_a_set_are_sets(scanner: Path) -> None:
     assert "s.json" in error and "y" in error
 
 
-def test_a_scanner_is_learned_and_looped(scanner: Path) -> None:
+def test_a_scanner_is_learned_and_looped(scanner):
     loop = ("--periodic", "--passes", 2, "--from", "x=0", "--from", "y=1")
     drives = drives_of(*loop, "--approach", "auto")
     assert (drives["voltage_x_V"][0], drives["voltage_y_V"][0]) == (0.0, 1.0)
@@ -281,20 +268,17 @@ def test_a_scanner_is_learned_and_looped(scanner: Path) -> None:
     assert len(histories["histories"]["y"]["passes"]) == 1
 
 
-def test_a_limit_of_a_channel_is_typed_with_its_name(scanner: Path) -> None:
+def test_a_limit_of_a_channel_is_typed_with_its_name(scanner):
     words = ("compensate", "scanner.json", scanner, *SCANNER, "-o", "x.csv")
-    for wrong in (
-        "--v-max z=9",
-        "--v-max x=9 --v-max x=8",
-        "--v-max 120 --extrapolate",
-    ):
+    wrong_lines = "--v-max z=9", "--v-max x=9 --v-max x=8", "--v-max 120 --extrapolate"
+    for wrong in wrong_lines:
         assert "--v-max" in refused(2, *words, *wrong.split())
     done(*words, "--v-max", "x=12", "--v-max", "y=10", "--extrapolate")
     line = ("compensate", "scanner.json::x", scanner, "--displacement", "Dx_um")
     refused(2, *line, "--v-max", "x=9", "-o", "x.csv")
 
 
-def test_check_looks_at_every_channel(scanner: Path) -> None:
+def test_check_looks_at_every_channel(scanner):
     drives_of("--v-max", "y=8", "--from", "0", "--approach", "auto")
     words = ("check", "d.csv", "--voltage", "voltage_{}")
     done(*words, "--v-min", 0, "--v-max", "x=10", "--v-max", "y=8", "--from", 0)
@@ -305,7 +289,7 @@ def test_check_looks_at_every_channel(scanner: Path) -> None:
     done(*words, "--against", "d.csv")
 
 
-def test_waveforms_of_all_channels(scanner: Path) -> None:
+def test_waveforms_of_all_channels(scanner):
     drives = drives_of("--from", "0", "--approach", "auto")
     words = ("waveform", "d.csv", "--voltage", "voltage_{}", "--to")
     done(*words, "npy", "-o", "d.npy")
@@ -327,7 +311,7 @@ def test_waveforms_of_all_channels(scanner: Path) -> None:
     refused(3, *words, "npy", "--v-max", "y=5", "-o", "e.npy")
 
 
-def test_report_of_every_channel(scanner: Path) -> None:
+def test_report_of_every_channel(scanner):
     desired = drives_of("--summary", "sum.json")
     played({f"m{axis}_um": desired[f"desired_{axis}_um"] + 0.01 for axis in "xy"})
     words = ("report", "track.csv", "--measured", "m{}", "--voltage", "v{}")

@@ -1,19 +1,18 @@
 """``dbo compare``: the DBO beside the operators that its publication names, in one table."""
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from .conftest import creep_log
-from .program import Outcome, done, load, refused, table, write
+from .program import done, load, refused, table, write
 
 KEYS = """name words rmse expected_rmse validation_rmse parameters forward_ns inverse_ns
 refused""".split()
 
 
 @pytest.fixture(scope="module")
-def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Any]:
+def compared(tmp_path_factory):
     """Return the table of a log without a clock as text, and that of one judged on another as JSON."""
     folder = tmp_path_factory.mktemp("compare")
     with pytest.MonkeyPatch.context() as patch:
@@ -28,7 +27,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Any]:
     return text, load(folder / "table.json")
 
 
-def test_there_is_a_row_for_each_operator(compared: tuple[Outcome, Any]) -> None:
+def test_there_is_a_row_for_each_operator(compared):
     told = compared[1]
     assert (told["format"], told["version"], told["unit"]) == ("dbo-compare", 1, "um")
     assert (told["logs"], told["validation"]) == (["log.csv"], ["other.csv"])
@@ -47,7 +46,7 @@ def test_there_is_a_row_for_each_operator(compared: tuple[Outcome, Any]) -> None
     assert min(errors, key=lambda name: errors[name]) == "dbo"  # where there is creep
 
 
-def test_the_table_is_aligned_text(compared: tuple[Outcome, Any]) -> None:
+def test_the_table_is_aligned_text(compared):
     lines = compared[0].out.splitlines()
     assert len(lines) >= 5 and max(map(len, lines)) <= 120
     assert "um" in compared[0].out
@@ -56,6 +55,6 @@ def test_the_table_is_aligned_text(compared: tuple[Outcome, Any]) -> None:
         assert row["name"].lower() in compared[0].out.lower()
 
 
-def test_a_log_that_shows_nothing_is_refused() -> None:
+def test_a_log_that_shows_nothing_is_refused():
     Path("log.csv").write_text("time_s,voltage_V,displacement_um\n0,0,0\n1,1,1\n")
     assert "log.csv" in refused(1, "compare", "log.csv")

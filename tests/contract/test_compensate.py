@@ -1,8 +1,6 @@
 """``dbo compensate``: the drive of a move, what stands before and behind it, and what to expect."""
 
 import json
-from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -11,7 +9,7 @@ import pytest
 import dbo_cli
 
 from .program import (
-    DRIVE, MOVE, Floats, compensated, dbo, done, load, model, refused, rms, simulated, store, table,
+    DRIVE, MOVE, compensated, dbo, done, load, model, refused, rms, simulated, store, table,
     values_of, write,
 )  # fmt: skip
 
@@ -21,16 +19,16 @@ SMALL = ("compensate", model("small"), "wish.csv")
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 
 
-def sine(top: float, low: float = 2.0) -> Floats:
+def sine(top, low=2.0):
     """Return two swings between ``low`` and ``top`` um, from rest at ``low``."""
     return low + 0.5 * (top - low) * (1.0 - np.cos(2.0 * np.pi * 5.0 * TIME))
 
 
-def move(wanted: Floats, name: str = "wish.csv") -> Path:
+def move(wanted, name="wish.csv"):
     return write(name, MOVE, TIME, wanted)
 
 
-def summary_of(*words: object, name: str = "small") -> Any:
+def summary_of(*words, name="small"):
     """Return the summary of a drive."""
     compensated(name, *words, "--summary", "summary.json")
     return load("summary.json")
@@ -39,7 +37,7 @@ def summary_of(*words: object, name: str = "small") -> Any:
 # --- what limits cut off ---
 
 
-def test_what_costs_little_is_clipped_and_said_unless_error_was_typed() -> None:
+def test_what_costs_little_is_clipped_and_said_unless_error_was_typed():
     move(sine(9.1))
     outcome = done(*SMALL, "-o", "drive.csv")
     assert table("drive.csv")["voltage_V"].max() == 10.0
@@ -48,7 +46,7 @@ def test_what_costs_little_is_clipped_and_said_unless_error_was_typed() -> None:
     refused(3, *SMALL, "--on-limit", "error", "-o", "x.csv")
 
 
-def test_what_costs_much_is_refused_unless_asked_for() -> None:
+def test_what_costs_much_is_refused_unless_asked_for():
     wish = move(sine(11.0)).read_bytes()
     error = refused(3, *SMALL, "-o", "drive.csv", "--summary", "s.json")
     lost = rms(np.maximum(sine(11.0) - 9.0, 0.0))
@@ -61,7 +59,7 @@ def test_what_costs_much_is_refused_unless_asked_for() -> None:
     assert any("clip" in line for line in outcome.warnings)
 
 
-def test_what_limits_cut_off_is_no_reason_to_identify_again() -> None:
+def test_what_limits_cut_off_is_no_reason_to_identify_again():
     move(sine(5.5, 0.5))
     words = ("compensate", model("known"), "wish.csv", "--on-limit", "clip")
     outcome = done(*words, "--v-max", 40, "-o", "drive.csv")
@@ -69,16 +67,15 @@ def test_what_limits_cut_off_is_no_reason_to_identify_again() -> None:
     assert "a straight line's" not in outcome.err
 
 
-def test_extrapolate_leaves_the_identified_range_as_far_as_typed() -> None:
+def test_extrapolate_leaves_the_identified_range_as_far_as_typed():
     move(sine(9.5))
     words = ("--v-max", 12)
     assert compensated("small", *words, "--on-limit", "clip")["voltage_V"].max() == 10.0
-    assert (
-        10.0 < compensated("small", *words, "--extrapolate")["voltage_V"].max() < 12.0
-    )
+    beyond = compensated("small", *words, "--extrapolate")["voltage_V"].max()
+    assert 10.0 < beyond < 12.0
 
 
-def test_limits_and_trajectories_take_units() -> None:
+def test_limits_and_trajectories_take_units():
     move(sine(8.0))
     same = {
         "--v-max 8V": "--v-max 8",
@@ -102,7 +99,7 @@ def test_limits_and_trajectories_take_units() -> None:
 # --- before and behind the move ---
 
 
-def test_an_approach_leads_from_where_the_amplifier_stands() -> None:
+def test_an_approach_leads_from_where_the_amplifier_stands():
     move(sine(8.0, 3.0))
     assert "add --approach auto" in done(*SMALL, "--from", 0, "-o", "drive.csv").err
     outcome = done(*SMALL, "--from", 0, "--approach", 0.2, "-o", "drive.csv")
@@ -116,7 +113,7 @@ def test_an_approach_leads_from_where_the_amplifier_stands() -> None:
     np.testing.assert_allclose(desired[~before], sine(8.0, 3.0), atol=1e-12)
 
 
-def test_condition_makes_the_past_known() -> None:
+def test_condition_makes_the_past_known():
     """From any start the conditioned move ends up the same, to the last digits."""
     move(sine(7.0, 4.0))
     compensated("small", "--condition")
@@ -125,7 +122,7 @@ def test_condition_makes_the_past_known() -> None:
     np.testing.assert_allclose(came[1:], [came[0]] * 2, atol=1e-9)
 
 
-def test_the_way_in_may_use_the_rating() -> None:
+def test_the_way_in_may_use_the_rating():
     """From 0 V into a model of 0.236 to 3.424 V: the move's rows keep the identified range."""
     values = values_of("small")
     values["input"] |= {"min": 0.236, "max": 3.424}
@@ -139,14 +136,14 @@ def test_the_way_in_may_use_the_rating() -> None:
     assert voltage[lead].min() < 0.236 <= voltage[~lead].min()
 
 
-def test_rows_before_the_move_do_not_count_in_the_expected_error() -> None:
+def test_rows_before_the_move_do_not_count_in_the_expected_error():
     """A sweep is played, and the error to expect is that of the move behind it."""
     from dbo_cli.model.expect import expected_error
 
     actuator = dbo_cli.read_model(model("known"))
     span = actuator.output.max - actuator.output.min
     wanted = actuator.output.min + span * (0.4 + 0.1 * np.sin(20.0 * TIME))
-    swept: dict[str, Any] = {"condition": True, "return_": actuator.input.min}
+    swept = {"condition": True, "return_": actuator.input.min}
     drive = actuator.compensate(wanted, time=TIME, details=True, **swept)
     assert drive.lead_rows > 1000
     played = drive.voltage[: drive.move.stop]
@@ -161,7 +158,7 @@ def test_rows_before_the_move_do_not_count_in_the_expected_error() -> None:
 
 
 @pytest.mark.parametrize("name", ["moving", "late"])
-def test_delay_and_dynamics_are_undone(name: str) -> None:
+def test_delay_and_dynamics_are_undone(name):
     move(sine(4.0, 1.5))
     time, desired, _ = compensated(name, "--lead", "auto").values()
     middle = (time > 0.02) & (time < 0.38)
@@ -171,7 +168,7 @@ def test_delay_and_dynamics_are_undone(name: str) -> None:
     assert 0.0 < -compensated(name, *words)["time_s"][0] <= 60.0
 
 
-def test_what_the_clock_cannot_carry_is_refused() -> None:
+def test_what_the_clock_cannot_carry_is_refused():
     """Dynamics need an even clock, and a resonance well below half its rate."""
     time = TIME + 0.0003 * np.sin(np.arange(400))
     write("wish.csv", MOVE, time, sine(4.0, 1.5))
@@ -185,15 +182,14 @@ def test_what_the_clock_cannot_carry_is_refused() -> None:
 
 
 @pytest.mark.parametrize("name", ["creep", "moving"])
-def test_a_long_file_gives_what_one_array_gives(name: str) -> None:
+def test_a_long_file_gives_what_one_array_gives(name):
     """Block by block through the shell, whole in the library: the same voltages to rounding."""
     time = np.arange(70_000) / 1000.0
     wanted = 2.5 + np.sin(3.0 * time) * np.cos(0.7 * time)
     write("wish.csv", MOVE, time, wanted)
     written = compensated(name, "--on-limit", "clip", "--max-slew", 300)["voltage_V"]
-    whole = dbo_cli.read_model(model(name)).compensate(
-        wanted, time=time, on_limit="clip", max_slew=300.0
-    )
+    limited = {"time": time, "on_limit": "clip", "max_slew": 300.0}
+    whole = dbo_cli.read_model(model(name)).compensate(wanted, **limited)
     np.testing.assert_allclose(written, whole, rtol=0, atol=1e-9)
 
 
@@ -201,7 +197,7 @@ def test_a_long_file_gives_what_one_array_gives(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["creep", "moving", "late"])
-def test_a_periodic_drive_closes(name: str) -> None:
+def test_a_periodic_drive_closes(name):
     """Played again and again, the settled drive of a loop brings the wish in every pass."""
     top = values_of(name)["output"]["max"]
     wanted = 0.5 * top + 0.25 * top * np.sin(2.0 * PHASE)
@@ -217,7 +213,7 @@ def test_a_periodic_drive_closes(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "slew", "code"), [("small", 30, 3), ("small", 100, 0), ("creep", 300, 0)]
 )
-def test_a_loop_keeps_the_slew_over_its_seam(name: str, slew: float, code: int) -> None:
+def test_a_loop_keeps_the_slew_over_its_seam(name, slew, code):
     """Too fast for the limit, it is clipped in every pass alike, or refused where it does not close."""
     top = values_of(name)["output"]["max"]
     move(0.5 * top + 0.4 * top * np.sin(PHASE + 1.0))
@@ -232,17 +228,15 @@ def test_a_loop_keeps_the_slew_over_its_seam(name: str, slew: float, code: int) 
         assert steps.max() <= slew / 1000.0 * (1.0 + 1e-9)
 
 
-def test_passes_come_before_the_settled_one() -> None:
+def test_passes_come_before_the_settled_one():
     move(2.5 + np.sin(PHASE))
-    rows = [
-        compensated("creep", "--periodic", *more)["time_s"].size
-        for more in ((), ("--passes", 2))
-    ]
-    assert rows[1] - rows[0] in (400, 800)
+    once = compensated("creep", "--periodic")["time_s"].size
+    more = compensated("creep", "--periodic", "--passes", 2)["time_s"].size
+    assert more - once in (400, 800)
     assert rms(simulated("creep", "drive.csv")[-400:] - (2.5 + np.sin(PHASE))) < 0.01
 
 
-def test_a_loop_that_does_not_close_and_options_without_a_partner_are_refused() -> None:
+def test_a_loop_that_does_not_close_and_options_without_a_partner_are_refused():
     move(np.linspace(3.0, 7.0, 400))
     outcome = dbo(*SMALL, "--periodic", "-o", "d.csv")
     assert outcome.code in (1, 3) and "period" in outcome.lines[-1]
@@ -250,12 +244,10 @@ def test_a_loop_that_does_not_close_and_options_without_a_partner_are_refused() 
         refused(2, *SMALL, *option.split(), "-o", "d.csv")
 
 
-def test_bandwidth_rounds_the_corners_and_resample_writes_at_the_card_s_rate() -> None:
+def test_bandwidth_rounds_the_corners_and_resample_writes_at_the_card_s_rate():
     move(np.interp(TIME, [0.0, 0.1, 0.3, 0.4], [2.0, 2.0, 7.0, 7.0]))
-    bend = [
-        np.abs(np.diff(compensated("small", *more)["voltage_V"], 2)).max()
-        for more in ((), ("--bandwidth", 20))
-    ]
+    sharp, round_ = compensated("small"), compensated("small", "--bandwidth", 20)
+    bend = [np.abs(np.diff(one["voltage_V"], 2)).max() for one in (sharp, round_)]
     assert bend[1] < bend[0]
     written = compensated("small", "--resample", "2kHz")
     np.testing.assert_allclose(np.diff(written["time_s"]), 0.0005, rtol=1e-9)
@@ -270,7 +262,7 @@ SUMMARY = (
 ).split()
 
 
-def test_a_summary_is_of_this_drive() -> None:
+def test_a_summary_is_of_this_drive():
     """Figures as the written rows have them, limits as typed, and the model by its name."""
     wanted = sine(9.5)
     move(wanted)
@@ -297,14 +289,14 @@ def test_a_summary_is_of_this_drive() -> None:
     assert len(told["model"]) == 64 and told["expected_rmse"] is None
 
 
-def played_by(stages: Any, drive: dict[str, Floats], state: str = "auto") -> Floats:
+def played_by(stages, drive, state="auto"):
     """Return what other stages of the stored model ``known`` make of a drive."""
     values = values_of("known") | {"stages": stages, "candidates": []}
     other = dbo_cli.read_model(store("other.json", values))
     return other.simulate(drive["voltage_V"], time=drive["time_s"], state=state)
 
 
-def test_a_summary_states_what_to_expect() -> None:
+def test_a_summary_states_what_to_expect():
     """Left out, the spread of candidates and, for an unknown past, that of the starts (theory, 7)."""
     move(sine(4.0, 1.5))
     unknown = summary_of(name="known")
@@ -324,7 +316,7 @@ def test_a_summary_states_what_to_expect() -> None:
     assert unknown["expected_rmse_past_known"] < unknown["expected_rmse"]
 
 
-def test_hdf5_holds_units_model_and_limits() -> None:
+def test_hdf5_holds_units_model_and_limits():
     move(sine(8.0))
     done(*SMALL, "--v-max", 9.5, "-o", "drive.h5")
     with h5py.File("drive.h5") as file:
@@ -334,12 +326,11 @@ def test_hdf5_holds_units_model_and_limits() -> None:
         attributes = {key: str(value) for key, value in file.attrs.items()}
         stored = file["voltage"][:]
     assert "9.5" in json.dumps(attributes)
-    np.testing.assert_array_equal(
-        stored, compensated("small", "--v-max", 9.5)["voltage_V"]
-    )
+    text = compensated("small", "--v-max", 9.5)["voltage_V"]
+    np.testing.assert_array_equal(stored, text)
 
 
-def test_a_saved_state_joins_two_moves() -> None:
+def test_a_saved_state_joins_two_moves():
     wanted = sine(4.0, 1.5)
     write("first.csv", MOVE, TIME[:200], wanted[:200])
     write("second.csv", MOVE, TIME[200:], wanted[200:])

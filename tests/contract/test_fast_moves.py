@@ -12,9 +12,7 @@ AMPLIFIER = 6e-4  # s
 MODES = ((500.0, 0.03, 1.0),)
 
 
-def test_an_amplifier_is_told_from_a_sweep_and_undone_in_fast_moves(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_amplifier_is_told_from_a_sweep_and_undone_in_fast_moves(monkeypatch):
     """A lag behind the gears instead leaves 1.7 % of the move at a fifth of the resonance."""
     monkeypatch.syspath_prepend(str(SAMPLES))
     from virtual_positioner import PositionerParameters, VirtualPositioner

@@ -5,7 +5,6 @@ import math
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import jsonschema
 import numpy as np
@@ -17,7 +16,7 @@ from dbo_cli.library import Fit
 
 from .conftest import creep_log
 from .program import (
-    DRIVE, LOG, SAMPLES, Floats, dbo, done, load, model, refused, rms, simulated, store, table,
+    DRIVE, LOG, SAMPLES, dbo, done, load, model, refused, rms, simulated, store, table,
     values_of, write,
 )  # fmt: skip
 
@@ -28,13 +27,13 @@ ROOT = SAMPLES.parent
 FITTED = Path("model.json")
 
 
-def identified(*words: object) -> Any:
+def identified(*words):
     """Identify into ``model.json`` and return its values."""
     done("identify", *words, "-o", FITTED, "-q")
     return load(FITTED)
 
 
-def swings(rows: int = 1200) -> tuple[Floats, Floats]:
+def swings(rows=1200):
     """Return time and a drive of 0 to 100 V in full and in smaller swings."""
     time = np.arange(rows) / 500.0
     part = time / time[-1]
@@ -42,14 +41,14 @@ def swings(rows: int = 1200) -> tuple[Floats, Floats]:
     return time, 50.0 - size * np.cos(2.0 * np.pi * 2.5 * time)
 
 
-def played(drive: Floats) -> Floats:
+def played(drive):
     """Return where the gears of the stored model ``creep`` alone go: 0 to 5.12 um, no memory of time."""
     values = values_of("creep")
     del values["stages"][0]["relaxation"], values["stages"][1]
     return dbo_cli.read_model(store("gears.json", values)).simulate(drive)
 
 
-def moved_log(name: str = "log.csv", noise: float = 0.002) -> Path:
+def moved_log(name="log.csv", noise=0.002):
     """Write a log of those gears, with noise of a sensor (um)."""
     time, drive = swings()
     error = np.random.default_rng(4).normal(0.0, noise, len(time))
@@ -59,9 +58,7 @@ def moved_log(name: str = "log.csv", noise: float = 0.002) -> Path:
 # --- the sample log ---
 
 
-def test_the_sample_is_followed_within_a_hundredth_of_a_percent(
-    sample_model: Path,
-) -> None:
+def test_the_sample_is_followed_within_a_hundredth_of_a_percent(sample_model):
     """Sensor noise is 5 nm, the range 12 um; a straight line leaves 0.6 um."""
     fit = load(sample_model)["fit"]
     assert fit["sign"] == "rising"
@@ -71,7 +68,7 @@ def test_the_sample_is_followed_within_a_hundredth_of_a_percent(
     assert fit["line_rmse"] > 0.3
 
 
-def test_the_sample_s_bench_follows_the_drive(sample_model: Path) -> None:
+def test_the_sample_s_bench_follows_the_drive(sample_model):
     """Compensated on the bench that is no DBO, from rest at 0 V: what is stated comes, noise beside it."""
     from virtual_actuator import VirtualActuator
 
@@ -90,9 +87,7 @@ def test_the_sample_s_bench_follows_the_drive(sample_model: Path) -> None:
     assert stated[1] > 2.0 * stated[0]  # where the past is unknown
 
 
-def test_the_sample_s_model_fits_the_schema_and_holds_what_a_model_does(
-    sample_model: Path,
-) -> None:
+def test_the_sample_s_model_fits_the_schema_and_holds_what_a_model_does(sample_model):
     values = load(sample_model)
     schema = load(ROOT / "docs" / "model-file.schema.json")
     for found in (values, done("invert", sample_model).json):
@@ -114,7 +109,7 @@ def test_the_sample_s_model_fits_the_schema_and_holds_what_a_model_does(
 # --- small logs ---
 
 
-def test_a_log_of_gears_is_followed_to_its_noise() -> None:
+def test_a_log_of_gears_is_followed_to_its_noise():
     fit = identified(moved_log(), "--relaxation", 0, "--delay", 0)["fit"]
     assert fit["rmse"] < 0.03 and fit["line_rmse"] > 0.2
 
@@ -127,7 +122,7 @@ def test_a_log_of_gears_is_followed_to_its_noise() -> None:
         (1.0, "--zero 2.5", (3.5, 8.644)),
     ],
 )
-def test_sign_and_zero(sign: float, words: str, ends: tuple[float, float]) -> None:
+def test_sign_and_zero(sign, words, ends):
     """Where the displacement counts from; 6 um stood at 0 V."""
     time, drive = swings()
     write("log.csv", LOG, time, drive, 6.0 + sign * played(drive))
@@ -138,13 +133,13 @@ def test_sign_and_zero(sign: float, words: str, ends: tuple[float, float]) -> No
 
 
 @pytest.mark.parametrize(("sign", "code"), [("rising", 0), ("falling", 3)])
-def test_the_other_sign_is_refused(sign: str, code: int) -> None:
+def test_the_other_sign_is_refused(sign, code):
     words = ("identify", moved_log(), *QUICK, "--sign", sign, "-o", FITTED)
     assert dbo(*words).code == code
     assert FITTED.exists() == (code == 0)
 
 
-def test_a_delay_is_found() -> None:
+def test_a_delay_is_found():
     time, drive = swings()
     write("log.csv", LOG, time, drive, played(np.interp(time - 0.006, time, drive)))
     stages = identified("log.csv", "--relaxation", 0, "--dynamics", 0)["stages"]
@@ -152,7 +147,7 @@ def test_a_delay_is_found() -> None:
     assert delays and abs(delays[0] - 0.006) < 0.001
 
 
-def test_a_structure_that_is_typed_is_taken() -> None:
+def test_a_structure_that_is_typed_is_taken():
     words = "--points 6 --gears 64 --relaxation 0.01,300ms --delay 0.004".split()
     stages = identified(moved_log(), *words, "--dynamics", 0, "--force")["stages"]
     kinds = [one["type"] for one in stages]
@@ -163,7 +158,7 @@ def test_a_structure_that_is_typed_is_taken() -> None:
     assert relaxation["tau"] == pytest.approx([0.01, 0.3])
 
 
-def test_a_sensor_s_delay_is_no_delay_of_the_actuator() -> None:
+def test_a_sensor_s_delay_is_no_delay_of_the_actuator():
     time, drive = swings()
     late = np.interp(time - 0.004, time, played(drive))
     write("log.csv", LOG, time, drive, late)
@@ -171,7 +166,7 @@ def test_a_sensor_s_delay_is_no_delay_of_the_actuator() -> None:
     assert with_it < identified("log.csv", *QUICK, "--force")["fit"]["rmse"]
 
 
-def test_a_model_with_memory_is_better_where_there_is_creep() -> None:
+def test_a_model_with_memory_is_better_where_there_is_creep():
     log, other = creep_log("log.csv"), creep_log("other.csv", seed=2)
     plain = identified(log, *QUICK, "--force")["fit"]["rmse"]
     words = (*QUICK[:6], "--relaxation", "0.01,0.3", "--validate", other)
@@ -181,7 +176,7 @@ def test_a_model_with_memory_is_better_where_there_is_creep() -> None:
     assert judged["name"] == "other.csv" and 0.001 < judged["rmse"] < 0.1
 
 
-def test_several_logs_are_fitted_together() -> None:
+def test_several_logs_are_fitted_together():
     """Their error is that of all rows, the sample period the shortest."""
     first = table(creep_log("a.csv"))
     second = {name: values[:1400:2].copy() for name, values in first.items()}
@@ -201,7 +196,7 @@ def test_several_logs_are_fitted_together() -> None:
         assert fit["rmse"] == pytest.approx(math.sqrt(squares / rows), rel=1e-9)
 
 
-def test_skip_leaves_out_the_beginning() -> None:
+def test_skip_leaves_out_the_beginning():
     columns = table(moved_log())
     columns["displacement_um"][:59] = 50.0
     log = write("log.csv", LOG, *columns.values())
@@ -210,7 +205,7 @@ def test_skip_leaves_out_the_beginning() -> None:
     assert fit["logs"][0]["rows"] == 1200 - 100
 
 
-def test_spikes_do_not_spoil_a_model() -> None:
+def test_spikes_do_not_spoil_a_model():
     log = moved_log()
     clean = identified(log, *QUICK)["fit"]["rmse"]
     columns = table(log)
@@ -219,7 +214,7 @@ def test_spikes_do_not_spoil_a_model() -> None:
     assert identified("log.csv", *QUICK)["fit"]["rmse"] < 1.3 * clean
 
 
-def test_a_prior_is_rescaled_from_a_short_log() -> None:
+def test_a_prior_is_rescaled_from_a_short_log():
     """The shape is kept; gain and offset come from a second."""
     time, volts, moved = table(creep_log("log.csv")).values()
     scaled = 1.2 * moved - 0.5
@@ -229,7 +224,7 @@ def test_a_prior_is_rescaled_from_a_short_log() -> None:
     assert rms(simulated(FITTED, write("all.csv", DRIVE, time, volts)) - scaled) < 0.06
 
 
-def test_the_method_of_the_paper() -> None:
+def test_the_method_of_the_paper():
     words = ("--method", "paper", "--gears", 25, "--zero", "mean", "--rows", "401:800")
     stages = identified(creep_log("log.csv"), *words, "--force")["stages"]
     gears = next(one for one in stages if one["type"] == "backlash")
@@ -237,7 +232,7 @@ def test_the_method_of_the_paper() -> None:
     assert gears["x0"] == pytest.approx(0.0, abs=5.0)
 
 
-def test_other_units_and_quantities() -> None:
+def test_other_units_and_quantities():
     time, volts, moved = table(moved_log()).values()
     micro = identified("log.csv", *QUICK)["fit"]["rmse"]
     write("log.csv", "time_s,voltage_V,displacement_nm", time, volts, 1000.0 * moved)
@@ -254,7 +249,7 @@ def test_other_units_and_quantities() -> None:
 # --- refusals ---
 
 
-def test_a_line_is_refused_and_force_keeps_it() -> None:
+def test_a_line_is_refused_and_force_keeps_it():
     """Noise instead of a displacement: no better than a straight line."""
     time, drive = swings()
     noise = np.random.default_rng(6).normal(0.0, 1.0, len(time))
@@ -273,12 +268,12 @@ SINE = 5.0 + 5.0 * np.sin(np.arange(500) / 20.0)
     [(STILL, RAMP), (SINE, STILL), (RAMP, 0.1 * RAMP), (np.arange(9.0) % 4, np.arange(9.0) % 4)],
     ids=["a drive at rest", "a displacement at rest", "a drive that only rises", "a few rows"],
 )  # fmt: skip
-def test_a_log_that_shows_nothing_is_refused(drive: Floats, moved: Floats) -> None:
+def test_a_log_that_shows_nothing_is_refused(drive, moved):
     write("log.csv", LOG, np.arange(len(drive)) / 500.0, drive, moved)
     assert "log.csv" in refused(1, "identify", "log.csv", "-o", FITTED)
 
 
-def test_logs_of_different_units_are_not_mixed_and_a_model_is_no_log() -> None:
+def test_logs_of_different_units_are_not_mixed_and_a_model_is_no_log():
     first = moved_log("a.csv")
     text = first.read_text().replace("displacement_um", "displacement_mrad")
     Path("b.csv").write_text(text)
@@ -291,7 +286,7 @@ def test_logs_of_different_units_are_not_mixed_and_a_model_is_no_log() -> None:
 # --- what is said and written ---
 
 
-def test_what_to_expect_is_said_and_stands_in_a_summary() -> None:
+def test_what_to_expect_is_said_and_stands_in_a_summary():
     words = ("-o", FITTED, "--summary", "summary.json")
     outcome = done("identify", moved_log(), *QUICK, *words)
     last = outcome.said[-1]
@@ -302,7 +297,7 @@ def test_what_to_expect_is_said_and_stands_in_a_summary() -> None:
     assert told["rmse"] == fit["rmse"] and told["expected_rmse"] == fit["expected_rmse"]
 
 
-def test_one_amplitude_is_warned_of() -> None:
+def test_one_amplitude_is_warned_of():
     time = np.arange(1500) / 500.0
     drive = 50.0 - 50.0 * np.cos(2.0 * np.pi * 2.0 * time)
     noise = np.random.default_rng(3).normal(0.0, 0.01, len(time))
@@ -320,7 +315,7 @@ SPRINGS = np.linspace(2.0, 0.4, 9)
 FADING = 50.0 - 50.0 * np.cos(2.0 * np.pi * 0.5 * TIME) * np.exp(-TIME / 6.0)
 
 
-def moved_by(drive: Floats, before: float = 100.0) -> Floats:
+def moved_by(drive, before=100.0):
     """Return a sum of plays of a drive that was at 0 and then at ``before`` first."""
     plays = np.clip(np.full(9, before), before - REACH, before + REACH)
     rows = []
@@ -330,21 +325,19 @@ def moved_by(drive: Floats, before: float = 100.0) -> Floats:
     return 0.05 * np.asarray(rows) @ SPRINGS
 
 
-def fitted(drive: Floats, moved: Floats) -> dbo_cli.Model:
-    plain: dict[str, Any] = {"relaxation": (0.0,), "delay": 0.0}
+def fitted(drive, moved):
+    plain = {"relaxation": (0.0,), "delay": 0.0}
     return dbo_cli.identify(drive, moved, sample_rate=RATE, **plain)
 
 
-def error_behind_the_first_swings(
-    model: dbo_cli.Model, drive: Floats, came: Floats
-) -> float:
+def error_behind_the_first_swings(model, drive, came):
     """Return the error (RMS) where no past shows."""
     left = model.simulate(drive, sample_rate=RATE) - came
     return float(np.std(left[300:]))
 
 
 @pytest.mark.parametrize("cut", [0.02, 0.05])
-def test_a_beginning_that_is_cut_off_makes_little_difference(cut: float) -> None:
+def test_a_beginning_that_is_cut_off_makes_little_difference(cut):
     came = moved_by(FADING)
     first = int(cut * len(FADING))
     test = 50.0 - 45.0 * np.cos(2.0 * np.pi * 0.4 * TIME) * (0.6 + 0.4 * TIME / 12.0)
@@ -354,7 +347,7 @@ def test_a_beginning_that_is_cut_off_makes_little_difference(cut: float) -> None
     assert errors[1] < 2.0 * errors[0] + 2e-3 * np.ptp(came)
 
 
-def test_a_log_that_begins_inside_its_range_keeps_all_its_rows() -> None:
+def test_a_log_that_begins_inside_its_range_keeps_all_its_rows():
     drive = np.concatenate([np.linspace(60.0, 0.0, 100), FADING])[: len(TIME)]
     came = moved_by(drive, 0.0)
     model = fitted(drive, came)
@@ -364,7 +357,7 @@ def test_a_log_that_begins_inside_its_range_keeps_all_its_rows() -> None:
     assert error < 0.01 * np.ptp(came)
 
 
-def test_walks_apart_and_a_drift_above_the_range_are_refused() -> None:
+def test_walks_apart_and_a_drift_above_the_range_are_refused():
     for seed in range(2):
         rng = np.random.default_rng(seed)
         drive, other = np.cumsum(rng.standard_normal((2, 800)), axis=1)
@@ -375,7 +368,7 @@ def test_walks_apart_and_a_drift_above_the_range_are_refused() -> None:
         fitted(FADING, came + 3.0 * np.ptp(came) * TIME / TIME[-1])
 
 
-def test_noise_of_the_sensor_is_no_error_of_the_actuator() -> None:
+def test_noise_of_the_sensor_is_no_error_of_the_actuator():
     came = moved_by(FADING)
     size = 0.02 * float(np.ptp(came))
     model = fitted(FADING, came + size * np.random.default_rng(1).normal(size=1200))
@@ -383,7 +376,7 @@ def test_noise_of_the_sensor_is_no_error_of_the_actuator() -> None:
     assert model.fit["expected_rmse"] < 0.8 * size < model.fit["rmse"]
 
 
-def test_memories_that_may_have_rested_elsewhere_are_in_the_stated_error() -> None:
+def test_memories_that_may_have_rested_elsewhere_are_in_the_stated_error():
     from dbo_cli.model import Candidate, Cascade, Gears, Quantity, Relaxation
     from dbo_cli.model.expect import expected_error
 
@@ -400,7 +393,7 @@ def test_memories_that_may_have_rested_elsewhere_are_in_the_stated_error() -> No
     assert unknown == pytest.approx(2.0 / np.sqrt(12.0), rel=0.01)
 
 
-def test_the_range_is_that_of_the_drive_and_not_of_its_noise() -> None:
+def test_the_range_is_that_of_the_drive_and_not_of_its_noise():
     came = moved_by(FADING)
     noisy = FADING + 0.5 * np.random.default_rng(2).normal(size=FADING.size)
     for drive in (FADING, np.round(FADING, 2)):
@@ -411,7 +404,7 @@ def test_the_range_is_that_of_the_drive_and_not_of_its_noise() -> None:
     assert noisy.min() <= low <= noisy.min() + 2.0
 
 
-def test_the_development_table_refuses_a_constant_that_is_none(tmp_path: Path) -> None:
+def test_the_development_table_refuses_a_constant_that_is_none(tmp_path):
     script = ROOT / "benchmarks" / "identification.py"
     command = [sys.executable, script, tmp_path, "none", "--set", "search.BENDS=()"]
     run = subprocess.run([*command, "--set", "search.NOPE=1"], capture_output=True)

@@ -3,9 +3,7 @@
 import contextlib
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +15,7 @@ HUGE = int("9" * 400)
 
 
 @pytest.fixture(scope="module")
-def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def good(tmp_path_factory):
     """Make a good file of each kind."""
     folder = tmp_path_factory.mktemp("good")
     with contextlib.chdir(folder):
@@ -26,12 +24,12 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def files(good: Path, folder: Path) -> None:
+def files(good, folder):
     """Lay out a good file of each kind."""
     shutil.copytree(good, folder, dirs_exist_ok=True)
 
 
-def make_files() -> None:
+def make_files():
     """Write model, state, history and summary, and what they are read with."""
     time = np.arange(500) / 1000.0
     wish = 2.0 - np.cos(25.0 * time)
@@ -63,7 +61,7 @@ POSITIVE = {**FIRST_NUMBER, "model": ("fit", "expected_rmse")}
 """A number of each that may not be negative; a state has none."""
 
 
-def with_value(kind: str, path: tuple[Any, ...], value: Any) -> str:
+def with_value(kind, path, value):
     """Return the file with another value at a path."""
     content = load(f"{kind}.json")
     inner = content
@@ -74,12 +72,12 @@ def with_value(kind: str, path: tuple[Any, ...], value: Any) -> str:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_good_files_are_read(files: None, kind: str) -> None:
+def test_good_files_are_read(files, kind):
     done(*READ[kind].split())
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_wrong_is_named_by_its_key(files: None, kind: str) -> None:
+def test_what_is_wrong_is_named_by_its_key(files, kind):
     """A version is the whole number 1, a number a number, and no key is unknown."""
     for value in (True, "1", 2, 1.0, None, HUGE):
         spoil(kind, with_value(kind, ("version",), value), "version")
@@ -97,7 +95,7 @@ def test_what_is_wrong_is_named_by_its_key(files: None, kind: str) -> None:
         spoil(kind, with_value(kind, ("surprise",), 1), "surprise")
 
 
-DAMAGE: dict[str, Callable[[str], str]] = {
+DAMAGE = {
     "empty": lambda text: "",
     "cut": lambda text: text[: len(text) // 2],
     "a list": lambda text: f"[{text}]",
@@ -109,7 +107,7 @@ DAMAGE: dict[str, Callable[[str], str]] = {
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_damage_is_one_line(files: None, kind: str) -> None:
+def test_damage_is_one_line(files, kind):
     good = Path(f"{kind}.json").read_text()
     for damage in DAMAGE.values():
         spoil(kind, damage(good), f"{kind}.json")
@@ -117,13 +115,13 @@ def test_damage_is_one_line(files: None, kind: str) -> None:
     refused(1, *READ[kind].split())
 
 
-def test_an_error_of_minus_nothing_is_nothing(files: None) -> None:
+def test_an_error_of_minus_nothing_is_nothing(files):
     Path("summary.json").write_text(with_value("summary", ("expected_rmse",), -0.0))
     outcome = done(*READ["summary"].split())
     assert "-0" not in outcome.out + outcome.err
 
 
-def spoil(kind: str, text: str, held: str) -> None:
+def spoil(kind, text, held):
     """Read a file with this text; the refusal is a short line with the file and ``held``."""
     path = Path(f"{kind}.json")
     before = path.read_text()

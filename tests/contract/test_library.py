@@ -5,7 +5,6 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,31 +14,29 @@ from mypy import api
 import dbo_cli as dbo
 from dbo_cli.library import Move
 
-from .program import (
-    MOVE, SAMPLES, Floats, compensated, done, model, rms, table, write,
-)  # fmt: skip
+from .program import MOVE, SAMPLES, compensated, done, model, rms, table, write
 
 TIME = np.arange(400) / 1000.0
 WANTED = 5.0 - 3.0 * np.cos(2.0 * np.pi * 5.0 * TIME)
 SLOW = 2.5 - np.cos(2.0 * np.pi * 5.0 * TIME)
 RISING = 50.0 - 50.0 * np.cos(30.0 * TIME)
-QUICK: dict[str, Any] = {
+QUICK = {
     "gears": 20, "points": 0, "delay": 0.0, "relaxation": (0.01, 0.3), "dynamics": 0
 }  # fmt: skip
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 
 
 @pytest.fixture
-def small() -> Any:
+def small():
     return dbo.read_model(model("small"))
 
 
 @pytest.fixture
-def creep() -> Any:
+def creep():
     return dbo.read_model(model("creep"))
 
 
-def test_every_public_name_is_there(creep: Any) -> None:
+def test_every_public_name_is_there(creep):
     for name in dbo.__all__:
         assert getattr(dbo, name) is not None
     promised = "read_log read_model identify report DboError DboWarning"
@@ -91,7 +88,7 @@ WRONG = {
 }
 
 
-def test_a_type_checker_knows_what_comes_out(tmp_path: Path) -> None:
+def test_a_type_checker_knows_what_comes_out(tmp_path):
     lines = [f"reveal_type({expression})" for expression in REVEALED]
     script = tmp_path / "use.py"
     script.write_text(USE + "\n".join([*lines, *WRONG]) + "\n")
@@ -115,7 +112,7 @@ CALLS = [
 ]  # fmt: skip
 
 
-def test_a_signature_names_what_there_is() -> None:
+def test_a_signature_names_what_there_is():
     for call in CALLS:
         signature = inspect.signature(call)
         for parameter in signature.parameters.values():
@@ -133,14 +130,14 @@ def test_a_signature_names_what_there_is() -> None:
 # --- logs and identification ---
 
 
-def test_read_log_takes_columns_and_reading_options_and_has_units(log: Path) -> None:
+def test_read_log_takes_columns_and_reading_options_and_has_units(log):
     frame = dbo.read_log(SAMPLES / "identification.csv")
     assert isinstance(frame, pd.DataFrame) and len(frame) == 15000
     assert frame.attrs["units"] == {"time": "s", "voltage": "V", "displacement": "um"}
     assert [frame[column].dtype for column in frame.attrs["units"]] == [float] * 3
     text = log.read_text().replace("voltage_V", "CH1").replace("displacement_um", "CH2")
     Path("run.csv").write_text(text)
-    words: dict[str, Any] = {"voltage": "CH1", "displacement": "CH2", "rows": "1:500"}
+    words = {"voltage": "CH1", "displacement": "CH2", "rows": "1:500"}
     frame = dbo.read_log("run.csv", **words, scale={"displacement": "10um/V"})
     moved = table(log)["displacement_um"][:500]
     np.testing.assert_allclose(frame["displacement"], 10.0 * moved)
@@ -148,7 +145,7 @@ def test_read_log_takes_columns_and_reading_options_and_has_units(log: Path) -> 
         dbo.read_log("run.csv")
 
 
-def test_frames_and_arrays_give_the_model_of_the_shell(log: Path) -> None:
+def test_frames_and_arrays_give_the_model_of_the_shell(log):
     words = "--gears 20 --points 0 --delay 0 --relaxation 0.01,0.3 --dynamics 0".split()
     done("identify", log, *words, "-o", "shell.json", "-q")
     shell = dbo.read_model("shell.json")
@@ -173,7 +170,7 @@ def test_frames_and_arrays_give_the_model_of_the_shell(log: Path) -> None:
     assert len(dbo.identify([frame, frame], **QUICK).fit["logs"]) == 2
 
 
-def test_what_is_warned_of_is_part_of_the_result() -> None:
+def test_what_is_warned_of_is_part_of_the_result():
     drive = 50.0 - 50.0 * np.cos(np.arange(1200) * np.pi / 120.0)
     moved = dbo.read_model(model("small")).simulate(drive / 10.0)
     noise = np.random.default_rng(5).normal(0.0, 0.01, 1200)
@@ -188,11 +185,11 @@ def test_what_is_warned_of_is_part_of_the_result() -> None:
 # --- models ---
 
 
-def test_compensate_is_the_shell_s(creep: Any) -> None:
+def test_compensate_is_the_shell_s(creep):
     write("wish.csv", MOVE, TIME, SLOW)
     limits = ("--v-max", 60, "--max-slew", 2000, "--on-limit", "clip")
     shell = compensated("creep", *limits, "--from", 0, "--approach", "auto")
-    options: dict[str, Any] = {"v_max": 60, "max_slew": "2V/ms", "on_limit": "clip"}
+    options = {"v_max": 60, "max_slew": "2V/ms", "on_limit": "clip"}
     options |= {"from_": 0.0, "approach": "auto", "details": True}
     drive = creep.compensate(SLOW, time=TIME, **options)
     np.testing.assert_array_equal(drive.voltage, shell["voltage_V"])
@@ -201,19 +198,8 @@ def test_compensate_is_the_shell_s(creep: Any) -> None:
     assert isinstance(plain, np.ndarray) and plain.shape == SLOW.shape
 
 
-def test_details_are_numbers() -> None:
-    known = dbo.read_model(model("known"))
-    drive = known.compensate(SLOW, time=TIME, condition=True, details=True)
-    assert isinstance(drive.expected_error, float) and drive.expected_error > 0.0
-    assert drive.clipped == 0 and drive.lost_rms == 0.0
-    assert drive.time[0] < 0.0 and len(drive.voltage[drive.move]) == len(SLOW)
-    came = known.simulate(drive.voltage, time=drive.time, state="full")
-    assert rms(came[drive.move][1:] - SLOW[1:]) < 0.05
-    assert drive.summary()["expected_rmse"] == drive.expected_error
-
-
 @pytest.mark.parametrize("zone", [None, "UTC", "Asia/Tokyo"])
-def test_pandas_and_lists_come_in_with_their_clocks(creep: Any, zone: str) -> None:
+def test_pandas_and_lists_come_in_with_their_clocks(creep, zone):
     expected = creep.simulate(RISING, time=TIME)
     index = pd.date_range("2026-01-01", periods=400, freq="1ms", tz=zone)
     seconds = pd.Index(TIME, name="time")
@@ -232,7 +218,7 @@ def test_pandas_and_lists_come_in_with_their_clocks(creep: Any, zone: str) -> No
         creep.simulate(pd.Series(RISING))
 
 
-def test_what_is_wrong_is_an_error_of_a_class(small: Any, creep: Any) -> None:
+def test_what_is_wrong_is_an_error_of_a_class(small, creep):
     far = WANTED + 5.0
     with pytest.raises(dbo.LimitError):
         small.compensate(far, time=TIME)
@@ -250,14 +236,14 @@ def test_what_is_wrong_is_an_error_of_a_class(small: Any, creep: Any) -> None:
         creep.save("no/where.json")
 
 
-def test_plot_and_html(creep: Any) -> None:
+def test_plot_and_html(creep):
     axes = creep.plot().axes[0]
     label = axes.get_ylabel().replace("\N{GREEK SMALL LETTER MU}", "u")
     assert "V" in axes.get_xlabel() and "um" in label.replace("µ", "u")
     assert "<" in creep._repr_html_() and "100" in repr(creep)
 
 
-def test_a_set_is_a_mapping_of_models(tmp_path: Path) -> None:
+def test_a_set_is_a_mapping_of_models(tmp_path):
     models = dbo.read_models(model("set"))
     assert list(models) == ["x", "y"] and dbo.read_model(model("set")) == models
     models.save(tmp_path / "set.json")
@@ -271,8 +257,8 @@ def test_a_set_is_a_mapping_of_models(tmp_path: Path) -> None:
 # --- reports ---
 
 
-def test_report(creep: Any) -> None:
-    error: Floats = np.random.default_rng(1).normal(0.0, 0.05, 400)
+def test_report(creep):
+    error = np.random.default_rng(1).normal(0.0, 0.05, 400)
     found = dbo.report(WANTED, WANTED + error, time=TIME)
     assert found.rmse == pytest.approx(rms(error), rel=1e-12)
     frame = found.to_frame()
@@ -289,7 +275,7 @@ def test_report(creep: Any) -> None:
     assert by_rate.rmse == pytest.approx(0.25)
 
 
-def test_a_report_leaves_the_process_alone() -> None:
+def test_a_report_leaves_the_process_alone():
     code = (
         "import signal, warnings, numpy as np, dbo_cli as dbo\n"
         "before = signal.getsignal(signal.SIGINT), list(warnings.filters)\n"

@@ -1,7 +1,6 @@
 """Limits hold, wherever a drive is made: the gate, inverse models, and ``check`` of one mind with them."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from hypothesis import strategies as st
 import dbo_cli
 
 from .program import (
-    DRIVE, MOVE, Floats, Outcome, compensated, dbo, done, model, refused, rms, simulated, store, table,
+    DRIVE, MOVE, compensated, dbo, done, model, refused, rms, simulated, store, table,
     values_of, write,
 )  # fmt: skip
 
@@ -22,7 +21,7 @@ PLAYED = "time_s,monitor_V"
 
 
 @pytest.fixture(autouse=True)
-def files(folder: Path) -> None:
+def files(folder):
     write("wish.csv", MOVE, TIME, WANTED)
     write("drive.csv", DRIVE, TIME, VOLTS)
 
@@ -41,7 +40,7 @@ def files(folder: Path) -> None:
         "--from 1kV --approach 1 --v-min -20 --v-max 120",
     ],
 )
-def test_a_start_outside_the_rating_is_refused(words: str) -> None:
+def test_a_start_outside_the_rating_is_refused(words):
     typed = words.split()[1].replace("1kV", "1000")
     for on_limit in ("auto", "clip", "error"):
         line = (*words.split(), "--on-limit", on_limit, "-o", "out.csv")
@@ -49,7 +48,7 @@ def test_a_start_outside_the_rating_is_refused(words: str) -> None:
         assert typed in error.replace("1,000", "1000")
 
 
-def test_a_start_and_a_state_outside_the_rating_are_refused() -> None:
+def test_a_start_and_a_state_outside_the_rating_are_refused():
     actuator = dbo_cli.read_model(model("creep"))
     limits = {"v_min": -20, "v_max": 120, "max_slew": 2000, "on_limit": "clip"}
     for start in (1000.0, -21.0, 120.5):
@@ -62,7 +61,7 @@ def test_a_start_and_a_state_outside_the_rating_are_refused() -> None:
 
 
 @pytest.mark.parametrize("start", [0.0, 20.0, 100.0])
-def test_the_seconds_that_a_refused_approach_names_are_enough(start: float) -> None:
+def test_the_seconds_that_a_refused_approach_names_are_enough(start):
     """It named those of a voltage that was tried on the search for where the move goes on."""
     displacement = 4.5 + 0.2 * np.sin(2.0 * np.pi * TIME)
     write("high.csv", "time_s,displacement_um", TIME, displacement)
@@ -75,7 +74,7 @@ def test_the_seconds_that_a_refused_approach_names_are_enough(start: float) -> N
 
 
 @pytest.mark.parametrize("more", ["", "--periodic", "--condition"])
-def test_an_approach_of_auto_lasts_a_tenth_of_a_second(more: str) -> None:
+def test_an_approach_of_auto_lasts_a_tenth_of_a_second(more):
     phase = 2.0 * np.pi * np.arange(400) / 400
     write("wish.csv", MOVE, TIME, 3.2 + np.sin(phase))
     words = ("--from", 0, "--approach", "auto", "--max-slew", 2000, *more.split())
@@ -85,7 +84,7 @@ def test_an_approach_of_auto_lasts_a_tenth_of_a_second(more: str) -> None:
     assert steps.max() <= 2.0 * (1.0 + 1e-9)
 
 
-def test_milliseconds_taken_for_seconds_are_warned_of() -> None:
+def test_milliseconds_taken_for_seconds_are_warned_of():
     actuator = dbo_cli.read_model(model("known"))
     with pytest.warns(dbo_cli.DboWarning):
         actuator.compensate(0.8 * WANTED, time=TIME * 1e3)
@@ -118,7 +117,7 @@ UNSETTLED = {
 """A loop that its limits keep from settling."""
 
 
-def wanted_of(actuator: Any, seed: int, size: float, periodic: bool) -> Floats:
+def wanted_of(actuator, seed, size, periodic):
     """Return a move of 120 rows that may leave the range by far."""
     random = np.random.default_rng(seed)
     middle = 0.5 * (actuator.output.min + actuator.output.max)
@@ -134,13 +133,13 @@ def wanted_of(actuator: Any, seed: int, size: float, periodic: bool) -> Floats:
 @settings(max_examples=100)
 @given(case=MOVES)
 @example(case=UNSETTLED)
-def test_no_row_leaves_the_limits(case: dict[str, Any]) -> None:
+def test_no_row_leaves_the_limits(case):
     """Whatever is asked: no row beyond the rating, no step faster than the slew, or a refusal."""
     actuator = dbo_cli.read_model(model(case["name"]))
     low, high = actuator.input.min, actuator.input.max
     bottom = low if case["v_min"] is None else case["v_min"]
     top = high if case["v_max"] is None else case["v_max"]
-    options: dict[str, Any] = {
+    options = {
         name: case[name] for name in ("approach", "periodic", "extrapolate", "v_min", "v_max")
     }  # fmt: skip
     options["condition"] = case["condition"] and not case["periodic"]
@@ -167,7 +166,7 @@ def test_no_row_leaves_the_limits(case: dict[str, Any]) -> None:
         assert np.abs(np.diff(played)).max() <= case["slew"] / 1000.0 * (1.0 + 1e-9)
 
 
-def test_the_state_follows_what_was_really_driven() -> None:
+def test_the_state_follows_what_was_really_driven():
     """A clipped move: what comes behind it is driven from where the actuator is."""
     wanted = np.concatenate([np.linspace(2.0, 14.0, 50), np.linspace(14.0, 3.0, 50)])
     write("wish.csv", "displacement_um", wanted)
@@ -176,7 +175,7 @@ def test_the_state_follows_what_was_really_driven() -> None:
     assert rms(came - np.minimum(wanted, 9.0)) < 1e-12
 
 
-def test_the_line_says_which_limits_were_kept_and_where_a_drive_starts() -> None:
+def test_the_line_says_which_limits_were_kept_and_where_a_drive_starts():
     words = ("compensate", model("creep"), "wish.csv", "-o", "out.csv")
     line = done(*words).said[1]
     first = table("out.csv")["voltage_V"][0]
@@ -189,7 +188,7 @@ def test_the_line_says_which_limits_were_kept_and_where_a_drive_starts() -> None
     assert "starts at" not in line and "within the identified range" in line
 
 
-def test_the_gate_rounds_by_a_few_last_digits_and_no_more() -> None:
+def test_the_gate_rounds_by_a_few_last_digits_and_no_more():
     """What passes beyond a slew limit is rounding; a range is kept exactly."""
     from dbo_cli.drive import Limits
     from dbo_cli.drive.limits import Gate, GateError
@@ -209,7 +208,7 @@ def test_the_gate_rounds_by_a_few_last_digits_and_no_more() -> None:
 # --- the drive of an inverse model ---
 
 
-def inverse_of(count: int, gain: float, top: float) -> Path:
+def inverse_of(count, gain, top):
     """Write the inverse of even gears, 0 to 100 V and 10 um, with one relaxation term."""
     values = values_of("creep")
     widths = {"dx": [100.0 / count] * count, "dy": [10.0 / count] * count}
@@ -221,11 +220,11 @@ def inverse_of(count: int, gain: float, top: float) -> Path:
     return Path("inverse.json")
 
 
-def step(top: float) -> Path:
+def step(top):
     return write("step.csv", MOVE, TIME, np.where(TIME < 0.05, 1.0, top))
 
 
-def test_the_drive_of_an_inverse_model_is_said_held_or_refused() -> None:
+def test_the_drive_of_an_inverse_model_is_said_held_or_refused():
     """Its gears reach 13 um by 100 V at rest, and 10 um at once: 12 um needs 114 V for a while."""
     words = ("simulate", inverse_of(50, 0.03, 13.0), step(12.0))
     outcome = done(*words)
@@ -242,7 +241,7 @@ def test_the_drive_of_an_inverse_model_is_said_held_or_refused() -> None:
         assert not done(*words).warnings
 
 
-def test_the_library_judges_an_inverse_model_alike() -> None:
+def test_the_library_judges_an_inverse_model_alike():
     wanted = np.where(TIME < 0.05, 1.0, 12.0)
     inverse = dbo_cli.read_model(inverse_of(50, 0.03, 13.0))
     for actuator in (inverse, dbo_cli.read_model("forward.json").inverse()):
@@ -255,7 +254,7 @@ def test_the_library_judges_an_inverse_model_alike() -> None:
         assert held.max() == 100.0
 
 
-def test_a_displacement_that_the_model_does_not_reach_is_refused() -> None:
+def test_a_displacement_that_the_model_does_not_reach_is_refused():
     """What creeps back is reached for a moment only, by a voltage inside the range."""
     words = ("simulate", inverse_of(4, -0.03, 7.0), step(8.0), "--outside", "error")
     error = refused(3, *words, "-o", "out.csv")
@@ -268,7 +267,7 @@ def test_a_displacement_that_the_model_does_not_reach_is_refused() -> None:
     assert actuator.simulate(wanted, time=TIME).max() < 100.0
 
 
-def test_rows_that_an_inverse_model_sent_stay_sent() -> None:
+def test_rows_that_an_inverse_model_sent_stay_sent():
     rows = ["5.0"] * 150_000 + ["12.0"] * 10
     text = "displacement_um\n" + "\n".join(rows) + "\n"
     words = ("--sample-rate", 1000, "--outside", "error")
@@ -281,7 +280,7 @@ def test_rows_that_an_inverse_model_sent_stay_sent() -> None:
 # --- ``check``: limits ---
 
 
-def failed(*words: object) -> Outcome:
+def failed(*words):
     """Run a check that does not pass: exit 3, a report, and one line."""
     outcome = dbo("check", *words)
     assert outcome.code == 3, outcome.err
@@ -289,7 +288,7 @@ def failed(*words: object) -> Outcome:
     return outcome
 
 
-def test_a_drive_within_its_limits_passes() -> None:
+def test_a_drive_within_its_limits_passes():
     words = ("--v-min", 10, "--v-max", 90, "--max-slew", 1260, "--loop")
     outcome = done("check", "drive.csv", *words)
     for word in ("drive.csv", "400", "90"):
@@ -310,7 +309,7 @@ def test_a_drive_within_its_limits_passes() -> None:
         ("--rows 1:250 --loop", "loop"),
     ],
 )
-def test_the_first_row_that_breaks_a_limit_is_named(words: str, row: str) -> None:
+def test_the_first_row_that_breaks_a_limit_is_named(words, row):
     outcome = failed("drive.csv", *words.split())
     assert row in outcome.lines[-1] + outcome.out
     found = failed("drive.csv", *words.split(), "--format", "json").json
@@ -318,14 +317,14 @@ def test_the_first_row_that_breaks_a_limit_is_named(words: str, row: str) -> Non
     assert row in " ".join(found["problems"])
 
 
-def test_no_row_outside_passes_whatever_the_start() -> None:
+def test_no_row_outside_passes_whatever_the_start():
     way = np.concatenate([np.linspace(1000.0, 50.0, 100), np.full(50, 50.0)])
     write("drive.csv", DRIVE, TIME[:150], way)
     for start in (1000, 300, 50):
         failed("drive.csv", "--v-min", -20, "--v-max", 120, "--from", start)
 
 
-def test_a_limit_on_one_side_is_above_or_below() -> None:
+def test_a_limit_on_one_side_is_above_or_below():
     for words, side in (("--v-max 5", "above 5"), ("--v-min 60 --from 55", "below 60")):
         outcome = failed("drive.csv", *words.split())
         assert side in outcome.out and "inf" not in outcome.out
@@ -338,7 +337,7 @@ def test_a_limit_on_one_side_is_above_or_below() -> None:
         "0.019,55\n0.020,55", "0.001,52",
     ],
 )  # fmt: skip
-def test_what_a_reader_would_drop_is_a_problem(text: str) -> None:
+def test_what_a_reader_would_drop_is_a_problem(text):
     """As strict as the writer: a row that is dropped, guessed or cut does not pass."""
     lines = Path("drive.csv").read_text().splitlines()
     lines[21] = text
@@ -349,13 +348,13 @@ def test_what_a_reader_would_drop_is_a_problem(text: str) -> None:
 
 
 @pytest.mark.parametrize("left", ["0.399", "0.399,"])
-def test_a_file_that_is_cut_in_its_last_row_does_not_pass(left: str) -> None:
+def test_a_file_that_is_cut_in_its_last_row_does_not_pass(left):
     lines = Path("drive.csv").read_text().splitlines()
     Path("cut.csv").write_text("\n".join([*lines[:400], left]))
     assert "40" in failed("cut.csv", "--v-min", 0, "--v-max", 100).lines[-1]
 
 
-def test_a_gap_is_a_gap_on_an_even_clock_alone() -> None:
+def test_a_gap_is_a_gap_on_an_even_clock_alone():
     words = ("--v-min", 0, "--v-max", 100)
     for lost in (2, 3, 51):
         for row in (1, 2, 3, 100, TIME.size - 3, TIME.size - 1):
@@ -370,7 +369,7 @@ def test_a_gap_is_a_gap_on_an_even_clock_alone() -> None:
 
 
 @pytest.mark.parametrize("places", [None, 6])
-def test_rounded_stamps_hide_no_step_that_is_too_fast(places: int | None) -> None:
+def test_rounded_stamps_hide_no_step_that_is_too_fast(places):
     """A twentieth too fast is found, whatever the stamps look like; a sine that just fits passes."""
     time = 100.0290773748946 + TIME / 3.0
     stamp = time if places is None else np.round(time, places)
@@ -381,7 +380,7 @@ def test_rounded_stamps_hide_no_step_that_is_too_fast(places: int | None) -> Non
     failed("drive.csv", "--max-slew", fastest / 1.05)
 
 
-def test_a_check_needs_something_to_check_and_bounds_that_are_bounds() -> None:
+def test_a_check_needs_something_to_check_and_bounds_that_are_bounds():
     write("jump.csv", DRIVE, TIME[:3], [0.0, 1e6, 0.0])
     for words in ((), ("--from", 0), ("--gain", 1), ("--rows", "1:2")):
         error = refused(2, "check", "jump.csv", *words)
@@ -398,19 +397,11 @@ def test_a_check_needs_something_to_check_and_bounds_that_are_bounds() -> None:
         assert bound in refused(2, "report", "moved.csv", bound, -1)
 
 
-def test_a_loop_behind_its_run_in_asks_for_the_rows_of_the_period() -> None:
+def test_a_loop_behind_its_run_in_asks_for_the_rows_of_the_period():
     period = 3.0 + 2.0 * np.sin(2.0 * np.pi * np.arange(200) / 200.0)
     write("period.csv", MOVE, TIME[:200], period)
-    done(
-        "compensate",
-        model("creep"),
-        "period.csv",
-        "--periodic",
-        "--passes",
-        2,
-        "-o",
-        "loop.csv",
-    )
+    words = ("--periodic", "--passes", 2, "-o", "loop.csv")
+    done("compensate", model("creep"), "period.csv", *words)
     assert "--rows" in failed("loop.csv", "--loop").lines[-1]
     words = ("waveform", "loop.csv", "--to", "npy", "--loop", "-o", "loop.npy")
     assert "--rows" in dbo(*words).lines[-1]
@@ -418,27 +409,25 @@ def test_a_loop_behind_its_run_in_asks_for_the_rows_of_the_period() -> None:
     done(*words, "--rows", "401:")
 
 
-def test_a_loop_that_does_not_close_names_no_step_that_is_allowed() -> None:
+def test_a_loop_that_does_not_close_names_no_step_that_is_allowed():
     wish = 3.0 + 2.0 * np.sin(2.0 * np.pi * np.arange(200) / 200.0)
     write("loop.csv", MOVE, TIME[:200], wish)
-    line = refused(
-        3, "compensate", model("creep"), "loop.csv", "--periodic", "--max-slew", 1000
-    )
-    assert "does not close within --max-slew 1000 V/s" in line
-    done("compensate", model("creep"), "loop.csv", "--periodic", "--max-slew", 1500)
+    words = ("compensate", model("creep"), "loop.csv", "--periodic", "--max-slew")
+    assert "does not close within --max-slew 1000 V/s" in refused(3, *words, 1000)
+    done(*words, 1500)
 
 
 # --- ``check``: is it what was played ---
 
 
 @pytest.mark.parametrize("seed", [0, 4, 8, 49])
-def test_a_drive_is_what_it_is_to_the_last_digit(seed: int) -> None:
+def test_a_drive_is_what_it_is_to_the_last_digit(seed):
     values = np.random.default_rng(seed).normal(size=91)
     write("odd.csv", DRIVE, TIME[:91], values)
     done("check", "odd.csv", "--against", "odd.csv", "--tolerance", 0)
 
 
-def odd_row() -> Floats:
+def odd_row():
     odd = VOLTS.copy()
     odd[217] += 3.0
     return odd
@@ -464,16 +453,12 @@ SLOW = np.arange(200) / 500.0
     ],
     ids="late noisy gain part other rate row before amplifier".split(),
 )
-def test_a_recording_is_what_was_played(
-    columns: tuple[Floats, Floats], words: str, code: int, held: str
-) -> None:
+def test_a_recording_is_what_was_played(columns, words, code, held):
     write("played.csv", PLAYED, *columns)
     outcome = dbo("check", "played.csv", "--against", "drive.csv", *words.split())
     assert outcome.code == code, outcome.err
     assert held in outcome.out + outcome.err
 
-
-# --- what the program wrote passes its own check ---
 
 CLOCKS = st.fixed_dictionaries(
     {
@@ -493,7 +478,7 @@ CLOCKS = st.fixed_dictionaries(
 )
 
 
-def stamps(case: dict[str, Any]) -> Floats:
+def stamps(case):
     """Return the times of a trajectory: even, nearly even, or not at all."""
     random, rows = np.random.default_rng(case["seed"]), case["rows"]
     steps = {
@@ -509,7 +494,7 @@ def stamps(case: dict[str, Any]) -> Floats:
 
 @settings(max_examples=40)
 @given(case=CLOCKS)
-def test_what_was_written_passes_the_check(case: dict[str, Any]) -> None:
+def test_what_was_written_passes_the_check(case):
     time = stamps(case)
     phase = 6.0 * np.arange(time.size) / time.size
     wanted = 3.2 - 2.5 * np.cos(phase + 0.1) * np.cos(2.7 * phase)

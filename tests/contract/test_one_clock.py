@@ -1,13 +1,10 @@
 """Two recordings of one drive on one clock: ``report``, ``check``, ``--tracked``, ``--clock-offset``."""
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from .program import (
-    DRIVE, LOG, MOVE, PAIR, PASS, Floats, dbo, done, load, model, refused, rms, simulated, store, store_set,
+    DRIVE, LOG, MOVE, PAIR, PASS, dbo, done, load, model, refused, rms, simulated, store, store_set,
     table, values_of, write,
 )  # fmt: skip
 
@@ -19,7 +16,7 @@ FIRST = ("compensate", model("creep"), "traj.csv", "--from", 0)
 SWEPT = (*FIRST, "--condition")
 
 
-def pink(rng: np.random.Generator, rows: int) -> Floats:
+def pink(rng, rows):
     """Return 1/f noise of standard deviation 1."""
     frequency = np.fft.rfftfreq(rows)
     frequency[0] = 1.0
@@ -28,7 +25,7 @@ def pink(rng: np.random.Generator, rows: int) -> Floats:
     return np.asarray((noise - noise.mean()) / noise.std())
 
 
-def creep(values: Floats, tau: float) -> Floats:
+def creep(values, tau):
     """Return what follows a signal with a time constant (s)."""
     weight = -np.expm1(-STEP / tau)
     followed = np.empty(len(values))
@@ -39,7 +36,7 @@ def creep(values: Floats, tau: float) -> Floats:
     return followed
 
 
-def recorded(seed: int) -> tuple[dict[str, Floats], Floats]:
+def recorded(seed):
     """Drive a slow sine with a sweep before it; return the drive, and what a stage makes of it."""
     rng = np.random.default_rng(seed)
     span = 6.0
@@ -57,7 +54,7 @@ def recorded(seed: int) -> tuple[dict[str, Floats], Floats]:
     return drive, moved
 
 
-def reported(trajectory: str, *words: object) -> dict[str, float]:
+def reported(trajectory, *words):
     """Return the figures of ``pass.csv`` beside a trajectory or a drive."""
     line = ("report", "pass.csv", "--trajectory", trajectory, "--format", "json")
     return done(*line, *words).json["logs"][0]
@@ -66,9 +63,7 @@ def reported(trajectory: str, *words: object) -> dict[str, float]:
 @pytest.mark.parametrize(
     ("seed", "start"), [(0, 0.0), (1, 1.7e9), (2, 0.0), (3, 1.7e9)]
 )
-def test_a_recorder_that_counts_from_elsewhere_is_reported_as_by_rows(
-    seed: int, start: float
-) -> None:
+def test_a_recorder_that_counts_from_elsewhere_is_reported_as_by_rows(seed, start):
     """Creep and 1/f noise pull on a fit of loops: it was five rows off, 46 nm for 22.7."""
     drive, moved = recorded(seed)
     stamps = start + STEP * np.arange(len(moved))
@@ -84,7 +79,7 @@ def test_a_recorder_that_counts_from_elsewhere_is_reported_as_by_rows(
         assert log["clock_offset_s"] == pytest.approx(ahead, abs=0.02 * STEP)
 
 
-def test_a_drive_lays_recordings_over_each_other_to_a_part_of_a_row() -> None:
+def test_a_drive_lays_recordings_over_each_other_to_a_part_of_a_row():
     """The actuator is late by 3.4 ms, which is an error; the recorder by .4 rows, which is none."""
     drive, _ = recorded(1)
     ahead, late = 0.4 * STEP, 3.4e-3
@@ -97,7 +92,7 @@ def test_a_drive_lays_recordings_over_each_other_to_a_part_of_a_row() -> None:
     assert log["lag_left_s"] == pytest.approx(late, abs=0.01 * STEP)
 
 
-def test_another_drive_is_said() -> None:
+def test_another_drive_is_said():
     drive, moved = recorded(2)
     other = 50.0 + 40.0 * np.sin(np.arange(len(moved)) / 77.0)
     write("pass.csv", PASS, drive["time_s"], other, moved)
@@ -110,7 +105,7 @@ def test_another_drive_is_said() -> None:
 
 
 @pytest.mark.parametrize("late", [0.0, 17.0, 2.37])
-def test_what_was_played_is_late_by_rows(late: float) -> None:
+def test_what_was_played_is_late_by_rows(late):
     drive, _ = recorded(3)
     rows = np.arange(len(drive["time_s"]))
     played = np.interp(rows - late, rows, drive["voltage_V"])
@@ -123,9 +118,7 @@ def test_what_was_played_is_late_by_rows(late: float) -> None:
 
 
 @pytest.mark.parametrize("start", [None, 0.0, 1.7e9])
-def test_a_pass_is_learned_from_wherever_its_recorder_counts_from(
-    start: float | None,
-) -> None:
+def test_a_pass_is_learned_from_wherever_its_recorder_counts_from(start):
     """It was refused: "its drive belongs to another trajectory"."""
     drive, moved = recorded(0)
     stamps = drive["time_s"]
@@ -142,7 +135,7 @@ def test_a_pass_is_learned_from_wherever_its_recorder_counts_from(
     assert float(said.split()[3]) == pytest.approx(off, rel=0.02)
 
 
-def test_a_mean_that_is_not_learned_is_told_and_no_sweep_is_advised_twice() -> None:
+def test_a_mean_that_is_not_learned_is_told_and_no_sweep_is_advised_twice():
     """The line stated .018 um where .110 came, nearly all mean; the drive had its sweep."""
     drive, moved = recorded(0)
     moved = moved + 0.3
@@ -166,9 +159,7 @@ def test_a_mean_that_is_not_learned_is_told_and_no_sweep_is_advised_twice() -> N
 @pytest.mark.parametrize("lead", [("--passes", 2), ("--approach", 0.13)])
 @pytest.mark.parametrize("start", [0.0, 1.7e9])
 @pytest.mark.parametrize("lost", [0, 37, 737])
-def test_a_loop_is_learned_from_wherever_its_recorder_counts_from(
-    lead: tuple[object, ...], start: float, lost: int
-) -> None:
+def test_a_loop_is_learned_from_wherever_its_recorder_counts_from(lead, start, lost):
     """Its stamps were believed: a clock from 0 put what leads to the loop into its mean, or was refused."""
     time = STEP * np.arange(400)
     desired = 5.0 - 2.0 * np.cos(2.0 * np.pi * 2.5 * time)
@@ -192,7 +183,7 @@ def test_a_loop_is_learned_from_wherever_its_recorder_counts_from(
 
 
 @pytest.mark.parametrize("start", [None, 0.0, 1.7e9])
-def test_what_was_learned_moves_the_first_value_and_no_row(start: float | None) -> None:
+def test_what_was_learned_moves_the_first_value_and_no_row(start):
     """The way behind the sweep lasts as long as it is far: the third pass was laid over some rows off."""
     time = TIME[:3000]
     desired = 3.0 - 1.5 * np.cos(2.0 * np.pi * time)
@@ -203,26 +194,22 @@ def test_what_was_learned_moves_the_first_value_and_no_row(start: float | None) 
     for _ in range(4):
         done(*words)
         drive = table("drive.csv")
-        moved = table(done("simulate", model("creep"), "drive.csv"))["displacement_um"]
+        moved = simulated("creep", "drive.csv")
         moved = 0.05 + 1.03 * moved + 0.03 * np.sin(2.0 * moved)
         error = (moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP]
         errors.append(float(np.std(error)))
         stamps = drive["time_s"]
         if start is not None:
             stamps = start + STEP * np.arange(len(moved))
-        header = "time_s,voltage_V,measured_um"
-        write("pass.csv", header, stamps, drive["voltage_V"], moved)
+        write("pass.csv", PASS, stamps, drive["voltage_V"], moved)
         words[6:] = ["--tracked", "pass.csv", "--history", "h.json", "-o", "drive.csv"]
     assert max(errors[1:]) < 0.5 * errors[0], errors
 
 
 @pytest.mark.parametrize("name", ["late", "moving", "creep"])
-def test_rows_at_rest_behind_a_sweep_are_none_of_the_move(name: str) -> None:
+def test_rows_at_rest_behind_a_sweep_are_none_of_the_move(name):
     """A delay keeps some rows still behind the sweep: the move was taken to begin before them."""
-    low, high = (
-        json.loads(Path(model(name)).read_text())["output"][end]
-        for end in ("min", "max")
-    )
+    low, high = (values_of(name)["output"][end] for end in ("min", "max"))
     time = TIME[:3000]
     hump = np.sin(np.pi * np.clip((time - 0.5) / 2.0, 0.0, 1.0)) ** 2
     desired = low + (high - low) * (0.3 + 0.4 * hump)
@@ -234,14 +221,13 @@ def test_rows_at_rest_behind_a_sweep_are_none_of_the_move(name: str) -> None:
     moved += 1e-3 * (high - low) * np.sin(np.arange(len(moved)) / 50.0)
     error = (moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP]
     stamps = STEP * np.arange(len(moved))
-    header = "time_s,voltage_V,measured_um"
-    write("pass.csv", header, stamps, drive["voltage_V"], moved)
+    write("pass.csv", PASS, stamps, drive["voltage_V"], moved)
     outcome = done(*words, "next.csv", "--tracked", "pass.csv", "--bandwidth", 20)
     told = next(line for line in outcome.lines if "expected error" in line)
     assert float(told.split()[3]) == pytest.approx(np.std(error), rel=0.05)
 
 
-def test_both_axes_of_a_raster_are_laid_over_by_their_drives() -> None:
+def test_both_axes_of_a_raster_are_laid_over_by_their_drives():
     """A slow axis is a ramp, and a ramp that is late looks like one that is lower: 65 % off."""
     store_set("xy.json", x=values_of("creep"), y=values_of("creep"))
     words = ("--rate", 1000, "--range", "1:5", "--lines", 16, "--frequency", 5)
@@ -271,9 +257,7 @@ def test_both_axes_of_a_raster_are_laid_over_by_their_drives() -> None:
     done("compensate", *words, "--from", 0, "--tracked", "pass.csv", *recorded_as)
 
 
-def test_a_raster_recorded_without_its_drive_repeats_only_as_far_as_the_recording_reaches() -> (
-    None
-):
+def test_a_raster_recorded_without_its_drive_repeats_only_as_far_as_the_recording_reaches():
     """Late by a line it looks alike, but then lines would be missing: .1 s were left in, 1.8 um."""
     words = ("--rate", 1000, "--range", "1:5", "--lines", 32, "--frequency", 5)
     done("trajectory", "raster", *words, "--bandwidth", 50, "-o", "raster.csv")
@@ -281,10 +265,8 @@ def test_a_raster_recorded_without_its_drive_repeats_only_as_far_as_the_recordin
         words = ("raster.csv", "--displacement", f"{axis}_um", "--from", 0)
         done("compensate", model("creep"), *words, "--approach", 0.1, "-o", "d.csv")
         drive = table("d.csv")
-        moved = simulated("creep", "d.csv")
-        moved = 1.004 * moved + 0.003 * np.random.default_rng(1).standard_normal(
-            len(moved)
-        )
+        moved = 1.004 * simulated("creep", "d.csv")
+        moved += 0.003 * np.random.default_rng(1).standard_normal(len(moved))
         write("pass.csv", "time_s,measured_um", STEP * np.arange(len(moved)), moved)
         asked = ("--trajectory", "raster.csv", "--desired", f"{axis}_um")
         outcome = done("report", "pass.csv", *asked, "--format", "json")
@@ -294,7 +276,7 @@ def test_a_raster_recorded_without_its_drive_repeats_only_as_far_as_the_recordin
         assert outcome.warnings == []
 
 
-def test_what_was_learned_between_harmonics_ends_no_learning() -> None:
+def test_what_was_learned_between_harmonics_ends_no_learning():
     """The second pass was learned below 1.3 Hz for 25, and the third was refused: its error grew."""
     time = STEP * np.arange(4000)
     fast = 0.05 * np.sin(2.0 * np.pi * 24.0 * time)
@@ -319,7 +301,7 @@ def test_what_was_learned_between_harmonics_ends_no_learning() -> None:
     assert errors[2] < 1.05 * errors[1] < 0.1 * errors[0]
 
 
-def test_a_pass_with_another_past_is_refused() -> None:
+def test_a_pass_with_another_past_is_refused():
     drive, moved = recorded(1)
     write("swept.csv", PASS, drive["time_s"], drive["voltage_V"], moved)
     told = refused(1, *FIRST, "--approach", 1, "--tracked", "swept.csv")
@@ -334,7 +316,7 @@ def test_a_pass_with_another_past_is_refused() -> None:
 # --- two recorders, one log ---
 
 
-def two_recorders(delay: float, both: bool) -> None:
+def two_recorders(delay, both):
     """Record a drive of 5 kHz by a sensor of 1 kHz whose clock is 1.3 s behind and 50 ppm fast."""
     done("excite", "--v-max", 100, "--sample-rate", 5000, "-o", "drive.csv")
     played = table("drive.csv")
@@ -355,7 +337,7 @@ def two_recorders(delay: float, both: bool) -> None:
 
 
 @pytest.mark.parametrize("both", [True, False])
-def test_clocks_of_two_recorders_are_found(both: bool) -> None:
+def test_clocks_of_two_recorders_are_found(both):
     """The actuator's own delay stays in the model where both hold the drive, else it is said."""
     two_recorders(4e-3, both)
     words = ("--voltage", "drive.csv::voltage_V", "--clock-offset", "auto")
@@ -371,9 +353,7 @@ def test_clocks_of_two_recorders_are_found(both: bool) -> None:
 
 @pytest.mark.parametrize("offset", [0.0, 0.03, -0.03])
 @pytest.mark.parametrize("swings", ["many", "one"])
-def test_a_recorder_that_began_a_little_late_is_told_of_where_it_shows(
-    offset: float, swings: str
-) -> None:
+def test_a_recorder_that_began_a_little_late_is_told_of_where_it_shows(offset, swings):
     """Up to 50 ms were taken in silence; one swing that repeats is as well a wider loop."""
     done("excite", "--v-max", 100, "--sample-rate", 500, "-o", "drive.csv")
     if swings == "one":
@@ -393,7 +373,7 @@ def test_a_recorder_that_began_a_little_late_is_told_of_where_it_shows(
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.03])
-def test_what_a_report_cannot_tell_from_a_late_actuator_is_said(offset: float) -> None:
+def test_what_a_report_cannot_tell_from_a_late_actuator_is_said(offset):
     desired = 3.0 + 2.0 * np.sin(2.0 * np.pi * 0.5 * TIME) * np.exp(-0.3 * TIME)
     rng = np.random.default_rng(4)
     write("traj.csv", MOVE, TIME, desired)
@@ -404,7 +384,7 @@ def test_what_a_report_cannot_tell_from_a_late_actuator_is_said(offset: float) -
     assert outcome.warnings == []
 
 
-def test_a_late_sensor_is_no_error() -> None:
+def test_a_late_sensor_is_no_error():
     """It stands in the model and in a summary; reports and learning take it off."""
     late = 8e-3
     done("excite", "--v-max", 100, "-o", "drive.csv")
@@ -416,9 +396,8 @@ def test_a_late_sensor_is_no_error() -> None:
     write("move.csv", MOVE, TIME, 3.0 - 2.0 * np.cos(np.pi * TIME))
     words = ("compensate", "m.json", "move.csv", "--condition", "--from", 0)
     done(*words, "-o", "d.csv", "--summary", "s.json")
-    assert (
-        load("m.json")["fit"]["sensor_delay"] == late == load("s.json")["sensor_delay"]
-    )
+    assert load("m.json")["fit"]["sensor_delay"] == late
+    assert load("s.json")["sensor_delay"] == late
     stamps, desired, volts = table("d.csv").values()
     truth = simulated("creep", "d.csv")
     write("pass.csv", PASS, stamps, volts, np.interp(stamps - late, stamps, truth))
@@ -432,10 +411,7 @@ def test_a_late_sensor_is_no_error() -> None:
     assert rms((truth - desired)[stamps > -0.5 * STEP]) < off
 
 
-# --- why an error is larger than expected ---
-
-
-def told_of(measured: Floats, desired: Floats, expected: float) -> list[str]:
+def told_of(measured, desired, expected):
     """Return the warnings of a report of a move with an expected error (um)."""
     write("run.csv", PAIR, TIME, desired, measured)
     ends = [desired.min(), desired.max()]
@@ -443,7 +419,7 @@ def told_of(measured: Floats, desired: Floats, expected: float) -> list[str]:
     return dbo("report", "run.csv", "--expected", "s.json").warnings
 
 
-def test_the_largest_cause_of_an_error_is_named_and_noise_is_none() -> None:
+def test_the_largest_cause_of_an_error_is_named_and_noise_is_none():
     rng = np.random.default_rng(3)
     desired = 3.0 + 2.0 * np.sin(2.0 * np.pi * 0.5 * TIME)
     white = 0.02 * rng.standard_normal(len(TIME))
@@ -452,12 +428,8 @@ def test_the_largest_cause_of_an_error_is_named_and_noise_is_none() -> None:
     assert "mean is 0.1" in mean and "identify again" not in mean
     late = 3.0 + 2.0 * np.sin(2.0 * np.pi * 0.5 * (TIME - 8e-3))
     (lag,) = told_of(late + white, desired, 0.005)
-    assert (
-        "8.0" in lag
-        and "ms late" in lag
-        and "sensor_delay" not in lag
-        and "--sensor-delay" in lag
-    )
+    assert "8.0" in lag and "ms late" in lag
+    assert "sensor_delay" not in lag and "--sensor-delay" in lag
     jump = np.where((TIME > 2.0) & (TIME < 2.02), 1.0, 0.0)
     (rows,) = told_of(desired + white + jump, desired, 0.005)
     assert "row 2,0" in rows
@@ -466,10 +438,7 @@ def test_the_largest_cause_of_an_error_is_named_and_noise_is_none() -> None:
     assert "identify again" in again
 
 
-# --- a loop at a generator ---
-
-
-def test_a_loop_keeps_its_period_at_other_points() -> None:
+def test_a_loop_keeps_its_period_at_other_points():
     """200 rows of 1 ms are 0.2 s; 100 points were 0.20101 s, with a step over the seam."""
     phase = 2.0 * np.pi * np.arange(200) / 200.0
     volts = 50.0 + 40.0 * np.sin(phase)

@@ -6,22 +6,30 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from .program import (
-    PAIR, PASS, PROGRAM, dbo, done, listing, model, refused, table, write,
-)  # fmt: skip
+    PAIR,
+    PASS,
+    PROGRAM,
+    dbo,
+    done,
+    listing,
+    model,
+    refused,
+    table,
+    write,
+)
 
 SMALL = model("small")
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals and pipes")
 
 
 @pytest.fixture
-def files(wish: Path, log: Path, drive: Path) -> None:
+def files(wish, log, drive):
     """Lay out one file of each kind."""
     shutil.copy(SMALL, "mm.json")
     time = np.arange(200) / 100.0
@@ -67,7 +75,7 @@ IN_PLACE = {
 
 
 @pytest.mark.parametrize("line", IN_PLACE)
-def test_nothing_is_written_in_place_of_what_is_read(files: None, line: str) -> None:
+def test_nothing_is_written_in_place_of_what_is_read(files, line):
     os.symlink("drive.csv", "symbolic.csv")
     os.symlink("mm.json", "linked.csv")
     os.link("drive.csv", "hard.csv")
@@ -80,7 +88,7 @@ def test_nothing_is_written_in_place_of_what_is_read(files: None, line: str) -> 
     assert {name: Path(name).read_bytes() for name in listing()} == before
 
 
-def test_a_state_and_a_history_may_be_replaced_by_their_next(files: None) -> None:
+def test_a_state_and_a_history_may_be_replaced_by_their_next(files):
     before = Path("st.json").read_text()
     Path("st.json").write_text(f"{before}\n")
     words = ("compensate", "mm.json", "wish.csv", "-o", "out.csv", "-q")
@@ -96,7 +104,7 @@ def test_a_state_and_a_history_may_be_replaced_by_their_next(files: None) -> Non
 
 
 @posix
-def test_standard_streams_are_compared_too(files: None) -> None:
+def test_standard_streams_are_compared_too(files):
     text = Path("drive.csv").read_bytes()
     with open("drive.csv", "rb") as source:
         line = [*PROGRAM, "simulate", "mm.json", "-", "-o", "drive.csv"]
@@ -109,7 +117,7 @@ def test_standard_streams_are_compared_too(files: None) -> None:
     assert Path("drive.csv").read_bytes() == text
 
 
-def test_an_exported_model_is_not_replaced_by_its_export(files: None) -> None:
+def test_an_exported_model_is_not_replaced_by_its_export(files):
     Path("firmware").mkdir()
     shutil.copy(SMALL, "firmware/export.json")
     refused(1, "export", "firmware/export.json", "-o", "firmware")
@@ -118,7 +126,7 @@ def test_an_exported_model_is_not_replaced_by_its_export(files: None) -> None:
 # --- figures ---
 
 
-def test_figures_follow_no_link_and_replace_no_input(files: None) -> None:
+def test_figures_follow_no_link_and_replace_no_input(files):
     Path("figures").mkdir()
     Path("precious").write_text("precious\n")
     shutil.copy("mm.json", "figures/model-loop.png")
@@ -139,11 +147,11 @@ def test_figures_follow_no_link_and_replace_no_input(files: None) -> None:
     ("compensate", "mm.json", "wish.csv", "-o", "out.h5", "--summary", "s.json"),
     ("compensate", "mm.json", "wish.csv", "-o", "out.csv", "--save-state", "s.json"),
 ])  # fmt: skip
-def test_a_full_disk_leaves_nothing_behind(files: None, words: Sequence[str]) -> None:
+def test_a_full_disk_leaves_nothing_behind(files, words):
     before = listing()
     line = [*PROGRAM, *words, "-q"]
 
-    def limit() -> None:
+    def limit():
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
 
@@ -157,7 +165,7 @@ def test_a_full_disk_leaves_nothing_behind(files: None, words: Sequence[str]) ->
 
 
 @posix
-def test_a_reader_that_leaves_does_not_swallow_the_summary(files: None) -> None:
+def test_a_reader_that_leaves_does_not_swallow_the_summary(files):
     """The reader has left before anything is sent: the summary is written, or its lack is an error."""
     reader, sink = os.pipe()
     os.close(reader)
@@ -170,7 +178,7 @@ def test_a_reader_that_leaves_does_not_swallow_the_summary(files: None) -> None:
 
 @posix
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
-def test_closed_streams_are_no_traceback(files: None, closed: str) -> None:
+def test_closed_streams_are_no_traceback(files, closed):
     words = " ".join(f"'{word}'" for word in PROGRAM)
     is_closed = int(">&-" in closed.split())
     lines = {f"{words} simulate mm.json drive.csv {closed}": is_closed}
@@ -219,9 +227,7 @@ app.run()
         (signal.SIGTERM, [10, 250_000]),
     ],
 )
-def test_a_signal_at_any_call_ends_the_same_way(
-    files: None, number: int, calls: list[int]
-) -> None:
+def test_a_signal_at_any_call_ends_the_same_way(files, number, calls):
     """From the first import to the last rename: the code, nothing else said, all outputs or none."""
     before = set(listing())
     words = "compensate mm.json wish.csv -o out.h5 --summary s.json -q".split()
@@ -241,7 +247,7 @@ def test_a_signal_at_any_call_ends_the_same_way(
 
 
 @posix
-def test_outputs_get_their_names_together(files: None) -> None:
+def test_outputs_get_their_names_together(files):
     """A signal between two renames waits for the second one."""
     code = (
         "import os, signal, sys\n"

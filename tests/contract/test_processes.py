@@ -19,7 +19,7 @@ SMALL = model("small")
 HEADER = b"voltage_V,displacement_um\n"
 
 
-def test_the_module_is_the_program_between_pipes() -> None:
+def test_the_module_is_the_program_between_pipes():
     ended = process("--version")
     said = f"dbo {__version__}\n".encode()
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, said, b"")
@@ -33,7 +33,7 @@ def test_the_module_is_the_program_between_pipes() -> None:
     assert ended.stderr.count(b"\n") == 1
 
 
-def test_three_commands_in_one_pipe() -> None:
+def test_three_commands_in_one_pipe():
     """``invert`` into ``simulate`` by stdin, and its output into a report."""
     Path("wished.csv").write_text("displacement_um\n1\n4.2\n9\n4\n")
     words = " ".join(f"'{word}'" for word in PROGRAM)
@@ -45,7 +45,7 @@ def test_three_commands_in_one_pipe() -> None:
 
 
 @posix
-def test_a_reader_that_leaves_early_is_success() -> None:
+def test_a_reader_that_leaves_early_is_success():
     Path("long.csv").write_text("voltage_V\n" + "1\n2\n3\n" * 200_000)
     with started("simulate", SMALL, "long.csv") as running:
         assert running.stdout.readline() == HEADER
@@ -56,7 +56,7 @@ def test_a_reader_that_leaves_early_is_success() -> None:
 
 
 @posix
-def test_rows_come_out_while_rows_come_in() -> None:
+def test_rows_come_out_while_rows_come_in():
     """On a pipe a block ends where the pipe has no more: rows come before the input ends."""
     with started("simulate", SMALL, "-", "--state", "empty", "-q") as running:
         alarm = threading.Timer(100.0, running.kill)  # a program that waits is ended
@@ -95,7 +95,7 @@ app.run()
     ("number", "code"),
     [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)],
 )
-def test_an_interrupt_leaves_the_old_output(number: int, code: int) -> None:
+def test_an_interrupt_leaves_the_old_output(number, code):
     Path("out.csv").write_text("old\n")
     write("drive.csv", "voltage_V", np.arange(60_000) % 10)
     line = [sys.executable, "-c", HALF_WAY, str(int(number))]
@@ -119,14 +119,13 @@ print(int(line.split()[1]) / 1024.0)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
 @pytest.mark.parametrize("command", ["simulate", "compensate"])
-def test_memory_does_not_grow_with_the_file(command: str) -> None:
+def test_memory_does_not_grow_with_the_file(command):
     """Three times as many rows take less than 20 MB more; whole, 1.6 million take 40."""
     header = "voltage_V" if command == "simulate" else "displacement_um"
     most = []
     for rows in (800_000, 2_400_000):
-        Path("long.csv").write_text(
-            f"{header}\n" + "1.2345678\n5.2345678\n" * (rows // 2)
-        )
+        content = "1.2345678\n5.2345678\n" * (rows // 2)
+        Path("long.csv").write_text(f"{header}\n{content}")
         words = [command, str(SMALL), "long.csv", "-o", "out.csv", "-q"]
         line = [sys.executable, "-c", MEMORY, *words]
         ended = subprocess.run(line, capture_output=True, check=True)
@@ -136,7 +135,7 @@ def test_memory_does_not_grow_with_the_file(command: str) -> None:
 
 @posix
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-def test_a_full_disk_is_said() -> None:
+def test_a_full_disk_is_said():
     Path("drive.csv").write_text("voltage_V\n0\n5\n")
     line = [*PROGRAM, "simulate", str(SMALL), "drive.csv", "-q"]
     with open("/dev/full", "wb") as full:
@@ -147,7 +146,7 @@ def test_a_full_disk_is_said() -> None:
 
 
 @posix
-def test_descriptors_that_a_shell_names() -> None:
+def test_descriptors_that_a_shell_names():
     Path("drive.csv").write_text("voltage_V\n0\n5\n10\n")
     words = " ".join(f"'{word}'" for word in PROGRAM)
     line = f"{words} simulate <(cat {SMALL}) <(cat drive.csv) -q"
@@ -156,7 +155,7 @@ def test_descriptors_that_a_shell_names() -> None:
     assert ended.returncode == 0
 
 
-def without_the_kernel(*words: object) -> subprocess.CompletedProcess[bytes]:
+def without_the_kernel(*words):
     """Run the program where its compiled part cannot be imported."""
     code = (
         "import sys\n"
@@ -168,7 +167,7 @@ def without_the_kernel(*words: object) -> subprocess.CompletedProcess[bytes]:
     return subprocess.run(line, capture_output=True, check=False, timeout=600)
 
 
-def test_without_the_compiled_part_one_line_says_what_to_type() -> None:
+def test_without_the_compiled_part_one_line_says_what_to_type():
     write("drive.csv", "voltage_V", [0.0, 5.0, 10.0])
     for words in (("simulate", SMALL, "drive.csv"), ("identify", "drive.csv")):
         ended = without_the_kernel(*words, "-o", "out")

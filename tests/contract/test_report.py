@@ -4,31 +4,30 @@ import csv
 import io
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from .program import (
-    DRIVE, LOG, MOVE, PAIR, Floats, dbo, done, load, model, refused, rms, simulated, write,
+    DRIVE, LOG, MOVE, PAIR, dbo, done, load, model, refused, rms, simulated, write,
 )  # fmt: skip
 
 TIME = np.arange(600) / 500.0
 WANTED = 5.0 + 3.0 * np.sin(2.0 * np.pi * 2.0 * TIME)
 
 
-def noise(size: float, seed: int = 1) -> Floats:
+def noise(size, seed=1):
     return np.random.default_rng(seed).normal(0.0, size, len(TIME))
 
 
 @pytest.fixture(autouse=True)
-def logs(folder: Path) -> None:
+def logs(folder):
     write("good.csv", PAIR, TIME, WANTED, WANTED + noise(0.01))
     write("bad.csv", PAIR, TIME, WANTED, WANTED + 0.1 + noise(0.3, seed=2))
     write("wish.csv", MOVE, TIME, WANTED)
 
 
-def merits(*words: object) -> Any:
+def merits(*words):
     """Return the figures of the first log."""
     return done("report", *words, "--format", "json", "-q").json["logs"][0]
 
@@ -36,7 +35,7 @@ def merits(*words: object) -> Any:
 # --- forms ---
 
 
-def test_three_logs_side_by_side() -> None:
+def test_three_logs_side_by_side():
     write("best.csv", PAIR, TIME, WANTED, WANTED + noise(0.005))
     words = ("report", "bad.csv", "good.csv", "best.csv", "--format", "json")
     bad, good, best = done(*words).json["logs"]
@@ -48,7 +47,7 @@ def test_three_logs_side_by_side() -> None:
     assert good["nrmse_percent"] == pytest.approx(100.0 * good["rmse"] / 6.0, rel=1e-3)
 
 
-def test_text_is_aligned_and_csv_is_a_line_a_log() -> None:
+def test_text_is_aligned_and_csv_is_a_line_a_log():
     page = done("report", "bad.csv", "good.csv").out
     assert "bad.csv" in page and "good.csv" in page
     assert "0.01" in page and "um" in page
@@ -59,20 +58,16 @@ def test_text_is_aligned_and_csv_is_a_line_a_log() -> None:
     assert repr(merits("bad.csv")["rmse"]) in bad.values()
 
 
-def test_the_form_follows_the_name() -> None:
-    for name, start in (
-        ("r.json", "{"),
-        ("r.html", "<!"),
-        ("r.csv", ""),
-        ("r.txt", ""),
-    ):
+def test_the_form_follows_the_name():
+    starts = {"r.json": "{", "r.html": "<!", "r.csv": "", "r.txt": ""}
+    for name, start in starts.items():
         done("report", "good.csv", "-o", name)
         text = Path(name).read_text()
         assert text.startswith(start) and "good.csv" in text
     assert load("r.json")["format"] == "dbo-report"
 
 
-def test_a_page_reaches_for_no_network_and_figures_are_png_and_svg() -> None:
+def test_a_page_reaches_for_no_network_and_figures_are_png_and_svg():
     words = ("report", "bad.csv", "good.csv", "-o", "r.html")
     done(*words, "--figures", "figures")
     page = Path("r.html").read_text()
@@ -99,9 +94,7 @@ def test_a_page_reaches_for_no_network_and_figures_are_png_and_svg() -> None:
         ("--max-nrmse-percent 5", 3),
     ],
 )
-def test_a_bound_that_is_missed_is_exit_3_and_the_report_is_written(
-    bound: str, code: int
-) -> None:
+def test_a_bound_that_is_missed_is_exit_3_and_the_report_is_written(bound, code):
     outcome = dbo("report", "bad.csv", *bound.split(), "-o", "r.json")
     assert outcome.code == code, outcome.err
     assert load("r.json")["passed"] is (code == 0)
@@ -112,7 +105,7 @@ def test_a_bound_that_is_missed_is_exit_3_and_the_report_is_written(
 
 
 @pytest.mark.parametrize("late", [3, -4])
-def test_a_late_sensor_is_late_in_samples_and_seconds(late: int) -> None:
+def test_a_late_sensor_is_late_in_samples_and_seconds(late):
     shifted = 5.0 + 3.0 * np.sin(2.0 * np.pi * 2.0 * (TIME - late / 500.0))
     write("late.csv", PAIR, TIME, WANTED, shifted)
     found = merits("late.csv")
@@ -125,12 +118,12 @@ def test_a_late_sensor_is_late_in_samples_and_seconds(late: int) -> None:
         assert found["lag_left_s"] == pytest.approx(0.004, abs=5e-4)
 
 
-def test_units_of_the_two_are_brought_together() -> None:
+def test_units_of_the_two_are_brought_together():
     write("nm.csv", "time_s,desired_um,measured_nm", TIME, WANTED, 1000.0 * WANTED)
     assert merits("nm.csv")["rmse"] < 1e-9
 
 
-def test_a_row_without_a_number_is_counted_or_refused() -> None:
+def test_a_row_without_a_number_is_counted_or_refused():
     lines = Path("good.csv").read_text().splitlines()
     lines[100] = ",".join([*lines[100].split(",")[:2], "nan"])
     Path("gap.csv").write_text("\n".join(lines) + "\n")
@@ -145,7 +138,7 @@ def test_a_row_without_a_number_is_counted_or_refused() -> None:
 # --- the wish in a file of its own ---
 
 
-def test_a_drive_serves_as_trajectory_and_rows_before_the_move_do_not_count() -> None:
+def test_a_drive_serves_as_trajectory_and_rows_before_the_move_do_not_count():
     words = ("--condition", "-o", "drive.csv", "-q")
     done("compensate", model("small"), "wish.csv", *words)
     done("simulate", model("small"), "drive.csv", "-o", "measured.csv", "-q")
@@ -155,7 +148,7 @@ def test_a_drive_serves_as_trajectory_and_rows_before_the_move_do_not_count() ->
 
 
 @pytest.mark.parametrize("early", [0.0, 0.3, 1.0])
-def test_a_recorder_that_began_early_is_aligned(early: float) -> None:
+def test_a_recorder_that_began_early_is_aligned(early):
     error, before = noise(0.001), round(early * 500)
     moved = np.concatenate([np.full(before, WANTED[0]), WANTED + error])
     write("measured.csv", MOVE, np.arange(len(moved)) / 500.0, moved)
@@ -167,7 +160,7 @@ def test_a_recorder_that_began_early_is_aligned(early: float) -> None:
         assert found["rmse"] == pytest.approx(rms(error), rel=1e-9)
 
 
-def test_rows_of_two_rates_are_not_matched() -> None:
+def test_rows_of_two_rates_are_not_matched():
     half = np.arange(300) / 250.0
     write("measured.csv", MOVE, half, np.interp(half, TIME, WANTED))
     words = ("report", "measured.csv", "--trajectory", "wish.csv")
@@ -179,7 +172,7 @@ def test_rows_of_two_rates_are_not_matched() -> None:
 # --- a model in the place of the wish, and what was expected ---
 
 
-def test_a_model_s_prediction_runs_from_the_first_row() -> None:
+def test_a_model_s_prediction_runs_from_the_first_row():
     drive = 5.0 - 5.0 * np.cos(2.0 * np.pi * 2.0 * TIME) * np.linspace(1.0, 0.5, 600)
     moved = simulated("small", write("drive.csv", DRIVE, TIME, drive))
     error = noise(0.02)
@@ -196,7 +189,7 @@ def test_a_model_s_prediction_runs_from_the_first_row() -> None:
         assert option in refused(2, "report", *columns, option, value)
 
 
-def test_an_error_beside_the_expected_one() -> None:
+def test_an_error_beside_the_expected_one():
     wanted = 2.5 - np.cos(2.0 * np.pi * 2.0 * TIME)
     write("wish.csv", MOVE, TIME, wanted)
     words = ("--summary", "summary.json", "-o", "drive.csv", "-q")
@@ -209,8 +202,6 @@ def test_an_error_beside_the_expected_one() -> None:
     assert told["logs"][0]["expected_rmse"] == pytest.approx(expected)
     assert any("20" in text for text in [*told["warnings"], *outcome.lines])
 
-
-# --- refusals ---
 
 REFUSED = {
     "good.csv --lag 600": "--lag",
@@ -229,7 +220,7 @@ REFUSED = {
 }
 
 
-def test_refusals_name_what_is_wrong() -> None:
+def test_refusals_name_what_is_wrong():
     write("late.csv", MOVE, TIME + 50.0, WANTED)
     write("bare.csv", "displacement_um", WANTED)
     for words, held in REFUSED.items():

@@ -53,25 +53,20 @@ WITHDRAWN = (
 # --- help ---
 
 
-def test_version_and_help_name_every_command_and_exit_code() -> None:
+def test_version_and_help_name_every_command_and_exit_code():
     assert done("--version").out == f"dbo {__version__}\n"
     page = done("--help").out
     listed = re.findall(r"^  ([a-z]+)  +\S", page, re.MULTILINE)
     assert [name for name in listed if name in OPTIONS] == list(OPTIONS)
     assert done("-h").out == page
     words = " ".join(page.split())
-    for code in (
-        "0 done",
-        "1 input",
-        "2 wrong command line",
-        "3 outside",
-        "130 interr",
-    ):
+    codes = "0 done", "1 input", "2 wrong command line", "3 outside", "130 interr"
+    for code in codes:
         assert code in words
 
 
 @pytest.mark.parametrize("command", OPTIONS)
-def test_help(command: str) -> None:
+def test_help(command):
     """One screen by ``-h``; every option that is promised, and none withdrawn, by ``--help-all``."""
     page = done(command, "-h").out
     lines = page.splitlines()
@@ -130,7 +125,7 @@ WRONG = {
 }
 
 
-def test_wrong_command_lines() -> None:
+def test_wrong_command_lines():
     """Exit code 2, one line that names the option, nothing written, and no words of a library."""
     time = np.arange(60) / 100.0
     swing = 5.0 + 5.0 * np.sin(40.0 * time)
@@ -164,7 +159,7 @@ def test_wrong_command_lines() -> None:
         ("check drive.csv --v-max 9 -o x.txt", 3, "drive.csv 9"),
     ],
 )
-def test_exit_codes(line: str, code: int, held: str, drive: Path, wish: Path) -> None:
+def test_exit_codes(line, code, held, drive, wish):
     shutil.copy(model("small"), "m.json")
     done("invert", "m.json", "-o", "inverse.json")
     outcome = dbo(*line.split())
@@ -176,7 +171,7 @@ def test_exit_codes(line: str, code: int, held: str, drive: Path, wish: Path) ->
     assert {Path(name).name for name in listing()} <= left
 
 
-def test_debug_shows_where_before_the_line() -> None:
+def test_debug_shows_where_before_the_line():
     outcome = dbo("invert", "missing.json", "--debug")
     assert outcome.code == 1
     assert outcome.err.startswith("Traceback ")
@@ -202,8 +197,8 @@ DAY = {
 
 @pytest.mark.parametrize("command", DAY)
 def test_a_command_says_three_lines_or_none_and_writes_the_same(
-    drive: Path, wish: Path, log: Path, command: str
-) -> None:
+    drive, wish, log, command
+):
     """At most three lines; none with ``-q``, and the same bytes again."""
     shutil.copy(model("small"), "small.json")
     time = np.arange(200) / 100.0
@@ -224,12 +219,12 @@ def test_a_command_says_three_lines_or_none_and_writes_the_same(
     assert contents() == written
 
 
-def contents() -> dict[str, bytes]:
+def contents():
     """Return every file below the working folder with its bytes."""
     return {name: Path(name).read_bytes() for name in listing()}
 
 
-def test_verbose_says_more(log: Path) -> None:
+def test_verbose_says_more(log):
     words = shlex.split(DAY["identify"])
     few, many = done(*words), done(*words, "--verbose")
     assert set(few.said) <= set(many.said)
@@ -239,7 +234,7 @@ def test_verbose_says_more(log: Path) -> None:
 # --- outputs ---
 
 
-def test_a_dash_is_stdin_and_stdout(drive: Path) -> None:
+def test_a_dash_is_stdin_and_stdout(drive):
     from_file = done("simulate", model("small"), drive, "-o", "-")
     from_stdin = done("simulate", model("small"), "-", stdin=drive.read_bytes())
     assert from_file.raw == from_stdin.raw
@@ -249,7 +244,7 @@ def test_a_dash_is_stdin_and_stdout(drive: Path) -> None:
     assert inverse.raw == done("invert", model("small")).raw
 
 
-def test_an_output_replaces_what_was_there_or_leaves_it(drive: Path) -> None:
+def test_an_output_replaces_what_was_there_or_leaves_it(drive):
     Path("out.csv").write_text("old\n")
     good = drive.read_text()
     drive.write_text(good + "0.5,broken\n")
@@ -261,13 +256,13 @@ def test_an_output_replaces_what_was_there_or_leaves_it(drive: Path) -> None:
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".tsv", ".csv.gz", ".h5", ".txt"])
-def test_what_is_written_can_be_read_again(drive: Path, suffix: str) -> None:
+def test_what_is_written_can_be_read_again(drive, suffix):
     done("simulate", model("small"), drive, "-o", f"first{suffix}")
     again = done("simulate", model("small"), f"first{suffix}")
     assert again.raw == done("simulate", model("small"), drive).raw
 
 
-def test_sample_data_is_read() -> None:
+def test_sample_data_is_read():
     text = simulated("creep", SAMPLES / "identification.csv")
     other = simulated("creep", SAMPLES / "identification.h5")
     np.testing.assert_allclose(text, other, rtol=0, atol=1e-9)
@@ -276,7 +271,7 @@ def test_sample_data_is_read() -> None:
 # --- what identification says ---
 
 
-def test_each_validation_log_has_its_line(log: Path) -> None:
+def test_each_validation_log_has_its_line(log):
     creep_log("other.csv", seed=2)
     words = ("identify", log, *QUICK, "-o", "model.json", "--validate")
     once = done(*words, "other.csv")
@@ -295,7 +290,7 @@ def test_each_validation_log_has_its_line(log: Path) -> None:
         assert held in warning
 
 
-def test_the_sign_and_exchanged_columns_are_said(log: Path) -> None:
+def test_the_sign_and_exchanged_columns_are_said(log):
     words = ("-o", "model.json", *QUICK)
     right = done("identify", log, *words)
     assert right.lines[0].endswith("(rising)")
@@ -310,7 +305,7 @@ def test_the_sign_and_exchanged_columns_are_said(log: Path) -> None:
     assert falling.lines[0].endswith("(falling)")
 
 
-def test_percent_of_range_is_of_what_the_log_moved(log: Path) -> None:
+def test_percent_of_range_is_of_what_the_log_moved(log):
     outcome = done("identify", log, *QUICK, "-o", "model.json")
     [line] = [line for line in outcome.said if "% of range" in line]
     expected, percent = re.findall(r"error (\S+) um \((\S+) % of range", line)[0]
@@ -326,7 +321,7 @@ SIGNS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e]")
 
 
 @pytest.mark.parametrize("name", [EVIL, os.fsdecode(b"b\xff\x1b.csv")])
-def test_no_name_of_a_file_reaches_a_terminal_as_it_is(log: Path, name: str) -> None:
+def test_no_name_of_a_file_reaches_a_terminal_as_it_is(log, name):
     try:
         shutil.copy(log, name)
     except OSError:
@@ -357,7 +352,7 @@ def test_no_name_of_a_file_reaches_a_terminal_as_it_is(log: Path, name: str) -> 
         assert not SIGNS.search(outcome.err), (words, outcome.err)
 
 
-def test_figures_need_no_backend_of_a_notebook() -> None:
+def test_figures_need_no_backend_of_a_notebook():
     environment = {**os.environ, "MPLBACKEND": "of another program"}
     words = ("show", model("small"), "--figures", "figures")
     ended = process(*words, env=environment)

@@ -1,9 +1,7 @@
 """Text without end, and marks that may stand between thousands: refused, whatever stands around them."""
 
 import re
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -28,12 +26,10 @@ WAYS = {
     "quotes": ('"time_s","voltage_V"', '"{}","{}"'),
     "a remark": ("time_s,voltage_V,remark", "{},{},ok"),
 }
-QUIET = (
-    20_000  # rows that show nothing; 150 kB, more than is looked at to find a layout
-)
+QUIET = 20_000  # rows that show nothing; 150 kB: more than is looked at for a layout
 
 
-def write_numbers(numbers: list[str], way: str) -> None:
+def write_numbers(numbers, way):
     """Write a log of numbers as they are spelled, at 2 kHz."""
     head, line = WAYS[way]
     rows = [line.format(f"{k / 2000:.4f}", x) for k, x in enumerate(numbers)]
@@ -50,7 +46,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_mark_that_may_be_of_thousands_is_asked_about(way: str) -> None:
+def test_a_mark_that_may_be_of_thousands_is_asked_about(way):
     for numbers, quiet in CASES.values():
         numbers = [str(k % 7) for k in range(quiet)] + numbers
         write_numbers(numbers, way)
@@ -63,7 +59,7 @@ def test_a_mark_that_may_be_of_thousands_is_asked_about(way: str) -> None:
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_another_number_of_decimals_is_clear(way: str) -> None:
+def test_another_number_of_decimals_is_clear(way):
     """Beside ``1.5``, ``0.250``, ``1.0005`` or ``1234`` a mark stands before decimals."""
     for clear in ("1.5", "0.250", "1.0005", "1234", "1.000e0"):
         write_numbers(["999", "1.000", "97.360", clear], way)
@@ -73,7 +69,7 @@ def test_another_number_of_decimals_is_clear(way: str) -> None:
         assert log.read()["voltage"].max() == 999.0
 
 
-def test_the_verdict_does_not_depend_on_how_a_pipe_is_filled() -> None:
+def test_the_verdict_does_not_depend_on_how_a_pipe_is_filled():
     rows = [f"{k / 2000:.4f},{x}" for k, x in enumerate(["999", "1.000"] * 400)]
     text = "\n".join(["time_s,voltage_V", *rows, ""])
     for clear in ("", "1,1.5\n"):
@@ -93,23 +89,23 @@ class Watched:
     longest = 0
     expression = ""
 
-    def __init__(self, pattern: re.Pattern[Any]) -> None:
+    def __init__(self, pattern):
         self.source = pattern
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name):
         function = getattr(self.source, name)
         if name not in ("match", "fullmatch", "search", "sub", "findall", "split"):
             return function
         return lambda *texts: self.noted(function, *texts)
 
-    def noted(self, function: Callable[..., Any], *texts: Any) -> Any:
+    def noted(self, function, *texts):
         if isinstance(texts[-1], str) and len(texts[-1]) > Watched.longest:
             Watched.longest, Watched.expression = len(texts[-1]), self.source.pattern
         return function(*texts)
 
 
 @pytest.fixture
-def watched(monkeypatch: pytest.MonkeyPatch) -> type[Watched]:
+def watched(monkeypatch):
     """Note the longest text that an expression of the readers meets."""
     for module in (cells, columns, dialect, names, settings, dbo_cli.units):
         for name, value in vars(module).items():
@@ -144,17 +140,13 @@ PLACES = {
 
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("rows", [0, 1000])
-def test_no_expression_meets_a_text_without_end(
-    place: str, rows: int, watched: type[Watched]
-) -> None:
+def test_no_expression_meets_a_text_without_end(place, rows, watched):
     """A long cell is no number, no name and no unit, in small files and in large ones."""
     for text in ENDLESS:
         require_no_long_text(text, place, rows, watched)
 
 
-def require_no_long_text(
-    text: str, place: str, rows: int, watched: type[Watched]
-) -> None:
+def require_no_long_text(text, place, rows, watched):
     content = PLACES[place].format(ENDLESS[text])
     if rows and content.endswith("\n"):
         mark = " " if place == "blank-delimited" else ","
@@ -169,7 +161,7 @@ def require_no_long_text(
         assert not is_number or "more than 200 characters" in outcome.err
 
 
-def test_a_long_name_is_no_name() -> None:
+def test_a_long_name_is_no_name():
     Path("log.csv").write_text("time_s," + "voltage " * 30 + "\n0,1\n0.001,2.5\n")
     with open_log("log.csv", ROLES, Reading()) as log:
         assert log.columns["voltage"].name == ""

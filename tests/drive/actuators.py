@@ -1,77 +1,62 @@
 """Models of invented actuators, for the tests of drives."""
 
 import math
-from collections.abc import Iterable, Iterator
-from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
 
-from dbo_cli.drive import Drive, Driver, Lead, Limits
-from dbo_cli.drive.simulate import Rows, stacked
-from dbo_cli.model import (
-    Cascade,
-    Delay,
-    Dynamics,
-    Gears,
-    Lag,
-    Points,
-    Quantity,
-    Relaxation,
-    Resonance,
-    Scale,
-    steps_of,
-)
+import dbo_cli.model as dm
+from dbo_cli.drive import Driver, Lead
+from dbo_cli.drive.simulate import stacked
 
 
 def actuator(
-    gears: int = 200,
-    low: float = 0.0,
-    high: float = 100.0,
-    stroke: float = 10.0,
-    growth: float = 3.0,
-    tau: tuple[float, ...] = (),
-    gain: tuple[float, ...] = (),
-    bend: tuple[float, ...] = (),
-    curve: tuple[float, ...] = (),
-    scale: float = 1.0,
-    sections: tuple[Any, ...] = (),
-    delay: float = 0.0,
-    fit: dict[str, Any] | None = None,
-) -> Cascade:
+    gears=200,
+    low=0.0,
+    high=100.0,
+    stroke=10.0,
+    growth=3.0,
+    tau=(),
+    gain=(),
+    bend=(),
+    curve=(),
+    scale=1.0,
+    sections=(),
+    delay=0.0,
+):
     """Return a forward model; ``bend`` and ``curve`` are slopes of points before and behind the gears."""
     dx = np.full(gears, (high - low) / gears)
     slopes = np.linspace(1.0, growth, gears)
     dy = slopes * dx * stroke / float((slopes * dx).sum())
-    stages: list[Any] = []
+    stages = []
     if bend:
         stages.append(_points(bend, low, high))
-    relaxation = Relaxation(low, tau, gain) if tau else None
-    stages.append(Gears(dx, dy, low, 0.0, relaxation))
+    relaxation = dm.Relaxation(low, tau, gain) if tau else None
+    stages.append(dm.Gears(dx, dy, low, 0.0, relaxation))
     if curve:
         stages.append(_points(curve, 0.0, stroke))
     if scale != 1.0:
-        stages.append(Scale(scale, 1.0))
+        stages.append(dm.Scale(scale, 1.0))
     if sections:
-        stages.append(Dynamics(sections))
+        stages.append(dm.Dynamics(sections))
     if delay:
-        stages.append(Delay(delay))
-    voltage = Quantity("voltage", "V", low, high)
-    guess = Quantity("displacement", "um", -1e3, 1e3)
-    model = Cascade("forward", voltage, guess, tuple(stages), fit or {})
+        stages.append(dm.Delay(delay))
+    voltage = dm.Quantity("voltage", "V", low, high)
+    guess = dm.Quantity("displacement", "um", -1e3, 1e3)
+    model = dm.Cascade("forward", voltage, guess, tuple(stages))
     ends = reach(model, low, high)
-    reached = Quantity("displacement", "um", min(ends), max(ends))
-    return Cascade("forward", voltage, reached, tuple(stages), fit or {})
+    reached = dm.Quantity("displacement", "um", min(ends), max(ends))
+    return dm.Cascade("forward", voltage, reached, tuple(stages))
 
 
-def _points(slopes: tuple[float, ...], low: float, high: float) -> Points:
+def _points(slopes, low, high):
     """Return a curve from ``low`` to ``high`` whose ends are where they were."""
     dx = np.full(len(slopes), (high - low) / len(slopes))
     dy = np.array(slopes) * dx
-    return Points(dx, dy * (high - low) / dy.sum(), low, low)
+    return dm.Points(dx, dy * (high - low) / dy.sum(), low, low)
 
 
-def reach(model: Cascade, low: float, high: float) -> tuple[float, float]:
+def reach(model, low, high):
     """Return the displacement at rest at two voltages."""
     static = model.static
     bottom = static.run(np.array([low]), static.start(low, "empty"), 1.0).y[0]
@@ -79,13 +64,7 @@ def reach(model: Cascade, low: float, high: float) -> tuple[float, float]:
     return float(bottom), float(top)
 
 
-def ripple(
-    model: Cascade,
-    rows: int,
-    part: float = 0.8,
-    cycles: float = 3.0,
-    phase: float = 0.0,
-) -> np.ndarray:
+def ripple(model, rows, part=0.8, cycles=3.0, phase=0.0):
     """Return a sine over a part of what a model reaches."""
     middle = 0.5 * (model.output.min + model.output.max)
     t = np.arange(rows) / rows
@@ -93,14 +72,14 @@ def ripple(
     return middle + swing * np.sin(2.0 * math.pi * (cycles * t + phase))
 
 
-def gentle(model: Cascade, rows: int, part: float = 0.3) -> np.ndarray:
+def gentle(model, rows, part=0.3):
     """Return a hump that begins and ends at rest."""
     t = np.clip((np.arange(rows) / rows - 0.2) / 0.6, 0.0, 1.0)
     base = model.output.min + 0.4 * model.output.span
     return base + part * model.output.span * np.sin(math.pi * t) ** 4
 
 
-def blocks_of(values: np.ndarray, dt: float, rows: int) -> list[Any]:
+def blocks_of(values, dt, rows):
     """Return a trajectory in blocks of so many rows, as ``in_blocks`` takes it."""
     time = dt * np.arange(values.size)
     places = range(0, values.size, rows)
@@ -116,12 +95,17 @@ MEMORIES = st.sampled_from(
     ]
 )
 SECTIONS = st.sampled_from(
-    [(), (Lag(4e-4),), (Resonance(60.0, 0.02),), (Lag(1e-3), Resonance(120.0, 0.05))]
+    [
+        (),
+        (dm.Lag(4e-4),),
+        (dm.Resonance(60.0, 0.02),),
+        (dm.Lag(1e-3), dm.Resonance(120.0, 0.05)),
+    ]
 )
 
 
 @st.composite
-def actuators(draw: st.DrawFn, static: bool = False) -> Cascade:
+def actuators(draw, static=False):
     """Draw a model of any kind."""
     tau, gain = draw(MEMORIES)
     low = draw(st.sampled_from([0.0, -20.0, 0.236]))
@@ -144,16 +128,7 @@ def actuators(draw: st.DrawFn, static: bool = False) -> Cascade:
     )
 
 
-def plan(
-    model: Cascade,
-    desired: Any,
-    clock: Any,
-    limits: Limits,
-    *,
-    on_limit: Any = "auto",
-    return_to: float | None = None,
-    **options: Any,
-) -> Drive:
+def plan(model, desired, clock, limits, *, on_limit="auto", return_to=None, **options):
     """Return the drive of a whole trajectory; ``clock`` is a step, the time of each row, or None."""
     names = ("state", "start", "approach", "condition")
     around = {name: options.pop(name) for name in names if name in options}
@@ -162,18 +137,18 @@ def plan(
     dt, time = clock, None
     if np.ndim(clock):
         time = np.asarray(clock, dtype=np.float64)
-        dt = steps_of(time)
+        dt = dm.steps_of(time)
     return driver.whole(np.asarray(desired, dtype=np.float64), dt, time, **options)
 
 
-def in_blocks(driver: Driver, blocks: Iterable[Any]) -> Iterator[Rows]:
+def in_blocks(driver, blocks):
     """Yield the rows of a drive as they are ready, what was held back at the end."""
     for time, dt, desired in blocks:
         yield driver.rows(desired, dt, time)
     yield driver.finish()[0]
 
 
-def driven_in_blocks(driver: Driver, blocks: Iterable[Any]) -> Drive:
+def driven_in_blocks(driver, blocks):
     """Return the drive of a trajectory that comes in blocks, with its rows."""
     parts = [driver.rows(desired, dt, time) for time, dt, desired in blocks]
     rest, drive = driver.finish()

@@ -1,5 +1,4 @@
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -8,80 +7,67 @@ from hypothesis import strategies as st
 
 from dbo_cli.drive import Driver, Lead, Limits
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.model import Cascade
 
-from .actuators import (
-    actuator,
-    actuators,
-    blocks_of,
-    driven_in_blocks,
-    gentle,
-    in_blocks,
-    plan,
-    ripple,
-)
+from . import actuators as rig
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 RATE = 1000.0
 DT = 1.0 / RATE
 
 
-def limits_of(model: Cascade, *typed: Any, **named: Any) -> Limits:
+def limits_of(model, *typed, **named):
     return Limits.within(model.input, *typed, **named)
 
 
-def played(
-    model: Cascade, voltage: np.ndarray, dt: float | None = DT, state: Any = "auto"
-) -> np.ndarray:
+def played(model, voltage, dt=DT, state="auto"):
     """Return what a model makes of a whole drive."""
     if isinstance(state, str):
         state = model.start(float(voltage[0]), state)
     return np.asarray(model.run(voltage, state, dt).y)
 
 
-@given(actuators(static=True), st.sampled_from(["auto", "empty", "settled"]))
+@given(rig.actuators(static=True), st.sampled_from(["auto", "empty", "settled"]))
 @settings(max_examples=60, deadline=None, derandomize=True)
-def test_compensate_then_simulate_is_the_identity(model: Cascade, state: str) -> None:
-    wanted = ripple(model, 700, 0.9)
+def test_compensate_then_simulate_is_the_identity(model, state):
+    wanted = rig.ripple(model, 700, 0.9)
     if state == "empty":
         wanted[:100] = np.linspace(model.output.min, wanted[100], 100)
         if model.sign == "falling":
             wanted[:100] = np.linspace(model.output.max, wanted[100], 100)
-    drive = plan(model, wanted, DT, limits_of(model), state=state, on_limit="clip")
+    drive = rig.plan(model, wanted, DT, limits_of(model), state=state, on_limit="clip")
     y = played(model, drive.voltage, state=state)
     unclipped = drive.clipped == 0
     if unclipped:
-        begin = (
-            0 if state == "empty" else 1
-        )  # a settled start may step over the first value
+        # a settled start may step over the first value
+        begin = 0 if state == "empty" else 1
         assert np.abs(y - wanted)[begin:].max() <= 1e-11 * model.output.span
     else:
         assert drive.lost_most == pytest.approx(np.abs(y - wanted).max(), rel=1e-6)
 
 
-@given(actuators(), st.sampled_from([1, 7, 60, 333]), st.booleans())
+@given(rig.actuators(), st.sampled_from([1, 7, 60, 333]), st.booleans())
 @settings(max_examples=40, deadline=None, derandomize=True)
-def test_values_do_not_depend_on_blocks(model: Cascade, rows: int, slow: bool) -> None:
-    wanted = gentle(model, 300, 0.5)
+def test_values_do_not_depend_on_blocks(model, rows, slow):
+    wanted = rig.gentle(model, 300, 0.5)
     slew = 3.0 * model.input.span if slow else None
     limits = limits_of(model, max_slew=slew)
-    whole = plan(model, wanted, DT, limits, on_limit="clip")
+    whole = rig.plan(model, wanted, DT, limits, on_limit="clip")
     driver = Driver(model, limits, on_limit="clip")
-    drive = driven_in_blocks(driver, blocks_of(wanted, DT, rows))
+    drive = rig.driven_in_blocks(driver, rig.blocks_of(wanted, DT, rows))
     assert np.abs(drive.voltage - whole.voltage).max() <= 1e-12 * model.input.span
     assert drive.clipped == whole.clipped
     assert drive.first_clipped == whole.first_clipped
     assert drive.lost_rms == pytest.approx(whole.lost_rms, rel=1e-9, abs=1e-15)
 
 
-def test_a_pause_lets_memory_go_on() -> None:
-    model = actuator(tau=(0.5,), gain=(0.02,))
-    wanted = ripple(model, 500, 0.4)
-    first = plan(model, wanted, np.arange(500) * DT, limits_of(model))
+def test_a_pause_lets_memory_go_on():
+    model = rig.actuator(tau=(0.5,), gain=(0.02,))
+    wanted = rig.ripple(model, 500, 0.4)
+    first = rig.plan(model, wanted, np.arange(500) * DT, limits_of(model))
     hold = np.full(2000, first.voltage[-1])
     y = played(model, np.concatenate([first.voltage, hold]))
     time = 2.5 + np.arange(500) * DT
-    later = plan(model, wanted, time, limits_of(model), state=first.state)
+    later = rig.plan(model, wanted, time, limits_of(model), state=first.state)
     back = played(model, np.concatenate([first.voltage, hold, later.voltage]))
     assert np.abs(back[2500:] - wanted).max() < 1e-9
     assert abs(y[-1] - wanted[-1]) > 1e-3  # it crept meanwhile
@@ -90,48 +76,48 @@ def test_a_pause_lets_memory_go_on() -> None:
 # --- limits ---
 
 
-def test_nothing_of_a_lead_that_is_too_long_leaves() -> None:
-    model = actuator()
+def test_nothing_of_a_lead_that_is_too_long_leaves():
+    model = rig.actuator()
     limits = limits_of(model, max_slew=1)
-    moves = blocks_of(ripple(model, 9), DT, 3)
-    parts = in_blocks(Driver(model, limits, Lead(condition=True)), moves)
+    moves = rig.blocks_of(rig.ripple(model, 9), DT, 3)
+    parts = rig.in_blocks(Driver(model, limits, Lead(condition=True)), moves)
     with pytest.raises(LimitError, match="max_slew"):
         next(parts)
 
 
-def test_what_cannot_be_driven() -> None:
-    model = actuator()
-    limits = limits_of(model)
-    with pytest.raises(InputError, match="unit"):
-        plan(model, np.full(10, 1e4), DT, limits)
-    with pytest.raises(InputError, match="row 3"):
-        plan(model, [1.0, 2.0, np.nan, 2.0], DT, limits)
-    with pytest.raises(InputError, match="row 3: time goes backwards"):
-        plan(model, [1.0, 2.0, 3.0, 4.0], [0.0, 0.2, 0.1, 0.3], limits)
-    with pytest.raises(InputError):
-        plan(model, [], DT, limits)
-    with pytest.raises(InputError, match="sample_rate"):
-        plan(model, [1.0, 2.0], None, limits_of(model, max_slew=1))
-    with pytest.raises(InputError, match="sample_rate"):
-        plan(model, [1.0, 2.0], None, limits, condition=True)
-    with pytest.raises(UsageError):
-        plan(model, [1.0, 2.0], DT, limits, on_limit="maybe")  # type: ignore[arg-type]
-    late = actuator(delay=0.1)
-    with pytest.raises(LimitError, match="delay"):
-        plan(late, ripple(late, 20, 0.1), DT, limits)
-    uneven = np.cumsum(np.r_[0.0, 1e-3, 5e-3, 1e-3, 1e-3])
-    with pytest.raises(InputError, match="resample"):
-        plan(late, ripple(late, 5, 0.1), uneven, limits)
+LATE = rig.actuator(delay=0.1)
+UNEVEN = np.cumsum([0.0, 1e-3, 5e-3, 1e-3, 1e-3])
+
+
+@pytest.mark.parametrize(
+    ("error", "words", "wanted", "clock", "options"),
+    [
+        (InputError, "unit", np.full(10, 1e4), DT, {}),
+        (InputError, "row 3", [1.0, 2.0, np.nan, 2.0], DT, {}),
+        (InputError, "row 3: time goes back", np.arange(4.0), [0.0, 0.2, 0.1, 0.3], {}),
+        (InputError, None, [], DT, {}),
+        (InputError, "sample_rate", [1.0, 2.0], None, {"slew": 1}),
+        (InputError, "sample_rate", [1.0, 2.0], None, {"condition": True}),
+        (UsageError, None, [1.0, 2.0], DT, {"on_limit": "maybe"}),
+        (LimitError, "delay", rig.ripple(LATE, 20, 0.1), DT, {"model": LATE}),
+        (InputError, "resample", rig.ripple(LATE, 5, 0.1), UNEVEN, {"model": LATE}),
+    ],
+)
+def test_what_cannot_be_driven(error, words, wanted, clock, options):
+    options = {"model": rig.actuator(), "slew": None, **options}
+    limits = limits_of(options["model"], max_slew=options.pop("slew"))
+    with pytest.raises(error, match=words):
+        rig.plan(desired=wanted, clock=clock, limits=limits, **options)
 
 
 @pytest.mark.parametrize("value", [1e308, -1e61, math.inf, math.nan])
-def test_a_row_that_is_no_displacement_is_named(value: float) -> None:
-    model = actuator()
-    wanted = ripple(model, 100, 0.5)
+def test_a_row_that_is_no_displacement_is_named(value):
+    model = rig.actuator()
+    wanted = rig.ripple(model, 100, 0.5)
     wanted[41] = value
     for options in ({}, {"bandwidth": 50.0}, {"periodic": True}):
         with pytest.raises(InputError, match="row 42"):
-            plan(model, wanted, DT, limits_of(model), **options)  # type: ignore[arg-type]
-    rows = in_blocks(Driver(model, limits_of(model)), blocks_of(wanted, DT, 30))
+            rig.plan(model, wanted, DT, limits_of(model), **options)
+    rows = rig.in_blocks(Driver(model, limits_of(model)), rig.blocks_of(wanted, DT, 30))
     with pytest.raises(InputError, match="row 42"):
         list(rows)

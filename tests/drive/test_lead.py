@@ -1,5 +1,4 @@
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from hypothesis import strategies as st
 from dbo_cli.drive import Limits
 from dbo_cli.drive.lead import Lead
 from dbo_cli.errors import LimitError, UsageError
-from dbo_cli.model import Cascade
 
 from .actuators import actuator, actuators, plan, ripple
 
@@ -17,17 +15,17 @@ pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 DT = 2e-4
 
 
-def limits_of(model: Cascade, *typed: float | None, **named: float | bool) -> Limits:
-    return Limits.within(model.input, *typed, **named)  # type: ignore[arg-type]
+def limits_of(model, *typed, **named):
+    return Limits.within(model.input, *typed, **named)
 
 
 @pytest.mark.parametrize("rows", [200, 40_000])
-def test_at_most_a_minute_is_chosen_and_a_refusal_names_the_seconds(rows: int) -> None:
+def test_at_most_a_minute_is_chosen_and_a_refusal_names_the_seconds(rows):
     """However long the move is; the named seconds are then typed, and drive."""
     model = actuator(tau=(0.1, 2.0), gain=(0.01, 0.02))
     wanted = ripple(model, rows, 0.3)
     for more in ({"condition": True}, {"condition": True, "start": 70.0}):
-        options: dict[str, Any] = {**more, "on_limit": "clip"}
+        options = {**more, "on_limit": "clip"}
         limits = limits_of(model, max_slew=1.0)
         with pytest.raises(LimitError, match="`approach`") as refused:
             plan(model, wanted, 0.01, limits, **options)
@@ -38,12 +36,12 @@ def test_at_most_a_minute_is_chosen_and_a_refusal_names_the_seconds(rows: int) -
         assert plan(model, wanted, 0.01, quick, **options).lead_seconds <= 60.0
 
 
-def test_typed_seconds_are_the_whole_way_of_a_sweep() -> None:
+def test_typed_seconds_are_the_whole_way_of_a_sweep():
     model = actuator(tau=(0.1, 2.0), gain=(0.01, 0.02))
     wanted = ripple(model, 300, 0.3)
     for start, seconds in ((None, 4.0), (60.0, 200.0), (0.0, 5.0)):
         limits = limits_of(model, max_slew=120.0)
-        options: dict[str, Any] = {"start": start, "approach": seconds}
+        options = {"start": start, "approach": seconds}
         options |= {"condition": True, "on_limit": "clip"}
         drive = plan(model, wanted, 0.01, limits, **options)
         assert drive.lead_seconds == pytest.approx(seconds, abs=0.05)
@@ -56,20 +54,19 @@ def test_typed_seconds_are_the_whole_way_of_a_sweep() -> None:
     plan(model, wanted, 0.01, limits, condition=True, approach=fits, on_limit="clip")
 
 
-def test_options_that_are_none() -> None:
+def test_options_that_are_none():
     model = actuator()
     limits = limits_of(model)
     for wrong in (0.0, -1.0, math.nan, math.inf, "soon"):
         with pytest.raises(UsageError):
-            Lead(approach=wrong)  # type: ignore[arg-type]
+            Lead(approach=wrong)
     with pytest.raises(UsageError, match="exclude"):
         Lead(condition=True, state="empty")
     with pytest.raises(UsageError, match="from"):
         plan(model, [1.0, 2.0, 3.0], DT, limits, approach="auto")
     for number in (np.float32(0.5), np.int64(1), 1):
-        assert Lead(approach=number, rest=number) == Lead(  # type: ignore[arg-type]
-            approach=float(number), rest=float(number)
-        )
+        plain = Lead(approach=float(number), rest=float(number))
+        assert Lead(approach=number, rest=number) == plain
     state = plan(model, [1.0, 2.0, 3.0], DT, limits).state
     with pytest.raises(UsageError, match="contradicts"):
         plan(model, [1.0, 2.0, 3.0], DT, limits, start=77.0, state=state)
@@ -82,16 +79,14 @@ def test_options_that_are_none() -> None:
     st.sampled_from([None, 1.0, 20.0]),
 )
 @settings(max_examples=60, deadline=None, derandomize=True)
-def test_the_way_joins_the_move(
-    model: Cascade, stands: float, begins: float, slew: float | None
-) -> None:
+def test_the_way_joins_the_move(model, stands, begins, slew):
     """Where the move is at rest, the way ends without a step larger than those within."""
     start = model.input.min + stands * model.input.span
     rest = model.output.min + (0.1 + 0.8 * begins) * model.output.span
     wanted = np.full(400, rest)
     typed = None if slew is None else slew * model.input.span
     limits = limits_of(model, max_slew=typed)
-    options: dict[str, Any] = {"start": start, "approach": "auto", "on_limit": "clip"}
+    options = {"start": start, "approach": "auto", "on_limit": "clip"}
     drive = plan(model, wanted, 1e-3, limits, **options)
     assert drive.voltage[0] == start
     steps = np.abs(np.diff(drive.voltage))

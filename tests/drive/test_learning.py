@@ -7,7 +7,7 @@ from dbo_cli.drive import Limits
 from dbo_cli.drive.drive import PassRecord
 from dbo_cli.drive.learning import Tracked
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.model import Cascade, Resonance
+from dbo_cli.model import Resonance
 
 from .actuators import actuator, plan
 
@@ -16,28 +16,25 @@ RATE = 20000.0
 DT = 1.0 / RATE
 
 
-def move(rows: int = 6000) -> np.ndarray:
+def move(rows=6000):
     t = np.arange(rows) / rows
     u = np.clip((t - 0.1) / 0.8, 0.0, 1.0)
     return 5.0 + 2.5 * np.sin(2 * np.pi * 19 * u) * np.sin(np.pi * u) ** 2
 
 
-def learned(
-    model: Cascade, plant: Cascade, passes: int, noise: float = 0.0
-) -> list[float]:
+def learned(model, plant, passes, noise=0.0):
     """Return the error of each pass in % of the move, the model being wrong about the plant."""
     wanted, limits = move(), Limits.within(model.input)
     rng = np.random.default_rng(1)
-    history: list[PassRecord] = []
-    tracked: list[Tracked] = []
+    history = []
+    tracked = []
     errors = []
     for _ in range(passes):
         passes = {"tracked": tracked, "history": history, "on_limit": "clip"}
         drive = plan(model, wanted, DT, limits, state="empty", **passes)
         history = list(drive.history)
-        y = plant.run(
-            drive.voltage, plant.start(float(drive.voltage[0]), "empty"), DT
-        ).y
+        begun = plant.start(float(drive.voltage[0]), "empty")
+        y = plant.run(drive.voltage, begun, DT).y
         error = (y - wanted)[700:-700]
         errors.append(100.0 * float(np.std(error)) / float(np.ptp(wanted)))
         measured = y + noise * rng.standard_normal(y.size)
@@ -49,30 +46,18 @@ def learned(
     ("frequency", "damping"),
     [(760.0, 0.02), (700.0, 0.005), (600.0, 0.01), (900.0, 0.005)],
 )
-def test_learning_converges_with_a_mistuned_model(
-    frequency: float, damping: float
-) -> None:
-    model = actuator(
-        256,
-        growth=1.5,
-        tau=(0.5, 20.0),
-        gain=(0.002, 0.002),
-        sections=(Resonance(800.0, 0.02),),
-    )
-    plant = actuator(
-        256,
-        growth=1.7,
-        tau=(0.5, 20.0),
-        gain=(0.002, 0.002),
-        sections=(Resonance(frequency, damping),),
-    )
+def test_learning_converges_with_a_mistuned_model(frequency, damping):
+    creep = {"tau": (0.5, 20.0), "gain": (0.002, 0.002)}
+    assumed, truth = Resonance(800.0, 0.02), Resonance(frequency, damping)
+    model = actuator(256, growth=1.5, sections=(assumed,), **creep)
+    plant = actuator(256, growth=1.7, sections=(truth,), **creep)
     errors = learned(model, plant, 12, noise=0.005)
     assert errors[0] > 0.5
     assert errors[3] < 0.5 * errors[0]
     assert max(errors[6:]) < 0.35 * errors[0]
 
 
-def test_growth_is_refused() -> None:
+def test_growth_is_refused():
     model, plant = actuator(growth=1.5), actuator(growth=1.8)
     wanted, limits = move(), Limits.within(model.input)
     first = plan(model, wanted, DT, limits, state="empty")
@@ -87,13 +72,12 @@ def test_growth_is_refused() -> None:
         plan(model, wanted, DT, limits, state="empty", tracked=scaled, history=before)
     lesson = plan(model, wanted, DT, limits, state="empty", tracked=tracked)
     again = [*lesson.history, PassRecord("what came of it", 9.0)]
-    repeated = plan(
-        model, wanted, DT, limits, state="empty", tracked=tracked, history=again
-    )
+    learned_again = {"state": "empty", "tracked": tracked, "history": again}
+    repeated = plan(model, wanted, DT, limits, **learned_again)
     assert repeated.history == lesson.history
 
 
-def test_recordings_that_do_not_belong() -> None:
+def test_recordings_that_do_not_belong():
     model = actuator(growth=1.5)
     wanted, limits = move(), Limits.within(model.input)
     drive = plan(model, wanted, DT, limits, state="empty")

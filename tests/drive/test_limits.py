@@ -10,12 +10,12 @@ from dbo_cli.model import Quantity
 RANGE = Quantity("voltage", "V", 0.236, 3.424)
 
 
-def test_extrapolation_needs_an_end() -> None:
+def test_extrapolation_needs_an_end():
     with pytest.raises(UsageError):
         Limits.within(RANGE, extrapolate=True)
 
 
-def test_units_of_limits() -> None:
+def test_units_of_limits():
     limits = Limits.within(RANGE, "500mV", "3V", "2V/ms")
     assert limits.rating == (0.5, 3.0)
     assert limits.slew == pytest.approx(2000.0)
@@ -29,12 +29,12 @@ def test_units_of_limits() -> None:
     assert Limits.within(bar, 0, 5, 2).slew == 2.0
 
 
-def test_limits_made_by_hand_are_looked_at() -> None:
+def test_limits_made_by_hand_are_looked_at():
     for move, slew in (((-1.0, 3.0), None), ((2.0, 1.0), None), ((0.0, 1.0), math.nan)):
         with pytest.raises(UsageError):
             Limits((0.0, 5.0), move, (0.0, 5.0), slew)
 
 
-def test_gate_needs_a_clock_for_slew() -> None:
+def test_gate_needs_a_clock_for_slew():
     with pytest.raises(InputError):
         Gate(Limits.within(RANGE, max_slew=1)).broken(np.array([1.0]), None)

@@ -14,7 +14,7 @@ RATE = 1000.0
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 
 
-def stepped(live: Controller, wanted: np.ndarray) -> np.ndarray:
+def stepped(live, wanted):
     return np.array([live.step(x) for x in wanted])
 
 
@@ -22,9 +22,8 @@ def test_a_state_without_a_voltage_takes_the_typed_one():
     model, wanted = actuator(), np.full(20, 5.0)
     limits = Limits.within(model.input, None, None, 1e4)
     begun = model.start(40.0, "empty")
-    whole = plan(
-        model, wanted, 1 / RATE, limits, state=begun, start=20.0, on_limit="clip"
-    )
+    options = {"state": begun, "start": 20.0, "on_limit": "clip"}
+    whole = plan(model, wanted, 1 / RATE, limits, **options)
     live = Controller(model, RATE, max_slew=1e4, state=begun, from_=20.0)
     assert abs(whole.voltage[0] - 20.0) <= 10.0 + 1e-12
     np.testing.assert_allclose(stepped(live, wanted), whole.voltage, atol=1e-9)
@@ -49,9 +48,8 @@ def test_lookahead_undoes_what_needs_the_future(parts):
     shared = min(len(sent), len(led))
     np.testing.assert_allclose(sent[:shared], led[:shared], rtol=0, atol=1e-7)
     later = Controller(model, RATE, lookahead=(live.lookahead + 3) / RATE)
-    np.testing.assert_allclose(
-        stepped(later, wanted)[4:], sent[1:-3], rtol=0, atol=1e-9
-    )
+    found = stepped(later, wanted)[4:]
+    np.testing.assert_allclose(found, sent[1:-3], rtol=0, atol=1e-9)
     with pytest.raises(ModelError):
         Controller(model, RATE)
     with pytest.raises(UsageError):

@@ -1,22 +1,16 @@
 """The attacks of ``benchmarks/`` in small: no row of a drive, no live voltage is ever beyond a limit."""
 
 import os
-import sys
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
+from attack_drives import A_MODEL, DT, trial
+from attack_live import ACTIONS, SHARES, machine
+from random_actuators import random_actuator
 
 from dbo_cli.drive.limits import GateError
 from dbo_cli.errors import DboError
-from dbo_cli.model import State
-
-BENCHMARKS = Path(__file__).resolve().parent.parent.parent / "benchmarks"
-sys.path.insert(0, str(BENCHMARKS))
-from attack_drives import A_MODEL, DT, trial  # noqa: E402
-from attack_live import ACTIONS, SHARES, machine  # noqa: E402
-from random_actuators import random_actuator  # noqa: E402
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 DRIVES = int(os.environ.get("DBO_DRIVES", "100"))  # a seed
@@ -24,10 +18,10 @@ CALLS = 60  # of a controller
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_no_row_is_beyond_a_limit(seed: int) -> None:
+def test_no_row_is_beyond_a_limit(seed):
     """Whole drives and blocks, channels, inverse models; what has left before a refusal counts, too."""
-    outcomes: Counter[str] = Counter()
-    last: State | None = None
+    outcomes = Counter()
+    last = None
     for number in range(DRIVES):
         if number % A_MODEL == 0:
             model = random_actuator(np.random.default_rng([seed, number, 2]), DT)
@@ -46,7 +40,7 @@ def test_no_row_is_beyond_a_limit(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_no_live_voltage_is_beyond_a_limit(seed: int) -> None:
+def test_no_live_voltage_is_beyond_a_limit(seed):
     """Nor does a plan that is not committed, or a refused call, leave a trace."""
     rng = np.random.default_rng([seed, 4])
     live = machine(rng)

@@ -11,20 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+import dbo_cli.model as dm
 from dbo_cli.drive import Driver, Lead, Limits
-from dbo_cli.model import (
-    Cascade,
-    Delay,
-    Dynamics,
-    Gears,
-    Lag,
-    Mode,
-    Points,
-    Quantity,
-    Relaxation,
-    Resonance,
-    Scale,
-)
 
 CC = os.environ.get("CC", "cc")
 NO_COMPILER = shutil.which(CC) is None
@@ -32,7 +20,7 @@ FLAGS = "-std=c99 -pedantic -Wall -Wextra -Werror -ffp-contract=off".split()
 RATE = 1000.0
 LOW, HIGH = 0.0, 100.0
 KEPT = tempfile.TemporaryDirectory()
-COMPILED: dict[object, Path] = {}
+COMPILED = {}
 NUMBERS = itertools.count()
 MORE_REST = 8  # rows before a move, from which on a delay knows its past
 
@@ -44,45 +32,49 @@ def gears(n, seed=1, relaxation=None, low=LOW, high=HIGH, run=1):
     dx = np.repeat(rng.uniform(0.5, 1.5, parts), run)[:n]
     slope = np.repeat(np.linspace(0.04, 0.09, parts), run)[:n]
     dx *= (high - low) / dx.sum()
-    return Gears(dx, dx * slope, low, 0.3, relaxation)
+    return dm.Gears(dx, dx * slope, low, 0.3, relaxation)
 
 
 def curve(low, high, bend):
     """Return points from a range to itself."""
     x = np.linspace(0.0, 1.0, 7)
     y = x + bend * x * (1.0 - x)
-    return Points(np.diff(x) * (high - low), np.diff(y) * (high - low), low, low)
+    return dm.Points(np.diff(x) * (high - low), np.diff(y) * (high - low), low, low)
 
 
 def model_of(*stages, low=LOW, high=HIGH):
     """Return a forward model whose displacement range is what it reaches slowly."""
-    voltage = Quantity("voltage", "V", low, high)
-    wide = Cascade(
-        "forward", voltage, Quantity("displacement", "um", -1e3, 1e3), stages
-    )
+    voltage = dm.Quantity("voltage", "V", low, high)
+    guess = dm.Quantity("displacement", "um", -1e3, 1e3)
+    wide = dm.Cascade("forward", voltage, guess, stages)
     y, _ = wide.static.simulate([low, high], dt=1e9)
     ends = sorted(y.tolist())
-    return Cascade("forward", voltage, Quantity("displacement", "um", *ends), stages)
+    reached = dm.Quantity("displacement", "um", *ends)
+    return dm.Cascade("forward", voltage, reached, stages)
 
 
-CREEP = Relaxation(0.0, (0.01, 0.3), (0.004, 0.006))
-SOFT = Relaxation(10.0, (0.02, 0.5), (-0.015, 0.006))
-SWINGING = Dynamics(
-    (Lag(2e-4), Resonance(150.0, 0.05), Resonance(210.0, 0.04, Mode(180.0, 0.03)))
+CREEP = dm.Relaxation(0.0, (0.01, 0.3), (0.004, 0.006))
+SOFT = dm.Relaxation(10.0, (0.02, 0.5), (-0.015, 0.006))
+SWINGING = dm.Dynamics(
+    (
+        dm.Lag(2e-4),
+        dm.Resonance(150.0, 0.05),
+        dm.Resonance(210.0, 0.04, dm.Mode(180.0, 0.03)),
+    )
 )
 MODELS = {
     "one gear": model_of(gears(1)),
     "gears": model_of(gears(40)),
     "runs": model_of(gears(600, run=20)),
     "many": model_of(gears(1280)),
-    "bent, falling": model_of(curve(LOW, HIGH, 0.3), gears(40), Scale(-2.0, 5.0)),
-    "points behind": model_of(gears(40), curve(0.3, 7.0, -0.2), Scale(3.0, 0.0)),
+    "bent, falling": model_of(curve(LOW, HIGH, 0.3), gears(40), dm.Scale(-2.0, 5.0)),
+    "points behind": model_of(gears(40), curve(0.3, 7.0, -0.2), dm.Scale(3.0, 0.0)),
     "creep": model_of(gears(64, relaxation=CREEP)),
-    "negative gains": model_of(gears(64, relaxation=SOFT), Scale(2.0, 0.0)),
-    "delay": model_of(gears(40, relaxation=CREEP), Delay(0.0043)),
-    "short delay": model_of(gears(40), Delay(0.0007)),
-    "whole delay": model_of(gears(40), Delay(0.003)),
-    "dynamics": model_of(gears(40, relaxation=SOFT), SWINGING, Delay(0.0012)),
+    "negative gains": model_of(gears(64, relaxation=SOFT), dm.Scale(2.0, 0.0)),
+    "delay": model_of(gears(40, relaxation=CREEP), dm.Delay(0.0043)),
+    "short delay": model_of(gears(40), dm.Delay(0.0007)),
+    "whole delay": model_of(gears(40), dm.Delay(0.003)),
+    "dynamics": model_of(gears(40, relaxation=SOFT), SWINGING, dm.Delay(0.0012)),
 }  # fmt: skip
 
 
@@ -92,9 +84,7 @@ def wide_model(relaxation=None):
     dx = np.concatenate([inside.dx, np.full(6, 2.5)])
     dy = np.concatenate([inside.dy, np.full(6, 0.2)])
     below = 7.5  # three of them
-    return model_of(
-        Gears(dx, dy, LOW - below, 0.3 - 0.6, relaxation), low=LOW, high=HIGH
-    )
+    return model_of(dm.Gears(dx, dy, LOW - below, 0.3 - 0.6, relaxation))
 
 
 def wish(model, rows=1500, seed=3):
@@ -127,7 +117,7 @@ def driven(model, wanted, limits, state="empty"):
 class Firmware:
     """An export, compiled."""
 
-    def __init__(self, export, folder: Path, *flags: str) -> None:
+    def __init__(self, export, folder, *flags):
         folder.mkdir(exist_ok=True)
         for file, text in export.files.items():
             (folder / file).write_text(text)
@@ -190,9 +180,7 @@ class Firmware:
         """Compile and run the self-test; return its exit code and what it says."""
         program = self.folder / "self"
         self._compile([*self._objects("play.c"), "-o", program])
-        done = subprocess.run(
-            [str(program)], capture_output=True, text=True, check=False
-        )
+        done = subprocess.run([str(program)], capture_output=True, text=True)
         return done.returncode, done.stdout
 
 
@@ -210,6 +198,5 @@ def values_of(counts, quantity):
 
 def with_rest(export, wanted):
     """Return a move behind a rest at its first value, as long as the export reads ahead and a little more."""
-    return np.concatenate(
-        [np.full(export.figures["ahead"] + MORE_REST, wanted[0]), wanted]
-    )
+    rest = np.full(export.figures["ahead"] + MORE_REST, wanted[0])
+    return np.concatenate([rest, wanted])

@@ -49,6 +49,15 @@ def test_scale_and_origins_follow_the_papers_rule() -> None:
     assert gears.dx.sum() == pytest.approx(np.ptp(sine()), rel=1e-9)
 
 
+def test_few_gears_follow_the_cycle_and_smaller_ones() -> None:
+    model, moved = of_cycle()
+    for amplitude in (1.0, 0.6, 0.35):
+        voltage = np.concatenate([sine(), sine(amplitude, cycles=2)])
+        truth = played(voltage)[-200:]
+        found, _ = model.simulate(voltage, state="empty")
+        assert np.std(found[-200:] - truth) < 0.01 * np.ptp(moved)
+
+
 def test_the_inverse_is_exact_and_gears_are_as_asked_for() -> None:
     model, _ = of_cycle(gears=9, points=1)
     assert model.gears.n == 9

@@ -1,7 +1,5 @@
 """Which column has which role, and what is asked where that is not clear."""
 
-from pathlib import Path
-
 import pytest
 
 from dbo_cli.errors import InputError, UsageError
@@ -10,23 +8,23 @@ from dbo_cli.logs.columns import _candidates, role_of
 from dbo_cli.logs.table import Column
 from dbo_cli.units import split_header
 
-BOTH: dict[str, str | None] = {"voltage": None, "displacement": None}
+BOTH = {"voltage": None, "displacement": None}
 
 
-def columns(*headers: str) -> list[Column]:
+def columns(*headers):
     return [
         Column(n, header, split_header(header)[1])
         for n, header in enumerate(headers, 1)
     ]
 
 
-def found(role: str, *headers: str, unit: str | None = None) -> list[int]:
+def found(role, *headers, unit=None):
     return [
         column.number for column in _candidates(columns(*headers), role_of(role, unit))
     ]
 
 
-def write(folder: Path, header: str, rows: int = 3) -> str:
+def write(folder, header, rows=3):
     path = folder / "run.csv"
     cells = header.count(",") + 1
     lines = [",".join(str(n / 1000 + k) for k in range(cells)) for n in range(rows)]
@@ -57,11 +55,11 @@ def write(folder: Path, header: str, rows: int = 3) -> str:
         ("voltage", ["voltage_um", "CH1 [V]"], []),
     ],
 )  # fmt: skip
-def test_a_role_is_found(role: str, headers: list[str], numbers: list[int]) -> None:
+def test_a_role_is_found(role, headers, numbers):
     assert sorted(found(role, *headers)) == numbers
 
 
-def test_a_unit_of_a_model_says_what_is_looked_for() -> None:
+def test_a_unit_of_a_model_says_what_is_looked_for():
     assert found("voltage", "voltage_V", "pressure_bar", unit="bar") == [2]
     assert found("input", "voltage_V", "position_um", unit="um") == [2]
     assert found("input", "voltage_V", "position_um", unit="V") == [1]
@@ -69,7 +67,7 @@ def test_a_unit_of_a_model_says_what_is_looked_for() -> None:
         role_of("colour", None)
 
 
-def test_scales(tmp_path: Path) -> None:
+def test_scales(tmp_path):
     path = write(tmp_path, "time_s,voltage_V,sensor_V")
     reading = Reading(scale={"voltage": "20", "displacement": "10um/V"})
     with open_log(path, BOTH, reading, {"displacement": "nm"}) as log:
@@ -77,12 +75,8 @@ def test_scales(tmp_path: Path) -> None:
         assert [column.unit for column in log.columns.values()] == ["V", "nm"]
     assert table["voltage"].tolist() == pytest.approx([20.0, 20.02, 20.04], rel=1e-15)
     assert table["displacement"][0] == 20000.0
-    for scale in (
-        {"voltage": "0"},
-        {"voltage": "x"},
-        {"time": "2"},
-        {"voltage": "1um"},
-    ):
+    wrong = {"voltage": "0"}, {"voltage": "x"}, {"time": "2"}, {"voltage": "1um"}
+    for scale in wrong:
         with pytest.raises(UsageError, match="`scale`"):
             open_log(path, BOTH, Reading(scale=scale))
     with pytest.raises(InputError, match="`scale`"):

@@ -3,9 +3,6 @@
 import datetime
 import importlib.metadata
 import pickle
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import h5py
 import nptdms
@@ -19,7 +16,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.formats import reader_of, stored
 from dbo_cli.logs.formats.npy import NUMPY
 from dbo_cli.logs.settings import stated_rate
-from dbo_cli.logs.table import Reading, Table
+from dbo_cli.logs.table import Reading
 
 T = (0.0, 0.001, 0.002, 0.003)
 V = (0.0, 1.5, -2.5, 4.0)
@@ -29,22 +26,20 @@ STAMPS = [datetime.datetime(2026, 1, 2, 3, 4, 5, 1000 * n) for n in range(4)]
 FIRST = 1_767_323_045_000_000_000  # of STAMPS, ns since 1970
 
 
-def opened(path: Path, part: str = "") -> Table:
+def opened(path, part=""):
     reader = reader_of(str(path), path.read_bytes()[:1024])
-    assert reader is not None
     return reader(str(path), part, Reading())
 
 
-def read(source: Table) -> dict[str, np.ndarray]:
+def read(source):
     try:
         blocks = list(source.blocks(source.columns))
     finally:
         source.close()
     found = {}
     for place, column in enumerate(source.columns):
-        found[column.name or str(column.number)] = np.concatenate(
-            [b[place] for b in blocks]
-        )
+        values = np.concatenate([block[place] for block in blocks])
+        found[column.name or str(column.number)] = values
     return found
 
 
@@ -54,16 +49,16 @@ FRAME = pd.DataFrame(NAMED)
 ARRAYS = {name: np.array([values]).T for name, values in NAMED.items()}
 
 
-def workbook(path: Path) -> None:
+def workbook(path):
     FRAME.to_excel(path, sheet_name="Run 1", index=False)
 
 
-def segments(path: Path, *channels: nptdms.ChannelObject) -> None:
+def segments(path, *channels):
     with nptdms.TdmsWriter(path) as file:
         file.write_segment([nptdms.RootObject(), *channels])
 
 
-def tdms(path: Path) -> None:
+def tdms(path):
     channels = []
     for (title, values), unit in zip(NAMED.items(), ("s", "V", "µm"), strict=True):
         name, stated = title.partition("_")[0], {"unit_string": unit}
@@ -71,13 +66,13 @@ def tdms(path: Path) -> None:
     segments(path, *channels)
 
 
-def hdf5(path: Path) -> None:
+def hdf5(path):
     with h5py.File(path, "w") as file:
         for name, values in NAMED.items():
             file.create_dataset(name, data=values, chunks=(2,), compression="gzip")
 
 
-WRITTEN: dict[str, tuple[str, Callable[[Path], Any]]] = {
+WRITTEN = {
     "NumPy, records": (".npy", lambda p: np.save(p, FRAME.to_records(index=False))),
     "NumPy, an archive": (".npz", lambda p: np.savez(p, **ARRAYS, note="N. N.")),
     "MATLAB v5": (".mat", lambda p: scipy.io.savemat(p, ARRAYS)),
@@ -92,7 +87,7 @@ WRITTEN: dict[str, tuple[str, Callable[[Path], Any]]] = {
 
 
 @pytest.mark.parametrize("name", WRITTEN)
-def test_values_and_units_come_back(name: str, tmp_path: Path) -> None:
+def test_values_and_units_come_back(name, tmp_path):
     suffix, write = WRITTEN[name]
     path = tmp_path / f"run{suffix}"
     write(path)
@@ -108,9 +103,7 @@ def test_values_and_units_come_back(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("order", ["C", "F"])
 @pytest.mark.parametrize("turned", [False, True])
-def test_a_matrix_is_read_along_its_longer_axis(
-    tmp_path: Path, order: Any, turned: bool
-) -> None:
+def test_a_matrix_is_read_along_its_longer_axis(tmp_path, order, turned):
     table = np.random.default_rng(0).normal(size=(150_000, 3))
     stored = np.asarray(table.T if turned else table, order=order)
     np.save(tmp_path / "a.npy", stored)
@@ -121,19 +114,13 @@ def test_a_matrix_is_read_along_its_longer_axis(
 
 
 DATES = np.array(STAMPS, dtype="M8[us]")
-TOKYO = (
-    pl.Series("t", STAMPS)
-    .dt.replace_time_zone("UTC")
-    .dt.convert_time_zone("Asia/Tokyo")
-)
+UTC = pl.Series("t", STAMPS).dt.replace_time_zone("UTC")
+TOKYO = UTC.dt.convert_time_zone("Asia/Tokyo")
 
 
-def stamped_tdms(path: Path) -> None:
-    segments(
-        path,
-        nptdms.ChannelObject("g", "t", DATES),
-        nptdms.ChannelObject("g", "v", np.array(V)),
-    )
+def stamped_tdms(path):
+    columns = {"t": DATES, "v": np.array(V)}
+    segments(path, *(nptdms.ChannelObject("g", *each) for each in columns.items()))
 
 
 @pytest.mark.parametrize(
@@ -145,9 +132,7 @@ def stamped_tdms(path: Path) -> None:
         (".tdms", stamped_tdms),
     ],
 )
-def test_stamps_are_nanoseconds(
-    tmp_path: Path, suffix: str, write: Callable[[Path], None]
-) -> None:
+def test_stamps_are_nanoseconds(tmp_path, suffix, write):
     path = tmp_path / f"run{suffix}"
     write(path)
     source = opened(path)
@@ -157,7 +142,7 @@ def test_stamps_are_nanoseconds(
     np.testing.assert_array_equal(stamps, FIRST + 1_000_000 * np.arange(4))
 
 
-def test_rates_that_files_state(tmp_path: Path) -> None:
+def test_rates_that_files_state(tmp_path):
     np.savez(tmp_path / "a.npz", voltage_V=V, sample_rate_kHz=2.0)
     columns = {"A": np.array([V]).T, "Tinterval": 0.0005, "Tstart": -0.001}
     scipy.io.savemat(tmp_path / "a.mat", columns)
@@ -171,12 +156,11 @@ def test_rates_that_files_state(tmp_path: Path) -> None:
         source.close()
 
 
-def test_parts_are_chosen_or_asked_for(tmp_path: Path) -> None:
+def test_parts_are_chosen_or_asked_for(tmp_path):
     with pd.ExcelWriter(tmp_path / "a.xlsx") as book:
         for sheet, values in (("Run 1", V), ("Run 2", D)):
-            pd.DataFrame({"t_s": T, "u": values}).to_excel(
-                book, sheet_name=sheet, index=False
-            )
+            frame = pd.DataFrame({"t_s": T, "u": values})
+            frame.to_excel(book, sheet_name=sheet, index=False)
     with pytest.raises(InputError, match=r"Run 1, Run 2.*a\.xlsx::Run 1"):
         opened(tmp_path / "a.xlsx")
     np.testing.assert_array_equal(read(opened(tmp_path / "a.xlsx", "Run 2"))["u"], D)
@@ -187,7 +171,7 @@ def test_parts_are_chosen_or_asked_for(tmp_path: Path) -> None:
         opened(tmp_path / "a.parquet", "x")
 
 
-def test_a_cell_of_a_workbook_keeps_all_its_digits(tmp_path: Path) -> None:
+def test_a_cell_of_a_workbook_keeps_all_its_digits(tmp_path):
     values = [0.1, 3.333333333333333e-08, -2.5, 123456.789012345]
     pd.DataFrame({"t_s": T, "u": values}).to_excel(tmp_path / "a.xlsx", index=False)
     np.testing.assert_array_equal(read(opened(tmp_path / "a.xlsx"))["u"], values)
@@ -199,14 +183,14 @@ def test_a_cell_of_a_workbook_keeps_all_its_digits(tmp_path: Path) -> None:
 class Explosive:
     """Leaves a file behind when it is unpickled."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path):
         self.path = path
 
-    def __reduce__(self) -> Any:
+    def __reduce__(self):
         return open, (str(self.path), "w")
 
 
-def test_pickles_are_never_loaded(tmp_path: Path) -> None:
+def test_pickles_are_never_loaded(tmp_path):
     trap = Explosive(tmp_path / "exploded")
     (tmp_path / "a.pkl").write_bytes(pickle.dumps(trap))
     (tmp_path / "b.bin").write_bytes(pickle.dumps(trap))
@@ -218,10 +202,8 @@ def test_pickles_are_never_loaded(tmp_path: Path) -> None:
     assert not (tmp_path / "exploded").exists()
 
 
-def test_a_library_that_is_absent_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def absent(name: str) -> Any:
+def test_a_library_that_is_absent_is_named(tmp_path, monkeypatch):
+    def absent(name):
         raise ImportError(name)
 
     tdms(tmp_path / "a.tdms")
@@ -232,17 +214,15 @@ def test_a_library_that_is_absent_is_named(
             opened(tmp_path / name)
 
 
-def test_a_reader_of_another_package_joins(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_reader_of_another_package_joins(tmp_path, monkeypatch):
     path = tmp_path / "a.npy"
     np.save(path, np.array(V))
 
     class Point:
-        def load(self) -> Any:
+        def load(self):
             return NUMPY.read
 
-    def entry_points(group: str, name: str) -> list[Point]:
+    def entry_points(group, name):
         return [Point()] if (group, name) == ("dbo_cli.readers", ".xyz") else []
 
     monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
@@ -253,9 +233,7 @@ def test_a_reader_of_another_package_joins(
 @pytest.mark.parametrize(
     "name", [name for name in WRITTEN if name != "TDMS by another name"]
 )
-def test_damaged_files_end_in_one_line(
-    name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_damaged_files_end_in_one_line(name, tmp_path, capfd):
     """And polars, which panics at some of them, tells nothing of that on standard error."""
     suffix, write = WRITTEN[name]
     path = tmp_path / f"run{suffix}"

@@ -1,9 +1,6 @@
 """HDF5 logs: what is found, what is refused, and that nothing leads out of the file."""
 
 import os
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -13,29 +10,29 @@ from dbo_cli.errors import DboWarning, InputError
 from dbo_cli.logs.columns import named
 from dbo_cli.logs.hdf5 import open_hdf5
 from dbo_cli.logs.settings import stated_rate
-from dbo_cli.logs.table import Reading, Table
+from dbo_cli.logs.table import Reading
 
 T = np.arange(200.0) / 1000.0
 V = np.sin(40.0 * T)
 D = np.cos(40.0 * T)
 
 
-def made(path: Path, fill: Callable[[Any], None]) -> Path:
+def made(path, fill):
     with h5py.File(path, "w") as file:
         fill(file)
     return path
 
 
-def opened(path: Path, fill: Callable[[Any], None], part: str = "") -> Table:
+def opened(path, fill, part=""):
     return open_hdf5(str(made(path / "run.h5", fill)), part, Reading())
 
 
-def values(source: Table, name: str) -> np.ndarray:
+def values(source, name):
     (column,) = [column for column in source.columns if column.name == name]
     return np.concatenate([block[0] for block in source.blocks([column])])
 
 
-def names(source: Table) -> list[str]:
+def names(source):
     return [column.name for column in source.columns]
 
 
@@ -43,23 +40,23 @@ COLUMNS = (("time", T, "s"), ("voltage", V, "V"), ("displacement", D, "µm"))
 NAMES, UNITS = "time,voltage,displacement", ["s", "V", "um"]
 
 
-def plain(group: Any, **options: Any) -> None:
+def plain(group, **options):
     for name, array, unit in COLUMNS:
         group.create_dataset(name, data=array, **options)
         group[name].attrs["units"] = unit
 
 
-def matrix(file: Any) -> None:
+def matrix(file):
     file["data"] = np.column_stack([T, V, D])
     file["data"].attrs.update({"columns": NAMES, "units": UNITS})
 
 
-def wide(file: Any) -> None:
+def wide(file):
     file["data"] = np.vstack([T, V, D])
     file["data"].attrs.update({"columns": NAMES, "units": UNITS})
 
 
-def compound(file: Any) -> None:
+def compound(file):
     kind = [("time", "f8"), ("voltage", "f4"), ("displacement", "f8"), ("note", "S4")]
     rows = np.zeros(T.size, dtype=kind)
     rows["time"], rows["voltage"], rows["displacement"] = T, V.astype("f4"), D
@@ -67,19 +64,19 @@ def compound(file: Any) -> None:
     file["data"].attrs["units"] = [*UNITS, ""]
 
 
-def column_vectors(file: Any) -> None:
+def column_vectors(file):
     for name, array, unit in COLUMNS:
         file[name] = array[:, None]
         file[name].attrs["unit"] = unit
 
 
-def deeper(file: Any) -> None:
+def deeper(file):
     plain(file.create_group("entry/run"))
     file["entry/note"] = "first"
     file["entry/camera/frames"] = np.zeros((4, 3, 3))
 
 
-def soft_links(file: Any) -> None:
+def soft_links(file):
     plain(file.create_group("store/raw"))
     for name in ("time", "voltage", "displacement"):
         file[name] = h5py.SoftLink(f"/store/raw/{name}")
@@ -89,12 +86,9 @@ def soft_links(file: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "fill",
-    [plain, matrix, wide, compound, column_vectors, deeper, soft_links],
+    "fill", [plain, matrix, wide, compound, column_vectors, deeper, soft_links]
 )
-def test_columns_names_units_and_values(
-    tmp_path: Path, fill: Callable[[Any], None]
-) -> None:
+def test_columns_names_units_and_values(tmp_path, fill):
     source = opened(tmp_path, fill)
     read = [column for column in source.columns if column.kind == "number"]
     by_name = {column.name: column.unit for column in read}
@@ -105,8 +99,8 @@ def test_columns_names_units_and_values(
     source.close()
 
 
-def test_parts_and_paths(tmp_path: Path) -> None:
-    def fill(file: Any) -> None:
+def test_parts_and_paths(tmp_path):
+    def fill(file):
         plain(file.create_group("a"))
         plain(file.create_group("b/c"))
         file["b/c/voltage"][...] = 2.0 * V
@@ -114,8 +108,7 @@ def test_parts_and_paths(tmp_path: Path) -> None:
 
     source = opened(tmp_path, fill)
     assert names(source) == ["displacement", "time", "voltage"]  # the shallowest's
-    column = source.find("b/c/voltage")
-    assert column is not None
+    assert source.find("b/c/voltage") is not None
     np.testing.assert_array_equal(values(source, "b/c/voltage"), 2.0 * V)
     assert source.find("/b/c/time") is not None
     assert source.find("/b/none") is None
@@ -142,10 +135,8 @@ def test_parts_and_paths(tmp_path: Path) -> None:
         ({"single": 1}, 3000.0, ""),
     ],
 )
-def test_a_rate_that_is_stated(
-    tmp_path: Path, attributes: dict[str, Any], rate: float | None, problem: str
-) -> None:
-    def fill(file: Any) -> None:
+def test_a_rate_that_is_stated(tmp_path, attributes, rate, problem):
+    def fill(file):
         file.attrs.update(attributes)
         file["run/voltage"], file["run/displacement"] = V, D
         if "single" in attributes:
@@ -161,10 +152,10 @@ def test_a_rate_that_is_stated(
     source.close()
 
 
-def test_groups_side_by_side(tmp_path: Path) -> None:
+def test_groups_side_by_side(tmp_path):
     """A single value is a statement and no column; unlike lengths are refused."""
 
-    def fill(file: Any) -> None:
+    def fill(file):
         plain(file.create_group("run1"))
         plain(file.create_group("run2"))
         file["run1/short"], file["run1/fs"], file["run1/count"] = V[:-1], 4000.0, 3
@@ -179,16 +170,21 @@ def test_groups_side_by_side(tmp_path: Path) -> None:
     source.close()
 
 
-def test_a_scale_beside_a_dataset_is_not_passed_over(tmp_path: Path) -> None:
-    def fill(file: Any) -> None:
+def test_a_scale_beside_a_dataset_is_not_passed_over(tmp_path):
+    def fill(file):
         file["x"], file["x_scaling_factor"] = np.arange(3.0), 0.001
         file["y"] = np.array([0, -32768, 2], dtype="i2")
         file["y"].attrs["missing_value"] = np.int16(-32768)
         file["z"] = np.array([0, 100, -1], dtype="i2")
         file["z"].attrs.update({"conversion": 0.001, "_FillValue": -1})
+        for key in keys:
+            file[key] = np.arange(3.0)
+            file[key].attrs[key] = 2.0
 
+    keys = ("scale_factor", "Scale", "Scale Factor", "GAIN")
     source = opened(tmp_path, fill)
-    for name, key in (("x", "x_scaling_factor"), ("z", "conversion")):
+    pairs = {"x": "x_scaling_factor", "z": "conversion"} | {key: key for key in keys}
+    for name, key in pairs.items():
         with pytest.raises(InputError, match=f"{key}.*`scale`"):
             values(source, name)
     np.testing.assert_array_equal(values(source, "y"), [0.0, np.nan, 2.0])
@@ -203,10 +199,8 @@ def test_a_scale_beside_a_dataset_is_not_passed_over(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("key", "pair"), [("sample_rate", (1000.0, 2000.0)), ("t0", (0.0, 0.25))]
 )
-def test_clocks_that_differ_by_column_are_no_clock(
-    tmp_path: Path, key: str, pair: tuple[float, float]
-) -> None:
-    def fill(file: Any) -> None:
+def test_clocks_that_differ_by_column_are_no_clock(tmp_path, key, pair):
+    def fill(file):
         for name, value in zip("vx", pair, strict=True):
             file[f"{name}/data"] = np.arange(3.0)
             file[name].attrs.update({"sample_rate": 1000.0, key: value})
@@ -220,36 +214,31 @@ def test_clocks_that_differ_by_column_are_no_clock(
 # --- what leads out of the file ---
 
 
-def secret(folder: Path) -> Path:
+def secret(folder):
     return made(folder / "secret.h5", plain)
 
 
-def external_link(file: Any, other: Path) -> None:
+def external_link(file, other):
     file["voltage"] = h5py.ExternalLink(str(other), "/voltage")
 
 
-def virtual(file: Any, other: Path) -> None:
+def virtual(file, other):
     layout = h5py.VirtualLayout(shape=(T.size,), dtype="f8")
     layout[:] = h5py.VirtualSource(str(other), "voltage", shape=(T.size,))
     file.create_virtual_dataset("voltage", layout)
 
 
-def external_storage(file: Any, other: Path) -> None:
+def external_storage(file, other):
     file.create_dataset(
         "voltage", (T.size,), "f8", external=[(str(other), 0, 8 * T.size)]
     )
 
 
-@pytest.mark.parametrize(
-    "fill",
-    [external_link, virtual, external_storage],
-)
-def test_no_other_file_is_read(
-    tmp_path: Path, fill: Callable[[Any, Path], None], monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("fill", [external_link, virtual, external_storage])
+def test_no_other_file_is_read(tmp_path, fill, monkeypatch):
     other = secret(tmp_path)
 
-    def both(file: Any) -> None:
+    def both(file):
         fill(file, other)
         file["displacement"], file["time"] = D, T
 
@@ -261,8 +250,8 @@ def test_no_other_file_is_read(
 
 
 @pytest.mark.parametrize("part", ["run", "/run/voltage", "soft"])
-def test_a_part_behind_a_link_is_refused(tmp_path: Path, part: str) -> None:
-    def fill(file: Any) -> None:
+def test_a_part_behind_a_link_is_refused(tmp_path, part):
+    def fill(file):
         file["run"] = h5py.ExternalLink(str(secret(tmp_path)), "/")
         file["soft"] = h5py.SoftLink("/run/voltage")
 

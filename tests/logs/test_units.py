@@ -30,13 +30,11 @@ from dbo_cli.units import drive_unit, parse_quantity, quantity_name, split_heade
         ("", "", None),
     ],
 )
-def test_a_header_is_split_at_its_unit(
-    header: str, name: str, unit: str | None
-) -> None:
+def test_a_header_is_split_at_its_unit(header, name, unit):
     assert split_header(header) == (name, unit)
 
 
-def test_figures() -> None:
+def test_figures():
     assert parse_quantity("4bar", "bar") == parse_quantity(4, "bar") == 4.0
     assert parse_quantity("2V/ms", "V/s") == 2000.0
     assert parse_quantity("3kA/m/s", "A/m/s") == 3000.0
@@ -47,7 +45,7 @@ def test_figures() -> None:
             parse_quantity(figure, "V", "v_max")
 
 
-def test_what_a_signal_is_called() -> None:
+def test_what_a_signal_is_called():
     assert quantity_name("voltage", "bar") == "pressure"
     assert quantity_name("displacement", "um") == "displacement"
     assert quantity_name("displacement", "ppm") == "strain"

@@ -9,14 +9,14 @@ import numpy as np
 import polars as pl
 import pytest
 
-from dbo_cli.errors import DboError, OutputError, UsageError
+from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.files import Outputs, check_outputs, write_text
 from dbo_cli.logs.write import create, header_cell
 
 COLUMNS = [("time", "s"), ("desired", "um"), ("voltage", "V")]
 
 
-def rows(count: int = 1000) -> list[np.ndarray]:
+def rows(count=1000):
     rng = np.random.default_rng(3)
     return [
         np.arange(count) / 1e4,
@@ -25,16 +25,14 @@ def rows(count: int = 1000) -> list[np.ndarray]:
     ]
 
 
-def only(folder: Path) -> list[str]:
+def only(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
 @pytest.mark.parametrize(
     "name", ["a.csv", "a.tsv", "a.csv.gz", "a", "a.dat", "a.h5", "a.hdf5"]
 )
-def test_numbers_read_back_to_the_bit_from_any_blocks(
-    tmp_path: Path, name: str
-) -> None:
+def test_numbers_read_back_to_the_bit_from_any_blocks(tmp_path, name):
     arrays = rows(150_000)
     path = tmp_path / name
     with create(path, COLUMNS, {"model": "abc"}) as out:
@@ -55,9 +53,7 @@ def test_numbers_read_back_to_the_bit_from_any_blocks(
     assert only(tmp_path) == [name]
 
 
-def test_a_few_rows_read_back_without_polars(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_few_rows_read_back_without_polars(tmp_path, monkeypatch):
     monkeypatch.delitem(sys.modules, "polars")
     values = np.array([0.1, -1e-5, 1e22, 5e-324, 1.0, 123456789.123456789])
     with create(tmp_path / "a.csv", [("x", None)]) as out:
@@ -70,7 +66,7 @@ def test_a_few_rows_read_back_without_polars(
     ("name", "unit"),
     [("voltage", "V"), ("n", None), ("force", "odd unit"), ("a,b", "V")],
 )
-def test_a_header_is_read_back(name: str, unit: str | None) -> None:
+def test_a_header_is_read_back(name, unit):
     from dbo_cli.units import split_header
 
     cell = header_cell(name, unit, ",")
@@ -78,7 +74,7 @@ def test_a_header_is_read_back(name: str, unit: str | None) -> None:
     assert cell.startswith('"') == ("," in name)
 
 
-def test_no_row_that_is_no_number_is_written(tmp_path: Path) -> None:
+def test_no_row_that_is_no_number_is_written(tmp_path):
     path = tmp_path / "a.csv"
     with (
         pytest.raises(OutputError, match=r"row 1003.*desired.*nan"),
@@ -89,7 +85,7 @@ def test_no_row_that_is_no_number_is_written(tmp_path: Path) -> None:
     assert only(tmp_path) == []
 
 
-def test_permissions_links_and_inputs(tmp_path: Path) -> None:
+def test_permissions_links_and_inputs(tmp_path):
     target = tmp_path / "real.csv"
     target.write_text("x\n1\n")
     target.chmod(0o640)
@@ -109,10 +105,10 @@ def test_permissions_links_and_inputs(tmp_path: Path) -> None:
     assert (tmp_path / "new.json").stat().st_mode & 0o777 == 0o640
 
 
-def test_places_that_cannot_be_written(tmp_path: Path) -> None:
+def test_places_that_cannot_be_written(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "x.csv")
-    cases: list[tuple[list[Path], type[DboError]]] = [
+    cases = [
         ([tmp_path / "missing" / "a.csv"], OutputError),
         ([tmp_path / "folder"], OutputError),
         ([tmp_path / "x.csv", tmp_path / "folder" / ".." / "x.csv"], OutputError),

@@ -2,38 +2,15 @@
 
 import copy
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import jsonschema
 import numpy as np
 import pytest
 
-from dbo_cli.errors import DboError, InputError, ModelError
-from dbo_cli.model import (
-    Candidate,
-    Cascade,
-    Delay,
-    Dynamics,
-    Gears,
-    Lag,
-    Mode,
-    Points,
-    Quantity,
-    Relaxation,
-    Resonance,
-    Scale,
-    dumps_model,
-    dumps_set,
-    dumps_state,
-    is_set,
-    model_values,
-    read_model,
-    read_models,
-    read_state,
-)
+import dbo_cli.model as dm
+from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model.file import parse_model
 
 DT = 1e-4
@@ -41,61 +18,63 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 SCHEMA = jsonschema.Draft202012Validator(
     json.loads((DOCS / "model-file.schema.json").read_text())
 )
-Change = Callable[[dict[str, Any]], object]
 
 
-def full_model() -> Cascade:
+def full_model():
     """A model that has everything."""
-    gears = Gears(
+    gears = dm.Gears(
         [0.1] * 50,
         np.linspace(0.1, 0.3, 50),
         0.0,
         -1.0,
-        Relaxation(0.0, (0.006, 0.5), (0.3, -0.9)),
+        dm.Relaxation(0.0, (0.006, 0.5), (0.3, -0.9)),
     )
-    sections = (Resonance(800.0, 0.02, Mode(900.0, 0.03)), Lag(2e-4), Lag(3e-4, 1e-4))
+    sections = (
+        dm.Resonance(800.0, 0.02, dm.Mode(900.0, 0.03)),
+        dm.Lag(2e-4),
+        dm.Lag(3e-4, 1e-4),
+    )
     stages = (
-        Points([1.0, 4.0], [1.2, 3.8]),
+        dm.Points([1.0, 4.0], [1.2, 3.8]),
         gears,
-        Points([5.0, 6.0], [6.0, 7.0], -1.0),
-        Scale(-1.5, 1.0 / 3.0),
-        Dynamics(sections),
-        Delay(0.00207),
+        dm.Points([5.0, 6.0], [6.0, 7.0], -1.0),
+        dm.Scale(-1.5, 1.0 / 3.0),
+        dm.Dynamics(sections),
+        dm.Delay(0.00207),
     )
-    return Cascade(
+    return dm.Cascade(
         "forward",
-        Quantity("voltage", "V", 0.0, 5.0),
-        Quantity("displacement", None, -20.0, 5.0),
+        dm.Quantity("voltage", "V", 0.0, 5.0),
+        dm.Quantity("displacement", None, -20.0, 5.0),
         stages,
         {"sign": "falling", "rmse": 0.1, "logs": [{"name": "µ.csv"}]},
-        (Candidate(0.4, stages[1:]), Candidate(0.6, (gears,))),
+        (dm.Candidate(0.4, stages[1:]), dm.Candidate(0.6, (gears,))),
         {"program": "dbo"},
     )
 
 
-def written(tmp_path: Path, text: str, name: str = "model.json") -> str:
+def written(tmp_path, text, name="model.json"):
     path = tmp_path / name
     path.write_text(text, encoding="utf-8")
     return str(path)
 
 
-def test_a_model_comes_back(tmp_path: Path) -> None:
+def test_a_model_comes_back(tmp_path):
     model = full_model()
     for each in (model, model.inverse()):
-        text = dumps_model(each)
-        back = read_model(written(tmp_path, text))
-        assert dumps_model(back) == text
+        text = dm.dumps_model(each)
+        back = dm.read_model(written(tmp_path, text))
+        assert dm.dumps_model(back) == text
         assert back.digest == model.digest
         SCHEMA.validate(json.loads(text))
-    back = read_model(written(tmp_path, dumps_model(model)))
+    back = dm.read_model(written(tmp_path, dm.dumps_model(model)))
     drive = np.linspace(0.0, 5.0, 300)
-    assert np.array_equal(
-        model.simulate(drive, dt=DT)[0], back.simulate(drive, dt=DT)[0]
-    )
-    assert len(dumps_model(model).splitlines()) < 120
+    moved, again = (each.simulate(drive, dt=DT)[0] for each in (model, back))
+    assert np.array_equal(moved, again)
+    assert len(dm.dumps_model(model).splitlines()) < 120
 
 
-def test_the_example_of_the_page_is_a_model() -> None:
+def test_the_example_of_the_page_is_a_model():
     page = (DOCS / "model-file.md").read_text()
     begin = page.index('    {\n      "format": "dbo-model"')
     example = page[begin : page.index("\n\n", begin)]
@@ -104,27 +83,51 @@ def test_the_example_of_the_page_is_a_model() -> None:
     assert model.gears.n == 5
 
 
-def test_sets(tmp_path: Path) -> None:
+def test_sets(tmp_path):
     model = full_model()
-    path = written(tmp_path, dumps_set({"x": model, "y": model.inverse()}))
+    path = written(tmp_path, dm.dumps_set({"x": model, "y": model.inverse()}))
     SCHEMA.validate(json.loads(Path(path).read_text()))
-    assert is_set(path)
-    assert list(read_models(path)) == ["x", "y"]
-    assert read_model(f"{path}::y").direction == "inverse"
+    assert dm.is_set(path)
+    assert list(dm.read_models(path)) == ["x", "y"]
+    assert dm.read_model(f"{path}::y").direction == "inverse"
     with pytest.raises(InputError, match="models: x, y"):
-        read_model(f"{path}::z")
+        dm.read_model(f"{path}::z")
     with pytest.raises(ModelError, match="::CHANNEL"):
-        read_model(path)
+        dm.read_model(path)
     broken = json.loads(Path(path).read_text())
     broken["models"]["y"]["stages"][0]["seconds"] = "late"
-    with pytest.raises(
-        ModelError, match=r'models\["y"\]\.stages\[0\]\.seconds: "late"'
-    ):
-        read_models(written(tmp_path, json.dumps(broken)))
+    named = r'models\["y"\]\.stages\[0\]\.seconds: "late"'
+    with pytest.raises(ModelError, match=named):
+        dm.read_models(written(tmp_path, json.dumps(broken)))
 
 
-BROKEN: list[tuple[Change, str, bool]] = [
+BROKEN = [
+    (lambda m: m.update(format="dbo-state"), "format", True),
+    (lambda m: m.update(version=2), "version", True),
+    (lambda m: m.pop("direction"), "direction", True),
+    (lambda m: m.update(direction="up"), "direction", True),
+    (lambda m: m.update(colour="red"), "colour", True),
+    (lambda m: m["input"].update(min=11.0), "input", False),
+    (lambda m: m["input"].update(unit=5), "input.unit", True),
+    (lambda m: m.update(stages=[]), "stages", True),
+    (lambda m: m["stages"].append(m["stages"][1]), "stages", True),
+    (lambda m: m["stages"][1].update(height=1), "stages[1].height", True),
+    (lambda m: m["stages"][1].update(type="spline"), "stages[1]", True),
+    (lambda m: m["stages"][1].update(x0="0"), "stages[1].x0", True),
+    (lambda m: m["stages"][1]["dx"].insert(0, 0.0), "stages[1].dx[0]", True),
+    (lambda m: m["stages"][1]["dy"].__setitem__(1, -1.0), "stages[1].dy[1]", True),
+    (lambda m: m["stages"][1].update(dx=[1.0, 2.0]), "stages[1]", False),
+    (lambda m: m["stages"][1]["relaxation"].update(tau=[0.1, -1.0]), "stages[1].relaxation.tau[1]", True),
+    (lambda m: m["stages"][1]["relaxation"].update(gain=[0.3, -9.0]), "stages[1].relaxation.gain", False),
+    (lambda m: m["stages"][3].update(gain=0.0), "stages[3].gain", True),
+    (lambda m: m["stages"][4]["sections"][0].pop("damping"), "stages[4]", True),
+    (lambda m: m["stages"][5].update(seconds=-1.0), "stages[5].seconds", False),
+    (lambda m: m["fit"].update(unknown_past_rmse="much"), "fit.unknown_past_rmse", True),
+    (lambda m: m["fit"].update(swings=-1), "fit.swings", True),
+    (lambda m: m["candidates"][0].update(weight=-1.0), "candidates[0].weight", True),
+    (lambda m: m.update(candidates=3 * m["candidates"]), "candidates", True),
     (lambda m: m["stages"][1].update(dx=[{"repeat": 0, "value": 1.0}]), "stages[1].dx[0].repeat", True),
+    (lambda m: m["stages"][1].update(dx=[{"repeat": "5", "value": 1.0}]), "stages[1].dx[0].repeat", True),
     (lambda m: m["stages"][1].update(dx=[{"repeat": 10**7, "value": 1.0}]), "stages[1].dx[0].repeat", True),
     (lambda m: m["stages"][1].update(x0=1e99), "stages[1].x0: 1e+99", True),
     (lambda m: m["stages"][1].update(x0=True), "stages[1].x0: true", True),
@@ -140,8 +143,8 @@ BROKEN: list[tuple[Change, str, bool]] = [
 
 
 @pytest.mark.parametrize(("change", "place", "in_schema"), BROKEN)
-def test_what_is_wrong_is_named(change: Change, place: str, in_schema: bool) -> None:
-    values = copy.deepcopy(json.loads(dumps_model(full_model())))
+def test_what_is_wrong_is_named(change, place, in_schema):
+    values = copy.deepcopy(json.loads(dm.dumps_model(full_model())))
     change(values)
     with pytest.raises(ModelError) as problem:
         parse_model(values, "model.json")
@@ -150,56 +153,33 @@ def test_what_is_wrong_is_named(change: Change, place: str, in_schema: bool) -> 
     assert SCHEMA.is_valid(values) is not in_schema
 
 
-def test_mutated_files_are_refused_or_read(tmp_path: Path) -> None:
-    """No mutation of a byte ends in anything but a model or a DboError."""
-    rng = np.random.default_rng(0)
-    content = dumps_model(full_model()).encode()
-    path = tmp_path / "model.json"
-    for _ in range(400):
-        mutated = bytearray(content)
-        for place in rng.integers(0, len(content), int(rng.integers(1, 4))):
-            mutated[place] = int(rng.integers(32, 127))
-        path.write_bytes(bytes(mutated))
-        try:
-            model = read_model(str(path))
-        except DboError as problem:
-            assert "model.json" in str(problem)
-        else:
-            assert parse_model(model_values(model)).digest == model.digest
-
-
 # ---- states ----
 
 
-def test_a_state_comes_back_and_serves_the_inverse(tmp_path: Path) -> None:
+def test_a_state_comes_back_and_serves_the_inverse(tmp_path):
     model = full_model()
     drive = 2.5 + 2.0 * np.sin(np.arange(700) * 0.03)
     whole, _ = model.simulate(drive, dt=DT)
     _, state = model.simulate(drive[:300], dt=DT)
     state = replace(state, time=0.0299)
-    text = dumps_state(state, model)
+    text = dm.dumps_state(state, model)
     SCHEMA.validate(json.loads(text))
     path = written(tmp_path, text, "state.json")
-    back = read_state(path, model.inverse())
+    back = dm.read_state(path, model.inverse())
     assert back == replace(state, model=model.digest)
-    assert dumps_state(back, model) == text
+    assert dm.dumps_state(back, model) == text
     rest, _ = model.simulate(drive[300:], dt=DT, state=back)
     assert np.array_equal(rest, whole[300:])
-    bare = dumps_state(model.start(2.0), model)
+    bare = dm.dumps_state(model.start(2.0), model)
     SCHEMA.validate(json.loads(bare))
-    assert (
-        read_state(written(tmp_path, bare, "s.json"), model).bits
-        == model.start(2.0).bits
-    )
+    back = dm.read_state(written(tmp_path, bare, "s.json"), model)
+    assert back.bits == model.start(2.0).bits
 
 
 @pytest.mark.parametrize(
     ("change", "place"),
     [
-        (
-            lambda s: s.update(model="0" * 64),
-            "model: the state belongs to another model",
-        ),
+        (lambda s: s.update(model="0" * 64), "model: the state belongs to another"),
         (lambda s: s.update(bits="xyz"), "bits: "),
         (lambda s: s.update(bits="f" * 99), "bits: "),
         (lambda s: s.update(gears=49), "gears: "),
@@ -212,12 +192,12 @@ def test_a_state_comes_back_and_serves_the_inverse(tmp_path: Path) -> None:
         (lambda s: s.update(extra=2), "extra: is not a known key"),
     ],
 )
-def test_bad_states_are_named(change: Change, place: str, tmp_path: Path) -> None:
+def test_bad_states_are_named(change, place, tmp_path):
     model = full_model()
     _, state = model.simulate(np.linspace(0, 3, 50), dt=DT)
-    values = json.loads(dumps_state(state, model))
+    values = json.loads(dm.dumps_state(state, model))
     change(values)
     path = written(tmp_path, json.dumps(values), "state.json")
     with pytest.raises(ModelError) as problem:
-        read_state(path, model)
+        dm.read_state(path, model)
     assert str(problem.value).startswith(f"{path}: {place}")

@@ -2,48 +2,33 @@
 
 import numpy as np
 import pytest
+from random_actuators import DT, random_drive, random_model
 
+import dbo_cli.model as dm
 from dbo_cli.errors import ModelError
-from dbo_cli.model import (
-    Amplifier,
-    Cascade,
-    Delay,
-    Dynamics,
-    Gears,
-    Lag,
-    Mode,
-    Points,
-    Quantity,
-    Relaxation,
-    Resonance,
-    Scale,
-    Stage,
-    State,
-)
-from tests.model.random_models import DT, Floats, random_drive, random_model
 
-VOLTAGE = Quantity("voltage", "V", 0.0, 10.0)
-DISPLACEMENT = Quantity("displacement", "um", 0.0, 20.0)
-TERMS = Relaxation(1.0, (1e-3, 0.05, 2.0), (0.2, -0.3, 0.1))
+VOLTAGE = dm.Quantity("voltage", "V", 0.0, 10.0)
+DISPLACEMENT = dm.Quantity("displacement", "um", 0.0, 20.0)
+TERMS = dm.Relaxation(1.0, (1e-3, 0.05, 2.0), (0.2, -0.3, 0.1))
 
 
-def plant(*behind: Stage, relaxation: Relaxation | None = TERMS) -> Cascade:
+def plant(*behind, relaxation=TERMS):
     """A scanner of 100 gears, a few curves, and what stands behind them."""
-    gears = Gears([0.1] * 100, np.linspace(0.1, 0.3, 100), 0.0, 0.0, relaxation)
+    gears = dm.Gears([0.1] * 100, np.linspace(0.1, 0.3, 100), 0.0, 0.0, relaxation)
     low, high = gears.y_range
-    curve = Points([1.0, high - low - 1.0], [1.2, high - low - 1.2], low, low)
-    return Cascade("forward", VOLTAGE, DISPLACEMENT, (gears, curve, *behind))
+    curve = dm.Points([1.0, high - low - 1.0], [1.2, high - low - 1.2], low, low)
+    return dm.Cascade("forward", VOLTAGE, DISPLACEMENT, (gears, curve, *behind))
 
 
 @pytest.mark.parametrize("batch", range(10))
-def test_the_inverse_is_exact(batch: int) -> None:
+def test_the_inverse_is_exact(batch):
     """1,000 random models, half of them with negative gains."""
     for seed in range(100 * batch, 100 * batch + 100):
         rng = np.random.default_rng(seed)
         assert round_trip_error(rng, random_model(rng, negative=seed % 2 == 0)) <= 1e-12
 
 
-def round_trip_error(rng: np.random.Generator, model: Cascade) -> float:
+def round_trip_error(rng, model):
     """The worst error of the drive after the model and its inverse, over the range."""
     low, high = model.input.min, model.input.max
     drive = random_drive(rng, low, high, 300)
@@ -55,7 +40,7 @@ def round_trip_error(rng: np.random.Generator, model: Cascade) -> float:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_the_inverse_is_exact_on_any_clock(seed: int) -> None:
+def test_the_inverse_is_exact_on_any_clock(seed):
     rng = np.random.default_rng(seed)
     model = random_model(rng, delays=False, negative=True)
     low, high = model.input.min, model.input.max
@@ -67,22 +52,22 @@ def test_the_inverse_is_exact_on_any_clock(seed: int) -> None:
     np.testing.assert_allclose(back, drive, rtol=0, atol=1e-12 * (high - low))
 
 
-def in_blocks(rng: np.random.Generator, x: Floats) -> list[Floats]:
+def in_blocks(rng, x):
     """A signal cut at random."""
     edges = np.sort(rng.integers(0, x.size, 12))
     return np.split(x, edges)
 
 
 @pytest.mark.parametrize("seed", range(30))
-def test_blocks_change_nothing(seed: int) -> None:
+def test_blocks_change_nothing(seed):
     rng = np.random.default_rng(seed)
     sections = (
-        Resonance(80.0, 0.03, Mode(95.0, 0.05)),
-        Lag(4e-3, 1e-3),
-        Resonance(150.0, 0.1),
+        dm.Resonance(80.0, 0.03, dm.Mode(95.0, 0.05)),
+        dm.Lag(4e-3, 1e-3),
+        dm.Resonance(150.0, 0.1),
     )
-    delay = Delay(float(rng.choice([0.0, 3e-3, 0.4e-3, 2.3e-3, 17.7e-3])))
-    model = plant(Dynamics(sections), delay)
+    delay = dm.Delay(float(rng.choice([0.0, 3e-3, 0.4e-3, 2.3e-3, 17.7e-3])))
+    model = plant(dm.Dynamics(sections), delay)
     drive = random_drive(rng, 0.0, 10.0, 600)
     whole, after = model.simulate(drive, dt=DT)
     state, parts = model.start(float(drive[0])), []
@@ -94,7 +79,7 @@ def test_blocks_change_nothing(seed: int) -> None:
     assert state == after
 
 
-def smooth_move(model: Cascade, rows: int) -> Floats:
+def smooth_move(model, rows):
     """A sine that grows out of a rest at the lower end, where the start is known."""
     lowest = model.simulate([0.0], dt=DT)[0][0]
     k = np.maximum(np.arange(rows) - 100, 0)
@@ -104,9 +89,11 @@ def smooth_move(model: Cascade, rows: int) -> Floats:
 
 @pytest.mark.parametrize("seconds", [0.0, 2e-3, 1.37e-3])
 @pytest.mark.parametrize("damping", [0.02, 0.3])
-def test_dynamics_and_delay_are_undone(seconds: float, damping: float) -> None:
+def test_dynamics_and_delay_are_undone(seconds, damping):
     """A smooth move from the lower end comes out as wanted; a part of a sample leaves interpolation."""
-    model = plant(Dynamics((Resonance(60.0, damping), Lag(2e-3))), Delay(seconds))
+    model = plant(
+        dm.Dynamics((dm.Resonance(60.0, damping), dm.Lag(2e-3))), dm.Delay(seconds)
+    )
     wanted = smooth_move(model, 3000)
     known = np.concatenate([wanted, np.full(model.inverter(DT).ahead, wanted[-1])])
     u, _ = model.inverter(DT).run(known)
@@ -118,37 +105,33 @@ def test_dynamics_and_delay_are_undone(seconds: float, damping: float) -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.4e-3, 1.5e-3, 2.5e-3, 9.7e-3])
-def test_a_delay_is_the_same_by_count_and_by_time(seconds: float) -> None:
+def test_a_delay_is_the_same_by_count_and_by_time(seconds):
     """Before the first sample the first value holds, however the clock is given."""
     x = np.cumsum(np.random.default_rng(1).normal(size=40))
-    counted = Delay(seconds).run(x, State(), DT).y
-    looked_up = Delay(seconds).run(x, State(), np.full(40, DT)).y
+    counted = dm.Delay(seconds).run(x, dm.State(), DT).y
+    looked_up = dm.Delay(seconds).run(x, dm.State(), np.full(40, DT)).y
     np.testing.assert_allclose(looked_up, counted, rtol=0, atol=1e-9)
 
 
-def test_dynamics_are_the_continuous_ones() -> None:
+def test_dynamics_are_the_continuous_ones():
     """A ramp and a rest between samples: the recursion against the exact solution."""
-    section = Resonance(50.0, 0.1)
+    section = dm.Resonance(50.0, 0.1)
     time = np.arange(400) * DT
     x = np.minimum(time, 0.1)
-    y = Dynamics((section,)).run(x, State(), DT).y
+    y = dm.Dynamics((section,)).run(x, dm.State(), DT).y
     omega, zeta = 2 * np.pi * 50.0, 0.1
     damped = omega * np.sqrt(1 - zeta**2)
 
-    def ramp(t: Floats) -> Floats:
+    def ramp(t):
         late = 2 * zeta / omega
-        swing = late * np.cos(damped * t) + (2 * zeta**2 - 1) / damped * np.sin(
-            damped * t
-        )
+        swing = late * np.cos(damped * t)
+        swing += (2 * zeta**2 - 1) / damped * np.sin(damped * t)
         return np.where(t > 0, t - late + np.exp(-zeta * omega * t) * swing, 0.0)
 
     np.testing.assert_allclose(y, ramp(time) - ramp(time - 0.1), rtol=0, atol=1e-12)
 
 
-# ---- starts ----
-
-
-def test_starts() -> None:
+def test_starts():
     model = plant()
     assert model.start(-1.0).bits == 0
     assert model.start(5.0, "empty").bits == 0
@@ -160,21 +143,18 @@ def test_starts() -> None:
     assert model.start_drive(5.0, "full", 0.0, 9.0).drive == 9.0
 
 
-# ---- what is outside, and what is refused ----
-
-
 @pytest.mark.parametrize(
     ("stages", "place"),
     [
-        ((Scale(1.0, 0.0),), "stages: "),
-        ((Gears([1], [1]), Gears([1], [1])), "stages[1]: "),
-        ((Gears([1], [1]), Delay(1.0), Scale(1.0, 0.0)), "stages[2]: "),
-        ((Dynamics((Lag(1.0),)), Gears([1], [1])), "stages[1]: "),
-        ((Gears([1], [1]), Amplifier(1.0)), "stages[1]: "),
-        ((Amplifier(1.0), Amplifier(1.0), Gears([1], [1])), "stages[1]: "),
+        ((dm.Scale(1.0, 0.0),), "stages: "),
+        ((dm.Gears([1], [1]), dm.Gears([1], [1])), "stages[1]: "),
+        ((dm.Gears([1], [1]), dm.Delay(1.0), dm.Scale(1.0, 0.0)), "stages[2]: "),
+        ((dm.Dynamics((dm.Lag(1.0),)), dm.Gears([1], [1])), "stages[1]: "),
+        ((dm.Gears([1], [1]), dm.Amplifier(1.0)), "stages[1]: "),
+        ((dm.Amplifier(1.0), dm.Amplifier(1.0), dm.Gears([1], [1])), "stages[1]: "),
     ],
 )
-def test_bad_cascades_are_named(stages: tuple[Stage, ...], place: str) -> None:
+def test_bad_cascades_are_named(stages, place):
     with pytest.raises(ModelError) as problem:
-        Cascade("forward", VOLTAGE, DISPLACEMENT, stages)
+        dm.Cascade("forward", VOLTAGE, DISPLACEMENT, stages)
     assert str(problem.value).startswith(place)

@@ -22,9 +22,8 @@ def actuator(low=0.0, high=10.0, dynamics=()):
     gears = Gears(np.full(10, 10.0), np.full(10, (high - low) / 10.0))
     stages = (gears, Scale(1.0, low), *dynamics)
     voltage = Quantity("voltage", "V", 0.0, 100.0)
-    return Cascade(
-        "forward", voltage, Quantity("displacement", "um", low, high), stages
-    )
+    reached = Quantity("displacement", "um", low, high)
+    return Cascade("forward", voltage, reached, stages)
 
 
 def test_a_move_is_trusted_to_a_third_of_the_lowest_resonance():

@@ -38,11 +38,10 @@ def test_no_code_lies_outside_the_limits(to, gain):
 def test_another_rate_or_coarse_codes_that_move_the_drive_too_far_are_refused():
     with pytest.raises(LimitError, match="`points`"):
         made("npy", points=30)
+    few = {"gain": 1.0, "volts": (0.0, 100.0), "codes": (0, 31)}
     with pytest.raises(LimitError, match="`max_rounding`"):
-        made("uint16", gain=1.0, volts=(0.0, 100.0), codes=(0, 31))
-    coarse = made(
-        "uint16", gain=1.0, volts=(0.0, 100.0), codes=(0, 31), max_rounding=3.0
-    )
+        made("uint16", **few)
+    coarse = made("uint16", **few, max_rounding=3.0)
     assert np.abs(coarse.volts - DRIVE).max() <= 50.0 / 31.0 * 1.001
 
 

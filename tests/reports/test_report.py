@@ -91,9 +91,7 @@ def test_a_user_s_own_style_changes_nothing():
 
 def test_without_a_clock_rows_are_shown():
     found = Report.of([Pair("run", np.sin(np.arange(200.0) / 9.0), np.zeros(200))])
-    alike = Report.of(
-        [Pair("run", np.arange(200.0), np.arange(200.0), np.arange(200.0))]
-    )
+    alike = Report.of([Pair("run", *[np.arange(200.0)] * 3)])
     assert len(plots_of_report(alike)) == 3  # no error, no spectrum
     keys = [plot.key for plot in plots_of_report(found)]
     assert keys == ["run-follow", "run-error", "run-loop"]
