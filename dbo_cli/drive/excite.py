@@ -200,11 +200,11 @@ def _sweep(
     """Return the way to the middle, a logarithmic sweep there, and the way back; ``ramp`` rows each."""
     seconds = max(SWEEP_SECONDS, SWEEP_PERIODS / sweep_to)
     count = round(seconds * rate)
-    level_of_row = np.arange(count) / count
+    fraction = np.arange(count) / count
     grown = math.log(SWEEP_FROM)
-    periods = sweep_to / SWEEP_FROM * seconds / grown * np.expm1(grown * level_of_row)
-    edge = np.clip(np.minimum(level_of_row, 1.0 - level_of_row) / SWEEP_TAPER, 0.0, 1.0)
-    size = crest * SWEEP_FADED**level_of_row * (0.5 - 0.5 * np.cos(np.pi * edge))
+    periods = sweep_to / SWEEP_FROM * seconds / grown * np.expm1(grown * fraction)
+    edge = np.clip(np.minimum(fraction, 1.0 - fraction) / SWEEP_TAPER, 0.0, 1.0)
+    size = crest * SWEEP_FADED**fraction * (0.5 - 0.5 * np.cos(np.pi * edge))
     still = round(SETTLE * rate)
     up = swings([begin, middle, middle], [ramp, still])
     down = swings([middle, middle, begin, begin], [still, ramp, still])

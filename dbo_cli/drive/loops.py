@@ -265,7 +265,7 @@ def settled_drive(
     ----------
     model
         A forward model.
-    undone
+    target
         One period of what its static part is to follow (``Inverter.loop``).
     dt
         Seconds a row.

@@ -72,7 +72,7 @@ def bounds_of(
         The gears along the input and the output.
     memory
         The relaxation terms.
-    before, behind
+    before, after
         Points and scales, from the input to the gears, and from them to the drive.
 
     Raises

@@ -102,7 +102,7 @@ Slopes = Literal["auto", "growing", "falling", "free"]
 
 @dataclass(frozen=True)
 class Options:
-    """What the user fixed of an identification; see DESIGN, ``identify``."""
+    """What the user fixed of an identification, by the names of ``identify``'s options."""
 
     prior: Cascade | None = None
     sign: Literal["rising", "falling"] | None = None

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import fields
-
-if TYPE_CHECKING:
-    pass
 
 SAME_MOVE = 0.01
 """Part of the move by which the ends of a summary's move may differ from the log's."""

@@ -141,7 +141,8 @@ def test_a_mean_that_is_not_learned_is_told_and_no_sweep_is_advised_twice():
     moved = moved + 0.3
     write("pass.csv", PASS, drive["time_s"], drive["voltage_V"], moved)
     mean = np.mean((moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP])
-    learned = done(*SWEPT, "--tracked", "pass.csv").err
+    learned = done(*SWEPT, "--tracked", "pass.csv", "--summary", "s.json").err
+    assert load("s.json")["expected_rmse"] > abs(mean)  # what `report` compares with
     assert f"RMS without the mean, {mean:.2g} um (--absolute learns it)" in learned
     whole = done(*SWEPT, "--tracked", "pass.csv", "--absolute").err
     assert "expected error" in whole and "without the mean" not in whole
