@@ -16,8 +16,6 @@ from dbo_cli.errors import warn
 
 ERASE = "\r\x1b[K"
 PARAMETER = re.compile(r"`([a-z]\w*)`")
-LINE_LENGTH = 115  # characters of a default line, behind ``dbo: ``
-SHOWN_START = 30  # of them in front of what is cut out of a longer one
 UPDATE_SECONDS = 0.2  # seconds between two updates of a progress line
 Counted = TypeVar("Counted")
 
@@ -31,13 +29,7 @@ class Level:
 
 
 def say(text: str) -> None:
-    """Print a line that everybody needs, at most ``LINE_LENGTH`` characters of it without ``--verbose``.
-
-    A longer one is cut near its beginning, where the name of a file stands; the figures
-    stand behind it.
-    """
-    if len(text) > LINE_LENGTH and not Level.verbose:
-        text = f"{text[:SHOWN_START]}…{text[SHOWN_START + 1 - LINE_LENGTH :]}"
+    """Print a line that everybody needs."""
     if text and not Level.quiet:
         print_line(text)
 
