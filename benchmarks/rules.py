@@ -24,6 +24,7 @@ GROUPS = ("scanners", "others", "authors", "invented")
 RULES = {
     "search.BENDS=()": "no bend of the drive",
     "search.DELAYS=()": "no delay",
+    "search.LEVELS=()": "memories at rest at a log's first value",
     "search.CURVES=(10.0,)": "one smoothness of the curve for four",
     "search.SLOPE_SMOOTHNESS=(2e-4,)": "one smoothness of the slopes for three",
     "search.RULES=('growing',)": "slopes that grow only",

@@ -103,7 +103,8 @@ def average_model(problem: Problem, average: Average) -> Fit:
     for member, weight in zip(average.fits, average.weights, strict=True):
         frame = member.structure.frame
         if frame not in tables:
-            tables[frame] = _table(problem, invented, member.structure)
+            settled = replace(member.structure, level=None)
+            tables[frame] = _table(problem, invented, settled)
         mean += weight * member.predict(tables[frame])
     weights = np.full(len(mean), INVENTED_WEIGHT)
     weights[: len(problem.output)] = 1.0

@@ -48,6 +48,7 @@ class Structure:
     segments : of the curve
     drift : whether a straight drift in time is fitted beside the model
     past : whether the unknown past of the gears is fitted beside it
+    level : of the drive, where memories stood before the logs; None: at the first value
     """
 
     slopes: str = "growing"
@@ -59,6 +60,7 @@ class Structure:
     segments: int = SEGMENTS
     drift: bool = False
     past: bool = False
+    level: float | None = None
 
     @property
     def frame(self) -> tuple[float, float]:

@@ -17,7 +17,10 @@ FLOOR = 1e-4  # of the output's standard deviation: a smaller error is as good
 PRICE = 0.1
 """What a family must gain in the logarithm of the error left out: each kind of memory, the past."""
 DRIFT_PRICE = 0.4
-"""The same for drift, which no new move has: what a slow memory explains nearly as well is no drift."""
+"""The same for drift, and for memories that stood elsewhere than at a log's first value.
+
+No new move has them: what a slow memory explains nearly as well is neither.
+"""
 
 
 def cross_validate(problem: Problem, fit: Fit, equations: Equations) -> Fit:
@@ -74,7 +77,8 @@ def score(problem: Problem, fit: Fit, residuals: Sequence[Floats]) -> float:
         errors.append(math.sqrt(square))
     structure = fit.structure
     families = len(structure.memories) + structure.past
-    price = PRICE * families + DRIFT_PRICE * structure.drift
+    unlike_moves = structure.drift + (structure.level is not None)
+    price = PRICE * families + DRIFT_PRICE * unlike_moves
     return math.log(max(float(np.mean(errors)), floor)) + price
 
 

@@ -25,6 +25,8 @@ BENDS = (-0.4, -0.25, -0.12, 0.12, 0.25, 0.4)
 DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
 REFINED = (0.6, 0.8, 1.25, 1.6)
 """Times the best delay, tried in turn."""
+LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
+"""Of the range: where memories may have stood before the logs, beside the first value."""
 ROUNDS = (2, 1)  # of neighbours: of how many kinds of structures
 HOPELESS = 1.0  # of the score: a fit that is worse at best weighs nothing
 FEWEST_SWINGS = 4  # with fewer neither bend nor drift can be told from the loop
@@ -213,6 +215,8 @@ class Search:
             trials.append(replace(structure, drift=not structure.drift))
         if self.problem.past.size:
             trials.append(replace(structure, past=not structure.past))
+        if structure.memories and self.problem.clock:
+            trials += [replace(structure, level=level) for level in LEVELS]
         if choices.delay is None and self.problem.clock:
             dt, swing = self.problem.dt, self.problem.swing
             for fraction in DELAYS:

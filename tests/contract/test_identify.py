@@ -9,6 +9,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+import scipy.signal
 
 import dbo_cli
 from dbo_cli.errors import FitError
@@ -410,3 +411,23 @@ def test_the_development_table_refuses_a_constant_that_is_none(tmp_path):
     run = subprocess.run([*command, "--set", "search.NOPE=1"], capture_output=True)
     assert run.returncode != 0
     assert b"NOPE" in run.stderr and b"BENDS" not in run.stderr.splitlines()[-1]
+
+
+def test_a_log_that_begins_in_motion_keeps_its_zero():
+    """What slow creep held of the time before a log was taken for its zero: ten times the stated error."""
+    drive = table(done("excite", "--v-max", 100, "--sample-rate", 200))["voltage_V"]
+    reach = np.linspace(0.0, 50.0, 41)
+    share = 0.1 * np.exp(-reach / 15.0) / np.exp(-reach / 15.0).sum()
+    plays, moved = np.zeros(41), np.empty(len(drive))
+    for row, voltage in enumerate(drive):
+        plays = np.clip(plays, voltage - reach, voltage + reach)
+        moved[row] = share @ plays
+    decay = np.exp(-0.005 / 10.0)
+    moved += 0.004 * scipy.signal.lfilter([1.0 - decay], [1.0, -decay], drive)
+    noise = np.random.default_rng(3).normal(0.0, 0.002, len(drive))
+    time = np.arange(len(drive)) / 200.0
+    rows = slice(int(np.argmax(drive)), None)
+    write("log.csv", LOG, time[rows], drive[rows], (moved + noise)[rows])
+    stated = identified("log.csv")["fit"]["expected_rmse"]
+    followed = dbo_cli.read_model(FITTED).simulate(drive, time=time)
+    assert rms((followed - moved)[rows]) < 2.0 * stated
