@@ -234,9 +234,16 @@ class Driver:
         """Return a loop on its way to the settled drive."""
         from dbo_cli.drive.loops import Loop
 
-        lead = self.lead, self._standing
         return Loop(
-            self.model, self.limits, target, dt, *lead, passes, self.name, self.hold
+            self.model,
+            self.limits,
+            target,
+            dt,
+            self.lead,
+            self._standing,
+            passes,
+            self.name,
+            self.hold,
         )
 
     # --- a whole trajectory ---
@@ -375,8 +382,9 @@ class Driver:
             return None
 
         def lead_to(first: float) -> Floats:
-            lead = self.lead, self._standing
-            lead_in = LeadIn(self.model, first, dt, self.limits, *lead)
+            lead_in = LeadIn(
+                self.model, first, dt, self.limits, self.lead, self._standing
+            )
             _, voltage, still = lead_in.planned(self.hold)
             return np.append(voltage, np.full(still, voltage[-1]))
 
