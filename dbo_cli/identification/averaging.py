@@ -53,6 +53,28 @@ class Average:
             residuals.append(np.einsum("k,kr->r", self.weights, np.stack(parts)))
         return residuals
 
+    @property
+    def kinds(self) -> list[tuple[float, Fit]]:
+        """The heaviest fit of each kind, with the weight of all of its kind.
+
+        Fits that differ in smoothness, bend or delay alone predict nearly alike: five of
+        one kind would hide how far kinds go apart.
+        """
+        weights: dict[object, float] = {}
+        heaviest: dict[object, Fit] = {}
+        for fit, weight in zip(self.fits, self.weights.tolist(), strict=True):
+            structure = fit.structure
+            kind = (
+                structure.slopes,
+                structure.memories,
+                structure.past,
+                structure.level,
+                structure.drift,
+            )
+            heaviest.setdefault(kind, fit)
+            weights[kind] = weights.get(kind, 0.0) + weight
+        return [(weights[kind], fit) for kind, fit in heaviest.items()]
+
     def words(self) -> list[str]:
         """Return in words what has most of the weight."""
         best = self.fits[0].structure

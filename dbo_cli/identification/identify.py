@@ -76,7 +76,7 @@ def _searched(logs: Sequence[Recording], options: Options, notes: list[str]) -> 
     average = Average.of(fits)
     figures = left_out_figures(problem, average, slow, options)
     fit = average_model(problem, average)
-    others = list(zip(average.weights.tolist(), average.fits, strict=True))
+    others = average.kinds
     few = problem.one_amplitude or problem.different_swings < FEWEST_SWINGS
     if few and dynamic is None:
         others = search.unjudged(average.fits[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -27,6 +28,7 @@ REFINED = (0.6, 0.8, 1.25, 1.6)
 """Times the best delay, tried in turn."""
 LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the range: where memories may have stood before the logs, beside the first value."""
+FINER_LEVEL = 0.125  # beside the best one, tried below and above
 ROUNDS = (2, 1)  # of neighbours: of how many kinds of structures
 HOPELESS = 1.0  # of the score: a fit that is worse at best weighs nothing
 FEWEST_SWINGS = 4  # with fewer neither bend nor drift can be told from the loop
@@ -141,13 +143,15 @@ class Search:
                         base, slopes=slopes, memories=memories, smooth_slopes=smooth
                     )
                     self.path(kind, choices.curves)
+        if not self.fits:
+            raise FitError("no model can be fitted to the logs; leave out bad rows")
         for count in ROUNDS:
             for fit in self._best_kinds()[:count]:
                 self._neighbours(fit)
             for factor in REFINED:
                 self._finer_delay(factor)
-        if not self.fits:
-            raise FitError("no model can be fitted to the logs; leave out bad rows")
+            for step in (-FINER_LEVEL, FINER_LEVEL):
+                self._finer_level(step)
         return sorted(self.fits, key=lambda fit: fit.score)
 
     def path(self, base: Structure, curves: Iterable[float]) -> None:
@@ -213,10 +217,7 @@ class Search:
         trials += [replace(structure, smooth_curve=curve) for curve in choices.curves]
         if choices.drift:
             trials.append(replace(structure, drift=not structure.drift))
-        if self.problem.past.size:
-            trials.append(replace(structure, past=not structure.past))
-        if structure.memories and self.problem.clock:
-            trials += [replace(structure, level=level) for level in LEVELS]
+        trials += self._pasts(structure)
         if choices.delay is None and self.problem.clock:
             dt, swing = self.problem.dt, self.problem.swing
             for fraction in DELAYS:
@@ -226,6 +227,15 @@ class Search:
             if trial != structure:
                 self.path(trial, [trial.smooth_curve])
 
+    def _pasts(self, structure: Structure) -> list[Structure]:
+        """Return a structure with each past: what moved before the logs moved gears and memories."""
+        pasts = (False, True) if self.problem.past.size else (False,)
+        levels = LEVELS if structure.memories and self.problem.clock else LEVELS[:1]
+        trials = []
+        for past, level in product(pasts, levels):
+            trials.append(replace(structure, past=past, level=level))
+        return trials
+
     def _finer_delay(self, factor: float) -> None:
         """Try a delay beside the best one."""
         if self.choices.delay is not None:
@@ -234,4 +244,11 @@ class Search:
         if delayed:
             best = min(delayed, key=lambda fit: fit.score).structure
             trial = replace(best, delay=best.delay * factor)
+            self.path(trial, [best.smooth_curve])
+
+    def _finer_level(self, step: float) -> None:
+        """Try a level beside the best fit's."""
+        best = min(self.fits, key=lambda fit: fit.score).structure
+        if best.level is not None:
+            trial = replace(best, level=best.level + step)
             self.path(trial, [best.smooth_curve])
