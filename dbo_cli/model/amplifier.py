@@ -132,7 +132,6 @@ class AmplifiedGears:
         dt: float | Floats,
         window: Window | None,
         slew: float | None,
-        extend: bool,
     ) -> Run:
         """Return the drive for one block of the gears' output; see ``Gears.undo``.
 
@@ -141,7 +140,7 @@ class AmplifiedGears:
         """
         _, shares = self.amplifier.shares(state, dt, output.size)
         if window is None:
-            return self._undo_freely(output, state, dt, extend)[0]
+            return self._undo_freely(output, state, dt)[0]
         changes = np.broadcast_to(np.inf, output.shape)
         if slew is not None:
             changes = np.broadcast_to(largest_step(slew, dt), output.shape)
@@ -151,7 +150,7 @@ class AmplifiedGears:
             rows = slice(row, row + size)
             block, limits = output[rows], (shares[rows], changes[rows], window)
             steps = dt[rows] if isinstance(dt, np.ndarray) else dt
-            done = self._undo_block(block, state, steps, limits, extend)
+            done = self._undo_block(block, state, steps, limits)
             count = done.y.size
             drive[row : row + count] = done.y
             if done.clipped and not clipped:
@@ -162,10 +161,10 @@ class AmplifiedGears:
         return Run(drive, state, clipped, first_clipped)
 
     def _undo_freely(
-        self, output: Floats, state: State, dt: float | Floats, extend: bool
+        self, output: Floats, state: State, dt: float | Floats
     ) -> tuple[Run, Floats]:
         """Return the drive as if there were no limits, and the voltage at the gears."""
-        done = self.gears.undo(output, state, dt, extend=extend)
+        done = self.gears.undo(output, state, dt)
         u = self.head.inverse()(done.y)
         run = self.amplifier.undo(u, done.state, dt)
         last = float(run.y[-1])
@@ -177,7 +176,6 @@ class AmplifiedGears:
         state: State,
         dt: float | Floats,
         limits: RowLimits,
-        extend: bool,
     ) -> Run:
         """Return the drive of one row within its window, or of the rows before the first that is held."""
         shares, changes, window = limits
@@ -186,13 +184,11 @@ class AmplifiedGears:
         if output.size == 1:
             low, high = (float(end[0]) for end in _range(stands, changes, window))
             range_ = before, float(shares[0]), low, high
-            done = self.gears.undo(
-                output, state, dt, self.window(*range_), None, extend
-            )
+            done = self.gears.undo(output, state, dt, self.window(*range_))
             drive, u = self.drive(float(done.y[0]), *range_)
             after = replace(done.state, amplifier=u, drive=drive)
             return Run(np.array([drive]), after, done.clipped)
-        free, voltage = self._undo_freely(output, state, dt, extend)
+        free, voltage = self._undo_freely(output, state, dt)
         previous = np.concatenate([[before], self.head.inverse()(voltage)[:-1]])
         lows, highs = _range(np.concatenate([stands, free.y[:-1]]), changes, window)
         ends = [
@@ -206,7 +202,7 @@ class AmplifiedGears:
         if count == 0:
             return Run(free.y[:0], state)
         steps = dt[:count] if isinstance(dt, np.ndarray) else dt
-        return self._undo_freely(output[:count], state, steps, extend)[0]
+        return self._undo_freely(output[:count], state, steps)[0]
 
 
 def _range(last: Floats, changes: Floats, window: Window) -> tuple[Floats, Floats]:

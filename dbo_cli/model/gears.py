@@ -239,14 +239,14 @@ class Gears(Keyed):
         dt: float | Floats = math.inf,
         window: Window | None = None,
         slew: float | None = None,
-        extend: bool = True,
     ) -> Run:
         """Return the voltage (17)-(18) of one block of the output, the state after it, and what was clipped.
 
         Parameters
         ----------
-        y, state, dt, extend
-            As of ``run``; the state's drive is the voltage before, for the slew.
+        y, state, dt
+            As of ``run``; the state's drive is the voltage before, for the slew. Beyond
+            the gears the last slope goes on.
         window : (float, float), optional
             Clip the voltage to this range; the state is then that of ``run`` for the
             clipped voltage.
@@ -259,7 +259,7 @@ class Gears(Keyed):
             The state is not of these gears.
         """
         y = np.ascontiguousarray(y, dtype=np.float64).reshape(-1)
-        operator = self.operator(extend, is_inverse=True)
+        operator = self.operator(True, is_inverse=True)
         return self._block(operator, y, state, dt, window, slew)
 
     def _block(
