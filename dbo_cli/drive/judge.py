@@ -153,10 +153,10 @@ class Judge:
         return math.sqrt(self._squares / self._move_rows) if self._clipped else 0.0
 
     def _exceeding(self) -> str:
-        """Return how much of the move the limits forbid, in words."""
+        """Return how much of the move the limits forbid, in words; rows before the move do not count."""
         return (
-            f"{self._clipped:,} of {self._move_rows:,} rows (first: row {self._first_clipped:,}) exceed "
-            f"{self.limits.describe()}"
+            f"{self._clipped:,} of {self._move_rows:,} rows read (first: row {self._first_clipped:,}) "
+            f"exceed {self.limits.describe()}"
         )
 
     def require_reached(self, step: float, is_loop: bool = False) -> None:
