@@ -25,6 +25,7 @@ Json = dict[str, Any]
 Reader = Callable[[Any, str], Any]
 
 VERSION = 1
+STANDARD_INPUT = "standard input"  # what messages call ``-``
 LARGEST = 1e60  # of every number: products of five of them are still within float64
 # a file of some bytes must not ask for more memory than a machine has
 MOST_WIDTHS = 1_000_000
@@ -45,7 +46,7 @@ def load(path: str, noun: str) -> tuple[str, Any]:
     ModelError
         It is not JSON, or not whole, or a key occurs twice in one object.
     """
-    name = "standard input" if path == "-" else path
+    name = STANDARD_INPUT if path == "-" else path
 
     def distinct(pairs: list[tuple[str, Any]]) -> Json:
         values = dict(pairs)
