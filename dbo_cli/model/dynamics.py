@@ -131,9 +131,9 @@ class Dynamics(Keyed):
         memories = []
         each = zip(self.inverses(dt), sections, self.sections, strict=True)
         for inverse, (p, q, u), section in each:
-            by_lead, by_q = section.output
+            output = section.output
             a, b = (inverse.from_state @ np.array([u - p, q])).tolist()
-            memories.append((p + (by_lead * (u - p) + by_q * q), a, b))
+            memories.append((p + (output.by_lead * (u - p) + output.by_q * q), a, b))
         return tuple(memories)
 
     def loop(self, x: Floats, dt: float) -> Floats:
@@ -163,8 +163,10 @@ class Dynamics(Keyed):
 
 def _step_rows(sections: tuple[Section, ...], steps: Floats) -> Floats:
     """Return the kernel's numbers, six for each section, in a row for each time step (s)."""
-    rows = np.concatenate([section.step(steps) for section in sections], axis=1)
-    return np.ascontiguousarray(rows)
+    columns: list[Floats] = []
+    for section in sections:
+        columns += section.step(steps)
+    return np.column_stack(columns)
 
 
 @lru_cache(maxsize=32)
