@@ -143,17 +143,17 @@ class Move(TypedDict, total=False):
     state: StateLike
 
 
-def with_known_words(function: Callable[P, R]) -> Callable[P, R]:
+def with_known_options(function: Callable[P, R]) -> Callable[P, R]:
     """Return a function that answers a keyword that it does not have with those that are near."""
-    words = [word for word in signature(function).parameters if word != "self"]
+    known = [name for name in signature(function).parameters if name != "self"]
 
     @wraps(function)
     def call(*values: P.args, **options: P.kwargs) -> R:
-        for word in options:
-            if word not in words:
-                similar = get_close_matches(word, words, 2, 0.5) or words
+        for option in options:
+            if option not in known:
+                similar = get_close_matches(option, known, 2, 0.5) or known
                 text = " or ".join(f"`{name}`" for name in similar)
-                raise UsageError(f"{function.__name__}: no `{word}`: give {text}")
+                raise UsageError(f"{function.__name__}: no `{option}`: give {text}")
         return function(*values, **options)
 
     return call
@@ -253,7 +253,7 @@ class Model:
         return_state: Literal[True],
     ) -> tuple[Floats, room.State]: ...
 
-    @with_known_words
+    @with_known_options
     def simulate(
         self,
         x: Signal,
@@ -326,7 +326,7 @@ class Model:
         **move: Unpack[Move],
     ) -> Drive: ...
 
-    @with_known_words
+    @with_known_options
     def compensate(
         self,
         wanted: Signal,
@@ -446,7 +446,7 @@ class Model:
         columns = dict.fromkeys(("time", "voltage", "measured"))
         return tracked_of(sources, columns, Reading(), self.actuator)
 
-    @with_known_words
+    @with_known_options
     def controller(
         self,
         sample_rate: Figured,
@@ -551,7 +551,7 @@ def read_models(path: str | Path) -> ModelSet:
 # --- logs ---
 
 
-@with_known_words
+@with_known_options
 def read_log(
     path: str | Path,
     *,
@@ -646,7 +646,7 @@ def read_log(
     return frame
 
 
-@with_known_words
+@with_known_options
 def identify(
     data: Logs,
     displacement: Signal | None = None,
@@ -762,7 +762,7 @@ def _listed(data: Logs | None) -> list[Any]:
     return list(data) if isinstance(data, (list, tuple)) else [data]
 
 
-@with_known_words
+@with_known_options
 def report(
     desired: Signal,
     measured: Signal | None = None,

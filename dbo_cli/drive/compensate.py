@@ -133,8 +133,8 @@ class Driver:
             return NO_ROWS
         blocks = []
         if self._ahead is None:
-            dt, lead = self._begin(float(target[0]), dt, time)
-            blocks.append(lead)
+            dt, before = self._begin(float(target[0]), dt, time)
+            blocks.append(before)
         assert self._ahead is not None
         for block in self._ahead.take(dt, target, desired, time):
             blocks.append(self._driven(dt, *block))

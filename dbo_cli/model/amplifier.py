@@ -84,11 +84,11 @@ class Amplifier(Keyed):
         if x.size == 0:
             return Run(x, state)
         decay = np.exp(-checked_steps(dt) / self.seconds)
-        memory, u = np.array([state.amplifier or 0.0]), np.empty(x.size)
+        memory, output = np.array([state.amplifier or 0.0]), np.empty(x.size)
         kernel.extension.memory_run(
-            0.0, memory, state.amplifier is None, np.ascontiguousarray(x), u, decay
+            0.0, memory, state.amplifier is None, np.ascontiguousarray(x), output, decay
         )
-        return Run(u, replace(state, amplifier=float(memory[0])))
+        return Run(output, replace(state, amplifier=float(memory[0])))
 
     def undo(self, y: Floats, state: State, dt: float | Floats) -> Run:
         """Return the drive for one block of the voltage behind the amplifier, and the state after it."""

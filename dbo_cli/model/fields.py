@@ -187,10 +187,10 @@ def notes(value: Any, path: str) -> Json:
     return value
 
 
-def choice(value: Any, path: str, words: tuple[str, ...]) -> str:
-    """Return one of some words."""
-    if value not in words:
-        raise ModelError(f"{path}: {value!r} is not one of {', '.join(words)}")
+def choice(value: Any, path: str, choices: tuple[str, ...]) -> str:
+    """Return one of some texts."""
+    if value not in choices:
+        raise ModelError(f"{path}: {value!r} is not one of {', '.join(choices)}")
     return str(value)
 
 

@@ -145,7 +145,7 @@ def _model(values: Any, path: str) -> Cascade:
         values,
         path,
         ("fit", "candidates", "provenance"),
-        direction=partial(fields.choice, words=("forward", "inverse")),
+        direction=partial(fields.choice, choices=("forward", "inverse")),
         input=Quantity.read,
         output=Quantity.read,
         stages=partial(_stages, direction=direction),
