@@ -19,7 +19,7 @@ from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.judge import Judge
 from dbo_cli.drive.lead import Lead, LeadIn, ramp
 from dbo_cli.drive.limits import Figure, Gate, Limits, voltage_in
-from dbo_cli.drive.simulate import NO_ROWS, Ahead, Rows, stacked
+from dbo_cli.drive.simulate import NO_ROWS, Ahead, Due, Rows, stacked
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.model import Cascade, State, Steps
 
@@ -136,8 +136,8 @@ class Driver:
             dt, before = self._begin(float(target[0]), dt, time)
             blocks.append(before)
         assert self._ahead is not None
-        for block in self._ahead.take(dt, target, desired, time):
-            blocks.append(self._driven(dt, *block))
+        for due in self._ahead.take(dt, target, desired, time):
+            blocks.append(self._driven(dt, due))
         return stacked(blocks)
 
     def finish(self, return_rows: int = 0) -> tuple[Rows, Drive]:
@@ -158,7 +158,7 @@ class Driver:
         if self._ahead is None:
             raise InputError(f"{self.name}: has no rows")
         dt = self._ahead.dt
-        blocks = [self._driven(dt, *block) for block in self._ahead.remaining()]
+        blocks = [self._driven(dt, due) for due in self._ahead.remaining()]
         self._judge.require_reached(self._step)
         voltage = self._way_back(return_rows)
         assert self._state is not None
@@ -207,8 +207,8 @@ class Driver:
             )
         loop = self._loop_of(target, dt, passes)
         plan = loop.planned()
-        state = plan.before
-        self._judge.clip(desired, loop.static_target, plan.run, state, dt)
+        settled, state = plan.settled.run, plan.settled.before
+        self._judge.clip(desired, loop.static_target, settled, state, dt)
         self._judge.require_reached(dt, is_loop=True)
         texts = loop.require_settled(plan, self.on_limit)
         leading, period = plan.lead_voltage, plan.voltage
@@ -372,8 +372,8 @@ class Driver:
         if still_rows:
             still = np.full(still_rows, first)
             at_rest = None if time is None else stamps[voltage.size :]
-            for block in self._ahead.take(step, still, still, at_rest):
-                blocks.append(self._driven(step, *block))
+            for due in self._ahead.take(step, still, still, at_rest):
+                blocks.append(self._driven(step, due))
         return dt, stacked(blocks)
 
     def _lead_to(self, dt: float) -> Callable[[float], Floats] | None:
@@ -429,21 +429,10 @@ class Driver:
 
     # --- the way of a row ---
 
-    def _driven(
-        self,
-        dt: Steps,
-        columns: tuple[Floats | None, ...],
-        target: Floats,
-        ahead: Floats,
-    ) -> Rows:
-        """Return the drive of rows that are ready, with which the static part reaches a target.
-
-        ``ahead`` is what is asked for them and after them, ``target`` what of it the
-        static part is to reach.
-        """
-        _, desired, time = columns
-        assert desired is not None
+    def _driven(self, dt: Steps, due: Due) -> Rows:
+        """Return the drive of rows that are due, with which the static part reaches their target."""
         model, limits, judge = self.model, self.limits, self._judge
+        target, time = due.target, due.time
         if self._state is None:  # nothing leads to the move
             self._state = model.start_drive(
                 float(target[0]), self.lead.state, *limits.move
@@ -453,13 +442,13 @@ class Driver:
         if not self._is_moving:
             self._is_moving = True
             delayed = round(model.delay_seconds / dt) if isinstance(dt, float) else 0
-            judge.transient = float(target[0] - ahead[delayed])
+            judge.transient = float(target[0] - due.asked[delayed])
         phase = "lead" if self._still_rows else "move"
         self._still_rows = 0
         state = self._state
         run = model.drive(target, state, dt, limits.move, limits.slew)
         if phase == "move":
-            judge.clip(desired, target, run, state, dt)
+            judge.clip(due.desired, target, run, state, dt)
         clipped_at_once = run.clipped and run.first_clipped == 0
         unreachable = model.inverse().outside(target[:1])[0]
         if state.first is not None and not clipped_at_once and not unreachable:
@@ -469,7 +458,7 @@ class Driver:
         self._state = run.state
         if time is not None:
             self._state = replace(run.state, time=float(time[-1]))
-        return Rows(time, desired, run.y)
+        return Rows(time, due.desired, run.y)
 
     def _played(self, time: Floats, voltage: Floats, phase: str, clocked: bool) -> Rows:
         """Return rows that are played as they are, with the displacement that the model expects of them."""
