@@ -70,6 +70,7 @@ class Driver:
         model: Cascade,
         limits: Limits,
         lead: Lead | None = None,
+        *,
         on_limit: OnLimit = "auto",
         return_to: Figure = None,
         name: str = "trajectory",
@@ -235,15 +236,15 @@ class Driver:
         from dbo_cli.drive.loops import Loop
 
         return Loop(
-            self.model,
-            self.limits,
-            target,
-            dt,
-            self.lead,
-            self._standing,
-            passes,
-            self.name,
-            self.hold,
+            model=self.model,
+            limits=self.limits,
+            target=target,
+            dt=dt,
+            lead=self.lead,
+            begin=self._standing,
+            passes=passes,
+            name=self.name,
+            hold=self.hold,
         )
 
     # --- a whole trajectory ---
@@ -308,15 +309,15 @@ class Driver:
             from dbo_cli.drive.learning import RepeatedMove
 
             move = RepeatedMove(
-                self.model,
-                desired,
-                time,
-                dt,
-                self._reference(desired, time, dt, periodic, passes),
-                self.lead.state,
-                periodic,
-                absolute,
-                self._lead_to(dt),
+                model=self.model,
+                desired=desired,
+                time=time,
+                step=dt,
+                reference=self._reference(desired, time, dt, periodic, passes),
+                state=self.lead.state,
+                periodic=periodic,
+                absolute=absolute,
+                lead_to=self._lead_to(dt),
             )
             return move.learned(tracked, history, bandwidth, drive_of)
         target = desired
@@ -398,7 +399,9 @@ class Driver:
             return self._loop_of(desired, dt, passes).planned().voltage
         if self.lead.condition:
             return np.empty(0)
-        driver = Driver(self.model, self.limits, self.lead, "clip", name=self.name)
+        driver = Driver(
+            self.model, self.limits, self.lead, on_limit="clip", name=self.name
+        )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DboWarning)
             drive = driver.whole(desired, dt, time)

@@ -48,7 +48,6 @@ SWEEP_TRAVEL = 1.7  # ranges that the drive travels in a sweep there and back
 TRUSTED_ERROR = 1.0 / 3.0
 # of the strongest third of an octave (amplitude): with less a band says nothing
 BAND_ENERGY = 1e-3
-RESONANCE_PART = 3.0  # a model is trusted to its lowest resonance over this
 # how far off a resonance may be: a payload of half the moving mass does that
 MISTUNED = 0.25
 SHARPER = 0.25  # of the model's damping: that of the mistuned resonance; chosen
@@ -422,9 +421,8 @@ class RepeatedMove:
         """
         dynamics = self.model.dynamics
         resonances = () if dynamics is None else dynamics.resonances
-        if resonances:
-            frequency = resonances[0].frequency / RESONANCE_PART
-        else:
+        frequency = self.model.trusted_frequency
+        if frequency is None:
             frequency = _trusted_by_bands(name, self.desired, residual, self.step)
         return min(frequency, 0.45 / self.step, _safe(resonances))
 

@@ -99,7 +99,9 @@ class Controller:
         self._dt = 1.0 / sample_rate
         step = self.limits.largest_step(self._dt)
         self._step = math.inf if step is None else float(step)
-        self.last = Lead(self._begin, start=from_).standing(self.limits, model.input)
+        self.last = Lead(state=self._begin, start=from_).standing(
+            self.limits, model.input
+        )
         if self.last is not None:
             self._begin = self._stood_at(self.last)
         self._stepper: Any = None

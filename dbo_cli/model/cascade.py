@@ -40,6 +40,8 @@ Sign = Literal["rising", "falling"]
 StageKind = TypeVar("StageKind")
 
 MOST_CANDIDATES = 5
+RESONANCE_SHARE = 3.0
+"""A model is trusted to its lowest resonance over this. Measured on invented benches."""
 _TIME_IS_NEEDED = "this model needs a clock: add `time` COLUMN or `sample_rate` HZ"
 
 
@@ -191,11 +193,6 @@ class Cascade:
         return self.direction == "forward"
 
     @property
-    def voltage(self) -> Quantity:
-        """The drive and its range, whatever the direction."""
-        return self.input if self.is_forward else self.output
-
-    @property
     def delay_seconds(self) -> float:
         """Seconds by which the displacement lags."""
         return 0.0 if self.delay is None else self.delay.seconds
@@ -204,6 +201,13 @@ class Cascade:
     def sensor_delay(self) -> float:
         """Seconds by which the logs' sensor is late; no stage has them."""
         return float(self.fit.get("sensor_delay") or 0.0)
+
+    @property
+    def trusted_frequency(self) -> float | None:
+        """The frequency (Hz) up to which the model can be trusted; None where it has no resonance."""
+        if self.dynamics is None or not self.dynamics.resonances:
+            return None
+        return self.dynamics.resonances[0].frequency / RESONANCE_SHARE
 
     @property
     def needs_time(self) -> bool:
@@ -268,8 +272,8 @@ class Cascade:
 
     @functools.cached_property
     def starts(self) -> Starts:
-        """The starts of the gears; their voltage is that behind the curves before them."""
-        return Starts(self.gears, *self.head.ends(self.voltage.min, self.voltage.max))
+        """The starts of a forward model's gears; their voltage is that behind the curves before them."""
+        return Starts(self.gears, *self.head.ends(self.input.min, self.input.max))
 
     def start(self, voltage: float, state: str | State = "auto") -> State:
         """Return the state before the first sample: one that is known, or by its name (``Starts.bits``)."""

@@ -27,7 +27,6 @@ from dbo_cli.model.state import Run, State
 from dbo_cli.model.widths import (
     TABLE,
     checked_pair,
-    equal_run,
     gear_table,
     kernel_table,
     on_binary_grid,
@@ -141,8 +140,17 @@ class Gears(Keyed):
 
     @property
     def equal_run(self) -> int:
-        """How many neighbouring gears are equal, from every multiple of that number on."""
-        return equal_run(self.table)
+        """How many neighbouring gears are equal, from every multiple of that number on.
+
+        The last run may be shorter. Identification gives many gears one slope, so that
+        runs are long; 1 where nothing repeats.
+        """
+        starts = np.flatnonzero(np.any(self.table[1:] != self.table[:-1], axis=1)) + 1
+        run = math.gcd(*starts.tolist()) or self.n
+        # the kernel divides by a 32-bit multiplication
+        if run * self.n >= 2**32:
+            return 1
+        return run
 
     @functools.cached_property
     def exchanged(self) -> Floats:
