@@ -304,10 +304,8 @@ def members_of(
     if tuple(channels) == ALONE:
         return {"": (name, values)}
     key = plural(kind)
-    read = {key: fields.notes}
     try:
-        content = fields.contents(values, "", f"dbo-{kind}-set", f"a set of {key}")
-        members: dict[str, Any] = fields.build(dict, content, "", **read)[key]
+        members = fields.members(values, f"dbo-{kind}-set", key, f"a set of {key}")
         for channel in channels:
             if channel not in members:
                 raise ModelError(f'{key}: has no channel "{channel}"')

@@ -444,19 +444,15 @@ class Driver:
                 self._gate.last = self._state.drive
         if not self._is_moving:
             self._is_moving = True
-            delayed = round(model.delay_seconds / dt) if isinstance(dt, float) else 0
-            judge.transient = float(target[0] - due.asked[delayed])
+            judge.see_transient(target, due.asked, dt)
         phase = "lead" if self._still_rows else "move"
         self._still_rows = 0
         state = self._state
         run = model.drive(target, state, dt, limits.move, limits.slew)
         if phase == "move":
             judge.clip(due.desired, target, run, state, dt)
-        clipped_at_once = run.clipped and run.first_clipped == 0
-        unreachable = model.inverse().outside(target[:1])[0]
-        if state.first is not None and not clipped_at_once and not unreachable:
-            reached = model.static.run(run.y[:1], state, 0.0).y
-            judge.missed = float(target[0] - reached[0])
+        if state.first is not None:
+            judge.see_start(target, run, state)
         self._admit(run.y, dt, phase)
         self._state = run.state
         if time is not None:

@@ -37,12 +37,6 @@ class Judge:
         What happens where limits cut rows off.
     name : str
         Of the trajectory, in messages.
-
-    Attributes
-    ----------
-    missed, transient : float
-        How far the first row starts off its displacement, because no settled actuator
-        stands there; and by how much dynamics and delay are in motion there.
     """
 
     def __init__(
@@ -56,7 +50,9 @@ class Judge:
     ) -> None:
         self.model, self.limits, self.lead = model, limits, lead
         self.standing, self.on_limit, self.name = standing, on_limit, name
-        self.missed = self.transient = 0.0
+        # how far the first row starts off its displacement, where no settled actuator
+        # stands, and by how much dynamics and delay are in motion there
+        self._missed = self._transient = 0.0
         # of all rows, and of those before the move
         self._rows = self._lead_rows = 0
         self._first = math.nan
@@ -72,6 +68,21 @@ class Judge:
         self._needed_slew = 0.0
 
     # --- rows ---
+
+    def see_transient(self, target: Floats, asked: Floats, dt: Steps) -> None:
+        """Look at the first rows: what the static part is to reach, and what is asked for."""
+        delayed = 0
+        if isinstance(dt, float):
+            delayed = round(self.model.delay_seconds / dt)
+        self._transient = float(target[0] - asked[delayed])
+
+    def see_start(self, target: Floats, run: Run, state: State) -> None:
+        """Look at the first row of a drive that chose its own start, unless a limit or the reach moved it."""
+        is_clipped = run.clipped and run.first_clipped == 0
+        if is_clipped or self.model.inverse().outside(target[:1])[0]:
+            return
+        reached = self.model.static.run(run.y[:1], state, 0.0).y
+        self._missed = float(target[0] - reached[0])
 
     def clip(
         self, desired: Floats, target: Floats, run: Run, state: State, dt: Steps
@@ -312,12 +323,12 @@ class Judge:
                 f"{self._exceeding()}: clipped; the move misses {self._lost_rms:.3g}{unit} RMS, at most "
                 f"{self._largest:.3g}{unit}"
             )
-        if abs(self.missed) > OFF_AT_FIRST * span:
+        if abs(self._missed) > OFF_AT_FIRST * span:
             texts.append(
-                f"row 1 starts {abs(self.missed):.3g}{unit} off, where no settled actuator is: try "
+                f"row 1 starts {abs(self._missed):.3g}{unit} off, where no settled actuator is: try "
                 "`condition` or `state` empty"
             )
-        if abs(self.transient) > OFF_AT_FIRST * span:
+        if abs(self._transient) > OFF_AT_FIRST * span:
             texts.append(
                 "the move starts in motion and rings at first: add `lead` auto"
             )

@@ -224,14 +224,10 @@ def slew_in(name: str, figure: float | str, unit: str | None) -> float:
     Raises
     ------
     UsageError
-        It cannot be read or is not above 0; or it is a plain number and the unit of the
-        drive has a prefix.
+        It cannot be read; or it is a plain number and the unit of the drive has a prefix.
     """
     per_second = None if unit is None else f"{unit}/s"
-    value = parse_quantity(figure, per_second, name, 0.0)
-    if not value > 0.0:
-        raise UsageError(f"`{name}` {figure}: give a number above 0")
-    return value
+    return parse_quantity(figure, per_second, name, 0.0)
 
 
 def rounded_up(value: float, digits: int = 2) -> float:

@@ -89,6 +89,13 @@ def contents(values: Any, path: str, form: str, noun: str) -> Json:
     return fields
 
 
+def members(values: Any, form: str, key: str, noun: str) -> Json:
+    """Return what a set of ``form`` holds for each channel, under ``key``."""
+    content = contents(values, "", form, noun)
+    channels: Json = build(dict, content, "", **{key: notes})[key]
+    return channels
+
+
 def build(
     make: Callable[..., Any],
     values: Any,

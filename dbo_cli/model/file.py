@@ -91,8 +91,7 @@ def read_models(path: str, only: list[str] | None = None) -> dict[str, Cascade]:
 
 def _channels(values: Any) -> Json:
     """Return what stands in a set for the model of each channel."""
-    values = fields.contents(values, "", SET_FORMAT, "a set of models")
-    channels: Json = build(dict, values, "", models=fields.notes)["models"]
+    channels = fields.members(values, SET_FORMAT, "models", "a set of models")
     if not channels:
         raise ModelError("models: is empty")
     return channels
