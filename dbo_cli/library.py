@@ -478,16 +478,15 @@ class Model:
         lookahead : float, str or "auto", optional
             Seconds by which what is passed is wanted later.
         """
+        from dbo_cli.drive import Limits
         from dbo_cli.drive.live import Controller
 
+        self.actuator.require("forward")
         return Controller(
             self.actuator,
             cast(float, _rate(sample_rate)),
-            v_min=v_min,
-            v_max=v_max,
-            max_slew=max_slew,
-            extrapolate=extrapolate,
-            state=state,
+            Limits.within(self.input, v_min, v_max, max_slew, extrapolate),
+            state=room.state_of(state, self.actuator),
             from_=from_,
             lookahead=_figure("lookahead", lookahead, "s"),
         )

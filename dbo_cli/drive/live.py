@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -19,7 +18,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.limits import STEP_ROUNDING, Figure, GateError, Limits
 from dbo_cli.errors import InputError, ModelError, UsageError
-from dbo_cli.model import Cascade, State, Undoing, state_of
+from dbo_cli.model import Cascade, State, Undoing
 from dbo_cli.model.amplifier import AmplifiedGears, AmplifiedRow
 
 WANTED_SPANS = 1e12
@@ -41,13 +40,13 @@ class Controller:
 
     Parameters
     ----------
-    model : Model
+    model : Cascade
         A forward model.
     sample_rate : float
         Samples a second (Hz), above 0.
-    v_min, v_max, max_slew, extrapolate
-        Limits, as of ``compensate``.
-    state : State, name of a start, or file
+    limits : Limits
+        What the drive may do.
+    state : State, or name of a start
         What was before the first sample.
     from_ : float or str, optional
         Where the amplifier stands; a slew limit then holds for the first sample, too.
@@ -82,20 +81,17 @@ class Controller:
         self,
         model: Cascade,
         sample_rate: float,
+        limits: Limits,
         *,
-        v_min: Figure = None,
-        v_max: Figure = None,
-        max_slew: Figure = None,
-        extrapolate: bool = False,
-        state: State | str | Path = "auto",
+        state: State | str = "auto",
         from_: Figure = None,
         lookahead: float | Literal["auto"] | None = None,
     ) -> None:
         model.require("forward")
-        self.limits = Limits.within(model.input, v_min, v_max, max_slew, extrapolate)
+        self.limits = limits
         self.clipped = 0
         self._model = model
-        self._begin = state_of(state, model)
+        self._begin = state
         self._dt = 1.0 / sample_rate
         step = self.limits.largest_step(self._dt)
         self._step = math.inf if step is None else float(step)

@@ -67,7 +67,7 @@ def test_blocks_and_live_are_the_batch(seconds, kind, seed, slew):
         blocks.append(done.y)
     assert np.array_equal(np.concatenate(blocks), batch.y)
     assert state == batch.state
-    live = Controller(model, 1.0 / DT, v_min=0.5, v_max=9.5, max_slew=slew)
+    live = Controller(model, 1.0 / DT, limits)
     values = [live.step(float(value)) for value in desired]
     assert np.array_equal(values, batch.y)
     assert live.state.amplifier == batch.state.amplifier
