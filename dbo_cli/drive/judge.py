@@ -18,7 +18,6 @@ ALLOWED_PART = 0.01
 """Of the move: so much of it (RMS) may be cut off unasked; the order of a good model's error; chosen."""
 # of the range: a trajectory this little outside is clipped like any other
 BEYOND_REACH = 0.01
-FIRST_ROWS = 131_072  # of a move, that expectations and refusals look at again
 OFF_AT_FIRST = 1e-3  # of the range: so far off its first value may a drive begin unsaid
 JUMP = 0.01  # of the range: a first step that is said
 LONG_HOLD = 100.0  # times the longest time constant: what creeps has come to rest
@@ -117,7 +116,7 @@ class Judge:
             lost[: max(self._first_clipped - 1 - before, 0)] = 0.0
             self._squares += float(np.square(lost).sum())
             self._largest = max(self._largest, float(np.abs(lost).max()))
-        if run.clipped and self.limits.slew is not None and before < FIRST_ROWS:
+        if run.clipped and self.limits.slew is not None and before < expect.FIRST_ROWS:
             slew = self._slew_of(target, state, dt)
             self._needed_slew = max(self._needed_slew, slew)
         if self._clipped and self.on_limit == "error":
@@ -140,7 +139,7 @@ class Judge:
             self._lead_range = widened(self._lead_range, voltage)
         else:
             before = self._move_rows - voltage.size
-            voltage = voltage[: max(FIRST_ROWS - before, 0)]
+            voltage = voltage[: max(expect.FIRST_ROWS - before, 0)]
         if voltage.size:
             self._voltages.append(voltage)
             self._steps.append(dt[: voltage.size] if isinstance(dt, np.ndarray) else dt)
