@@ -202,7 +202,8 @@ class Controller:
         if self._stepper is None:
             if after is None:
                 assert start is not None
-                after = self._state_behind(start, voltage)
+                first = np.array([voltage])
+                after = self._model.static.run(first, start, self._dt).state
             self._stepper = self._stepper_behind(after, voltage)
             output = after.amplifier or 0.0
         else:
@@ -253,11 +254,6 @@ class Controller:
             voltage = output = float(run.y[0])
         self._stepper.follow(self._model.head.value(voltage))
         return output
-
-    def _state_behind(self, start: State, voltage: float) -> State:
-        """Return the state behind a first row that was not asked of the gears."""
-        start = dataclasses.replace(start, first=None)
-        return self._model.static.run(np.array([voltage]), start, self._dt).state
 
     def _stepper_behind(self, first: State, voltage: float) -> Any:
         """Return the stepper behind the first row."""

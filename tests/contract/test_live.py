@@ -91,6 +91,21 @@ def test_from_outside_it_goes_to_the_nearer_end(name, end, step, is_applied):
     assert low <= live.plan(middle) <= high
 
 
+def test_a_controller_goes_on_from_the_state_of_another():
+    """With what undoing a delay and a resonance remembers; what was wanted ahead is passed again."""
+    options = {"sample_rate": RATE, "lookahead": "auto"}
+    live = actuator("moving").controller(**options)
+    wanted = wish("moving")[:150]
+    followed(live, wanted)
+    hold = np.full(live.lookahead, wanted[-1])
+    followed(live, hold)
+    later = actuator("moving").controller(state=live.state, **options)
+    assert later.last == live.last
+    np.testing.assert_allclose(
+        followed(later, hold), followed(live, hold), rtol=0, atol=1e-9
+    )
+
+
 def test_what_cannot_be_is_refused():
     with pytest.raises(dbo.DboError, match="lookahead"):
         actuator("moving").controller(sample_rate=RATE)

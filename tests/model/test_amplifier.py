@@ -75,6 +75,19 @@ def test_blocks_and_live_are_the_batch(seconds, kind, seed, slew):
 
 
 @pytest.mark.parametrize("kind", range(8))
+def test_live_goes_on_from_a_first_voltage_that_was_applied_instead(kind):
+    model = plant(2e-3, kind)
+    live = Controller(model, 1.0 / DT, Limits.within(model.input), state="empty")
+    live.plan(6.0)
+    live.commit(2.5)
+    after = model.run([2.5], model.start(2.5, "empty"), DT).state
+    assert live.state.amplifier == pytest.approx(after.amplifier, abs=1e-12)
+    played = np.append(2.5, [live.step(7.0) for _ in range(60)])
+    reached, _ = model.simulate(played, dt=DT, state="empty")
+    assert reached[-1] == pytest.approx(7.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", range(8))
 def test_exported_c_is_the_library(kind, tmp_path):
     """The self-test of an export compares with the library's drives to the bit, after a reset, too."""
     behind = (dm.Dynamics((dm.Resonance(60.0, 0.1), dm.Lag(2e-3))), dm.Delay(1.3e-3))
