@@ -134,14 +134,21 @@ def driver_of(
 ) -> Driver:
     """Return a driver by its options."""
     lead = Lead(
-        options.get("state", "auto"),
-        options.get("start"),
-        options.get("approach"),
-        options.get("condition", False),
-        options.get("lead"),
+        state=options.get("state", "auto"),
+        start=options.get("start"),
+        approach=options.get("approach"),
+        condition=options.get("condition", False),
+        rest=options.get("lead"),
     )
-    on_limit, end = options.get("on_limit", "auto"), options.get("return_to")
-    return Driver(model, limits, lead, on_limit, end, "move", hold)
+    return Driver(
+        model,
+        limits,
+        lead,
+        on_limit=options.get("on_limit", "auto"),
+        return_to=options.get("return_to"),
+        name="move",
+        hold=hold,
+    )
 
 
 def in_blocks(

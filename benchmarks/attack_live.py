@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from random_actuators import Random, random_actuator, random_limits
 
+from dbo_cli.drive import Limits
 from dbo_cli.drive.live import Controller
 from dbo_cli.errors import DboError, InputError, UsageError
 from dbo_cli.model import Cascade
@@ -39,15 +40,22 @@ class Wrong(Exception):
 class Machine:
     """One controller, its twin, and what may happen to them."""
 
-    def __init__(self, rng: Random, model: Cascade, **options: Any) -> None:
+    def __init__(
+        self, rng: Random, model: Cascade, limits: Limits, start: float | None
+    ) -> None:
         self.rng = rng
         self.model = model
-        self.options = options
-        self.live = Controller(model, 1.0 / DT, lookahead="auto", **options)
-        self.twin = Controller(model, 1.0 / DT, lookahead="auto", **options)
+        self.limits = limits
+        self.live, self.twin = self.made(from_=start), self.made(from_=start)
         self.wanted = model.output.min
         self.planned: float | None = None
         self.committed = False
+
+    def made(self, **options: Any) -> Controller:
+        """Return a controller that looks ahead as far as it has to."""
+        return Controller(
+            self.model, 1.0 / DT, self.limits, lookahead="auto", **options
+        )
 
     def act(self, action: str) -> None:
         """Do one thing at random, and look at what came of it."""
@@ -84,7 +92,7 @@ class Machine:
         inside = low <= voltage <= high
         if last is not None:
             inside = inside or last < voltage <= low or high <= voltage < last
-            most = self.options["max_slew"]
+            most = self.limits.slew
             slack = 1e-12 * max(abs(voltage), abs(last))
             if most is not None and abs(voltage - last) > most * DT + slack:
                 raise Wrong(f"{voltage!r} after {last!r}: faster than {most!r} V/s")
@@ -143,16 +151,10 @@ class Machine:
         state = self.live.state
         if not self.committed or state is None:
             return
-        made = []
-        self.options.pop("from_", None)
-        for _ in range(2):
-            try:
-                made.append(Controller(
-                    self.model, 1.0 / DT, state=state, lookahead="auto", **self.options
-                ))  # fmt: skip
-            except DboError:
-                return
-        self.live, self.twin = made
+        try:
+            self.live, self.twin = self.made(state=state), self.made(state=state)
+        except DboError:
+            return
         self.planned = None
         if self.live.last != state.drive:
             raise Wrong(f"a state of {state.drive!r} V goes on from {self.live.last!r}")
@@ -161,11 +163,12 @@ class Machine:
 def machine(rng: Random) -> Machine | None:
     """Return a machine of a random model; None where its limits or its rate are refused."""
     model = random_actuator(rng, DT)
-    options: dict[str, Any] = random_limits(rng, model.input)
+    typed: dict[str, Any] = random_limits(rng, model.input)
+    start = None
     if rng.random() < 0.3:
-        options["from_"] = model.input.min + float(rng.random()) * model.input.span
+        start = model.input.min + float(rng.random()) * model.input.span
     try:
-        return Machine(rng, model, **options)
+        return Machine(rng, model, Limits.within(model.input, **typed), start)
     except DboError:
         return None
 

@@ -22,6 +22,7 @@ from random_actuators import (
     random_actuator,
     random_drive,
     random_model,
+    undone,
 )
 
 from dbo_cli.model import Cascade
@@ -55,7 +56,7 @@ def round_trip(rng: Random, model: Cascade) -> tuple[float, float]:
     drive[:REST], drive[-REST:] = drive[0], drive[-1]
     begun = model.start(float(drive[0]))
     displacement, _ = model.simulate(drive, dt=DT, state=begun)
-    back, _ = model.inverse().simulate(displacement, dt=DT, state=begun)
+    back, _ = undone(model, displacement, DT, begun)
     again, _ = model.simulate(back, dt=DT, state=begun)
     there = np.abs(back - drive)[:-REST].max() / (high - low)
     span = np.ptp(displacement)
@@ -65,9 +66,9 @@ def round_trip(rng: Random, model: Cascade) -> tuple[float, float]:
 def driven(model: Cascade, wanted: Floats, state: str = "auto") -> Floats:
     """Return the drive of a whole move without limits; the last value is held."""
     ahead = np.full(model.inverter(DT).ahead, wanted[-1])
-    undone, _ = model.inverter(DT).run(np.concatenate([wanted, ahead]))
-    begun = model.start_drive(float(undone[0]), state)
-    return np.asarray(model.drive(undone, begun, DT).y)
+    target, _ = model.inverter(DT).run(np.concatenate([wanted, ahead]))
+    begun = model.start_drive(float(target[0]), state)
+    return np.asarray(model.drive(target, begun, DT).y)
 
 
 def dynamics(count: int) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.drive.simulate import Simulator
 from dbo_cli.errors import ModelError
 from dbo_cli.model import (
     Amplifier,
@@ -20,6 +21,8 @@ from dbo_cli.model import (
     Scale,
     Section,
     Stage,
+    State,
+    Steps,
 )
 
 Floats = NDArray[np.float64]
@@ -137,6 +140,15 @@ def reach_of(static: Cascade) -> Quantity:
         run = static.run(np.array([end]), static.start(end, start), 1.0)
         ends.append(float(run.y[0]))
     return Quantity("displacement", "um", min(ends), max(ends))
+
+
+def undone(
+    model: Cascade, displacement: Floats, dt: Steps, state: str | State = "auto"
+) -> tuple[Floats, State | str]:
+    """Return the drive that the inverse of a model gives for a displacement, and the state after it."""
+    simulator = Simulator(model.inverse(), state)
+    ready = simulator.rows(displacement, dt)
+    return np.concatenate([ready.y, simulator.finish().y]), simulator.state
 
 
 def random_move(rng: Random, model: Cascade, rows: int) -> Floats:

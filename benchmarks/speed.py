@@ -23,6 +23,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from dbo_cli.drive import Limits
 from dbo_cli.drive.live import Controller
 from dbo_cli.model import (
     Cascade,
@@ -153,9 +154,10 @@ def actuator(
 
 def cost(model: Cascade, wanted: list[float], applied: bool) -> float:
     """Return microseconds a sample."""
+    limits = Limits.within(model.input, max_slew=50_000.0)
 
     def run() -> None:
-        live = Controller(model, RATE, max_slew=50_000.0, lookahead="auto")
+        live = Controller(model, RATE, limits, lookahead="auto")
         for value in wanted:
             volts = live.plan(value)
             live.commit(round(volts, 2) if applied else None)
@@ -179,7 +181,7 @@ def live(count: int) -> bool:
     for name, model in cases.items():
         plain = cost(model, wanted, False)
         told = cost(model, wanted, True)
-        ahead = Controller(model, RATE, lookahead="auto").lookahead
+        ahead = model.inverter(1.0 / RATE).ahead
         print(f"{name:36}{plain:8.2f}{told:10.2f}{ahead:10}")
         slow += ahead == 0 and max(plain, told) > MOST
     return slow == 0

@@ -88,26 +88,36 @@ def names(
         names = headers
         if pattern == PLACE:
             names = [column.name for column in fitting(table, role)]
-        matches = _matches(pattern, names)
+        matches = list(_matches(pattern, names).values())
         channels = channels or matches
         mismatched = sorted(set(channels) ^ set(matches))
-        if mismatched or not matches:
-            lacking = f"not for channel {mismatched[0]}" if mismatched else "no column"
-            raise InputError(
-                f"{path}: `{role}` {pattern}: {lacking}; columns: {', '.join(headers)}"
-            )
+        if not mismatched and matches:
+            continue
+        lacking = "no column"
+        alike = list(_matches(pattern, names, re.IGNORECASE))
+        if mismatched:
+            lacking, lower = f"not for channel {mismatched[0]}", mismatched[0].lower()
+            alike = [name for name in mismatched[1:] if name.lower() == lower]
+        if alike:
+            lacking += f" (capitals count: there is {alike[0]})"
+        raise InputError(
+            f"{path}: `{role}` {pattern}: {lacking}; columns: {', '.join(headers)}"
+        )
     return channels
 
 
-def _matches(pattern: str, headers: Sequence[str]) -> list[str]:
-    """Return what stands in the place of ``{}``, for each header that fits, with or without its unit."""
+def _matches(
+    pattern: str, headers: Sequence[str], flags: re.RegexFlag = re.NOFLAG
+) -> dict[str, str]:
+    """Return what stands in the place of ``{}``, by the headers that fit, with or without their unit."""
     before, _, after = pattern.partition(PLACE)
-    fit = re.compile(re.escape(before) + "(.+)" + re.escape(after), re.DOTALL)
-    channels = []
+    text = re.escape(before) + "(.+)" + re.escape(after)
+    fit = re.compile(text, re.DOTALL | flags)
+    channels = {}
     for header in headers:
         match = fit.fullmatch(split_header(header)[0]) or fit.fullmatch(header)
         if match is not None:
-            channels.append(match[1])
+            channels[header] = match[1]
     return channels
 
 
@@ -120,10 +130,20 @@ def models_of(
     ------
     InputError
         A set lacks one; the message names the columns that are patterns.
+    ModelError
+        A file is no model, or a set where no column is a pattern.
     """
     from dbo_cli.model import is_set, read_model, read_models
 
-    if tuple(channels) == ALONE or not is_set(path):
+    if tuple(channels) == ALONE:
+        try:
+            return {"": read_model(path)}
+        except ModelError as problem:
+            if not is_set(path):
+                raise
+            role = next(role for role in columns if role != "time")
+            raise ModelError(f"{problem}, or `{role}` '{{}}' for all of it") from None
+    if not is_set(path):
         return dict.fromkeys(channels, read_model(path))
     try:
         return read_models(path, list(channels))
@@ -284,10 +304,8 @@ def members_of(
     if tuple(channels) == ALONE:
         return {"": (name, values)}
     key = plural(kind)
-    read = {key: fields.notes}
     try:
-        content = fields.contents(values, "", f"dbo-{kind}-set", f"a set of {key}")
-        members: dict[str, Any] = fields.build(dict, content, "", **read)[key]
+        members = fields.members(values, f"dbo-{kind}-set", key, f"a set of {key}")
         for channel in channels:
             if channel not in members:
                 raise ModelError(f'{key}: has no channel "{channel}"')

@@ -143,17 +143,17 @@ class Move(TypedDict, total=False):
     state: StateLike
 
 
-def with_known_words(function: Callable[P, R]) -> Callable[P, R]:
+def with_known_options(function: Callable[P, R]) -> Callable[P, R]:
     """Return a function that answers a keyword that it does not have with those that are near."""
-    words = [word for word in signature(function).parameters if word != "self"]
+    known = [name for name in signature(function).parameters if name != "self"]
 
     @wraps(function)
     def call(*values: P.args, **options: P.kwargs) -> R:
-        for word in options:
-            if word not in words:
-                similar = get_close_matches(word, words, 2, 0.5) or words
+        for option in options:
+            if option not in known:
+                similar = get_close_matches(option, known, 2, 0.5) or known
                 text = " or ".join(f"`{name}`" for name in similar)
-                raise UsageError(f"{function.__name__}: no `{word}`: give {text}")
+                raise UsageError(f"{function.__name__}: no `{option}`: give {text}")
         return function(*values, **options)
 
     return call
@@ -253,7 +253,7 @@ class Model:
         return_state: Literal[True],
     ) -> tuple[Floats, room.State]: ...
 
-    @with_known_words
+    @with_known_options
     def simulate(
         self,
         x: Signal,
@@ -326,7 +326,7 @@ class Model:
         **move: Unpack[Move],
     ) -> Drive: ...
 
-    @with_known_words
+    @with_known_options
     def compensate(
         self,
         wanted: Signal,
@@ -411,8 +411,16 @@ class Model:
         signal = signal_of(wanted, (role, role), self.output, time, rate, unit)
         start = room.state_of(state, self.actuator)
         limits = Limits.within(self.input, v_min, v_max, max_slew, extrapolate)
-        before = Lead(start, from_, approach, condition, lead)
-        driver = Driver(self.actuator, limits, before, on_limit, return_)
+        before = Lead(
+            state=start,
+            start=from_,
+            approach=approach,
+            condition=condition,
+            rest=lead,
+        )
+        driver = Driver(
+            self.actuator, limits, before, on_limit=on_limit, return_to=return_
+        )
         file = None
         if history and tracked is None:
             raise UsageError("`history` needs `tracked` LOG")
@@ -446,7 +454,7 @@ class Model:
         columns = dict.fromkeys(("time", "voltage", "measured"))
         return tracked_of(sources, columns, Reading(), self.actuator)
 
-    @with_known_words
+    @with_known_options
     def controller(
         self,
         sample_rate: Figured,
@@ -470,16 +478,15 @@ class Model:
         lookahead : float, str or "auto", optional
             Seconds by which what is passed is wanted later.
         """
+        from dbo_cli.drive import Limits
         from dbo_cli.drive.live import Controller
 
+        self.actuator.require("forward")
         return Controller(
             self.actuator,
             cast(float, _rate(sample_rate)),
-            v_min=v_min,
-            v_max=v_max,
-            max_slew=max_slew,
-            extrapolate=extrapolate,
-            state=state,
+            Limits.within(self.input, v_min, v_max, max_slew, extrapolate),
+            state=room.state_of(state, self.actuator),
             from_=from_,
             lookahead=_figure("lookahead", lookahead, "s"),
         )
@@ -551,7 +558,7 @@ def read_models(path: str | Path) -> ModelSet:
 # --- logs ---
 
 
-@with_known_words
+@with_known_options
 def read_log(
     path: str | Path,
     *,
@@ -646,7 +653,7 @@ def read_log(
     return frame
 
 
-@with_known_words
+@with_known_options
 def identify(
     data: Logs,
     displacement: Signal | None = None,
@@ -762,7 +769,7 @@ def _listed(data: Logs | None) -> list[Any]:
     return list(data) if isinstance(data, (list, tuple)) else [data]
 
 
-@with_known_words
+@with_known_options
 def report(
     desired: Signal,
     measured: Signal | None = None,

@@ -147,4 +147,5 @@ def limits_in(
     if not low < high:
         raise UsageError(f"`v_min` {v_min} must be below `v_max` {v_max}")
     slew = None if max_slew is None else slew_in("max_slew", max_slew, unit)
-    return Limits((low, high), (low, high), (low, high), slew, unit)
+    ends = low, high
+    return Limits(rating=ends, move=ends, identified=ends, slew=slew, unit=unit)

@@ -103,9 +103,23 @@ def compensate(
         typed = channels.values_for(voltages, channel, names)
         begin, end = typed.pop("from"), typed.pop("return")
         bounds = Limits.within(actuator.input, **typed, extrapolate=extrapolate)
-        before = Lead(starts[channel], begin, approach, condition, lead)
+        before = Lead(
+            state=starts[channel],
+            start=begin,
+            approach=approach,
+            condition=condition,
+            rest=lead,
+        )
         label = f"channel {channel}" if channel else trajectory
-        return Driver(actuator, bounds, before, on_limit, end, label, hold)
+        return Driver(
+            actuator,
+            bounds,
+            before,
+            on_limit=on_limit,
+            return_to=end,
+            name=label,
+            hold=hold,
+        )
 
     if streams:
         units = {"displacement": models[""].output.unit}

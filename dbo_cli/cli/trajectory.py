@@ -47,7 +47,7 @@ def trajectory(
     """
     from dbo_cli.logs import create
     from dbo_cli.model import read_model
-    from dbo_cli.moves import check_reach, trusted_frequency
+    from dbo_cli.moves import check_reach
     from dbo_cli.moves import trajectory as make
     from dbo_cli.units import kind_of, parse_unit, spell
 
@@ -71,7 +71,8 @@ def trajectory(
     ends = opt.span("range", range_, unit)
     limit = opt.quantity("bandwidth", bandwidth, "Hz")
     if limit is None:
-        limit = trusted_frequency(models)
+        trusted = [actuator.trusted_frequency for actuator in models]
+        limit = min((each for each in trusted if each is not None), default=None)
     move = make(
         shape,
         rate=opt.quantity("rate", rate, "Hz"),

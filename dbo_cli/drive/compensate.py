@@ -19,7 +19,7 @@ from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.judge import Judge
 from dbo_cli.drive.lead import Lead, LeadIn, ramp
 from dbo_cli.drive.limits import Figure, Gate, Limits, voltage_in
-from dbo_cli.drive.simulate import NO_ROWS, Ahead, Rows, stacked
+from dbo_cli.drive.simulate import NO_ROWS, Ahead, Due, Rows, stacked
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.model import Cascade, State, Steps
 
@@ -70,6 +70,7 @@ class Driver:
         model: Cascade,
         limits: Limits,
         lead: Lead | None = None,
+        *,
         on_limit: OnLimit = "auto",
         return_to: Figure = None,
         name: str = "trajectory",
@@ -133,11 +134,11 @@ class Driver:
             return NO_ROWS
         blocks = []
         if self._ahead is None:
-            dt, lead = self._begin(float(target[0]), dt, time)
-            blocks.append(lead)
+            dt, before = self._begin(float(target[0]), dt, time)
+            blocks.append(before)
         assert self._ahead is not None
-        for block in self._ahead.take(dt, target, desired, time):
-            blocks.append(self._driven(dt, *block))
+        for due in self._ahead.take(dt, target, desired, time):
+            blocks.append(self._driven(dt, due))
         return stacked(blocks)
 
     def finish(self, return_rows: int = 0) -> tuple[Rows, Drive]:
@@ -158,7 +159,7 @@ class Driver:
         if self._ahead is None:
             raise InputError(f"{self.name}: has no rows")
         dt = self._ahead.dt
-        blocks = [self._driven(dt, *block) for block in self._ahead.remaining()]
+        blocks = [self._driven(dt, due) for due in self._ahead.remaining()]
         self._judge.require_reached(self._step)
         voltage = self._way_back(return_rows)
         assert self._state is not None
@@ -207,8 +208,8 @@ class Driver:
             )
         loop = self._loop_of(target, dt, passes)
         plan = loop.planned()
-        state = plan.before
-        self._judge.clip(desired, loop.static_target, plan.run, state, dt)
+        settled, state = plan.settled.run, plan.settled.before
+        self._judge.clip(desired, loop.static_target, settled, state, dt)
         self._judge.require_reached(dt, is_loop=True)
         texts = loop.require_settled(plan, self.on_limit)
         leading, period = plan.lead_voltage, plan.voltage
@@ -235,15 +236,15 @@ class Driver:
         from dbo_cli.drive.loops import Loop
 
         return Loop(
-            self.model,
-            self.limits,
-            target,
-            dt,
-            self.lead,
-            self._standing,
-            passes,
-            self.name,
-            self.hold,
+            model=self.model,
+            limits=self.limits,
+            target=target,
+            dt=dt,
+            lead=self.lead,
+            begin=self._standing,
+            passes=passes,
+            name=self.name,
+            hold=self.hold,
         )
 
     # --- a whole trajectory ---
@@ -308,15 +309,15 @@ class Driver:
             from dbo_cli.drive.learning import RepeatedMove
 
             move = RepeatedMove(
-                self.model,
-                desired,
-                time,
-                dt,
-                self._reference(desired, time, dt, periodic, passes),
-                self.lead.state,
-                periodic,
-                absolute,
-                self._lead_to(dt),
+                model=self.model,
+                desired=desired,
+                time=time,
+                step=dt,
+                reference=self._reference(desired, time, dt, periodic, passes),
+                state=self.lead.state,
+                periodic=periodic,
+                absolute=absolute,
+                lead_to=self._lead_to(dt),
             )
             return move.learned(tracked, history, bandwidth, drive_of)
         target = desired
@@ -372,8 +373,8 @@ class Driver:
         if still_rows:
             still = np.full(still_rows, first)
             at_rest = None if time is None else stamps[voltage.size :]
-            for block in self._ahead.take(step, still, still, at_rest):
-                blocks.append(self._driven(step, *block))
+            for due in self._ahead.take(step, still, still, at_rest):
+                blocks.append(self._driven(step, due))
         return dt, stacked(blocks)
 
     def _lead_to(self, dt: float) -> Callable[[float], Floats] | None:
@@ -398,7 +399,9 @@ class Driver:
             return self._loop_of(desired, dt, passes).planned().voltage
         if self.lead.condition:
             return np.empty(0)
-        driver = Driver(self.model, self.limits, self.lead, "clip", name=self.name)
+        driver = Driver(
+            self.model, self.limits, self.lead, on_limit="clip", name=self.name
+        )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DboWarning)
             drive = driver.whole(desired, dt, time)
@@ -429,21 +432,10 @@ class Driver:
 
     # --- the way of a row ---
 
-    def _driven(
-        self,
-        dt: Steps,
-        columns: tuple[Floats | None, ...],
-        target: Floats,
-        ahead: Floats,
-    ) -> Rows:
-        """Return the drive of rows that are ready, with which the static part reaches a target.
-
-        ``ahead`` is what is asked for them and after them, ``target`` what of it the
-        static part is to reach.
-        """
-        _, desired, time = columns
-        assert desired is not None
+    def _driven(self, dt: Steps, due: Due) -> Rows:
+        """Return the drive of rows that are due, with which the static part reaches their target."""
         model, limits, judge = self.model, self.limits, self._judge
+        target, time = due.target, due.time
         if self._state is None:  # nothing leads to the move
             self._state = model.start_drive(
                 float(target[0]), self.lead.state, *limits.move
@@ -452,24 +444,20 @@ class Driver:
                 self._gate.last = self._state.drive
         if not self._is_moving:
             self._is_moving = True
-            delayed = round(model.delay_seconds / dt) if isinstance(dt, float) else 0
-            judge.transient = float(target[0] - ahead[delayed])
+            judge.see_transient(target, due.asked, dt)
         phase = "lead" if self._still_rows else "move"
         self._still_rows = 0
         state = self._state
         run = model.drive(target, state, dt, limits.move, limits.slew)
         if phase == "move":
-            judge.clip(desired, target, run, state, dt)
-        clipped_at_once = run.clipped and run.first_clipped == 0
-        unreachable = model.inverse().outside(target[:1])[0]
-        if state.first is not None and not clipped_at_once and not unreachable:
-            reached = model.static.run(run.y[:1], state, 0.0).y
-            judge.missed = float(target[0] - reached[0])
+            judge.clip(due.desired, target, run, state, dt)
+        if state.first is not None:
+            judge.see_start(target, run, state)
         self._admit(run.y, dt, phase)
         self._state = run.state
         if time is not None:
             self._state = replace(run.state, time=float(time[-1]))
-        return Rows(time, desired, run.y)
+        return Rows(time, due.desired, run.y)
 
     def _played(self, time: Floats, voltage: Floats, phase: str, clocked: bool) -> Rows:
         """Return rows that are played as they are, with the displacement that the model expects of them."""

@@ -18,7 +18,6 @@ ALLOWED_PART = 0.01
 """Of the move: so much of it (RMS) may be cut off unasked; the order of a good model's error; chosen."""
 # of the range: a trajectory this little outside is clipped like any other
 BEYOND_REACH = 0.01
-FIRST_ROWS = 131_072  # of a move, that expectations and refusals look at again
 OFF_AT_FIRST = 1e-3  # of the range: so far off its first value may a drive begin unsaid
 JUMP = 0.01  # of the range: a first step that is said
 LONG_HOLD = 100.0  # times the longest time constant: what creeps has come to rest
@@ -37,12 +36,6 @@ class Judge:
         What happens where limits cut rows off.
     name : str
         Of the trajectory, in messages.
-
-    Attributes
-    ----------
-    missed, transient : float
-        How far the first row starts off its displacement, because no settled actuator
-        stands there; and by how much dynamics and delay are in motion there.
     """
 
     def __init__(
@@ -56,7 +49,9 @@ class Judge:
     ) -> None:
         self.model, self.limits, self.lead = model, limits, lead
         self.standing, self.on_limit, self.name = standing, on_limit, name
-        self.missed = self.transient = 0.0
+        # how far the first row starts off its displacement, where no settled actuator
+        # stands, and by how much dynamics and delay are in motion there
+        self._missed = self._transient = 0.0
         # of all rows, and of those before the move
         self._rows = self._lead_rows = 0
         self._first = math.nan
@@ -72,6 +67,21 @@ class Judge:
         self._needed_slew = 0.0
 
     # --- rows ---
+
+    def see_transient(self, target: Floats, asked: Floats, dt: Steps) -> None:
+        """Look at the first rows: what the static part is to reach, and what is asked for."""
+        delayed = 0
+        if isinstance(dt, float):
+            delayed = round(self.model.delay_seconds / dt)
+        self._transient = float(target[0] - asked[delayed])
+
+    def see_start(self, target: Floats, run: Run, state: State) -> None:
+        """Look at the first row of a drive that chose its own start, unless a limit or the reach moved it."""
+        is_clipped = run.clipped and run.first_clipped == 0
+        if is_clipped or self.model.inverse().outside(target[:1])[0]:
+            return
+        reached = self.model.static.run(run.y[:1], state, 0.0).y
+        self._missed = float(target[0] - reached[0])
 
     def clip(
         self, desired: Floats, target: Floats, run: Run, state: State, dt: Steps
@@ -106,7 +116,7 @@ class Judge:
             lost[: max(self._first_clipped - 1 - before, 0)] = 0.0
             self._squares += float(np.square(lost).sum())
             self._largest = max(self._largest, float(np.abs(lost).max()))
-        if run.clipped and self.limits.slew is not None and before < FIRST_ROWS:
+        if run.clipped and self.limits.slew is not None and before < expect.FIRST_ROWS:
             slew = self._slew_of(target, state, dt)
             self._needed_slew = max(self._needed_slew, slew)
         if self._clipped and self.on_limit == "error":
@@ -129,7 +139,7 @@ class Judge:
             self._lead_range = widened(self._lead_range, voltage)
         else:
             before = self._move_rows - voltage.size
-            voltage = voltage[: max(FIRST_ROWS - before, 0)]
+            voltage = voltage[: max(expect.FIRST_ROWS - before, 0)]
         if voltage.size:
             self._voltages.append(voltage)
             self._steps.append(dt[: voltage.size] if isinstance(dt, np.ndarray) else dt)
@@ -153,10 +163,10 @@ class Judge:
         return math.sqrt(self._squares / self._move_rows) if self._clipped else 0.0
 
     def _exceeding(self) -> str:
-        """Return how much of the move the limits forbid, in words."""
+        """Return how much of the move the limits forbid, in words; rows before the move do not count."""
         return (
-            f"{self._clipped:,} of {self._move_rows:,} rows (first: row {self._first_clipped:,}) exceed "
-            f"{self.limits.describe()}"
+            f"{self._clipped:,} of {self._move_rows:,} rows read (first: row {self._first_clipped:,}) "
+            f"exceed {self.limits.describe()}"
         )
 
     def require_reached(self, step: float, is_loop: bool = False) -> None:
@@ -312,12 +322,12 @@ class Judge:
                 f"{self._exceeding()}: clipped; the move misses {self._lost_rms:.3g}{unit} RMS, at most "
                 f"{self._largest:.3g}{unit}"
             )
-        if abs(self.missed) > OFF_AT_FIRST * span:
+        if abs(self._missed) > OFF_AT_FIRST * span:
             texts.append(
-                f"row 1 starts {abs(self.missed):.3g}{unit} off, where no settled actuator is: try "
+                f"row 1 starts {abs(self._missed):.3g}{unit} off, where no settled actuator is: try "
                 "`condition` or `state` empty"
             )
-        if abs(self.transient) > OFF_AT_FIRST * span:
+        if abs(self._transient) > OFF_AT_FIRST * span:
             texts.append(
                 "the move starts in motion and rings at first: add `lead` auto"
             )

@@ -44,7 +44,7 @@ MOST_LEAD_ROWS = 100_000_000
 NO_VOLTAGES = np.zeros(0)
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Lead:
     """What is asked for before a move.
 

@@ -18,7 +18,12 @@ from hashlib import sha256
 
 import numpy as np
 
-from dbo_cli.alignment import ACTUATOR_LAG, align_drives, mean_step
+from dbo_cli.alignment import (
+    ACTUATOR_LAG,
+    LARGEST_RATE,
+    align_drives,
+    mean_step,
+)
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.loops import settled_run
@@ -35,7 +40,6 @@ GROWTH = 1.2  # times the error of the last pass: beyond, learning diverges; cho
 FROM_BEST = 2.0  # times the best pass's error: growth by less a pass shows after a few
 # of the drive's range (RMS): recordings further apart are not of one drive
 ONE_DRIVE = 0.02
-RATE_SLACK = 1e-3  # of a step
 LONG_STEP = 1.5  # steps: a longer one lacks rows
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
@@ -48,7 +52,6 @@ SWEEP_TRAVEL = 1.7  # ranges that the drive travels in a sweep there and back
 TRUSTED_ERROR = 1.0 / 3.0
 # of the strongest third of an octave (amplitude): with less a band says nothing
 BAND_ENERGY = 1e-3
-RESONANCE_PART = 3.0  # a model is trusted to its lowest resonance over this
 # how far off a resonance may be: a payload of half the moving mass does that
 MISTUNED = 0.25
 SHARPER = 0.25  # of the model's damping: that of the mistuned resonance; chosen
@@ -341,7 +344,7 @@ class RepeatedMove:
         if time is None or time.size < 2:
             return 0
         step = mean_step(time)
-        if abs(step / self.step - 1.0) > RATE_SLACK:
+        if abs(step / self.step - 1.0) > LARGEST_RATE:
             raise InputError(
                 f"{name}: {1.0 / max(step, 1e-300):.6g} Hz, the trajectory {1.0 / self.step:.6g} Hz: "
                 "record at its rate, or `resample` HZ"
@@ -422,9 +425,8 @@ class RepeatedMove:
         """
         dynamics = self.model.dynamics
         resonances = () if dynamics is None else dynamics.resonances
-        if resonances:
-            frequency = resonances[0].frequency / RESONANCE_PART
-        else:
+        frequency = self.model.trusted_frequency
+        if frequency is None:
             frequency = _trusted_by_bands(name, self.desired, residual, self.step)
         return min(frequency, 0.45 / self.step, _safe(resonances))
 

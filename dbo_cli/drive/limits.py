@@ -114,18 +114,25 @@ class Limits:
             raise UsageError(
                 f"`v_min` {low:.6g} must be below `v_max` {high:.6g}{quantity.suffix}"
             )
-        if extrapolate:
-            if v_min is None and v_max is None:
-                raise UsageError("`extrapolate` needs `v_min` or `v_max`")
-            return cls((low, high), (low, high), identified, slew, quantity.unit, True)
-        move = max(low, quantity.min), min(high, quantity.max)
+        rating = move = low, high
+        if not extrapolate:
+            move = max(low, quantity.min), min(high, quantity.max)
+        elif v_min is None and v_max is None:
+            raise UsageError("`extrapolate` needs `v_min` or `v_max`")
         if not move[0] < move[1]:
             raise UsageError(
                 f"`v_min` {low:.6g} to `v_max` {high:.6g} leaves none of the identified range, "
                 f"{quantity.min:.6g} to {quantity.max:.6g}{quantity.suffix} (`extrapolate` goes beyond)"
             )
-        given = any(limit is not None for limit in (v_min, v_max, max_slew))
-        return cls((low, high), move, identified, slew, quantity.unit, given=given)
+        return cls(
+            rating=rating,
+            move=move,
+            identified=identified,
+            slew=slew,
+            unit=quantity.unit,
+            extrapolate=extrapolate,
+            given=any(limit is not None for limit in (v_min, v_max, max_slew)),
+        )
 
     @property
     def suffix(self) -> str:
@@ -217,14 +224,10 @@ def slew_in(name: str, figure: float | str, unit: str | None) -> float:
     Raises
     ------
     UsageError
-        It cannot be read or is not above 0; or it is a plain number and the unit of the
-        drive has a prefix.
+        It cannot be read; or it is a plain number and the unit of the drive has a prefix.
     """
     per_second = None if unit is None else f"{unit}/s"
-    value = parse_quantity(figure, per_second, name, 0.0)
-    if not value > 0.0:
-        raise UsageError(f"`{name}` {figure}: give a number above 0")
-    return value
+    return parse_quantity(figure, per_second, name, 0.0)
 
 
 def rounded_up(value: float, digits: int = 2) -> float:

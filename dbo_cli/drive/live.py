@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -19,13 +18,21 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.limits import STEP_ROUNDING, Figure, GateError, Limits
 from dbo_cli.errors import InputError, ModelError, UsageError
-from dbo_cli.model import Cascade, State, Undoing, state_of
-from dbo_cli.model.amplifier import AmplifiedGears
+from dbo_cli.model import Cascade, State, Undoing
+from dbo_cli.model.amplifier import AmplifiedGears, AmplifiedRow
 
 WANTED_SPANS = 1e12
 """A wanted value so many ranges away is no displacement but a fault of the loop."""
 APPLIED_SPANS = 1e3
 """Likewise of an applied voltage."""
+
+Planned = tuple[
+    float, bool, float, Floats | None, Undoing | None, State | None, State | None
+]
+"""Voltage, whether it was clipped, the amplifier's output, what is wanted from then on, what undoing
+remembers; of a first row the state before it, and that behind an amplifier. A tuple: making a record would
+take a fifth of a plan's time.
+"""
 
 
 class Controller:
@@ -33,13 +40,13 @@ class Controller:
 
     Parameters
     ----------
-    model : Model
+    model : Cascade
         A forward model.
     sample_rate : float
         Samples a second (Hz), above 0.
-    v_min, v_max, max_slew, extrapolate
-        Limits, as of ``compensate``.
-    state : State, name of a start, or file
+    limits : Limits
+        What the drive may do.
+    state : State, or name of a start
         What was before the first sample.
     from_ : float or str, optional
         Where the amplifier stands; a slew limit then holds for the first sample, too.
@@ -74,40 +81,32 @@ class Controller:
         self,
         model: Cascade,
         sample_rate: float,
+        limits: Limits,
         *,
-        v_min: Figure = None,
-        v_max: Figure = None,
-        max_slew: Figure = None,
-        extrapolate: bool = False,
-        state: State | str | Path = "auto",
+        state: State | str = "auto",
         from_: Figure = None,
         lookahead: float | Literal["auto"] | None = None,
     ) -> None:
         model.require("forward")
-        self.limits = Limits.within(model.input, v_min, v_max, max_slew, extrapolate)
+        self.limits = limits
         self.clipped = 0
         self._model = model
-        self._begin = state_of(state, model)
+        self._begin = state
         self._dt = 1.0 / sample_rate
         step = self.limits.largest_step(self._dt)
         self._step = math.inf if step is None else float(step)
-        self.last = Lead(self._begin, from_).standing(self.limits, model.input)
+        self.last = Lead(state=self._begin, start=from_).standing(
+            self.limits, model.input
+        )
         if self.last is not None:
             self._begin = self._stood_at(self.last)
         self._stepper: Any = None
-        # a plan: its voltage, whether it was clipped, what is wanted from then on, what
-        # undoing remembers, and the state before the first row
-        self._pending: (
-            tuple[float, bool, Floats | None, Undoing | None, State | None] | None
-        ) = None
+        self._pending: Planned | None = None
         self._to_gears = model.tail.inverse()
         self._from_gears = model.head.inverse()
-        # the amplifier before the gears, what comes out of it now and behind a plan
+        # the amplifier before the gears, and what comes out of it now
         self._amplified: AmplifiedGears | None = None
-        self._output, self._planned_output = 0.0, 0.0
-        self._first: State | None = (
-            None  # behind the first row, where it was asked of the gears
-        )
+        self._output = 0.0
         if model.amplifier is not None:
             self._amplified = AmplifiedGears(model.amplifier, model.head, model.gears)
             self._share = float(model.amplifier.share(self._dt)[0])
@@ -169,18 +168,19 @@ class Controller:
         self._pending = None
         reach = self._model.output
         value = _number(wanted, "wanted", reach.min, reach.max, WANTED_SPANS)
-        u, queue, memory = self._undone(value)
-        voltage, clipped, started = self._way_in(), True, None
+        target, queue, memory = self._undone(value)
+        voltage, clipped, output = self._way_in(), True, 0.0
+        start = after = None
         if self._stepper is None:
-            started = self._model.start_drive(u, self._begin, *self.limits.move)
+            start = self._model.start_drive(target, self._begin, *self.limits.move)
             if voltage is None:
-                voltage, clipped = self._planned_first(u, started)
+                voltage, clipped, after = self._planned_first(target, start)
         elif voltage is None:
-            voltage, clipped = self._planned(u)
+            voltage, clipped, output = self._planned(target)
         else:
-            self._follow(voltage)
+            output = self._follow(voltage)
         self._admit(voltage)
-        self._pending = voltage, clipped, queue, memory, started
+        self._pending = voltage, clipped, output, queue, memory, start, after
         return voltage
 
     def commit(self, applied: float | None = None) -> None:
@@ -195,18 +195,23 @@ class Controller:
         """
         if self._pending is None:
             raise UsageError("`commit`: nothing is planned (`plan` comes first)")
-        voltage, clipped, queue, memory, started = self._pending
+        voltage, clipped, output, queue, memory, start, after = self._pending
         if applied is not None:
             voltage = _number(applied, "applied", *self.limits.rating, APPLIED_SPANS)
+            after = None
         if self._stepper is None:
-            assert started is not None
-            self._stepper = self._stepper_after(started, voltage, applied is not None)
+            if after is None:
+                assert start is not None
+                first = np.array([voltage])
+                after = self._model.static.run(first, start, self._dt).state
+            self._stepper = self._stepper_behind(after, voltage)
+            output = after.amplifier or 0.0
         else:
             if applied is not None:
-                self._follow(voltage)
+                output = self._follow(voltage)
             self._stepper.commit()
-        self._output = self._planned_output
-        self.last, self._queue, self._memory = voltage, queue, memory
+        self.last, self._output = voltage, output
+        self._queue, self._memory = queue, memory
         self.clipped += clipped
         self._pending = None
 
@@ -230,52 +235,50 @@ class Controller:
         target, memory = self._inverter.run(ahead, self._memory)
         return float(target[0]), queue, memory
 
-    def _planned_first(self, u: float, started: State) -> tuple[float, bool]:
-        """Return the voltage of the first row, and whether a limit held it back."""
+    def _planned_first(
+        self, target: float, start: State
+    ) -> tuple[float, bool, State | None]:
+        """Return the voltage of the first row, whether a limit held it, and an amplifier's state after it."""
         move, slew = self.limits.move, self.limits.slew
-        run = self._model.drive(np.array([u]), started, self._dt, move, slew)
-        self._first = run.state
-        return float(run.y[0]), bool(run.clipped)
+        run = self._model.drive(np.array([target]), start, self._dt, move, slew)
+        after = None if self._amplified is None else run.state
+        return float(run.y[0]), bool(run.clipped), after
 
-    def _follow(self, voltage: float) -> None:
-        """Plan a voltage that was not asked of the gears."""
+    def _follow(self, voltage: float) -> float:
+        """Plan a voltage that was not asked of the gears; return what comes out of the amplifier."""
+        output = 0.0
         if self._amplified is not None:
             before = State(amplifier=self._output)
             block = np.array([voltage])
             run = self._amplified.amplifier.run(block, before, self._dt)
-            voltage = self._planned_output = float(run.y[0])
+            voltage = output = float(run.y[0])
         self._stepper.follow(self._model.head.value(voltage))
+        return output
 
-    def _stepper_after(self, started: State, voltage: float, is_applied: bool) -> Any:
+    def _stepper_behind(self, first: State, voltage: float) -> Any:
         """Return the stepper behind the first row."""
-        start = dataclasses.replace(started, first=None)
-        after = self._model.static.run(np.array([voltage]), start, self._dt).state
-        if self._amplified is not None and self._first is not None and not is_applied:
-            after = self._first
-        self._planned_output = after.amplifier or 0.0
-        at_gears = self._model.head.value(voltage)
-        after = dataclasses.replace(after, drive=at_gears)
+        state = dataclasses.replace(first, drive=self._model.head.value(voltage))
         window, slew = self._model.inner_limits(self.limits.move, self.limits.slew)
-        return self._model.gears.stepper(after, self._dt, window, slew)
+        return self._model.gears.stepper(state, self._dt, window, slew)
 
-    def _planned(self, u: float) -> tuple[float, bool]:
-        """Return the voltage of a row behind another one, and whether a limit held it back."""
-        output = self._to_gears.value(u)
+    def _planned(self, target: float) -> tuple[float, bool, float]:
+        """Return the voltage of a later row, whether a limit held it, and the amplifier's output."""
+        at_gears = self._to_gears.value(target)
         if self._amplified is not None:
             (low, high), last = self.limits.move, self.last
             assert last is not None
             low, high = max(low, last - self._step), min(high, last + self._step)
-            range_ = self._output, self._share, low, high
-            window = self._amplified.window(*range_)
+            row = AmplifiedRow(self._output, self._share, low, high)
+            window = self._amplified.window(row)
             self._stepper.limit(*window, self._model.gears.slack(*window))
-            at_gears = self._stepper.plan(output)
-            voltage, self._planned_output = self._amplified.drive(at_gears, *range_)
-            return voltage, bool(self._stepper.clipped)
-        voltage = self._stepper.plan(output)
+            voltage = self._stepper.plan(at_gears)
+            voltage, output = self._amplified.drive(voltage, row)
+            return voltage, bool(self._stepper.clipped), output
+        voltage = self._stepper.plan(at_gears)
         if self._from_gears:
             low, high = self.limits.move
             voltage = min(max(self._from_gears.value(voltage), low), high)
-        return voltage, bool(self._stepper.clipped)
+        return voltage, bool(self._stepper.clipped), 0.0
 
     def _way_in(self) -> float | None:
         """Return the next voltage from outside the range of a move; None where the amplifier is inside."""

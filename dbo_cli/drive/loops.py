@@ -39,6 +39,24 @@ LOOP_ERROR = 1e-6
 FEWEST_PERIOD_ROWS = 4  # of a period: fewer have no shape
 
 
+class SettledDrive(NamedTuple):
+    """A drive that settles as it is repeated.
+
+    Attributes
+    ----------
+    run : Run
+        Of one period.
+    before : State
+        Before a pass of it.
+    converged : bool
+        Whether it stays.
+    """
+
+    run: Run
+    before: State
+    converged: bool
+
+
 class LoopPlan(NamedTuple):
     """A loop and what leads to it.
 
@@ -48,20 +66,14 @@ class LoopPlan(NamedTuple):
         Before the first row.
     lead_voltage, voltage : array
         What leads to the period, and the period.
-    run : Run
-        Of the settled drive.
-    before : State
-        Before a pass of it.
-    converged : bool
-        Whether it stays.
+    settled : SettledDrive
+        The loop.
     """
 
     begin: State
     lead_voltage: Floats
     voltage: Floats
-    run: Run
-    before: State
-    converged: bool
+    settled: SettledDrive
 
 
 @dataclass(frozen=True)
@@ -128,13 +140,14 @@ class Loop:
     def require_settled(self, plan: LoopPlan, on_limit: str) -> tuple[str, ...]:
         """Warn of a loop that the model does not repeat; refuse it where it costs too much (LimitError)."""
         model, dt, target = self.model, self.dt, self.static_target
-        static, period = model.static, plan.run.y
+        static, settled = model.static, plan.settled
+        period = settled.run.y
         size = max(float(np.ptp(target)), LOOP_ERROR * model.output.span)
         state = static.run(plan.lead_voltage, plan.begin, dt).state
         looped = looped_state(model, period, dt, state)
-        aim = static.run(period, plan.before, dt).y
+        aim = static.run(period, settled.before, dt).y
         residual = largest_difference(static.run(period, looped, dt).y, aim)
-        if plan.converged and residual <= LOOP_ERROR * size:
+        if settled.converged and residual <= LOOP_ERROR * size:
             return ()
         text = (
             f"{self.name}: the loop does not settle: however often it is repeated, it ends {residual:.3g}"
@@ -173,20 +186,16 @@ class Loop:
         settled = settled_drive(model, target, self.dt, state, limits)
         for _ in range(MOST_STARTS):
             last = settled
-            voltage = self._closed(last[0].y)
+            voltage = self._closed(last.run.y)
             stands = float(voltage[0]) if begin is None else begin
-            before, begin_state = (
-                self._before(voltage, stands),
-                model.start(stands, start),
-            )
+            before = self._before(voltage, stands)
+            begin_state = model.start(stands, start)
             state = model.run(before, begin_state, self.dt).state
             settled = settled_drive(model, target, self.dt, state, limits)
-            if (
-                largest_difference(settled[0].y, last[0].y)
-                <= ONE_LOOP * model.input.span
-            ):
+            change = largest_difference(settled.run.y, last.run.y)
+            if change <= ONE_LOOP * model.input.span:
                 break
-        return LoopPlan(begin_state, before, voltage, *last)
+        return LoopPlan(begin_state, before, voltage, last)
 
     def _before(self, period: Floats, begin: float) -> Floats:
         """Return what leads to a period: a ramp, or a pass in which it grows, then whole passes of it.
@@ -224,14 +233,10 @@ class Loop:
         """
         closed = self._within_slew(voltage, float(voltage[-1]))
         largest_step = self.limits.largest_step(self.dt)
-        jumps = (
-            largest_step is not None
-            and largest_difference(closed[:1], closed[-1:]) > largest_step
-        )
-        if (
-            jumps
-            or largest_difference(closed, voltage) > ONE_LOOP * self.model.input.span
-        ):
+        seam = largest_difference(closed[:1], closed[-1:])
+        jumps = largest_step is not None and seam > largest_step
+        change = largest_difference(closed, voltage)
+        if jumps or change > ONE_LOOP * self.model.input.span:
             raise LimitError(
                 f"{self.name}: does not close within `max_slew` {self.limits.slew:g}{self.limits.suffix}/s: "
                 "raise it, or make the loop slower"
@@ -241,10 +246,9 @@ class Loop:
     def _within_slew(self, voltage: Floats, last: float) -> Floats:
         """Return a drive whose rows follow ``last`` and one another within the slew limit."""
         largest_step = self.limits.largest_step(self.dt)
-        if (
-            largest_step is None
-            or (np.abs(np.diff(voltage, prepend=last)) <= largest_step).all()
-        ):
+        if largest_step is None:
+            return voltage
+        if (np.abs(np.diff(voltage, prepend=last)) <= largest_step).all():
             return voltage
         largest_step *= 1.0 - 1e-15
         values = voltage.tolist()
@@ -258,8 +262,8 @@ class Loop:
 
 def settled_drive(
     model: Cascade, target: Floats, dt: float, state: State, limits: Limits
-) -> tuple[Run, State, bool]:
-    """Return the run of one period of a settled drive, the state before it, and whether it stays.
+) -> SettledDrive:
+    """Return the drive to which a period settles.
 
     Parameters
     ----------
@@ -282,8 +286,8 @@ def settled_drive(
         change = largest_difference(again.y, run.y)
         run = again
         if change <= SETTLED * model.input.span:
-            return run, before, True
-    return run, before, False
+            return SettledDrive(run, before, True)
+    return SettledDrive(run, before, False)
 
 
 def largest_difference(values: Floats, others: Floats) -> float:

@@ -48,10 +48,27 @@ def stacked(blocks: list[Rows]) -> Rows:
     return Rows(time, x, np.concatenate([rows.y for rows in blocks]))
 
 
+class Due(NamedTuple):
+    """Rows behind which enough is known to drive them.
+
+    Attributes
+    ----------
+    target : array
+        What the static part is to reach.
+    asked : array
+        What was asked for in these rows, and behind them as far as it is read ahead.
+    desired, time : array
+        Of the rows; no time without a clock.
+    """
+
+    target: Floats
+    asked: Floats
+    desired: Floats
+    time: MaybeFloats
+
+
 class Ahead:
     """Undoes dynamics and delay of rows in blocks, which wait until the rows after them are known.
-
-    A block is some columns of equal length; the first one is what is asked for.
 
     Attributes
     ----------
@@ -65,45 +82,38 @@ class Ahead:
         inverter = model.inverter(dt)
         self._count = inverter.ahead
         self._undoing = inverter.behind(state) if isinstance(state, State) else None
-        self._waiting: deque[tuple[MaybeFloats, ...]] = deque()
-        self._desired = np.empty(0)  # of the blocks that wait, and of those after
+        self._waiting: deque[tuple[Floats, MaybeFloats]] = deque()
+        self._asked = np.empty(0)  # of the blocks that wait, and of those after
 
     def take(
-        self, dt: Steps, desired: Floats, *columns: MaybeFloats
-    ) -> Iterator[tuple[tuple[MaybeFloats, ...], Floats, Floats]]:
-        """Take a block; yield those that are ready.
-
-        Yields
-        ------
-        columns, target, ahead
-            The block, what of it the static part is to reach, and what is asked for in
-            the block and behind it.
-        """
+        self, dt: Steps, asked: Floats, desired: Floats, time: MaybeFloats
+    ) -> Iterator[Due]:
+        """Take a block, what is asked for and what is desired; yield those that are due."""
         self.dt = dt
-        self._waiting.append((desired, *columns))
-        if self._desired.size:
-            desired = np.concatenate([self._desired, desired])
-        self._desired = desired
-        yield from self._ready()
+        self._waiting.append((desired, time))
+        if self._asked.size:
+            asked = np.concatenate([self._asked, asked])
+        self._asked = asked
+        yield from self._due()
 
-    def remaining(self) -> Iterator[tuple[tuple[MaybeFloats, ...], Floats, Floats]]:
+    def remaining(self) -> Iterator[Due]:
         """Yield the blocks that are left: the last value goes on for ever."""
-        after = np.repeat(self._desired[-1:], self._count)
-        self._desired = np.concatenate([self._desired, after])
-        yield from self._ready()
+        after = np.repeat(self._asked[-1:], self._count)
+        self._asked = np.concatenate([self._asked, after])
+        yield from self._due()
 
-    def _ready(self) -> Iterator[tuple[tuple[MaybeFloats, ...], Floats, Floats]]:
+    def _due(self) -> Iterator[Due]:
         """Yield each block of which enough is known behind it."""
         while self._waiting:
-            first = self._waiting[0][0]
-            assert first is not None
-            if self._desired.size < first.size + self._count:
+            desired, time = self._waiting[0]
+            if self._asked.size < desired.size + self._count:
                 return
-            ahead = self._desired[: first.size + self._count]
-            self._desired = self._desired[first.size :]
+            asked = self._asked[: desired.size + self._count]
+            self._asked = self._asked[desired.size :]
             inverter = self._model.inverter(self.dt)
-            target, self._undoing = inverter.run(ahead, self._undoing)
-            yield self._waiting.popleft(), target, ahead
+            target, self._undoing = inverter.run(asked, self._undoing)
+            self._waiting.popleft()
+            yield Due(target, asked, desired, time)
 
 
 class Simulator:
@@ -177,15 +187,13 @@ class Simulator:
             return NO_ROWS
         if self._ahead is None:
             return self._counted(x, self._displacement(x, dt), time)
-        blocks = self._ahead.take(dt, x, time)
-        return stacked([self._driven(*block) for block in blocks])
+        return stacked([self._driven(due) for due in self._ahead.take(dt, x, x, time)])
 
     def finish(self) -> Rows:
         """Return what was held back, as if the last value went on for ever; warn of rows outside."""
         rows = NO_ROWS
         if self._ahead is not None:
-            blocks = self._ahead.remaining()
-            rows = stacked([self._driven(*block) for block in blocks])
+            rows = stacked([self._driven(due) for due in self._ahead.remaining()])
         if isinstance(self.state, State):
             self.state = replace(self.state, model=self.model.digest)
         if self.outside_count:
@@ -214,24 +222,21 @@ class Simulator:
         self.state = run.state
         return run.y
 
-    def _driven(
-        self, columns: tuple[MaybeFloats, ...], target: Floats, ahead: Floats
-    ) -> Rows:
+    def _driven(self, due: Due) -> Rows:
         """Return rows with the drive that an inverse model makes, within its range where it is held."""
-        desired, time = columns
-        assert desired is not None and self._ahead is not None
+        assert self._ahead is not None
         model, is_held = self._forward, self.outside == "hold"
         window = (model.input.min, model.input.max) if is_held else None
-        self.state = model.start_drive(float(target[0]), self.state)
-        run = model.drive(target, self.state, self._ahead.dt, window)
+        self.state = model.start_drive(float(due.target[0]), self.state)
+        run = model.drive(due.target, self.state, self._ahead.dt, window)
         self.state = run.state
         if run.clipped and not self.outside_count:
             self.first_outside = self.row_count + run.first_clipped + 1
         self.outside_count += run.clipped
         if self.outside == "error":
-            self._watch(desired, self.model)
+            self._watch(due.desired, self.model)
         self._watch(run.y, model)
-        return self._counted(desired, run.y, time)
+        return self._counted(due.desired, run.y, due.time)
 
     def _watch(self, values: Floats, model: Cascade) -> None:
         """Count the rows that are outside the input's range of a model, or refuse the first of them."""

@@ -35,7 +35,7 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
     low, high = plan.limits.move
     _undo_delay(plan, parts)
     _undo_dynamics(plan, parts)
-    parts.step += _curves(plan.to_gears, "before", parts)
+    parts.step += _curves(plan.forward.tail.inverse(), "before", parts)
     if plan.forward.amplifier is not None:
         parts.reset += ["state->amplifier = x;", "state->begun = 1;"]
         _limit_amplifier(plan, parts)
@@ -44,11 +44,12 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
         _lookup_gears(plan, parts)
     else:
         _gears(plan, parts)
-    parts.step += _curves(plan.to_drive, "behind", parts)
+    to_drive = plan.forward.head.inverse()
+    parts.step += _curves(to_drive, "behind", parts)
     if plan.forward.amplifier is not None:
         parts.step.append(c.fill("amplifier.c", {}).rstrip("\n"))
     lowest, highest = c.real(low), c.real(high)
-    if plan.to_drive:  # rounding on the way back through the points
+    if to_drive:  # rounding on the way back through the points
         parts.step.append(
             f"x = x < {lowest} ? {lowest} : x > {highest} ? {highest} : x;"
         )
@@ -175,7 +176,7 @@ def _gears(plan: Plan, parts: c.Sources) -> None:
     parts.init += [
         *pointers,
         f"dbo_backlash_load(&op, &state->gears, {words});",
-        f"state->gears.last = {c.real(plan.at_gears(plan.first_drive))};",
+        f"state->gears.last = {c.real(plan.forward.head.value(plan.first_drive))};",
     ]
     inside = plan.forward.starts.inside.n
     parts.reset.append(
@@ -214,7 +215,7 @@ def _lookup_gears(plan: Plan, parts: c.Sources) -> None:
     parts.tables.append("static const dbo_lookup lookup = {&op, corners, lowest};\n")
     parts.kernel += ["dbo_lookup.h", "dbo_lookup.c"]
     parts.members.append("dbo_lookup_state gears;")
-    first = c.real(plan.at_gears(plan.first_drive))
+    first = c.real(plan.forward.head.value(plan.first_drive))
     parts.init += [
         f"state->gears.state = {empty}U;",
         f"state->gears.last = {first};",

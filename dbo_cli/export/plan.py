@@ -13,8 +13,8 @@ from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import ModelError, UsageError
 from dbo_cli.model import Cascade, Gears, State
 from dbo_cli.model.delay import AFTER, whole_and_part
+from dbo_cli.model.dynamics import inverses_of
 from dbo_cli.model.gears import Window, largest_step
-from dbo_cli.model.points import Curves
 from dbo_cli.model.undoing import SectionInverse
 
 SPACING = 64  # turns that share a checkpoint
@@ -52,16 +52,6 @@ class Plan:
         """The gears' key in the model file."""
         return f"stages[{self.forward.stages.index(self.gears)}]"
 
-    @cached_property
-    def to_gears(self) -> Curves:
-        """The curves from the displacement to the gears."""
-        return self.forward.tail.inverse()
-
-    @cached_property
-    def to_drive(self) -> Curves:
-        """The curves from the gears to the drive."""
-        return self.forward.head.inverse()
-
     @property
     def inner(self) -> Window:
         """The range of the drive as the gears meet it."""
@@ -93,10 +83,6 @@ class Plan:
         """The immediate part of the memory, sum c_j (1 - a_j), added term by term as the kernel does."""
         return float(sum((self.gears.gain * (1.0 - self.decay)).tolist()))
 
-    def at_gears(self, drive: float) -> float:
-        """Return a drive as the gears meet it."""
-        return self.forward.head.value(drive)
-
     # ---- reading ahead ----
 
     @cached_property
@@ -113,7 +99,8 @@ class Plan:
         if self.forward.dynamics is None:
             return []
         assert self.dt is not None
-        return list(reversed(self.forward.dynamics.inverses(self.dt)))
+        inverses = inverses_of(self.forward.dynamics.sections, self.dt)
+        return list(reversed(inverses))
 
     @property
     def ahead(self) -> int:
@@ -138,13 +125,14 @@ class Plan:
 
     def resting(self, drive: float, bits: int) -> State:
         """Return the state of an actuator that rests at a drive, its gears coming from ``bits``."""
-        state = self.forward.gears.run([self.at_gears(drive)], State(bits)).state
+        at_gears = self.forward.head.value(drive)
+        state = self.forward.gears.run([at_gears], State(bits)).state
         amplifier = None if self.forward.amplifier is None else drive
         return replace(state, drive=drive, amplifier=amplifier)
 
     def settled(self, drive: float) -> State:
         """Return the state after ``NAME_reset``."""
-        bits = self.forward.starts.bits(self.at_gears(drive), "settled")
+        bits = self.forward.starts.bits(self.forward.head.value(drive), "settled")
         return self.resting(drive, bits)
 
     @property

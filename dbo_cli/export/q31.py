@@ -46,9 +46,9 @@ def q31_sources(plan: Plan) -> tuple[c.Sources, Bounds]:
     x_axis = Axis.of(wide, gears.equal_run)
     y_axis = Axis.of(gears.exchanged[:, 1].copy(), gears.equal_run)
     memory = memory_of(plan, x_axis, y_axis)
-    before = fold(plan.to_gears, source.min, source.max)
+    before = fold(plan.forward.tail.inverse(), source.min, source.max)
     height = float(y_axis.exact.sum())
-    after = fold(plan.to_drive, gears.x0, gears.x0 + height)
+    after = fold(plan.forward.head.inverse(), gears.x0, gears.x0 + height)
     drives = fold(plan.forward.head, drive.min, drive.max)
     bounds = bounds_of(plan, x_axis, y_axis, memory, before, after)
     limits = limits_of(plan, y_axis)
@@ -112,7 +112,8 @@ def _members(plan: Plan) -> list[str]:
 def _values(plan: Plan, y_axis: Axis, limits: CountLimits) -> dict[str, str]:
     """Return what the state begins with, and what surrounds the gears in a step."""
     first = plan.first_drive
-    position = round((plan.at_gears(first) - plan.gears.x0) / y_axis.unit)
+    at_gears = plan.forward.head.value(first)
+    position = round((at_gears - plan.gears.x0) / y_axis.unit)
     output = min(max(to_counts(first, plan.forward.input), limits.low), limits.high)
     init = delay = slew = ""
     fraction = plan.delay_samples[1]

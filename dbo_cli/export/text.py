@@ -78,8 +78,8 @@ def fill(template: str, values: Mapping[str, str]) -> str:
 
 def plain(text: str) -> str:
     """Return text on one line that cannot end the comment it stands in, nor begin another."""
-    words = "".join(letter if letter.isprintable() else " " for letter in text)
-    return words.replace("*/", "* /").replace("/*", "/ *").replace("$", " ")
+    line = "".join(letter if letter.isprintable() else " " for letter in text)
+    return line.replace("*/", "* /").replace("/*", "/ *").replace("$", " ")
 
 
 def check_name(name: str) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -23,8 +23,6 @@ from dbo_cli.model.points import Curves
 from dbo_cli.model.relaxation import checked_steps
 from dbo_cli.model.state import Run, State
 
-RowLimits = tuple[Floats, Floats, Window]
-"""Of a block: 1 - a and the largest change of the drive for each row, and the range of the drive."""
 AT_REST = 0.0, 1.0
 """Output before, and share, of the first sample of a record: u is v."""
 
@@ -84,11 +82,11 @@ class Amplifier(Keyed):
         if x.size == 0:
             return Run(x, state)
         decay = np.exp(-checked_steps(dt) / self.seconds)
-        memory, u = np.array([state.amplifier or 0.0]), np.empty(x.size)
+        memory, output = np.array([state.amplifier or 0.0]), np.empty(x.size)
         kernel.extension.memory_run(
-            0.0, memory, state.amplifier is None, np.ascontiguousarray(x), u, decay
+            0.0, memory, state.amplifier is None, np.ascontiguousarray(x), output, decay
         )
-        return Run(u, replace(state, amplifier=float(memory[0])))
+        return Run(output, replace(state, amplifier=float(memory[0])))
 
     def undo(self, y: Floats, state: State, dt: float | Floats) -> Run:
         """Return the drive for one block of the voltage behind the amplifier, and the state after it."""
@@ -104,6 +102,25 @@ class Amplifier(Keyed):
         return [{"amplifier": self.seconds}]
 
 
+class AmplifiedRow(NamedTuple):
+    """One row of a drive behind another one.
+
+    Attributes
+    ----------
+    before : float
+        Output of the amplifier at the row before.
+    share : float
+        1 - a.
+    low, high : float
+        Least and greatest drive.
+    """
+
+    before: float
+    share: float
+    low: float
+    high: float
+
+
 @dataclass(frozen=True)
 class AmplifiedGears:
     """Gears behind an amplifier and curves, undone together: limits of the drive reach through all."""
@@ -112,18 +129,17 @@ class AmplifiedGears:
     head: Curves
     gears: Gears
 
-    def window(self, before: float, share: float, low: float, high: float) -> Window:
-        """Return the range of the voltage at the gears for a drive from ``low`` to ``high``."""
-        lowest = before + share * (low - before)
-        return self.head.ends(lowest, before + share * (high - before))
+    def window(self, row: AmplifiedRow) -> Window:
+        """Return the range of the voltage at the gears for the drive of a row."""
+        before, share = row.before, row.share
+        lowest = before + share * (row.low - before)
+        return self.head.ends(lowest, before + share * (row.high - before))
 
-    def drive(
-        self, voltage: float, before: float, share: float, low: float, high: float
-    ) -> tuple[float, float]:
-        """Return the drive for a voltage at the gears, and what comes out of the amplifier."""
-        u = self.head.inverse().value(voltage)
-        drive = before + (u - before) / share
-        return min(max(drive, low), high), u  # rounding on the way back
+    def drive(self, voltage: float, row: AmplifiedRow) -> tuple[float, float]:
+        """Return the drive of a row for a voltage at the gears, and what comes out of the amplifier."""
+        output = self.head.inverse().value(voltage)
+        drive = row.before + (output - row.before) / row.share
+        return min(max(drive, row.low), row.high), output  # rounding on the way back
 
     def undo(
         self,
@@ -132,7 +148,6 @@ class AmplifiedGears:
         dt: float | Floats,
         window: Window | None,
         slew: float | None,
-        extend: bool,
     ) -> Run:
         """Return the drive for one block of the gears' output; see ``Gears.undo``.
 
@@ -141,7 +156,7 @@ class AmplifiedGears:
         """
         _, shares = self.amplifier.shares(state, dt, output.size)
         if window is None:
-            return self._undo_freely(output, state, dt, extend)[0]
+            return self._undo_freely(output, state, dt)[0]
         changes = np.broadcast_to(np.inf, output.shape)
         if slew is not None:
             changes = np.broadcast_to(largest_step(slew, dt), output.shape)
@@ -149,9 +164,11 @@ class AmplifiedGears:
         row, size, clipped, first_clipped = 0, output.size, 0, 0
         while row < output.size:
             rows = slice(row, row + size)
-            block, limits = output[rows], (shares[rows], changes[rows], window)
+            block = output[rows]
             steps = dt[rows] if isinstance(dt, np.ndarray) else dt
-            done = self._undo_block(block, state, steps, limits, extend)
+            done = self._undo_block(
+                block, state, steps, shares[rows], changes[rows], window
+            )
             count = done.y.size
             drive[row : row + count] = done.y
             if done.clipped and not clipped:
@@ -162,12 +179,12 @@ class AmplifiedGears:
         return Run(drive, state, clipped, first_clipped)
 
     def _undo_freely(
-        self, output: Floats, state: State, dt: float | Floats, extend: bool
+        self, output: Floats, state: State, dt: float | Floats
     ) -> tuple[Run, Floats]:
         """Return the drive as if there were no limits, and the voltage at the gears."""
-        done = self.gears.undo(output, state, dt, extend=extend)
-        u = self.head.inverse()(done.y)
-        run = self.amplifier.undo(u, done.state, dt)
+        done = self.gears.undo(output, state, dt)
+        amplified = self.head.inverse()(done.y)
+        run = self.amplifier.undo(amplified, done.state, dt)
         last = float(run.y[-1])
         return Run(run.y, replace(run.state, drive=last)), done.y
 
@@ -176,23 +193,24 @@ class AmplifiedGears:
         output: Floats,
         state: State,
         dt: float | Floats,
-        limits: RowLimits,
-        extend: bool,
+        shares: Floats,
+        changes: Floats,
+        window: Window,
     ) -> Run:
-        """Return the drive of one row within its window, or of the rows before the first that is held."""
-        shares, changes, window = limits
+        """Return the drive of one row within its window, or of the rows before the first that is held.
+
+        ``shares`` are 1 - a and ``changes`` the largest changes of the drive, row by row.
+        """
         before = state.amplifier or 0.0
         stands = np.array([math.nan if state.drive is None else state.drive])
         if output.size == 1:
             low, high = (float(end[0]) for end in _range(stands, changes, window))
-            range_ = before, float(shares[0]), low, high
-            done = self.gears.undo(
-                output, state, dt, self.window(*range_), None, extend
-            )
-            drive, u = self.drive(float(done.y[0]), *range_)
-            after = replace(done.state, amplifier=u, drive=drive)
+            row = AmplifiedRow(before, float(shares[0]), low, high)
+            done = self.gears.undo(output, state, dt, self.window(row))
+            drive, amplified = self.drive(float(done.y[0]), row)
+            after = replace(done.state, amplifier=amplified, drive=drive)
             return Run(np.array([drive]), after, done.clipped)
-        free, voltage = self._undo_freely(output, state, dt, extend)
+        free, voltage = self._undo_freely(output, state, dt)
         previous = np.concatenate([[before], self.head.inverse()(voltage)[:-1]])
         lows, highs = _range(np.concatenate([stands, free.y[:-1]]), changes, window)
         ends = [
@@ -206,7 +224,7 @@ class AmplifiedGears:
         if count == 0:
             return Run(free.y[:0], state)
         steps = dt[:count] if isinstance(dt, np.ndarray) else dt
-        return self._undo_freely(output[:count], state, steps, extend)[0]
+        return self._undo_freely(output[:count], state, steps)[0]
 
 
 def _range(last: Floats, changes: Floats, window: Window) -> tuple[Floats, Floats]:

@@ -40,6 +40,8 @@ Sign = Literal["rising", "falling"]
 StageKind = TypeVar("StageKind")
 
 MOST_CANDIDATES = 5
+RESONANCE_SHARE = 3.0
+"""A model is trusted to its lowest resonance over this. Measured on invented benches."""
 _TIME_IS_NEEDED = "this model needs a clock: add `time` COLUMN or `sample_rate` HZ"
 
 
@@ -191,11 +193,6 @@ class Cascade:
         return self.direction == "forward"
 
     @property
-    def voltage(self) -> Quantity:
-        """The drive and its range, whatever the direction."""
-        return self.input if self.is_forward else self.output
-
-    @property
     def delay_seconds(self) -> float:
         """Seconds by which the displacement lags."""
         return 0.0 if self.delay is None else self.delay.seconds
@@ -204,6 +201,13 @@ class Cascade:
     def sensor_delay(self) -> float:
         """Seconds by which the logs' sensor is late; no stage has them."""
         return float(self.fit.get("sensor_delay") or 0.0)
+
+    @property
+    def trusted_frequency(self) -> float | None:
+        """The frequency (Hz) up to which the model can be trusted; None where it has no resonance."""
+        if self.dynamics is None or not self.dynamics.resonances:
+            return None
+        return self.dynamics.resonances[0].frequency / RESONANCE_SHARE
 
     @property
     def needs_time(self) -> bool:
@@ -268,21 +272,16 @@ class Cascade:
 
     @functools.cached_property
     def starts(self) -> Starts:
-        """The starts of the gears; their voltage is that behind the curves before them."""
-        return Starts(self.gears, *self.head.ends(self.voltage.min, self.voltage.max))
+        """The starts of a forward model's gears; their voltage is that behind the curves before them."""
+        return Starts(self.gears, *self.head.ends(self.input.min, self.input.max))
 
-    def start(self, first_input: float, state: str | State = "auto") -> State:
-        """Return the state before the first sample: one that is known, or by its name (``Starts.bits``).
-
-        Of an inverse model the voltage is sought whose own start leads to the first
-        displacement, so that the forward model, driven by the output, starts alike.
-        """
+    def start(self, voltage: float, state: str | State = "auto") -> State:
+        """Return the state before the first sample: one that is known, or by its name (``Starts.bits``)."""
+        self.require("forward")
         if isinstance(state, State):
             return state
-        if not self.is_forward:
-            return self.forward().start_drive(first_input, state)
-        voltage = self.head.value(float(first_input))
-        return State(self.starts.bits(voltage, state))
+        at_gears = self.head.value(float(voltage))
+        return State(self.starts.bits(at_gears, state))
 
     def start_drive(
         self,
@@ -326,61 +325,45 @@ class Cascade:
         time: ArrayLike | None = None,
         dt: Steps = None,
         state: str | State = "auto",
-        outside: Outside = "extend",
     ) -> tuple[Floats, State]:
-        """Return the output for a whole signal, and the state after it.
+        """Return the displacement of a forward model for a whole drive, and the state after it.
 
         Parameters
         ----------
         x : array_like
-            The input. An inverse model reads it ahead where it has dynamics or a delay;
-            beyond its end the last value holds.
+            The drive.
         time : array_like, optional
             Time stamps (s); or
         dt : float or array, optional
-            Seconds since the sample before. One of the two is needed with relaxation,
-            dynamics or a delay.
+            Seconds since the sample before. One of the two is needed with an amplifier,
+            relaxation, dynamics or a delay.
         state : State or name of a start
             Before the first sample.
-        outside : {"extend", "hold", "error"}
-            Beyond the range: go on with the last slope, hold, or refuse.
 
         Raises
         ------
         InputError
-            Time goes backwards, or is not even where it must be; or a sample is outside
-            the range and that is refused.
+            Time goes backwards.
         ModelError
             The time between samples is needed and not given.
         """
-        signal = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
+        drive = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         if dt is None and time is not None:
             dt = steps_of(time)
-        undoing = None
-        if not self.is_forward and signal.size:
-            inverter = self.inverter(dt)
-            if isinstance(state, State):
-                undoing = inverter.behind(state)
-            ahead = np.full(inverter.ahead, signal[-1])
-            signal, _ = inverter.run(np.concatenate([signal, ahead]), undoing)
-        state = self.start(float(signal[0]) if signal.size else 0.0, state)
-        if outside == "error":
-            self.require_inside(signal)
-        result = self.run(signal, state, dt, outside)
+        state = self.start(float(drive[0]) if drive.size else 0.0, state)
+        result = self.run(drive, state, dt)
         return result.y, result.state
 
     def run(
         self, x: ArrayLike, state: State, dt: Steps = None, outside: Outside = "extend"
     ) -> Run:
-        """Return the output for one block; cut a signal as you like, the values stay the same.
+        """Return the displacement for one block; cut a drive as you like, the values stay the same.
 
-        Of an inverse model this is the part without dynamics and delay: ``inverter``
-        comes first. ``dt`` is as of ``simulate``; the first one of a state that has just
-        been started does not matter. With ``outside`` error, ``require_inside`` comes
-        first.
+        ``dt`` is as of ``simulate``; the first one of a state that has just been started
+        does not matter. Beyond the range ``extend`` goes on with the last slope, and
+        ``hold`` holds the output.
         """
-        if not self.is_forward:
-            return self.forward().drive(x, state, dt, outside=outside)
+        self.require("forward")
         y = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         steps = self._checked_steps(dt, y.size)
         if y.size == 0:
@@ -426,28 +409,6 @@ class Cascade:
         low, high = self.covered
         return (x < low) | (x > high)
 
-    def require_inside(self, x: Floats, before: int = 0, name: str = "") -> None:
-        """Refuse a block of input with a sample outside the model's range (InputError).
-
-        Parameters
-        ----------
-        x
-            The block.
-        before
-            Rows before the block.
-        name
-            Of the signal, for the message.
-        """
-        outside = self.outside(x)
-        if not outside.any():
-            return
-        row = int(np.argmax(outside))
-        low, high = self.covered
-        raise InputError(
-            f"{name}{': ' if name else ''}row {before + row + 1:,}: {x[row]:.6g} is outside the "
-            f"model's range, {low:.6g} to {high:.6g} (`outside` extend)"
-        )
-
     # ---- drive ----
 
     def inverter(self, dt: Steps) -> Inverter:
@@ -486,7 +447,6 @@ class Cascade:
         dt: Steps = None,
         window: Window | None = None,
         slew: float | None = None,
-        outside: Outside = "extend",
     ) -> Run:
         """Return the drive that makes the static part reach one block of displacement.
 
@@ -506,8 +466,6 @@ class Cascade:
             Least and greatest voltage.
         slew : float, optional
             With a window, which wins over it: largest change of the voltage a second.
-        outside : {"extend", "hold"}
-            Beyond the range: go on with the last slope, or hold.
         """
         y = np.ascontiguousarray(desired, dtype=np.float64).reshape(-1)
         steps = self._checked_steps(dt, y.size, slew is not None)
@@ -520,13 +478,12 @@ class Cascade:
             if missed and window is not None:
                 clipped = int(not window[0] < state.first < window[1])
             y = np.concatenate([reached, y[1:]])
-        extend = outside != "hold"
         output = self.tail.inverse()(y)
         if self.amplifier is None:
-            result = self._undo_gears(output, state, steps, window, slew, extend)
+            result = self._undo_gears(output, state, steps, window, slew)
         else:
             before = AmplifiedGears(self.amplifier, self.head, self.gears)
-            result = before.undo(output, state, steps, window, slew, extend)
+            result = before.undo(output, state, steps, window, slew)
         bits, memory = result.state.bits, result.state.memory
         last = float(result.y[-1])
         after = State(bits, memory, last, amplifier=result.state.amplifier)
@@ -543,7 +500,6 @@ class Cascade:
         steps: float | Floats,
         window: Window | None,
         slew: float | None,
-        extend: bool,
     ) -> Run:
         """Return the voltage before gears and head for an output of the gears."""
         inner, inner_slew = window, slew
@@ -552,7 +508,7 @@ class Cascade:
         if self.head and state.drive is not None:
             at_gears = self.head.value(state.drive)
             state = state.behind(state.bits, state.memory, at_gears)
-        result = self.gears.undo(output, state, steps, inner, inner_slew, extend)
+        result = self.gears.undo(output, state, steps, inner, inner_slew)
         voltage = self.head.inverse()(result.y)
         if window is not None and self.head:
             # rounding on the way back through the points

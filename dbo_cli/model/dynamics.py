@@ -74,19 +74,9 @@ class Dynamics(Keyed):
         kernel.extension.dynamics_run(self._output, memory, signal, y, rows)
         return Run(y, replace(state, sections=as_states(memory)))
 
-    def inverses(self, dt: float) -> tuple[SectionInverse, ...]:
-        """Return the inverse of each section on an even clock of ``dt`` (s).
-
-        Raises
-        ------
-        InputError
-            The clock does not resolve a section.
-        """
-        return _inverses(self.sections, dt)
-
     def ahead(self, dt: float) -> int:
         """Return how many rows of an even clock ``undo`` reads ahead."""
-        return sum(inverse.weight.size for inverse in self.inverses(dt))
+        return sum(inverse.weight.size for inverse in inverses_of(self.sections, dt))
 
     def undo(self, y: Floats, state: State, dt: float, ahead: int) -> Run:
         """Return the input of all sections on an even clock, and the state with what undoing remembers.
@@ -104,7 +94,7 @@ class Dynamics(Keyed):
         Run
             Shorter than ``y`` by what this stage reads ahead.
         """
-        inverses = self.inverses(dt)
+        inverses = inverses_of(self.sections, dt)
         first = float(y[0])
         memory: list[tuple[float, float, float]] = [(first, 0.0, 0.0)] * len(inverses)
         past: tuple[float, ...] = ()
@@ -129,11 +119,11 @@ class Dynamics(Keyed):
     def undoing_behind(self, sections: SectionStates, dt: float) -> SectionStates:
         """Return what ``undo`` remembers where the forward sections are in a state."""
         memories = []
-        each = zip(self.inverses(dt), sections, self.sections, strict=True)
+        each = zip(inverses_of(self.sections, dt), sections, self.sections, strict=True)
         for inverse, (p, q, u), section in each:
-            by_lead, by_q = section.output
+            output = section.output
             a, b = (inverse.from_state @ np.array([u - p, q])).tolist()
-            memories.append((p + (by_lead * (u - p) + by_q * q), a, b))
+            memories.append((p + (output.by_lead * (u - p) + output.by_q * q), a, b))
         return tuple(memories)
 
     def loop(self, x: Floats, dt: float) -> Floats:
@@ -163,8 +153,10 @@ class Dynamics(Keyed):
 
 def _step_rows(sections: tuple[Section, ...], steps: Floats) -> Floats:
     """Return the kernel's numbers, six for each section, in a row for each time step (s)."""
-    rows = np.concatenate([section.step(steps) for section in sections], axis=1)
-    return np.ascontiguousarray(rows)
+    columns: list[Floats] = []
+    for section in sections:
+        columns += section.step(steps)
+    return np.column_stack(columns)
 
 
 @lru_cache(maxsize=32)
@@ -174,8 +166,14 @@ def _even_row(sections: tuple[Section, ...], dt: float) -> Floats:
 
 
 @lru_cache(maxsize=32)
-def _inverses(sections: tuple[Section, ...], dt: float) -> tuple[SectionInverse, ...]:
-    """Return the inverse of each section; every block of a stream asks for them."""
+def inverses_of(sections: tuple[Section, ...], dt: float) -> tuple[SectionInverse, ...]:
+    """Return the inverse of each section on an even clock of ``dt`` (s), once for all blocks.
+
+    Raises
+    ------
+    InputError
+        The clock does not resolve a section.
+    """
     return tuple(section_inverse(section, dt) for section in sections)
 
 

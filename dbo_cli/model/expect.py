@@ -18,7 +18,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.model.cascade import Cascade
 
-MOST_ROWS = 131_072  # of a move that are played
+FIRST_ROWS = 131_072  # of a move, that expectations and refusals look at
 STARTS = ("empty", "full", "settled")
 UNLIKE = 3.0
 """Times the logs' fastest drive or longest rest: time constants of a model are as far apart."""
@@ -63,7 +63,7 @@ def expected_error(
     left = model.fit.get("left_out_rmse")
     if left is None or not model.candidates:
         return None
-    last = begin + MOST_ROWS
+    last = begin + FIRST_ROWS
     drive = np.asarray(voltage, dtype=np.float64)[:last]
     steps = dt
     if isinstance(dt, np.ndarray):

@@ -25,6 +25,7 @@ Json = dict[str, Any]
 Reader = Callable[[Any, str], Any]
 
 VERSION = 1
+STANDARD_INPUT = "standard input"  # what messages call ``-``
 LARGEST = 1e60  # of every number: products of five of them are still within float64
 # a file of some bytes must not ask for more memory than a machine has
 MOST_WIDTHS = 1_000_000
@@ -45,7 +46,7 @@ def load(path: str, noun: str) -> tuple[str, Any]:
     ModelError
         It is not JSON, or not whole, or a key occurs twice in one object.
     """
-    name = "standard input" if path == "-" else path
+    name = STANDARD_INPUT if path == "-" else path
 
     def distinct(pairs: list[tuple[str, Any]]) -> Json:
         values = dict(pairs)
@@ -86,6 +87,13 @@ def contents(values: Any, path: str, form: str, noun: str) -> Json:
             f"{_join(path, 'version')}: {shown(version)} is not version {VERSION}: make {noun} again"
         )
     return fields
+
+
+def members(values: Any, form: str, key: str, noun: str) -> Json:
+    """Return what a set of ``form`` holds for each channel, under ``key``."""
+    content = contents(values, "", form, noun)
+    channels: Json = build(dict, content, "", **{key: notes})[key]
+    return channels
 
 
 def build(
@@ -186,10 +194,10 @@ def notes(value: Any, path: str) -> Json:
     return value
 
 
-def choice(value: Any, path: str, words: tuple[str, ...]) -> str:
-    """Return one of some words."""
-    if value not in words:
-        raise ModelError(f"{path}: {value!r} is not one of {', '.join(words)}")
+def choice(value: Any, path: str, choices: tuple[str, ...]) -> str:
+    """Return one of some texts."""
+    if value not in choices:
+        raise ModelError(f"{path}: {value!r} is not one of {', '.join(choices)}")
     return str(value)
 
 

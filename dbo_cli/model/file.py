@@ -74,10 +74,7 @@ def read_models(path: str, only: list[str] | None = None) -> dict[str, Cascade]:
     name, values = fields.load(path, "model")
     models = {}
     try:
-        values = fields.contents(values, "", SET_FORMAT, "a set of models")
-        channels = build(dict, values, "", models=fields.notes)["models"]
-        if not channels:
-            raise ModelError("models: is empty")
+        channels = _channels(values)
         for channel in channels if only is None else only:
             if channel not in channels:
                 names = ", ".join(channels)
@@ -92,6 +89,14 @@ def read_models(path: str, only: list[str] | None = None) -> dict[str, Cascade]:
     return models
 
 
+def _channels(values: Any) -> Json:
+    """Return what stands in a set for the model of each channel."""
+    channels = fields.members(values, SET_FORMAT, "models", "a set of models")
+    if not channels:
+        raise ModelError("models: is empty")
+    return channels
+
+
 def is_set(path: str) -> bool:
     """Tell whether a file is a set of models; a pipe is not read."""
     if not os.path.isfile(path):
@@ -100,6 +105,11 @@ def is_set(path: str) -> bool:
         values = fields.load(path, "model")[1]
     except (InputError, ModelError):
         return False
+    return _is_set(values)
+
+
+def _is_set(values: object) -> bool:
+    """Tell whether values of a file are those of a set of models."""
     return isinstance(values, dict) and values.get("format") == SET_FORMAT
 
 
@@ -111,11 +121,13 @@ def parse_model(values: object, name: str = "the model") -> Cascade:
     ModelError
         They do not; the message begins with ``name`` and the key.
     """
-    if isinstance(values, dict) and values.get("format") == SET_FORMAT:
-        raise ModelError(
-            f"{name}: is a set of models: type {name}::CHANNEL, or a pattern of columns"
-        )
     try:
+        if _is_set(values):
+            names = list(_channels(values))
+            file = "-" if name == fields.STANDARD_INPUT else name
+            raise ModelError(
+                f"is a set of models, {', '.join(names)}: type {file}::{names[0]}"
+            )
         return _model(values, "")
     except ModelError as problem:
         raise ModelError(f"{name}: {problem}") from None
@@ -132,7 +144,7 @@ def _model(values: Any, path: str) -> Cascade:
         values,
         path,
         ("fit", "candidates", "provenance"),
-        direction=partial(fields.choice, words=("forward", "inverse")),
+        direction=partial(fields.choice, choices=("forward", "inverse")),
         input=Quantity.read,
         output=Quantity.read,
         stages=partial(_stages, direction=direction),

@@ -27,7 +27,6 @@ from dbo_cli.model.state import Run, State
 from dbo_cli.model.widths import (
     TABLE,
     checked_pair,
-    equal_run,
     gear_table,
     kernel_table,
     on_binary_grid,
@@ -141,8 +140,17 @@ class Gears(Keyed):
 
     @property
     def equal_run(self) -> int:
-        """How many neighbouring gears are equal, from every multiple of that number on."""
-        return equal_run(self.table)
+        """How many neighbouring gears are equal, from every multiple of that number on.
+
+        The last run may be shorter. Identification gives many gears one slope, so that
+        runs are long; 1 where nothing repeats.
+        """
+        starts = np.flatnonzero(np.any(self.table[1:] != self.table[:-1], axis=1)) + 1
+        run = math.gcd(*starts.tolist()) or self.n
+        # the kernel divides by a 32-bit multiplication
+        if run * self.n >= 2**32:
+            return 1
+        return run
 
     @functools.cached_property
     def exchanged(self) -> Floats:
@@ -239,14 +247,14 @@ class Gears(Keyed):
         dt: float | Floats = math.inf,
         window: Window | None = None,
         slew: float | None = None,
-        extend: bool = True,
     ) -> Run:
         """Return the voltage (17)-(18) of one block of the output, the state after it, and what was clipped.
 
         Parameters
         ----------
-        y, state, dt, extend
-            As of ``run``; the state's drive is the voltage before, for the slew.
+        y, state, dt
+            As of ``run``; the state's drive is the voltage before, for the slew. Beyond
+            the gears the last slope goes on.
         window : (float, float), optional
             Clip the voltage to this range; the state is then that of ``run`` for the
             clipped voltage.
@@ -259,7 +267,7 @@ class Gears(Keyed):
             The state is not of these gears.
         """
         y = np.ascontiguousarray(y, dtype=np.float64).reshape(-1)
-        operator = self.operator(extend, is_inverse=True)
+        operator = self.operator(True, is_inverse=True)
         return self._block(operator, y, state, dt, window, slew)
 
     def _block(

@@ -27,17 +27,9 @@ class _Curve(Keyed):
         """Return the output for one block."""
         raise NotImplementedError
 
-    def inverse(self) -> _Curve:
-        """Return the curve that undoes this one."""
-        raise NotImplementedError
-
     def run(self, x: Floats, state: State, dt: float | Floats) -> Run:
         """Return the output for one block; the state stays as it is."""
         return Run(self(x), state)
-
-    def undo(self, y: Floats, state: State, dt: float | Floats) -> Run:
-        """Return the input for one block of the output; the state stays as it is."""
-        return Run(self.inverse()(y), state)
 
 
 class Points(_Curve):

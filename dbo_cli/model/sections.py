@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,28 @@ LAG_ZERO = 0.4
 # cancellation
 _SERIES = 1.0
 _TERMS = 24  # of the series; the last is below 1e-20 of the first at one radian
+
+
+class SectionStep(NamedTuple):
+    """How p and q of a section change in a time step: one number for each of several steps.
+
+    By q itself, by the lead u - p of the input, and by the change of the input
+    (``dbo_section_step``).
+    """
+
+    p_by_q: Floats
+    p_by_lead: Floats
+    p_by_change: Floats
+    q_by_q: Floats
+    q_by_lead: Floats
+    q_by_change: Floats
+
+
+class SectionOutput(NamedTuple):
+    """What a section's output has besides p: parts of the lead u - p and of q (``dbo_section_output``)."""
+
+    by_lead: float = 0.0
+    by_q: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -81,16 +103,16 @@ class Resonance(Mode):
         return max(self.frequency, self.antiresonance.frequency)
 
     @property
-    def output(self) -> tuple[float, float]:
-        """The parts of u - p and of q that the numerator adds to p."""
+    def output(self) -> SectionOutput:
+        """What the numerator adds to p."""
         if self.antiresonance is None:
-            return 0.0, 0.0
+            return SectionOutput()
         ratio = self.frequency / self.antiresonance.frequency
         damping = self.antiresonance.damping - ratio * self.damping
-        return ratio * ratio, 2.0 * ratio * damping
+        return SectionOutput(ratio * ratio, 2.0 * ratio * damping)
 
-    def step(self, dt: Floats) -> Floats:
-        """Return the kernel's six numbers for each time step (s): what p and q change by."""
+    def step(self, dt: Floats) -> SectionStep:
+        """Return how p and q change in each time step (s)."""
         angle = 2.0 * math.pi * self.frequency * dt
         zeta = self.damping
         root = math.sqrt(1.0 - zeta * zeta)
@@ -103,7 +125,14 @@ class Resonance(Mode):
             lag_steps = 1.0 - (2.0 * zeta * step + sine) / angle
             ramp = np.where(slow, _series(angle, zeta, 1), lag_steps)
             rate = np.where(angle > 0.0, step / angle, 0.0)
-        return np.column_stack([sine, step, ramp, cosine - zeta * sine, sine, rate])
+        return SectionStep(
+            p_by_q=sine,
+            p_by_lead=step,
+            p_by_change=ramp,
+            q_by_q=cosine - zeta * sine,
+            q_by_lead=sine,
+            q_by_change=rate,
+        )
 
     def response(self, frequency: Floats) -> Complexes:
         """Return G(2 pi i f) for frequencies in Hz."""
@@ -156,23 +185,30 @@ class Lag(Keyed):
             )
 
     @property
-    def output(self) -> tuple[float, float]:
-        """The part of u - p that the lead adds to p; nothing of q."""
-        return self.lead / self.seconds, 0.0
+    def output(self) -> SectionOutput:
+        """What the numerator adds to p."""
+        return SectionOutput(by_lead=self.lead / self.seconds)
 
     @property
     def lag(self) -> float:
         """The time constant, as a model file calls it."""
         return self.seconds
 
-    def step(self, dt: Floats) -> Floats:
-        """Return the kernel's six numbers for each time step (s)."""
+    def step(self, dt: Floats) -> SectionStep:
+        """Return how p changes in each time step (s); a lag has no q."""
         none = np.zeros_like(dt)
         with np.errstate(divide="ignore", invalid="ignore"):
             lag_steps = np.where(dt > 0.0, self.seconds / dt, np.inf)
             beta = np.minimum(LAG_ZERO, lag_steps)
             share = 1.0 / (1.0 + (lag_steps - beta))
-        return np.column_stack([none, share, share * (1.0 - beta), none, none, none])
+        return SectionStep(
+            p_by_q=none,
+            p_by_lead=share,
+            p_by_change=share * (1.0 - beta),
+            q_by_q=none,
+            q_by_lead=none,
+            q_by_change=none,
+        )
 
 
 Section = Resonance | Lag

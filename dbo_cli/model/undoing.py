@@ -16,7 +16,7 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
-from dbo_cli.model.sections import Lag, Resonance, Section
+from dbo_cli.model.sections import Lag, Resonance, Section, SectionStep
 
 HIGHEST_PART = 0.3
 """Of the sample rate: a resonance above it is not undone; its inverse would ring."""
@@ -31,7 +31,7 @@ class SectionInverse(NamedTuple):
     Attributes
     ----------
     numbers : array of 8
-        See ``dbo_section_inverse``.
+        Of its recursion, as ``dbo_section_inverse`` has them.
     weight : array
         Of the changes of the signal 1, 2, ... samples ahead.
     from_state : array of shape (2, 2)
@@ -43,26 +43,46 @@ class SectionInverse(NamedTuple):
     from_state: Floats
 
 
-# how (u - p, q) follows the output y: it becomes matrix @ it + drive (y' - y), and
-# u = y + out @ it
-_Recursion = tuple[Floats, Floats, Floats]
+class Recursion(NamedTuple):
+    """How two numbers follow the output y of a section, and its input u from them.
+
+    They become ``matrix @ numbers + drive * (y' - y)``, and u = y + ``out @ numbers``.
+    """
+
+    matrix: Floats
+    drive: Floats
+    out: Floats
+
+    @property
+    def numbers(self) -> Floats:
+        """All in the kernel's order."""
+        return np.concatenate([self.matrix.reshape(-1), self.drive, self.out])
 
 
-def _recursion(section: Section, dt: float) -> _Recursion:
+def _recursion(section: Section, dt: float) -> Recursion:
     """Return how u - p and q follow a given output of a section."""
-    row = section.step(np.array([dt]))[0].tolist()
-    p_q, p_lead, p_change, q_q, q_lead, q_change = row
+    rows = section.step(np.array([dt]))
+    step = SectionStep(*(column[0] for column in rows))
     by_lead, by_q = section.output
-    by_drive = (1.0 - by_lead) * p_change + by_lead + by_q * q_change
-    # the change of the input that gives a wanted change of the output, by u - p and q
-    from_lead = -((1.0 - by_lead) * p_lead + by_q * q_lead) / by_drive
-    from_q = -((1.0 - by_lead) * p_q + by_q * (q_q - 1.0)) / by_drive
-    lead_row = [1.0 - p_lead + (1.0 - p_change) * from_lead]
-    lead_row.append(-p_q + (1.0 - p_change) * from_q)
-    rate_row = [q_lead + q_change * from_lead, q_q + q_change * from_q]
-    drive = np.array([(1.0 - p_change) / by_drive, q_change / by_drive])
-    out = np.array([1.0 - by_lead, -by_q])
-    return np.array([lead_row, rate_row]), drive, out
+    by_drive = (1.0 - by_lead) * step.p_by_change + by_lead + by_q * step.q_by_change
+    # the change of the input that gives a change of the output, by u - p and q
+    from_lead = -((1.0 - by_lead) * step.p_by_lead + by_q * step.q_by_lead) / by_drive
+    from_q = -((1.0 - by_lead) * step.p_by_q + by_q * (step.q_by_q - 1.0)) / by_drive
+    left = 1.0 - step.p_by_change
+    lead_row = [1.0 - step.p_by_lead + left * from_lead, -step.p_by_q + left * from_q]
+    rate_row = [step.q_by_lead + step.q_by_change * from_lead]
+    rate_row.append(step.q_by_q + step.q_by_change * from_q)
+    return Recursion(
+        matrix=np.array([lead_row, rate_row]),
+        drive=np.array([left / by_drive, step.q_by_change / by_drive]),
+        out=np.array([1.0 - by_lead, -by_q]),
+    )
+
+
+def _with_one(decay: float, drive: float, out: float) -> Floats:
+    """Return the kernel's numbers of a recursion of one number."""
+    matrix = np.diag([decay, 0.0])
+    return Recursion(matrix, np.array([drive, 0.0]), np.array([out, 0.0])).numbers
 
 
 def section_inverse(section: Section, dt: float) -> SectionInverse:
@@ -74,9 +94,9 @@ def section_inverse(section: Section, dt: float) -> SectionInverse:
         The clock does not resolve the section; the message names the rate that does.
     """
     recursion = _recursion(section, dt)
-    matrix, drive, out = recursion
+    matrix = recursion.matrix
     if isinstance(section, Lag):
-        numbers = np.array([matrix[0, 0], 0.0, 0.0, 0.0, drive[0], 0.0, out[0], 0.0])
+        numbers = _with_one(matrix[0, 0], recursion.drive[0], recursion.out[0])
         return SectionInverse(numbers, np.zeros(0), np.array([[1.0, 0.0], [0.0, 0.0]]))
     if section.highest * dt > HIGHEST_PART:
         raise _unresolved(section, dt)
@@ -96,11 +116,11 @@ def section_inverse(section: Section, dt: float) -> SectionInverse:
     inside_row, inside_drive = _eigenpart(recursion, inner)
     _, outside_drive = _eigenpart(recursion, outer)
     weight = -outside_drive * outer ** -np.arange(1.0, count + 1.0)
-    numbers = np.array([inner, 0.0, 0.0, 0.0, inside_drive, 0.0, 1.0, 0.0])
+    numbers = _with_one(inner, inside_drive, 1.0)
     return SectionInverse(numbers, weight, np.array([inside_row, [0.0, 0.0]]))
 
 
-def _eigenpart(recursion: _Recursion, zero: float) -> tuple[Floats, float]:
+def _eigenpart(recursion: Recursion, zero: float) -> tuple[Floats, float]:
     """Return the part of the inverse that belongs to one eigenvalue: as seen in the result, and its drive."""
     matrix, drive, out = recursion
     left_vector = np.array([matrix[1, 0], zero - matrix[0, 0]])
@@ -110,13 +130,12 @@ def _eigenpart(recursion: _Recursion, zero: float) -> tuple[Floats, float]:
 
 
 def _forward_only(
-    section: Resonance, dt: float, recursion: _Recursion, largest: float
+    section: Resonance, dt: float, recursion: Recursion, largest: float
 ) -> SectionInverse:
     """Return an inverse without a look ahead: both zeros are inside the unit circle."""
     if not largest < 1.0 or section.antiresonance is None:
         raise _unresolved(section, dt)
-    numbers = np.concatenate([block.reshape(-1) for block in recursion])
-    return SectionInverse(numbers, np.zeros(0), np.eye(2))
+    return SectionInverse(recursion.numbers, np.zeros(0), np.eye(2))
 
 
 def _unresolved(section: Resonance, dt: float) -> InputError:

@@ -120,20 +120,6 @@ def gear_table(dx: Floats, dy: Floats, rounding: Floats) -> Floats:
     return gears
 
 
-def equal_run(gears: Floats) -> int:
-    """Return how many neighbours are equal from every multiple of that number on.
-
-    The last run may be shorter. Identification gives many gears one slope, so that runs
-    are long; 1 where nothing repeats.
-    """
-    starts = np.flatnonzero(np.any(gears[1:] != gears[:-1], axis=1)) + 1
-    run = math.gcd(*starts.tolist()) or len(gears)
-    # the kernel divides by a 32-bit multiplication
-    if run * len(gears) >= 2**32:
-        return 1
-    return run
-
-
 def kernel_table(gears: Floats, run: int = 1) -> tuple[Floats, NDArray[np.uint32]]:
     """Return the kernel's table, a row for each ``run`` of equal gears, and its guide.
 

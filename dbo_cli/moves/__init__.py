@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from dbo_cli.moves.reach import check_reach
 from dbo_cli.moves.shapes import trajectory
-from dbo_cli.moves.trust import check_reach, trusted_frequency
 from dbo_cli.moves.waveform import side_by_side, waveform
 
 __all__ = [
     "check_reach",
     "side_by_side",
     "trajectory",
-    "trusted_frequency",
     "waveform",
 ]

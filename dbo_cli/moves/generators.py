@@ -100,7 +100,7 @@ def _wav(values: Values, rate: float, volts: Span) -> bytes:
     return buffer.getvalue()
 
 
-def _words(kind: str, values: Values, rate: float, volts: Span) -> bytes:
+def _integers(kind: str, values: Values, rate: float, volts: Span) -> bytes:
     return values.astype(kind).tobytes()
 
 
@@ -129,8 +129,8 @@ def _keysight(values: Values, rate: float, volts: Span) -> bytes:
 GENERATORS = {
     "npy": Generator(_npy, holds_channels=True),
     "wav": Generator(_wav, (-32767, 32767), holds_channels=True),
-    "int16": Generator(partial(_words, "<i2"), (-32768, 32767), True),
-    "uint16": Generator(partial(_words, "<u2"), (0, 65535), True),
+    "int16": Generator(partial(_integers, "<i2"), (-32768, 32767), True),
+    "uint16": Generator(partial(_integers, "<u2"), (0, 65535), True),
     "keysight-arb": Generator(_keysight, (-32767, 32767)),
     "pi-gcs": Generator(_pi_gcs),
 }

@@ -224,12 +224,14 @@ def _strokes(ends: Range, flat: int, turn: int, count: int, loop: bool) -> Float
     lines = np.tile(pair, (count + 1) // 2)[: count * (flat + turn)]
     if loop:
         return np.roll(lines, 1)
-    lead = math.floor(START * turn)
+    soft_rows = math.floor(START * turn)
     end, pace = low, -speed
     if count % 2:
         end, pace = high, speed
-    stop = _started(end, -pace, lead)[::-1][1:]  # a stop is a start played backwards
-    begin = _started(low, speed, lead)
+    stop = _started(end, -pace, soft_rows)[::-1][
+        1:
+    ]  # a stop is a start played backwards
+    begin = _started(low, speed, soft_rows)
     return np.concatenate([begin, lines[: lines.size - turn], stop])
 
 
@@ -273,9 +275,9 @@ def _raster(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
         slow = np.roll(blocks.ravel(), 1)
         frames = "a frame up and a frame down of "
     else:
-        lead = math.floor(START * turn)
-        begin = np.full(lead + 1, levels[0])
-        end = np.full(flat + lead, levels[-1])
+        soft_rows = math.floor(START * turn)
+        begin = np.full(soft_rows + 1, levels[0])
+        end = np.full(flat + soft_rows, levels[-1])
         slow = np.concatenate([begin, blocks[:-1].ravel(), end])
         frames = ""
     linear = 100.0 * flat / plan.period

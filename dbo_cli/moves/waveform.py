@@ -238,7 +238,8 @@ def _at_generator(limits: Limits, gain: float) -> Limits:
     slew = limits.slew
     if slew is not None:
         slew /= abs(gain)
-    return Limits((low, high), (low, high), (low, high), slew, "V")
+    ends = low, high
+    return Limits(rating=ends, move=ends, identified=ends, slew=slew, unit="V")
 
 
 def _line(volts: Floats, rate: float, gain: float, shift: float) -> str:

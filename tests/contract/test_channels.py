@@ -131,6 +131,35 @@ def test_a_pattern_that_finds_nothing_and_a_channel_that_the_set_lacks(channels)
     assert "b" in error and "set.json" in error
 
 
+@pytest.mark.parametrize("line", ["export set.json -o out", "invert set.json",
+    "trajectory sine --rate 1kHz --range 1:2um --frequency 5 --model set.json"])  # fmt: skip
+def test_a_set_for_one_model_is_refused_with_what_to_type(channels, line):
+    """Where no column can be a pattern, none is asked for."""
+    error = refused(1, *line.split())
+    assert "a, b, c" in error and "type set.json::a" in error and "pattern" not in error
+    error = refused(
+        1, *line.replace("set.json", "-").split(), stdin=Path("set.json").read_bytes()
+    )
+    assert "type -::a" in error
+    done(*line.replace("set.json", "set.json::a").split(), "-q")
+
+
+def test_a_set_for_one_log_is_refused_with_both_ways(channels):
+    lines = [("simulate", "--input"), ("compensate", "--displacement")]
+    for command, option in lines:
+        error = refused(1, command, "set.json", channels)
+        assert "type set.json::a" in error and f"{option} '{{}}'" in error
+
+
+def test_columns_in_other_capitals_are_named(channels):
+    log = table(channels)
+    write("upper.csv", "time_s,VX_V,VY_V,Dx_um,Dy_um", TIME, *list(log.values())[1:5])
+    error = refused(1, "identify", "upper.csv", *SIDES)
+    assert "not for channel X" in error and "there is x" in error
+    error = refused(1, "simulate", "set.json", "upper.csv", "--input", "v{}")
+    assert "no column" in error and "there is VX_V" in error
+
+
 def test_an_error_and_a_warning_of_one_channel_name_it(channels):
     words = ("--displacement", "D{}_um", "--v-max", "7", "--on-limit", "clip")
     warned = dbo("compensate", "set.json", channels, *words, "-o", "x.csv").err

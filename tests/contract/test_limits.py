@@ -188,6 +188,18 @@ def test_the_line_says_which_limits_were_kept_and_where_a_drive_starts():
     assert "starts at" not in line and "within the identified range" in line
 
 
+def test_a_clipped_row_is_counted_among_the_rows_that_were_read():
+    """Not among those of the output, which begins before the move, nor among those of the file."""
+    write("wish.csv", MOVE, TIME, np.where(TIME < 0.05, 2.5, 8.0))
+    line = "--rows 11: --v-max 80 --from 10 --approach auto --on-limit clip -o out.csv"
+    outcome = done("compensate", model("creep"), "wish.csv", *line.split())
+    text = "350 of 390 rows read (first: row 41)"
+    assert any(text in warning for warning in outcome.warnings), outcome.err
+    drive = table("out.csv")
+    voltage = drive["voltage_V"][drive["time_s"] >= TIME[10]]
+    assert voltage.argmax() + 1 == 41 and voltage[40] == 80.0
+
+
 def test_the_gate_rounds_by_a_few_last_digits_and_no_more():
     """What passes beyond a slew limit is rounding; a range is kept exactly."""
     from dbo_cli.drive import Limits

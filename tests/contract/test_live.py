@@ -59,6 +59,53 @@ def test_what_was_applied_instead_counts(rows):
     assert creep.simulate(played, **options)[-1] == pytest.approx(3.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("is_applied", [False, True])
+@pytest.mark.parametrize("step", [None, 0.04])
+@pytest.mark.parametrize("end", ["min", "max"])
+@pytest.mark.parametrize("name", ["small", "creep", "bent", "soft"])
+def test_from_outside_it_goes_to_the_nearer_end(name, end, step, is_applied):
+    """Each sample is as near as the slew allows, and the first inside the range is its nearer end."""
+    made = actuator(name)
+    low, high = made.input.min, made.input.max
+    margin = 0.1 * (high - low)
+    nearer, outwards = (low, -margin) if end == "min" else (high, margin)
+    slew = None if step is None else step * (high - low) * RATE
+    live = made.controller(
+        sample_rate=RATE,
+        v_min=low - margin,
+        v_max=high + margin,
+        max_slew=slew,
+        from_=None if is_applied else nearer + outwards,
+    )
+    middle = 0.5 * (made.output.min + made.output.max)
+    if is_applied:
+        live.plan(middle)
+        live.commit(nearer + outwards)
+    clipped = live.clipped
+    outside = [1.0, 0.6, 0.2, 0.0] if step else [1.0, 0.0]
+    way = nearer + outwards * np.array(outside[1:])
+    found = followed(live, np.full(way.size, middle))
+    np.testing.assert_allclose(found, way, rtol=0, atol=1e-9 * (high - low))
+    assert found[-1] == nearer
+    assert live.clipped == clipped + way.size
+    assert low <= live.plan(middle) <= high
+
+
+def test_a_controller_goes_on_from_the_state_of_another():
+    """With what undoing a delay and a resonance remembers; what was wanted ahead is passed again."""
+    options = {"sample_rate": RATE, "lookahead": "auto"}
+    live = actuator("moving").controller(**options)
+    wanted = wish("moving")[:150]
+    followed(live, wanted)
+    hold = np.full(live.lookahead, wanted[-1])
+    followed(live, hold)
+    later = actuator("moving").controller(state=live.state, **options)
+    assert later.last == live.last
+    np.testing.assert_allclose(
+        followed(later, hold), followed(live, hold), rtol=0, atol=1e-9
+    )
+
+
 def test_what_cannot_be_is_refused():
     with pytest.raises(dbo.DboError, match="lookahead"):
         actuator("moving").controller(sample_rate=RATE)

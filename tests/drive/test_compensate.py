@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from dbo_cli.drive import Driver, Lead, Limits
 from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.model import Resonance
 
 from . import actuators as rig
 
@@ -71,6 +72,17 @@ def test_a_pause_lets_memory_go_on():
     back = played(model, np.concatenate([first.voltage, hold, later.voltage]))
     assert np.abs(back[2500:] - wanted).max() < 1e-9
     assert abs(y[-1] - wanted[-1]) > 1e-3  # it crept meanwhile
+
+
+@pytest.mark.parametrize("more", [{}, {"delay": 0.004}])
+def test_a_move_that_starts_in_motion_is_said_to_ring(more):
+    model = rig.actuator(sections=(Resonance(60.0, 0.02),), **more)
+    wanted, limits = rig.ripple(model, 300, 0.5), limits_of(model)
+    drive = rig.plan(model, wanted, DT, limits, on_limit="clip")
+    assert any("`lead` auto" in text for text in drive.warnings)
+    for rested in (rig.plan(model, wanted, DT, limits, on_limit="clip", lead="auto"),
+                   rig.plan(model, rig.gentle(model, 300), DT, limits)):  # fmt: skip
+        assert not any("`lead` auto" in text for text in rested.warnings)
 
 
 # --- limits ---

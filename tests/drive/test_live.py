@@ -24,7 +24,7 @@ def test_a_state_without_a_voltage_takes_the_typed_one():
     begun = model.start(40.0, "empty")
     options = {"state": begun, "start": 20.0, "on_limit": "clip"}
     whole = plan(model, wanted, 1 / RATE, limits, **options)
-    live = Controller(model, RATE, max_slew=1e4, state=begun, from_=20.0)
+    live = Controller(model, RATE, limits, state=begun, from_=20.0)
     assert abs(whole.voltage[0] - 20.0) <= 10.0 + 1e-12
     np.testing.assert_allclose(stepped(live, wanted), whole.voltage, atol=1e-9)
 
@@ -40,17 +40,17 @@ def test_a_state_without_a_voltage_takes_the_typed_one():
 def test_lookahead_undoes_what_needs_the_future(parts):
     model = actuator(**parts)
     wanted = ripple(model, 600)
-    live = Controller(model, RATE, lookahead="auto")
-    sent = stepped(live, wanted)
     limits = Limits.within(model.input)
+    live = Controller(model, RATE, limits, lookahead="auto")
+    sent = stepped(live, wanted)
     drive = plan(model, wanted, 1 / RATE, limits, lead="auto", on_limit="clip")
     led = drive.voltage
     shared = min(len(sent), len(led))
     np.testing.assert_allclose(sent[:shared], led[:shared], rtol=0, atol=1e-7)
-    later = Controller(model, RATE, lookahead=(live.lookahead + 3) / RATE)
+    later = Controller(model, RATE, limits, lookahead=(live.lookahead + 3) / RATE)
     found = stepped(later, wanted)[4:]
     np.testing.assert_allclose(found, sent[1:-3], rtol=0, atol=1e-9)
     with pytest.raises(ModelError):
-        Controller(model, RATE)
+        Controller(model, RATE, limits)
     with pytest.raises(UsageError):
-        Controller(model, RATE, lookahead=0.0)
+        Controller(model, RATE, limits, lookahead=0.0)

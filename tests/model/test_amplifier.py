@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from random_actuators import DT, random_drive
+from random_actuators import DT, random_drive, undone
 
 import dbo_cli.model as dm
 from dbo_cli.drive import Driver, Limits
@@ -46,7 +46,7 @@ def test_the_inverse_is_exact(seconds, kind, seed):
     drive = random_drive(rng, 0.0, 10.0, 200)
     y, after = model.simulate(drive, dt=DT)
     start = model.start(float(drive[0]))
-    back, back_after = model.inverse().simulate(y, dt=DT, state=start)
+    back, back_after = undone(model, y, DT, start)
     share = float(model.amplifier.share(DT)[0])
     np.testing.assert_allclose(back, drive, rtol=0, atol=1e-11 / share)
     assert back_after.amplifier == pytest.approx(after.amplifier, abs=1e-11)
@@ -67,11 +67,24 @@ def test_blocks_and_live_are_the_batch(seconds, kind, seed, slew):
         blocks.append(done.y)
     assert np.array_equal(np.concatenate(blocks), batch.y)
     assert state == batch.state
-    live = Controller(model, 1.0 / DT, v_min=0.5, v_max=9.5, max_slew=slew)
+    live = Controller(model, 1.0 / DT, limits)
     values = [live.step(float(value)) for value in desired]
     assert np.array_equal(values, batch.y)
     assert live.state.amplifier == batch.state.amplifier
     assert live.state.bits == batch.state.bits
+
+
+@pytest.mark.parametrize("kind", range(8))
+def test_live_goes_on_from_a_first_voltage_that_was_applied_instead(kind):
+    model = plant(2e-3, kind)
+    live = Controller(model, 1.0 / DT, Limits.within(model.input), state="empty")
+    live.plan(6.0)
+    live.commit(2.5)
+    after = model.run([2.5], model.start(2.5, "empty"), DT).state
+    assert live.state.amplifier == pytest.approx(after.amplifier, abs=1e-12)
+    played = np.append(2.5, [live.step(7.0) for _ in range(60)])
+    reached, _ = model.simulate(played, dt=DT, state="empty")
+    assert reached[-1] == pytest.approx(7.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("kind", range(8))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from random_actuators import DT, random_drive, random_model
+from random_actuators import DT, random_drive, random_model, undone
 
 import dbo_cli.model as dm
 from dbo_cli.errors import ModelError
@@ -35,7 +35,7 @@ def round_trip_error(rng, model):
     drive[:25], drive[-25:] = drive[0], drive[-1]  # a delay holds back what was before
     displacement, _ = model.simulate(drive, dt=DT)
     begun = model.start(float(drive[0]))
-    back, _ = model.inverse().simulate(displacement, dt=DT, state=begun)
+    back, _ = undone(model, displacement, DT, begun)
     return float(np.abs(back - drive)[:-25].max()) / (high - low)
 
 
@@ -48,7 +48,7 @@ def test_the_inverse_is_exact_on_any_clock(seed):
     time = np.cumsum(10.0 ** rng.uniform(-5, 1, 300))
     displacement, _ = model.simulate(drive, time=time)
     begun = model.start(float(drive[0]))
-    back, _ = model.inverse().simulate(displacement, time=time, state=begun)
+    back, _ = undone(model, displacement, dm.steps_of(time), begun)
     np.testing.assert_allclose(back, drive, rtol=0, atol=1e-12 * (high - low))
 
 

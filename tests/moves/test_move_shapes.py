@@ -5,7 +5,7 @@ import pytest
 
 from dbo_cli.errors import UsageError
 from dbo_cli.model import Cascade, Dynamics, Gears, Quantity, Resonance, Scale
-from dbo_cli.moves import check_reach, trajectory, trusted_frequency
+from dbo_cli.moves import check_reach, trajectory
 
 RATE = 1000.0
 ENDS = (2.0, 8.0)
@@ -28,8 +28,8 @@ def actuator(low=0.0, high=10.0, dynamics=()):
 
 def test_a_move_is_trusted_to_a_third_of_the_lowest_resonance():
     swinging = Dynamics((Resonance(900.0, 0.02), Resonance(300.0, 0.02)))
-    assert trusted_frequency([actuator(dynamics=(swinging,))]) == pytest.approx(100.0)
-    assert trusted_frequency([actuator()]) is None
+    assert actuator(dynamics=(swinging,)).trusted_frequency == pytest.approx(100.0)
+    assert actuator().trusted_frequency is None
 
 
 def test_each_axis_has_its_own_model():

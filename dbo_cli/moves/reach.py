@@ -1,4 +1,4 @@
-"""What a model can follow: how fast its corners may be, and how far it reaches."""
+"""How far a model reaches."""
 
 from __future__ import annotations
 
@@ -8,18 +8,7 @@ from dbo_cli.errors import UsageError
 from dbo_cli.model import Cascade
 from dbo_cli.moves.shapes import Trajectory
 
-RESONANCE_SHARE = 3.0
-"""A model is trusted to its lowest resonance over this. Measured on invented benches."""
 RANGE_ROUNDING = 1e-8  # of the range: rounding reaches no further
-
-
-def trusted_frequency(models: Sequence[Cascade]) -> float | None:
-    """Return the frequency (Hz) to which all models can be trusted; None where none has a resonance."""
-    lowest = []
-    for model in models:
-        if model.dynamics is not None and model.dynamics.resonances:
-            lowest.append(model.dynamics.resonances[0].frequency / RESONANCE_SHARE)
-    return min(lowest, default=None)
 
 
 def check_reach(move: Trajectory, models: Sequence[Cascade]) -> None:
