@@ -455,3 +455,23 @@ def test_a_loop_keeps_its_period_at_other_points():
     write("open.csv", DRIVE, STEP * np.arange(200), ramp)
     words = ("waveform", "open.csv", "--to", "npy", "-o", "x.npy", "--loop")
     assert "loop" in refused(3, *words)
+
+
+@pytest.mark.parametrize("early", [0.0, 0.13])
+def test_a_first_period_that_is_worse_is_no_lag_of_a_period(early):
+    time = STEP * np.arange(1000)
+    desired = 5.0 - 3.0 * np.cos(2.0 * np.pi * 5.0 * time)
+    error = 0.002 * np.random.default_rng(1).standard_normal(1000)
+    error = error - 0.3 * np.exp(-time / 0.07)
+    write("pair.csv", PAIR, time, desired, desired + error)
+    log = done("report", "pair.csv", "--format", "json").json["logs"][0]
+    assert abs(log["lag_left_samples"]) < 1.0
+    write("move.csv", MOVE, time, desired)
+    rest = np.full(round(early / STEP), 2.0)
+    measured = np.concatenate([rest, desired + error])
+    stamps = STEP * np.arange(len(measured))
+    write("pass.csv", "time_s,measured_um", stamps, measured)
+    log = reported("move.csv")
+    assert log["samples"] == 1000
+    assert (log["clock_offset_s"] or 0.0) == pytest.approx(early, abs=1.5 * STEP)
+    assert log["rmse"] == pytest.approx(rms(error), rel=0.02)
