@@ -37,6 +37,8 @@ FROM_BEST = 2.0  # times the best pass's error: growth by less a pass shows afte
 ONE_DRIVE = 0.02
 RATE_SLACK = 1e-3  # of a step
 LONG_STEP = 1.5  # steps: a longer one lacks rows
+# times what the model expects of the drive, by which a sensor's scale is told to be another
+OTHER_SCALE = 1.25
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
 # of what differs by the stamps: with less by the drive, the recorder counts from elsewhere
@@ -140,6 +142,7 @@ class RepeatedMove:
             raise InputError(f"{name}: the trajectory holds still: nothing is learned")
         voltage, modelled, measured = self._mean_of(recordings)
         self._require_same_move(name, modelled)
+        _require_same_scale(name, modelled, measured)
         error = self.desired - measured
         zero = 0.0 if self.absolute else float(error.mean())
         error = error - zero
@@ -455,6 +458,18 @@ def _resting_ends(learned: Floats, per_sample: float) -> Floats:
     risen = learned[0] + weight * (learned - learned[0])
     resting: Floats = risen[-1] + weight[::-1] * (risen - risen[-1])
     return resting
+
+
+def _require_same_scale(name: str, modelled: Floats, measured: Floats) -> None:
+    """Refuse what was measured in another scale than the logs that the model comes from (InputError)."""
+    move = modelled - modelled.mean()
+    gain = float(move @ measured) / max(float(move @ move), 1e-300)
+    if 1.0 / OTHER_SCALE <= gain <= OTHER_SCALE:
+        return
+    raise InputError(
+        f"{name}: the displacement is {gain:.3g} times what the model expects of this drive: if the sensor's "
+        f"scale is another, type `scale` measured={1.0 / gain:.3g}, else identify with `prior`"
+    )
 
 
 def _safe(resonances: Sequence[Resonance]) -> float:

@@ -135,6 +135,20 @@ def test_a_pass_is_learned_from_wherever_its_recorder_counts_from(start):
     assert float(said.split()[3]) == pytest.approx(off, rel=0.02)
 
 
+@pytest.mark.parametrize("scale", [1.5, 0.6])
+def test_a_pass_in_another_scale_than_the_model_s_log_is_refused(scale):
+    drive, moved = recorded(0)
+    columns = drive["time_s"], drive["voltage_V"]
+    write("true.csv", PASS, *columns, moved)
+    write("pass.csv", PASS, *columns, scale * moved)
+    told = refused(1, *SWEPT, "--tracked", "pass.csv")
+    typed = told.split("--scale ")[1].split(",")[0]
+    assert float(typed.removeprefix("measured=")) == pytest.approx(1 / scale, rel=0.05)
+    known = table(done(*SWEPT, "--tracked", "true.csv"))["voltage_V"]
+    scaled = ("--tracked", "pass.csv", "--scale", f"measured={1 / scale!r}")
+    np.testing.assert_allclose(table(done(*SWEPT, *scaled))["voltage_V"], known)
+
+
 def test_a_mean_that_is_not_learned_is_told_and_no_sweep_is_advised_twice():
     """The line stated .018 um where .110 came, nearly all mean; the drive had its sweep."""
     drive, moved = recorded(0)
