@@ -937,10 +937,12 @@ def matched(
     trajectory: str,
     desired: str | None,
     by: str,
+    has_summary: bool,
 ) -> tuple[list[Pair], Units, list[Log]]:
     """Return ``pairs_of`` logs whose desired values are in a file of their own, matched ``by`` time or rows.
 
-    ``desired`` is the column of that file; its drive is looked for beside it.
+    ``desired`` is the column of that file; its drive is looked for beside it. Without a
+    summary, nothing tells where the move of a drive ends.
     """
     from dbo_cli.reports import match
 
@@ -951,7 +953,14 @@ def matched(
     trajectory_units = {"measured": file.columns["trajectory"].unit}
     pairs, units, logs = pairs_of(sources, columns, reading, units=trajectory_units)
     values, drive = table["trajectory"], table.values.get("voltage")
-    matches = [match(pair, values, table.time, by, trajectory, drive) for pair in pairs]
+    matches = []
+    for pair in pairs:
+        matched_pair = match(pair, values, table.time, by, trajectory, drive)
+        if drive is not None and not has_summary:
+            matched_pair = matched_pair.noted(
+                "rows of a `return` count as the move: `expected` SUMMARY leaves them out"
+            )
+        matches.append(matched_pair)
     return matches, units, logs
 
 
