@@ -161,7 +161,7 @@ def test_rows_of_the_way_back_are_none_of_the_move_or_it_is_told():
     words = ("report", "log.csv", "--trajectory", "d.csv")
     known = done(*words, "--expected", "s.json", "--format", "json").json
     assert known["logs"][0]["samples"] == len(TIME)
-    assert not any("return" in note for note in known["notes"])
+    assert not any("way back" in note for note in known["notes"])
     told = done(*words, "--format", "json").json
     assert told["logs"][0]["samples"] > len(TIME)
     assert any("--expected" in note for note in told["notes"])
@@ -169,7 +169,7 @@ def test_rows_of_the_way_back_are_none_of_the_move_or_it_is_told():
         "report", "log.csv", "--trajectory", "wish.csv", "--format", "json"
     ).json
     assert plain["logs"][0]["samples"] == len(TIME)
-    assert not any("return" in note for note in plain["notes"])
+    assert not any("way back" in note for note in plain["notes"])
 
 
 @pytest.mark.parametrize("early", [0.0, 0.3, 1.0])
