@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dbo_cli.arrays import Floats, Integers
+from dbo_cli.arrays import Booleans, Floats, Integers
 
 EVEN = 1e-6
 """Part of a step by which the steps of an even clock may differ."""
@@ -470,6 +470,21 @@ def between(values: Floats, places: Floats) -> Floats:
     square = 3.0 * rise - 2.0 * slope - next_slope
     result: Floats = here + fraction * (slope + fraction * (square + fraction * cubic))
     return result
+
+
+def without_delay(
+    time: Floats, values: Floats, delay: float
+) -> tuple[Floats, Booleans]:
+    """Return a signal as a sensor without delay (s) would have made it, and which rows were measured.
+
+    The others, at the end, hold the last value.
+    """
+    step = even(time)
+    if step is None:
+        moved = np.interp(time + delay, time, values)
+    else:
+        moved = between(values, np.arange(float(len(values))) + delay / step)
+    return moved, time <= time[-1] - delay
 
 
 def _deviation(error: Floats, slopes: Floats, size: Floats) -> float:

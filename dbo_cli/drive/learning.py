@@ -25,7 +25,7 @@ from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.smooth import low_pass, soft_rise
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import Cascade, Resonance, State, fields
-from dbo_cli.signals import between, noise, turns
+from dbo_cli.signals import noise, turns, without_delay
 
 FORMAT = "dbo-history"
 
@@ -208,7 +208,9 @@ class RepeatedMove:
                 f"{recording.name}: {rows:,} rows from the start of the move, the trajectory has "
                 f"{count:,}: record each row of it"
             )
-        measured = self._without_delay(recording.measured)
+        time = self.step * np.arange(float(recording.measured.size))
+        delay = self.model.sensor_delay
+        measured, _ = without_delay(time, recording.measured, delay)
         if self.periodic:
             return self._mean_period(recording.voltage[begin:], measured[begin:])
         self._require_same_past(recording, begin)
@@ -234,13 +236,6 @@ class RepeatedMove:
         measured = measured[:rows].reshape(-1, count)[first:].mean(axis=0)
         start = self.model.start(float(drive[0]), self.state)
         return drive, settled_run(self.model, drive, self.step, start), measured
-
-    def _without_delay(self, measured: Floats) -> Floats:
-        """Return what a sensor without delay would have measured; the last value holds behind it."""
-        delay = self.model.sensor_delay / self.step
-        if not delay:
-            return measured
-        return between(measured, np.arange(float(measured.size)) + delay)
 
     def _first_row(self, recording: Tracked) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead.
