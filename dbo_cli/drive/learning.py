@@ -18,7 +18,7 @@ from hashlib import sha256
 
 import numpy as np
 
-from dbo_cli.alignment import ACTUATOR_LAG, align_drives, mean_step
+from dbo_cli.alignment import ACTUATOR_LAG, RATE_SLACK, align_drives, mean_step
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.loops import settled_run
@@ -35,7 +35,6 @@ GROWTH = 1.2  # times the error of the last pass: beyond, learning diverges; cho
 FROM_BEST = 2.0  # times the best pass's error: growth by less a pass shows after a few
 # of the drive's range (RMS): recordings further apart are not of one drive
 ONE_DRIVE = 0.02
-RATE_SLACK = 1e-3  # of a step
 LONG_STEP = 1.5  # steps: a longer one lacks rows
 # times what the model expects of the drive, by which a sensor's scale is told to be another
 OTHER_SCALE = 1.25

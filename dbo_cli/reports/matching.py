@@ -9,6 +9,7 @@ import numpy as np
 from dbo_cli.alignment import (
     ACTUATOR_LAG,
     CLEARLY_BETTER,
+    RATE_SLACK,
     USUAL_LAG,
     Alignment,
     align_displacements,
@@ -19,8 +20,6 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.reports.pair import Pair, clock_step, rows_text, stretch
 
-RATE_SLACK = 1e-3
-"""Part by which two rates may differ: clocks of two recorders do, by some 1e-4."""
 WHOLE_BY_DISPLACEMENT = 0.5
 """Rows: a displacement does not tell parts of one, since what is left of creep is a phase, too."""
 
