@@ -66,11 +66,10 @@ def test_what_costs_much_is_refused_unless_asked_for():
 )  # fmt: skip
 def test_a_jump_to_row_1_that_limits_forbid_is_answered_with_a_way_there(start, way):
     move(sine(5.0))
-    words = ("compensate", model("creep"), "wish.csv", *start.split())
-    words = (*words, "--max-slew", 5000, "-o", "drive.csv")
-    told = refused(3, *words)
+    words = ("compensate", model("creep"), "wish.csv", "--max-slew", 5000)
+    told = refused(3, *words, *start.split(), "-o", "drive.csv")
     assert f"type {way}" in told
-    done(*words, "--from", 0, "--approach", "auto")
+    done(*words, "--from", 0, "--state", "empty", "--approach", "auto")
 
 
 def test_what_limits_cut_off_is_no_reason_to_identify_again():
