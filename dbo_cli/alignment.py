@@ -19,10 +19,10 @@ LONGEST = 1 << 17
 """Rows of the longer recording in the search; a longer one is looked at in coarser steps."""
 SAME_STEP = 1e-6
 """Part of a step by which two clocks of one step may differ."""
+RATE_SLACK = 1e-3
+"""Part by which two clocks may differ; quartz does by some 1e-4."""
 RATE_SHOWS = 0.98
 """Part of what one rate leaves that two rates must leave at most before they count as different."""
-LARGEST_RATE = 1e-3
-"""Part by which two clocks may differ; quartz does by some 1e-4."""
 WHOLE_BY_DRIVE = 0.02
 """Rows off a whole one, up to which one card is taken to have played and recorded, at one step."""
 PLAYS = np.geomspace(0.01, 0.7, 24)
@@ -180,7 +180,7 @@ def aligned(
     if rate:
         running = lag(signal, columns, step, rate=True, inverted=inverted)
         if running is not None and running.residual < RATE_SHOWS * found.residual:
-            found = running if abs(running.rate) <= LARGEST_RATE else found
+            found = running if abs(running.rate) <= RATE_SLACK else found
     start = float(reference_time[0]) + begin * step
     return Alignment(float(time[0]), start, found, step)
 

@@ -633,6 +633,8 @@ def read_log(
     roles: dict[str, str | None] = {}
     for role, name in columns.items():
         roles[role] = None if name is None else str(name)
+    if clock_offset is not None and not any("::" in (n or "") for n in roles.values()):
+        raise UsageError("`clock_offset` needs a column of a second file: FILE::COLUMN")
     absent = tuple(role for role, name in roles.items() if name is None)
     with open_log(str(path), roles, reading, None, absent) as log:
         present = [role for role in ("voltage", "displacement") if log.provided(role)]
@@ -740,6 +742,8 @@ def identify(
     else:
         sources = _listed(data)
         if time is not None:
+            if not all(map(is_frame, sources)):
+                raise UsageError("`time` is of arrays and frames: a file has its own")
             sources = [frame_table(source, seconds_of(time)) for source in sources]
     recordings, logs = recordings_of(sources, columns, reading, units)
     options = Options(
@@ -831,11 +835,18 @@ def report(
     from dbo_cli.reports import predict
 
     rate = _rate(sample_rate)
+    if model is None and state != "auto":
+        raise UsageError("`state` needs `model`")
+    if model is not None and voltage is not None:
+        raise UsageError("`voltage`: with `model` the first argument is the drive")
+    if model is None and voltage is None and voltage_unit is not None:
+        raise UsageError("`voltage_unit` needs `voltage`")
     actuator = None if model is None else model.actuator
     start = "auto" if actuator is None else room.state_of(state, actuator)
     units: Units = {"measured": unit, "voltage": voltage_unit}
     if is_frame(desired):
-        if not (measured is None and voltage is None and unit is None):
+        given = (measured, voltage, unit, voltage_unit)
+        if any(value is not None for value in given):
             raise UsageError("report: a frame has its own columns and units")
         table = frame_table(desired, None if time is None else seconds_of(time))
         roles = (
@@ -944,10 +955,12 @@ def matched(
     trajectory: str,
     desired: str | None,
     by: str,
+    has_summary: bool,
 ) -> tuple[list[Pair], Units, list[Log]]:
     """Return ``pairs_of`` logs whose desired values are in a file of their own, matched ``by`` time or rows.
 
-    ``desired`` is the column of that file; its drive is looked for beside it.
+    ``desired`` is the column of that file; its drive is looked for beside it. Without a
+    summary, nothing tells where the move of a drive ends.
     """
     from dbo_cli.reports import match
 
@@ -958,7 +971,14 @@ def matched(
     trajectory_units = {"measured": file.columns["trajectory"].unit}
     pairs, units, logs = pairs_of(sources, columns, reading, units=trajectory_units)
     values, drive = table["trajectory"], table.values.get("voltage")
-    matches = [match(pair, values, table.time, by, trajectory, drive) for pair in pairs]
+    matches = []
+    for pair in pairs:
+        matched_pair = match(pair, values, table.time, by, trajectory, drive)
+        if drive is not None and not has_summary:
+            matched_pair = matched_pair.noted(
+                "rows of a way back count as the move: the drive's summary (--expected) leaves them out"
+            )
+        matches.append(matched_pair)
     return matches, units, logs
 
 

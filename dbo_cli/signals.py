@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dbo_cli.arrays import Floats, Integers
+from dbo_cli.arrays import Booleans, Floats, Integers
 
 EVEN = 1e-6
 """Part of a step by which the steps of an even clock may differ."""
@@ -36,6 +36,10 @@ PLACES = 4
 """Best places of the correlation that are refined."""
 RIVAL = 0.9
 """Part of the best place's evidence from which on another one explains the signals as well."""
+REPEATS = 1e-6
+"""Part of its variance by which a reference that repeats itself may differ after a period."""
+FOLLOWS = 0.25
+"""Part of the reference's variance by which rows that follow it may differ."""
 ITERATIONS = 20
 """Gauss-Newton steps at most."""
 LONGEST_STEP = 0.01
@@ -217,7 +221,11 @@ def lag(
             fits.append(fit)
     if not fits:
         return None
-    first = best = max(fits, key=lambda fit: fit.evidence)
+    best = max(fits, key=lambda fit: fit.evidence)
+    nearest = _without_periods(best, signal, columns[:, 0])
+    if nearest != best.seconds:
+        best = _refined(signal, columns, nearest, rate, TRIED_ROWS) or best
+    first = best
     if len(signal) > TRIED_ROWS:
         most_rows = max(REFINED_ROWS // columns.shape[1], TRIED_ROWS)
         best = _refined(signal, columns, best.seconds, rate, most_rows) or best
@@ -238,6 +246,18 @@ def _evidence(count: Integers | int, unexplained: Floats | float) -> Floats:
 
 def _places(reference: Floats, signal: Floats, inverted: bool) -> list[int]:
     """Return the lags (rows) where two signals correlate most, the best first."""
+    lags, evidence = _peaks(reference, signal, inverted)
+    # of lags that are alike to rounding, the one nearest to none
+    height = np.round(evidence / evidence.max(), 9)
+    order = np.lexsort([np.abs(lags), -height])
+    places: list[int] = lags[order[:PLACES]].tolist()
+    return places
+
+
+def _peaks(
+    reference: Floats, signal: Floats, inverted: bool
+) -> tuple[Integers, Floats]:
+    """Return the lags (rows) around which two signals correlate most, and the evidence for them."""
     a, b = reference - reference.mean(), signal - signal.mean()
     lags = np.arange(1 - a.size, b.size)
     begin, end = np.maximum(0, -lags), np.minimum(a.size, b.size - lags)
@@ -258,11 +278,73 @@ def _places(reference: Floats, signal: Floats, inverted: bool) -> list[int]:
     evidence = _evidence(count, 1.0 - alike)
     padded = np.concatenate([[-1.0], evidence, [-1.0]])
     peaks = np.flatnonzero((evidence >= padded[:-2]) & (evidence >= padded[2:]))
-    # of lags that are alike to rounding, the one nearest to none
-    height = np.round(evidence[peaks] / evidence.max(), 9)
-    order = np.lexsort([np.abs(lags[peaks]), -height])
-    places: list[int] = lags[peaks[order[:PLACES]]].tolist()
-    return places
+    return lags[peaks], evidence[peaks]
+
+
+def _without_periods(best: TimeLag, signal: Floats, reference: Floats) -> float:
+    """Return a lag (rows) less the periods of a reference by which it leaves out rows that follow, too.
+
+    A reference that repeats itself explains the signal at any period. The lag that leaves
+    out what follows less well, as a first period does, explains the others better, and
+    would be believed for that.
+    """
+    shift = best.seconds
+    period = _period(reference, max(REPEATS, 2.0 * best.residual))
+    for step in (period, -period):
+        while step and _explains_more(signal, reference, shift - step, shift):
+            shift -= step
+    return shift
+
+
+def _period(reference: Floats, slack: float) -> float:
+    """Return the rows after which a signal repeats itself, but for a part of its variance; 0: it does not."""
+    lags, evidence = _peaks(reference, reference, False)
+    for place in lags[(lags > 0) & (evidence > 0.0)][:PLACES].tolist():
+        repeat = _refined(reference, reference[:, None], place, False, TRIED_ROWS)
+        if repeat is None or repeat.residual > slack:
+            continue
+        if repeat.seconds > 0.5 * place:  # and has not come back to none
+            return repeat.seconds
+    return 0.0
+
+
+def _explains_more(
+    signal: Floats, reference: Floats, shift: float, other: float
+) -> bool:
+    """Return whether a lag (rows) leaves out fewer rows than another one, and these follow the reference.
+
+    Where both leave out the same, whether it is the smaller one.
+    """
+    begin, end = _rows_within(signal, reference, shift)
+    other_begin, other_end = _rows_within(signal, reference, other)
+    if (begin, end) == (other_begin, other_end):
+        return abs(shift) < abs(other)
+    common = np.arange(max(begin, other_begin), min(end, other_end))
+    gained = np.arange(other_end, end)
+    if begin < other_begin:
+        gained = np.arange(begin, other_begin)
+    if end - begin <= other_end - other_begin or not len(common):
+        return False
+    expected, followed = _at(reference, common, shift), signal[common]
+    expected, followed = expected - expected.mean(), followed - followed.mean()
+    square = float(expected @ expected)
+    if not square > 0.0:
+        return False
+    gain = float(followed @ expected) / square
+    expected = gain * _at(reference, gained, shift)
+    error = signal[gained] - expected
+    return float(np.var(error)) < FOLLOWS * float(np.var(expected))
+
+
+def _at(reference: Floats, rows: Integers, shift: float) -> Floats:
+    """Return the reference at rows of a signal that is later by a lag (rows)."""
+    return between(reference, np.asarray(rows - shift, dtype=np.float64))
+
+
+def _rows_within(signal: Floats, reference: Floats, shift: float) -> tuple[int, int]:
+    """Return the first row of a signal within a reference at a lag (rows), and the one behind the last."""
+    end = min(math.floor(shift) + len(reference), len(signal))
+    return max(math.ceil(shift), 0), end
 
 
 def _sums(values: Floats, begin: Integers, end: Integers) -> Floats:
@@ -388,6 +470,21 @@ def between(values: Floats, places: Floats) -> Floats:
     square = 3.0 * rise - 2.0 * slope - next_slope
     result: Floats = here + fraction * (slope + fraction * (square + fraction * cubic))
     return result
+
+
+def without_delay(
+    time: Floats, values: Floats, delay: float
+) -> tuple[Floats, Booleans]:
+    """Return a signal as a sensor without delay (s) would have made it, and which rows were measured.
+
+    The others, at the end, hold the last value.
+    """
+    step = even(time)
+    if step is None:
+        moved = np.interp(time + delay, time, values)
+    else:
+        moved = between(values, np.arange(float(len(values))) + delay / step)
+    return moved, time <= time[-1] - delay
 
 
 def _deviation(error: Floats, slopes: Floats, size: Floats) -> float:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
+from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING, Literal
 
@@ -131,6 +133,7 @@ def compensate(
     from dbo_cli.recordings import read_table, tracked_of
 
     recorded = {"time": time, "voltage": voltage, "measured": measured}
+    reading, reading_of_pass = scales_apart(reading, recorded if tracked else {})
     histories = channels.histories_of(history, names)
     cutoff = opt.quantity("bandwidth", bandwidth, "Hz")
     logs, tables, passes_of = {}, {}, {}
@@ -140,7 +143,9 @@ def compensate(
         logs[name], tables[name] = read_table(trajectory, roles, reading, units)
         roles = channels.columns_for(recorded, name)
         with channels.naming(name):
-            passes_of[name] = tracked_of(tracked or [], roles, reading, actuator)
+            passes_of[name] = tracked_of(
+                tracked or [], roles, reading_of_pass, actuator
+            )
 
     def drive_of(name: str, hold: int, return_rows: int) -> Drive:
         table = tables[name]
@@ -165,6 +170,16 @@ def compensate(
         say_one(logs[""], output, drives[""])
     else:
         say_set(output, drives)
+
+
+def scales_apart(
+    reading: opt.Reading, recorded: Collection[str]
+) -> tuple[opt.Reading, opt.Reading]:
+    """Return how a trajectory is read, and how recordings with other roles are, each with its own scales."""
+    scales: list[dict[str, str | float]] = [{}, {}]
+    for role, factor in reading.scale.items():
+        scales[role in recorded][role] = factor
+    return replace(reading, scale=scales[0]), replace(reading, scale=scales[1])
 
 
 def write_stream(driver: Driver, log: Log, outputs: Outputs, output: str) -> Drive:

@@ -89,7 +89,15 @@ def report(
         with channels.naming(channel):
             if trajectory is not None:
                 column = channels.columns_for({"desired": desired}, channel)["desired"]
-                found = matched(logs, roles, reading, trajectory, column, match)
+                found = matched(
+                    logs,
+                    roles,
+                    reading,
+                    trajectory,
+                    column,
+                    match,
+                    expected is not None,
+                )
             else:
                 name = f"{model}::{channel}" if channel else model or ""
                 start = starts.get(channel, "auto")

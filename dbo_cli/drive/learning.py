@@ -18,19 +18,14 @@ from hashlib import sha256
 
 import numpy as np
 
-from dbo_cli.alignment import (
-    ACTUATOR_LAG,
-    LARGEST_RATE,
-    align_drives,
-    mean_step,
-)
+from dbo_cli.alignment import ACTUATOR_LAG, RATE_SLACK, align_drives, mean_step
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.smooth import low_pass, soft_rise
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import Cascade, Resonance, State, fields
-from dbo_cli.signals import between, noise, turns
+from dbo_cli.signals import noise, turns, without_delay
 
 FORMAT = "dbo-history"
 
@@ -41,6 +36,8 @@ FROM_BEST = 2.0  # times the best pass's error: growth by less a pass shows afte
 # of the drive's range (RMS): recordings further apart are not of one drive
 ONE_DRIVE = 0.02
 LONG_STEP = 1.5  # steps: a longer one lacks rows
+# times what the model expects of the drive, by which a sensor's scale is told to be another
+OTHER_SCALE = 1.25
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
 # of what differs by the stamps: with less by the drive, the recorder counts from elsewhere
@@ -143,6 +140,7 @@ class RepeatedMove:
             raise InputError(f"{name}: the trajectory holds still: nothing is learned")
         voltage, modelled, measured = self._mean_of(recordings)
         self._require_same_move(name, modelled)
+        _require_same_scale(name, modelled, measured)
         error = self.desired - measured
         zero = 0.0 if self.absolute else float(error.mean())
         error = error - zero
@@ -208,7 +206,9 @@ class RepeatedMove:
                 f"{recording.name}: {rows:,} rows from the start of the move, the trajectory has "
                 f"{count:,}: record each row of it"
             )
-        measured = self._without_delay(recording.measured)
+        time = self.step * np.arange(float(recording.measured.size))
+        delay = self.model.sensor_delay
+        measured, _ = without_delay(time, recording.measured, delay)
         if self.periodic:
             return self._mean_period(recording.voltage[begin:], measured[begin:])
         self._require_same_past(recording, begin)
@@ -234,13 +234,6 @@ class RepeatedMove:
         measured = measured[:rows].reshape(-1, count)[first:].mean(axis=0)
         start = self.model.start(float(drive[0]), self.state)
         return drive, settled_run(self.model, drive, self.step, start), measured
-
-    def _without_delay(self, measured: Floats) -> Floats:
-        """Return what a sensor without delay would have measured; the last value holds behind it."""
-        delay = self.model.sensor_delay / self.step
-        if not delay:
-            return measured
-        return between(measured, np.arange(float(measured.size)) + delay)
 
     def _first_row(self, recording: Tracked) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead.
@@ -344,7 +337,7 @@ class RepeatedMove:
         if time is None or time.size < 2:
             return 0
         step = mean_step(time)
-        if abs(step / self.step - 1.0) > LARGEST_RATE:
+        if abs(step / self.step - 1.0) > RATE_SLACK:
             raise InputError(
                 f"{name}: {1.0 / max(step, 1e-300):.6g} Hz, the trajectory {1.0 / self.step:.6g} Hz: "
                 "record at its rate, or `resample` HZ"
@@ -457,6 +450,18 @@ def _resting_ends(learned: Floats, per_sample: float) -> Floats:
     risen = learned[0] + weight * (learned - learned[0])
     resting: Floats = risen[-1] + weight[::-1] * (risen - risen[-1])
     return resting
+
+
+def _require_same_scale(name: str, modelled: Floats, measured: Floats) -> None:
+    """Refuse what was measured in another scale than the logs that the model comes from (InputError)."""
+    move = modelled - modelled.mean()
+    gain = float(move @ measured) / max(float(move @ move), 1e-300)
+    if 1.0 / OTHER_SCALE <= gain <= OTHER_SCALE:
+        return
+    raise InputError(
+        f"{name}: the displacement is {gain:.3g} times what the model expects of this drive: if the sensor's "
+        f"scale is another, type `scale` measured={1.0 / gain:.3g}, else identify with `prior`"
+    )
 
 
 def _safe(resonances: Sequence[Resonance]) -> float:

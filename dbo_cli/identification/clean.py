@@ -10,7 +10,7 @@ import numpy as np
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.errors import FitError, UsageError
 from dbo_cli.identification.recording import FEWEST_ROWS, Options, Recording
-from dbo_cli.signals import NORMAL_MEDIAN, turns
+from dbo_cli.signals import NORMAL_MEDIAN, turns, without_delay
 
 SPIKE_WINDOW = 7  # rows: longer ones have turns of the drive in them
 SPIKE_SIGMAS = 8.0
@@ -62,8 +62,7 @@ def without_sensor_delay(log: Recording, delay: float) -> Recording:
         raise UsageError(
             "`sensor_delay` needs a clock: add `time` COLUMN or `sample_rate` HZ"
         )
-    displacement = np.interp(log.time + delay, log.time, log.displacement)
-    measured = log.time <= log.time[-1] - delay
+    displacement, measured = without_delay(log.time, log.displacement, delay)
     return replace(log, displacement=displacement, good=log.usable & measured)
 
 

@@ -33,8 +33,10 @@ _FADING = 0.7  # a line counts so much less than the one below it
 _DELIMITERS = {
     "comma": ",", "semicolon": ";", "tab": "\t", "blanks": " ", "space": " ", "pipe": "|",
 }  # fmt: skip
+_NAMES = {mark: word for word, mark in _DELIMITERS.items()}
 _DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
 _TWO_READINGS = re.compile(r"\s*[-+]?\d+,\d+\s*", re.ASCII)
+_DIGITS = frozenset("0123456789")
 _DELIMITED = re.compile(r"\d[;\t|]|[;\t|]\d")
 _THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}", re.ASCII)
 ERROR = r"#[A-Z][A-Z/0]*[!?]?[;,\t|]"  # how a row begins that a spreadsheet could not compute
@@ -68,6 +70,9 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     rows = [n for n in range(skipped, len(lines)) if not is_no_row(lines[n])]
     while rows and not lines[rows[-1]].strip("\t ;,|"):
         rows.pop()
+    if all(_DIGITS.isdisjoint(lines[n]) for n in rows):
+        where = f" below `skip_lines` {skipped}" if skipped else ": is the log empty?"
+        raise InputError(f"{name}: no line holds a number{where}")
     sample = [lines[n] for n in rows[-_SAMPLE:]]
     layout = _best_layout(sample, reading)
     if layout is None:
@@ -104,23 +109,29 @@ def _refuse_two_readings(
     ``500;1`` holds another delimiter; commas may all stand between thousands; ``0,5`` may
     be two columns where nothing is called by a name.
     """
-    doubtful: list[str] = []
     if reading.delimiter is None:
-        texts = [text for kind, text in layout.kinds if kind == "text"]
-        doubtful += filter(_DELIMITED.search, texts)
+        for kind, text in layout.kinds:
+            found = _DELIMITED.search(text) if kind == "text" else None
+            if found is not None:
+                marks = found[0].strip("0123456789"), layout.delimiter
+                how = " or ".join(f"`delimiter` {_NAMES[mark]}" for mark in marks)
+                raise _two_readings(name, text, how)
     if reading.decimal is None and layout.decimal == ",":
         cells = [cell for row in table for cell in row]
         commas = [cell for cell in cells if "," in cell and is_number(cell, ",")]
-        doubtful += commas if all(map(_THOUSANDS.fullmatch, commas)) else []
+        if commas and all(map(_THOUSANDS.fullmatch, commas)):
+            how = "`decimal` comma, or write numbers without marks between thousands"
+            raise _two_readings(name, commas[0], how)
     is_told = reading.delimiter or reading.decimal or any(layout.names)
     is_short = max(map(len, sample)) <= LONGEST_CELL
     if not is_told and is_short and all(map(_TWO_READINGS.fullmatch, sample)):
-        doubtful.append(sample[-1].strip())
-    if doubtful:
-        raise InputError(
-            f"{name}: '{doubtful[0]}' may be read in two ways: type `delimiter` or `decimal`, or write "
-            "numbers without marks between thousands"
-        )
+        how = "`delimiter` comma for two columns, or `decimal` comma for one"
+        raise _two_readings(name, sample[-1].strip(), how)
+
+
+def _two_readings(name: str, text: str, how: str) -> InputError:
+    """Return the refusal of a text that may be read in two ways, with what to type."""
+    return InputError(f"{name}: '{text}' may be read in two ways: type {how}")
 
 
 def _unclear_starts(

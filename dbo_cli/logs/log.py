@@ -7,6 +7,7 @@ roles are chosen; blocks come as arrays by role, in seconds and in the units ask
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.files import note_input
 from dbo_cli.logs.clock import Clock, find_clock
-from dbo_cli.logs.columns import choose, named
+from dbo_cli.logs.columns import ROLES, choose, named
 from dbo_cli.logs.formats import reader_of
 from dbo_cli.logs.formats.stored import refuse_part
 from dbo_cli.logs.join import SENSORS, joined, resampled
@@ -33,7 +34,7 @@ from dbo_cli.logs.table import (
     parse_rows,
 )
 from dbo_cli.logs.text import TextTable
-from dbo_cli.units import multiplied
+from dbo_cli.units import kind_of, multiplied
 
 _Numbers = NDArray[np.int64]  # of rows, from 1
 _Arrays = list[NDArray[Any]]
@@ -324,10 +325,33 @@ def open_log(
             if role not in log.columns:
                 listing = ", ".join(log.columns)
                 raise UsageError(f"`scale` {role}=...: give one of {listing}")
+        _refuse_exchanged(log)
     except BaseException:
         log.close()
         raise
     return log
+
+
+def _refuse_exchanged(log: Log) -> None:
+    """Refuse (InputError) a drive in a unit of a displacement beside a displacement in one of a drive."""
+    drive = log.columns.get("voltage")
+    sensor = next((role for role in SENSORS if role in log.columns), "")
+    if drive is None or not sensor:
+        return
+    measured = log.columns[sensor]
+    is_moved = kind_of(drive.unit) in ROLES[sensor].proving
+    if not is_moved or kind_of(measured.unit) not in ROLES["voltage"].proving:
+        return
+    raise InputError(
+        f"{log.name}: voltage, {drive.label}, is in {drive.unit}, {sensor}, {measured.label}, in "
+        f"{measured.unit}: exchanged? Type `voltage` {_typed(measured)} `{sensor}` {_typed(drive)}, or of a "
+        f"sensor in {measured.unit} `scale` {sensor}=FACTOR{drive.unit}/{measured.unit}"
+    )
+
+
+def _typed(column: Column) -> str:
+    """Return how a user names a column."""
+    return shlex.quote(column.name) if column.name else f"number={column.number}"
 
 
 def _open_second(

@@ -37,11 +37,7 @@ _DELIMITERS = {"": ",", ".csv": ",", ".txt": ",", ".dat": ",", ".tsv": "\t"}
 
 
 @contextlib.contextmanager
-def create(
-    path: str | os.PathLike[str],
-    columns: Sequence[Named],
-    attributes: Attributes | None = None,
-) -> Iterator[Writer]:
+def create(path: str | os.PathLike[str], columns: Sequence[Named]) -> Iterator[Writer]:
     """Open an output for columns; it appears when the block is left without an error.
 
     Parameters
@@ -52,8 +48,6 @@ def create(
         ``.hdf5`` are HDF5.
     columns
         Name and unit of each; ``("voltage", "V")`` becomes the header ``voltage_V``.
-    attributes
-        What an HDF5 file states beside its columns.
 
     Raises
     ------
@@ -63,7 +57,7 @@ def create(
         It cannot be written; what stood there before is left as it was.
     """
     with Outputs() as outputs:
-        yield add_table(outputs, path, columns, attributes)
+        yield add_table(outputs, path, columns)
 
 
 def add_table(
@@ -72,7 +66,10 @@ def add_table(
     columns: Sequence[Named],
     attributes: Attributes | None = None,
 ) -> Writer:
-    """Return a writer of columns; its file appears with the other ``outputs``; see :func:`create`."""
+    """Return a writer of columns, whose file appears with the other ``outputs``; see :func:`create`.
+
+    ``attributes`` are what an HDF5 file states beside its columns.
+    """
     path = os.fspath(path)
     suffix = _suffix_of(path)
     if suffix in _HDF5_SUFFIXES:

@@ -91,7 +91,6 @@ class LogReport:
             "lag_s": self.seconds(self.lag),
             "offset_removed": figures.offset,
             "sample_period_s": self.pair.step(),
-            "not_finite": 0,  # readers refuse such rows, or leave them out
             "clock_offset_s": self.pair.clock_offset,
             "ratio_to_first": self.ratio_to_first,
             "expected_rmse": self.expected_rmse,

@@ -9,7 +9,7 @@ import numpy as np
 from dbo_cli.alignment import (
     ACTUATOR_LAG,
     CLEARLY_BETTER,
-    LARGEST_RATE,
+    RATE_SLACK,
     USUAL_LAG,
     Alignment,
     align_displacements,
@@ -87,7 +87,7 @@ def _by_rows(
     """Match row by row; the time is the trajectory's."""
     step, desired_step = recording.step(), clock_step(clock)
     if step is not None and desired_step is not None:
-        if abs(step / desired_step - 1.0) > LARGEST_RATE:
+        if abs(step / desired_step - 1.0) > RATE_SLACK:
             raise InputError(
                 f"{recording.name}: {1.0 / step:.5g} Hz, {trajectory}: {1.0 / desired_step:.5g} Hz:"
                 " rows do not correspond; type `match` time"

@@ -17,6 +17,7 @@ from dbo_cli.alignment import mean_step
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.reports.expected import Expected
+from dbo_cli.signals import without_delay
 
 if TYPE_CHECKING:
     from dbo_cli.model import Cascade, State
@@ -162,9 +163,9 @@ def undelayed(pair: Pair) -> Pair:
     delay = 0.0 if pair.expected is None else pair.expected.sensor_delay
     if not delay or pair.delay_removed or pair.time is None:
         return pair
-    measured = np.interp(pair.time + delay, pair.time, pair.measured)
-    in_time = replace(pair, measured=measured, delay_removed=True)
-    in_time = in_time.taken(stretch(pair.time <= pair.time[-1] - delay))
+    values, measured = without_delay(pair.time, pair.measured, delay)
+    in_time = replace(pair, measured=values, delay_removed=True)
+    in_time = in_time.taken(stretch(measured))
     return in_time.noted(f"the sensor's delay, {1e3 * delay:.3g} ms, is taken off")
 
 

@@ -14,7 +14,7 @@ from mypy import api
 import dbo_cli as dbo
 from dbo_cli.library import Move
 
-from .program import MOVE, SAMPLES, compensated, done, model, rms, table, write
+from .program import LOG, MOVE, SAMPLES, compensated, done, model, rms, table, write
 
 TIME = np.arange(400) / 1000.0
 WANTED = 5.0 - 3.0 * np.cos(2.0 * np.pi * 5.0 * TIME)
@@ -286,3 +286,26 @@ def test_a_report_leaves_the_process_alone():
     line = [sys.executable, "-W", "ignore", "-c", code]
     ended = subprocess.run(line, capture_output=True, check=True)
     assert ended.stdout.strip() == b"True" and ended.stderr == b""
+
+
+IDLE = {"state": {"state": "full"}, "voltage_unit": {"voltage_unit": "kV"}}
+
+
+@pytest.mark.parametrize("name", IDLE)
+def test_a_report_refuses_what_it_would_ignore(name):
+    desired = 3.0 + np.sin(np.arange(100) / 9.0)
+    frame = pd.DataFrame({"desired_um": desired, "measured_um": desired})
+    for signals in ((desired, desired), (frame,)):
+        with pytest.raises(dbo.UsageError):
+            dbo.report(*signals, **IDLE[name])
+    actuator = dbo.read_model(model("small"))
+    with pytest.raises(dbo.UsageError, match="voltage"):
+        dbo.report(desired, desired, model=actuator, voltage=desired)
+
+
+def test_a_file_keeps_its_clock():
+    log = write("log.csv", LOG, *np.zeros((3, 30)))
+    with pytest.raises(dbo.UsageError, match="time"):
+        dbo.identify(log, time=np.arange(30.0))
+    with pytest.raises(dbo.UsageError, match="clock_offset"):
+        dbo.read_log(log, clock_offset=0.5)

@@ -135,6 +135,20 @@ def test_a_pass_is_learned_from_wherever_its_recorder_counts_from(start):
     assert float(said.split()[3]) == pytest.approx(off, rel=0.02)
 
 
+@pytest.mark.parametrize("scale", [1.5, 0.6])
+def test_a_pass_in_another_scale_than_the_model_s_log_is_refused(scale):
+    drive, moved = recorded(0)
+    columns = drive["time_s"], drive["voltage_V"]
+    write("true.csv", PASS, *columns, moved)
+    write("pass.csv", PASS, *columns, scale * moved)
+    told = refused(1, *SWEPT, "--tracked", "pass.csv")
+    typed = told.split("--scale ")[1].split(",")[0]
+    assert float(typed.removeprefix("measured=")) == pytest.approx(1 / scale, rel=0.05)
+    known = table(done(*SWEPT, "--tracked", "true.csv"))["voltage_V"]
+    scaled = ("--tracked", "pass.csv", "--scale", f"measured={1 / scale!r}")
+    np.testing.assert_allclose(table(done(*SWEPT, *scaled))["voltage_V"], known)
+
+
 def test_a_mean_that_is_not_learned_is_told_and_no_sweep_is_advised_twice():
     """The line stated .018 um where .110 came, nearly all mean; the drive had its sweep."""
     drive, moved = recorded(0)
@@ -455,3 +469,23 @@ def test_a_loop_keeps_its_period_at_other_points():
     write("open.csv", DRIVE, STEP * np.arange(200), ramp)
     words = ("waveform", "open.csv", "--to", "npy", "-o", "x.npy", "--loop")
     assert "loop" in refused(3, *words)
+
+
+@pytest.mark.parametrize("early", [0.0, 0.13])
+def test_a_first_period_that_is_worse_is_no_lag_of_a_period(early):
+    time = STEP * np.arange(1000)
+    desired = 5.0 - 3.0 * np.cos(2.0 * np.pi * 5.0 * time)
+    error = 0.002 * np.random.default_rng(1).standard_normal(1000)
+    error = error - 0.3 * np.exp(-time / 0.07)
+    write("pair.csv", PAIR, time, desired, desired + error)
+    log = done("report", "pair.csv", "--format", "json").json["logs"][0]
+    assert abs(log["lag_left_samples"]) < 1.0
+    write("move.csv", MOVE, time, desired)
+    rest = np.full(round(early / STEP), 2.0)
+    measured = np.concatenate([rest, desired + error])
+    stamps = STEP * np.arange(len(measured))
+    write("pass.csv", "time_s,measured_um", stamps, measured)
+    log = reported("move.csv")
+    assert log["samples"] == 1000
+    assert (log["clock_offset_s"] or 0.0) == pytest.approx(early, abs=1.5 * STEP)
+    assert log["rmse"] == pytest.approx(rms(error), rel=0.02)

@@ -250,6 +250,42 @@ def test_what_is_no_log_is_refused(content):
     assert "log.csv" in asked("log.csv")
 
 
+@pytest.mark.parametrize("content", ["", "\n\n", "# nothing\n", "time_s,voltage_V\n"])
+def test_an_empty_file_is_called_empty(content):
+    Path("log.csv").write_text(content)
+    told = asked("log.csv")
+    assert "empty" in told and "--" not in told
+    assert "--skip-lines" in asked(pair(), "--skip-lines", 10**6)
+
+
+@pytest.mark.parametrize(
+    ("content", "values"),
+    [
+        ("0,5\n1,5\n2,5\n3,5\n", ["--delimiter comma", "--decimal comma"]),
+        ("1,500;1\n1,501;2\n1,502;1\n1,503;2\n", ["--decimal comma"]),
+        ("0\t500;1\n1\t501;2\n2\t502;1\n", ["--delimiter tab", "--delimiter semicolon"]),
+    ],
+)  # fmt: skip
+def test_what_may_be_read_in_two_ways_is_asked_with_the_values_to_type(content, values):
+    Path("log.csv").write_text(content)
+    told = asked("log.csv", command="identify")
+    assert "two ways" in told
+    assert all(value in told for value in values), told
+    for value in values:
+        assert "two ways" not in asked("log.csv", *value.split(), command="identify")
+
+
+def test_columns_that_their_units_call_exchanged_are_refused():
+    time = np.arange(1000) / 500.0
+    drive = 50.0 - 50.0 * np.cos(2.0 * np.pi * time)
+    write("log.csv", "time_s,drive_V,place_um", time, drive, 0.1 * drive)
+    words = ("--voltage", "place_um", "--displacement", "drive_V")
+    told = asked("log.csv", *words, command="identify")
+    assert "--voltage drive_V" in told and "--displacement place_um" in told
+    words = (*words, "--scale", "displacement=2um/V", "--gears", 20, "--points", 0)
+    done("identify", "log.csv", *words, "--relaxation", 0, "--delay", 0, "--force")
+
+
 @pytest.mark.parametrize("blank", [" ", "\t", ","])
 def test_a_lone_quote_at_the_end_is_no_internal_error(blank):
     rows = "".join(f"{k / 100}{blank}{k % 10}\n" for k in range(100))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from .program import (
-    DRIVE, LOG, MOVE, PAIR, dbo, done, load, model, refused, rms, simulated, write,
+    DRIVE, LOG, MOVE, PAIR, dbo, done, load, model, refused, rms, simulated, table, write,
 )  # fmt: skip
 
 TIME = np.arange(600) / 500.0
@@ -123,15 +123,11 @@ def test_units_of_the_two_are_brought_together():
     assert merits("nm.csv")["rmse"] < 1e-9
 
 
-def test_a_row_without_a_number_is_counted_or_refused():
+def test_a_row_without_a_number_is_refused():
     lines = Path("good.csv").read_text().splitlines()
     lines[100] = ",".join([*lines[100].split(",")[:2], "nan"])
     Path("gap.csv").write_text("\n".join(lines) + "\n")
-    outcome = dbo("report", "gap.csv", "--format", "json")
-    if outcome.code == 0:
-        assert outcome.json["logs"][0]["not_finite"] == 1
-    else:
-        assert outcome.code == 1 and "--skip-bad" in outcome.err
+    assert "--skip-bad" in refused(1, "report", "gap.csv")
     assert merits("gap.csv", "--skip-bad")["samples"] == 599
 
 
@@ -145,6 +141,35 @@ def test_a_drive_serves_as_trajectory_and_rows_before_the_move_do_not_count():
     found = merits("measured.csv", "--trajectory", "drive.csv")
     assert found["samples"] <= 601
     assert found["rmse"] < 0.05
+
+
+def test_rows_of_the_way_back_are_none_of_the_move_or_it_is_told():
+    words = ("--from", 0, "--approach", "auto", "--return", 0)
+    write("wish.csv", MOVE, TIME, 0.5 * WANTED)
+    done(
+        "compensate",
+        model("creep"),
+        "wish.csv",
+        *words,
+        "-o",
+        "d.csv",
+        "--summary",
+        "s.json",
+    )
+    moved = simulated("creep", "d.csv")
+    write("log.csv", "time_s,measured_um", table("d.csv")["time_s"], moved)
+    words = ("report", "log.csv", "--trajectory", "d.csv")
+    known = done(*words, "--expected", "s.json", "--format", "json").json
+    assert known["logs"][0]["samples"] == len(TIME)
+    assert not any("way back" in note for note in known["notes"])
+    told = done(*words, "--format", "json").json
+    assert told["logs"][0]["samples"] > len(TIME)
+    assert any("--expected" in note for note in told["notes"])
+    plain = done(
+        "report", "log.csv", "--trajectory", "wish.csv", "--format", "json"
+    ).json
+    assert plain["logs"][0]["samples"] == len(TIME)
+    assert not any("way back" in note for note in plain["notes"])
 
 
 @pytest.mark.parametrize("early", [0.0, 0.3, 1.0])

@@ -295,8 +295,9 @@ def test_the_sign_and_exchanged_columns_are_said(log):
     right = done("identify", log, *words)
     assert right.lines[0].endswith("(rising)")
     assert not [text for text in right.warnings if "leads" in text]
-    exchanged = ("--voltage", "displacement_um", "--displacement", "voltage_V")
-    wrong = done("identify", log, *exchanged, *words, "--force")
+    write("bare.csv", "time_s,voltage,displacement", *table(log).values())
+    exchanged = ("--voltage", "displacement", "--displacement", "voltage")
+    wrong = done("identify", "bare.csv", *exchanged, *words, "--force")
     assert wrong.lines[0].endswith("(rising, leads the drive)")
     [warning] = [text for text in wrong.warnings if "leads" in text]
     assert "--voltage" in warning and "--clock-offset" in warning

@@ -35,13 +35,12 @@ def only(folder):
 def test_numbers_read_back_to_the_bit_from_any_blocks(tmp_path, name):
     arrays = rows(150_000)
     path = tmp_path / name
-    with create(path, COLUMNS, {"model": "abc"}) as out:
+    with create(path, COLUMNS) as out:
         for start, stop in [(0, 1), (1, 70_000), (70_000, 70_000), (70_000, 150_000)]:
             out.write(*[array[start:stop] for array in arrays])
         assert out.rows == 150_000
     if "h" in path.suffix:
         with h5py.File(path) as store:
-            assert store.attrs["model"] == "abc"
             for (column, unit), array in zip(COLUMNS, arrays, strict=True):
                 assert store[column].attrs["units"] == unit
                 np.testing.assert_array_equal(store[column][:], array)
