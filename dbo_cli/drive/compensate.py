@@ -319,12 +319,14 @@ class Driver:
                 self._lead_to(dt),
             )
             return move.learned(tracked, history, bandwidth, drive_of)
-        target = desired
-        if bandwidth is not None:
-            from dbo_cli.drive.smooth import low_pass
+        if bandwidth is None:
+            return drive_of(desired)
+        from dbo_cli.drive.smooth import low_pass
 
-            target = low_pass(desired, bandwidth, dt, periodic)
-        return drive_of(target)
+        target = low_pass(desired, bandwidth, dt, periodic)
+        return drive_of(target).rounded_by(
+            float(np.sqrt(np.mean((target - desired) ** 2)))
+        )
 
     def _driven_whole(
         self,
