@@ -133,7 +133,7 @@ class Drive:
             low, high = self.lead_range
             text += f"; {self.lead_seconds:.3g} s before the move, {in_full(low)} to {in_full(high)}{unit}"
         if self.starts_at is not None:
-            text += f"; starts at {in_full(self.starts_at)}{unit}: `from` VOLT"
+            text += f"; starts at {in_full(self.starts_at)}{unit}: `from_` VOLT"
         return text
 
     def expected_line(self) -> str:

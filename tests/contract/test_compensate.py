@@ -113,6 +113,16 @@ def test_an_approach_leads_from_where_the_amplifier_stands():
     np.testing.assert_allclose(desired[~before], sine(8.0, 3.0), atol=1e-12)
 
 
+def test_a_start_and_an_end_outside_the_rating_go_by_the_names_to_type():
+    actuator = dbo_cli.read_model(model("small"))
+    for name in ("from_", "return_"):
+        with pytest.raises(dbo_cli.LimitError, match=f"`{name}` 99 V is outside"):
+            actuator.compensate(sine(7.0), time=TIME, **{name: 99.0})
+        option = "--" + name.strip("_")
+        move(sine(7.0))
+        assert f"{option} 99 V" in refused(3, *SMALL, option, 99, "-o", "drive.csv")
+
+
 def test_condition_makes_the_past_known():
     """From any start the conditioned move ends up the same, to the last digits."""
     move(sine(7.0, 4.0))
