@@ -263,6 +263,15 @@ def units_in(name: str) -> set[str]:
     return {unit for unit in units if unit}
 
 
+def value_units_like(text: str) -> list[str]:
+    """Return the known units of drives and displacements that differ from a text in capitals alone."""
+    units = []
+    for unit, (kind, _) in _SIZES.items():
+        if unit.lower() == text.lower() and kind in _VALUE_KINDS:
+            units.append(unit)
+    return sorted(units)
+
+
 def _split_at_end(plain: str) -> tuple[str, str | None]:
     """Split a header at the unit at its end."""
     is_torn = any(plain.count(a) != plain.count(b) for a, b in ("()", "[]", "{}"))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import OUTPUT, Text, column, flag, option, rare
-from dbo_cli.cli.say import detail, say
+from dbo_cli.cli.say import detail, say, with_options
 from dbo_cli.errors import UsageError, warn
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def publish(
     for name, result in results.items():
         if figures is not None:
             detail(*map(str, result.figures(os.path.join(figures, name))))
-    texts = {name: result.render(form) for name, result in results.items()}
+    texts = {name: rendered(result, form) for name, result in results.items()}
     if form == "json":
         write_text(output, channels.dumps_files("report", texts))
     elif form == "text":
@@ -153,6 +153,12 @@ def publish(
             warn(f"channel {name}: {text}" if name else text)
     for result in results.values():
         result.require_passed()
+
+
+def rendered(result: Report, form: str) -> str:
+    """Return a report as text; what people read names options as they are typed."""
+    text = result.render(form)
+    return with_options(text) if form in ("text", "html") else text
 
 
 def short_names(logs: list[str]) -> list[str]:

@@ -65,13 +65,18 @@ def detail(*texts: str) -> None:
             print_line(text)
 
 
+def with_options(text: str) -> str:
+    """Return a text with the options of the shell in place of parameters in backticks."""
+    return PARAMETER.sub(lambda name: "--" + name[1].strip("_").replace("_", "-"), text)
+
+
 def print_line(text: str) -> None:
     """Print one line on standard error; a broken standard error changes nothing.
 
     Parameters in backticks become options, and no control character reaches a terminal.
     """
     text = "".join(sign if sign.isprintable() else " " for sign in text)
-    text = PARAMETER.sub(lambda name: "--" + name[1].strip("_").replace("_", "-"), text)
+    text = with_options(text)
     erase = ERASE if sys.stderr.isatty() else ""
     try:
         print(f"{erase}dbo: {text}", file=sys.stderr, flush=True)

@@ -81,7 +81,7 @@ class Driver:
             raise UsageError(f"`on_limit` {on_limit}: give auto, clip or error")
         self.model, self.limits, self.name = model, limits, name
         self.on_limit, self.hold = on_limit, hold
-        self.return_to = voltage_in("return", return_to, model.input)
+        self.return_to = voltage_in("return_", return_to, model.input)
         self.lead = lead = Lead() if lead is None else lead
         self._standing = lead.standing(limits, model.input)
         if lead.approach is not None and not lead.condition and self._standing is None:
@@ -173,7 +173,7 @@ class Driver:
         last, voltage = self._gate.last, np.empty(0)
         assert last is not None
         if self.return_to is not None:
-            self.limits.require_start(self.return_to, "`return`")
+            self.limits.require_start(self.return_to, "`return_`")
             end = self.return_to
             voltage = ramp("return", last, end, self._step, "auto", self.limits)
         if voltage.size:
@@ -204,7 +204,7 @@ class Driver:
         model, lead = self.model, self.lead
         if self.return_to is not None or lead.condition or lead.rest:
             raise UsageError(
-                "`periodic` excludes `condition`, `lead` and `return`: use `passes` N"
+                "`periodic` excludes `condition`, `lead` and `return_`: use `passes` N"
             )
         loop = self._loop_of(target, dt, passes)
         plan = loop.planned()
@@ -320,12 +320,14 @@ class Driver:
                 lead_to=self._lead_to(dt),
             )
             return move.learned(tracked, history, bandwidth, drive_of)
-        target = desired
-        if bandwidth is not None:
-            from dbo_cli.drive.smooth import low_pass
+        if bandwidth is None:
+            return drive_of(desired)
+        from dbo_cli.drive.smooth import low_pass
 
-            target = low_pass(desired, bandwidth, dt, periodic)
-        return drive_of(target)
+        target = low_pass(desired, bandwidth, dt, periodic)
+        return drive_of(target).rounded_by(
+            float(np.sqrt(np.mean((target - desired) ** 2)))
+        )
 
     def _driven_whole(
         self,

@@ -277,6 +277,8 @@ class Judge:
             )
         if expected is not None:
             missed = math.hypot(self._lost_rms, unsettled or 0.0)
+            if self.lead.condition:
+                missed = math.hypot(missed, expected.unswept)
             past_known = self.lead.past_known
             error = math.hypot(expected.rms(past_known, past_known), missed)
             if not past_known:

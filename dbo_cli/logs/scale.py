@@ -16,6 +16,7 @@ from dbo_cli.units import (
     split_header,
     split_quantity,
     units_in,
+    value_units_like,
     warn_unstated,
 )
 
@@ -111,6 +112,10 @@ def _refuse_unclear_unit(name: str, role: str, column: Column) -> None:
     camel = re.search(r"[a-z]([KMN][mv]|Uv)$", title)
     if camel and not unit:  # VoltageMv
         spellings = [camel[1].lower().replace("v", "V"), camel[1]]
+    # DISPLACEMENT_MM, VOLTAGE_KV; PV is a process value
+    written = re.search(r"[\s_/](?!PV$)([A-Z]{2,4})$", title)
+    if written and not unit:
+        spellings = [*value_units_like(written[1]), written[1]]
     if unit and split_header(title)[1] == unit and not re.search(r"[\[(]", title):
         for amount in re.findall(r"(?<!\S)\d[\d.,]*(?:\s+(\S+)|$)", title):
             if spell(amount) in (unit, None):  # at 100 V, kV x 1000

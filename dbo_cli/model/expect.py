@@ -35,11 +35,13 @@ class ExpectedError:
     known : where nothing before the move is unknown
     past : what an unknown past of the gears adds
     memory : what memories add that have not come to rest
+    unswept : of the past, what a sweep that was played before the move has left
     """
 
     known: float
     past: float
     memory: float
+    unswept: float
 
     def rms(self, past_known: bool = False, memory_known: bool = False) -> float:
         """Return the whole error, whether the past of the gears and that of memories are known or not."""
@@ -77,13 +79,16 @@ def expected_error(
     for weight, candidate in model.candidate_models:
         squares += weight * _mean_square(simulated(candidate) - expected)
     past = max(float(model.fit.get("unknown_past_rmse") or 0.0) ** 2 - left**2, 0.0)
+    unswept = 0.0
     if model.input.min < float(drive[0]) < model.input.max:
         for start in STARTS:
-            past += _mean_square(simulated(model, start) - expected) / len(STARTS)
+            unswept += _mean_square(simulated(model, start) - expected) / len(STARTS)
+    past += unswept
     memory = 0.0
     if model.gears.relaxation is not None:
         memory = _spread_of_memory(model, drive, steps, begin)
-    return ExpectedError(math.sqrt(squares), math.sqrt(past), math.sqrt(memory))
+    squares, past = math.sqrt(squares), math.sqrt(past)
+    return ExpectedError(squares, past, math.sqrt(memory), math.sqrt(unswept))
 
 
 def _spread_of_memory(

@@ -126,6 +126,16 @@ def test_an_approach_leads_from_where_the_amplifier_stands():
     np.testing.assert_allclose(desired[~before], sine(8.0, 3.0), atol=1e-12)
 
 
+def test_a_start_and_an_end_outside_the_rating_go_by_the_names_to_type():
+    actuator = dbo_cli.read_model(model("small"))
+    for name in ("from_", "return_"):
+        with pytest.raises(dbo_cli.LimitError, match=f"`{name}` 99 V is outside"):
+            actuator.compensate(sine(7.0), time=TIME, **{name: 99.0})
+        option = "--" + name.strip("_")
+        move(sine(7.0))
+        assert f"{option} 99 V" in refused(3, *SMALL, option, 99, "-o", "drive.csv")
+
+
 def test_condition_makes_the_past_known():
     """From any start the conditioned move ends up the same, to the last digits."""
     move(sine(7.0, 4.0))
@@ -165,6 +175,27 @@ def test_rows_before_the_move_do_not_count_in_the_expected_error():
     assert alone is not None and whole is not None
     assert drive.expected_error == alone.known != whole.known
     assert drive.expected_unrested == alone.rms(past_known=True)
+
+
+def test_a_sweep_of_a_part_of_the_range_leaves_what_the_rest_remembers():
+    """Turns outside the sweep are not wiped out, and the error to expect counts them."""
+    actuator = dbo_cli.read_model(model("known"))
+    low, high = actuator.input.min, actuator.input.max
+    limits = {
+        "v_min": low + 0.35 * (high - low),
+        "v_max": low + 0.65 * (high - low),
+    }
+    middle = 0.5 * (actuator.output.min + actuator.output.max)
+    wanted = middle + 0.03 * actuator.output.span * np.sin(20.0 * TIME)
+    asked = {"time": TIME, "condition": True, "details": True}
+    drive = actuator.compensate(wanted, from_=limits["v_min"], **limits, **asked)
+    errors = []
+    for start in ("empty", "full", "settled"):
+        reached = actuator.simulate(drive.voltage, time=drive.time, state=start)
+        errors.append(rms(reached[drive.move] - wanted))
+    assert 0.7 < drive.expected_error / rms(np.array(errors)) < 1.5
+    whole = actuator.compensate(wanted, **asked)
+    assert drive.expected_error > 2.0 * whole.expected_error
 
 
 # --- dynamics and delay ---
@@ -255,6 +286,20 @@ def test_a_loop_that_does_not_close_and_options_without_a_partner_are_refused():
     assert outcome.code in (1, 3) and "period" in outcome.lines[-1]
     for option in ("--passes 2", "--voltage 2", "--measured 2", "--history h.json"):
         refused(2, *SMALL, *option.split(), "-o", "d.csv")
+
+
+def test_the_error_to_expect_counts_what_a_low_pass_takes():
+    actuator = dbo_cli.read_model(model("known"))
+    wanted = actuator.output.min + actuator.output.span * (
+        0.5 + 0.2 * np.sin(2.0 * np.pi * 20.0 * TIME)
+    )
+    asked = {"time": TIME, "condition": True, "details": True}
+    sharp = actuator.compensate(wanted, **asked)
+    drive = actuator.compensate(wanted, bandwidth=20.0, **asked)
+    reached = actuator.simulate(drive.voltage, time=drive.time)[drive.move]
+    error = np.hypot(rms(reached - wanted), sharp.expected_error)
+    assert drive.expected_error == pytest.approx(error, rel=0.02)
+    assert any("bandwidth" in note for note in drive.notes)
 
 
 def test_bandwidth_rounds_the_corners_and_resample_writes_at_the_card_s_rate():

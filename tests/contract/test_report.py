@@ -250,3 +250,16 @@ def test_refusals_name_what_is_wrong():
     write("bare.csv", "displacement_um", WANTED)
     for words, held in REFUSED.items():
         assert held in refused(1, "report", *words.split())
+
+
+@pytest.mark.parametrize("ending", ["txt", "html"])
+def test_the_shell_s_pages_name_options_as_they_are_typed(ending):
+    write("off.csv", PAIR, TIME, WANTED, WANTED + 3.0)
+    write(
+        "expected.json",
+        '{"format": "dbo-summary", "version": 1, "unit": "um", "expected_rmse": 0.01}',
+    )
+    words = ("report", "off.csv", "--expected", "expected.json")
+    done(*words, "-o", f"r.{ending}")
+    page = Path(f"r.{ending}").read_text()
+    assert "--remove-offset" in page and "`remove_offset`" not in page
