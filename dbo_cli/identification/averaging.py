@@ -104,6 +104,42 @@ class Average:
         return [heaviest, (delay, bend)]
 
 
+def with_levels(
+    kinds: Sequence[tuple[float, Fit]], fits: Sequence[Fit], swings: int
+) -> list[tuple[float, Fit]]:
+    """Return kinds and, as heavy as these together, the levels where memories may have stood before the logs.
+
+    The level moves the zero. It shows in the first part, which the others do not predict
+    when it is left out; so levels are weighed by how all rows are followed: the likelihood
+    of a Gaussian error of one size a swing.
+
+    Parameters
+    ----------
+    kinds
+        Weight and fit; the heaviest one's kind is fitted at all levels.
+    fits
+        All there are.
+    swings
+        How many differ.
+    """
+    best = max(kinds, key=lambda pair: pair[0])[1].structure
+    levels: dict[float | None, Fit] = {}
+    for fit in sorted(fits, key=lambda fit: fit.rmse):
+        structure = fit.structure
+        same = structure.memories == best.memories and structure.past == best.past
+        if same and not structure.drift:
+            levels.setdefault(structure.level, fit)
+    if len(levels) < 2:
+        return list(kinds)
+    least = min(fit.rmse for fit in levels.values())
+    likely = []
+    for fit in levels.values():
+        share = least / max(fit.rmse, 1e-300)
+        likely.append((share**swings, fit))
+    total = sum(weight for weight, _ in likely)
+    return [*kinds, *((weight / total, fit) for weight, fit in likely)]
+
+
 def candidates(weighted: Sequence[tuple[float, Fit]]) -> list[tuple[float, Fit]]:
     """Return the heaviest of fits and weights, as many as a file holds; the weights add up to 1."""
     order = sorted(weighted, key=lambda pair: -pair[0])[:MOST_CANDIDATES]

@@ -5,7 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dbo_cli.errors import warn
-from dbo_cli.identification.averaging import Average, average_model, candidates
+from dbo_cli.identification.averaging import (
+    Average,
+    average_model,
+    candidates,
+    with_levels,
+)
 from dbo_cli.identification.clean import clean
 from dbo_cli.identification.fast import split
 from dbo_cli.identification.figures import (
@@ -76,7 +81,7 @@ def _searched(logs: Sequence[Recording], options: Options, notes: list[str]) -> 
     average = Average.of(fits)
     figures = left_out_figures(problem, average, slow, options)
     fit = average_model(problem, average)
-    others = average.kinds
+    others = with_levels(average.kinds, fits, problem.different_swings)
     few = problem.one_amplitude or problem.different_swings < FEWEST_SWINGS
     if few and dynamic is None:
         others = search.unjudged(average.fits[0])
