@@ -9,7 +9,12 @@ import numpy as np
 
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.errors import FitError, UsageError
-from dbo_cli.identification.recording import FEWEST_ROWS, Options, Recording
+from dbo_cli.identification.recording import (
+    FEWEST_ROWS,
+    SMALLEST_SWING,
+    Options,
+    Recording,
+)
 from dbo_cli.signals import NORMAL_MEDIAN, turns, without_delay
 
 SPIKE_WINDOW = 7  # rows: longer ones have turns of the drive in them
@@ -29,11 +34,13 @@ def clean(
     Raises
     ------
     FitError
-        Too few rows are left.
+        Too few rows are left, or a voltage stands alone.
     """
     notes: list[str] = []
     logs = []
     for log in recordings:
+        if not options.force:
+            refuse_wrong_voltage(log)
         log = without_sensor_delay(log, options.known_sensor_delay)
         good = log.usable & not_skipped(log, options.skip)
         good &= ~faulty_rows(log, notes)
@@ -47,6 +54,21 @@ def clean(
             f"{logs[0].name}: the voltage never turns back; record a drive that goes up and down"
         )
     return logs, notes
+
+
+def refuse_wrong_voltage(log: Recording) -> None:
+    """Refuse (FitError) a voltage that stands alone beyond all others: the range would be that of a fault."""
+    wrong = spiked_rows(log.voltage)
+    low, high = float(log.voltage[~wrong].min()), float(log.voltage[~wrong].max())
+    alone = SMALLEST_SWING * (high - low)
+    wrong &= (log.voltage < low - alone) | (log.voltage > high + alone)
+    wrong &= log.usable
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise FitError(
+            f"{log.name}: row {row + 1}: voltage {log.voltage[row]:g} stands alone, all others are "
+            f"{low:g} to {high:g}: correct that row (`force` keeps it)"
+        )
 
 
 def turns_back(log: Recording) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from dbo_cli.arrays import Floats, Integers
 from dbo_cli.errors import FitError, LimitError
 from dbo_cli.identification.averaging import Average, invented_log
+from dbo_cli.identification.clean import spiked_rows
 from dbo_cli.identification.cross_validation import error_left_out, without_lost_offsets
 from dbo_cli.identification.problem import Problem, known_weights
 from dbo_cli.identification.recording import (
@@ -355,8 +356,11 @@ def describe(model: Cascade, logs: Sequence[Recording]) -> str:
     expected = fit.get("expected_rmse")
     if expected is None:
         return f"fit RMSE {fit['rmse']:.3g}{unit}; error on new moves unknown"
-    span = max(float(np.ptp(log.displacement[log.usable])) for log in logs)
-    percent = 100.0 * expected / span
+    spans = []
+    for log in logs:
+        measured_rows = log.usable & ~spiked_rows(log.displacement)
+        spans.append(float(np.ptp(log.displacement[measured_rows])))
+    percent = 100.0 * expected / max(spans)
     return (
         f"expected error {expected:.3g}{unit} ({percent:.2g} % of range);"
         f" a straight line would leave {fit['line_rmse']:.3g}{unit}"

@@ -206,6 +206,18 @@ def test_skip_leaves_out_the_beginning():
     assert fit["logs"][0]["rows"] == 1200 - 100
 
 
+@pytest.mark.parametrize("wrong", [150.0, -500.0, -20.0])
+def test_a_voltage_that_stands_alone_makes_no_range(wrong):
+    """A row of 150 V in a log of 0 to 100 made a model of 0 to 150 V, where a drive would go."""
+    time, drive = swings()
+    read = drive.copy()
+    read[700] = wrong
+    write("log.csv", LOG, time, read, played(drive))
+    told = refused(1, "identify", "log.csv", "-o", FITTED, *QUICK)
+    assert "row 701" in told and f"{wrong:g}" in told and "--force" in told
+    assert not FITTED.exists()
+
+
 def test_spikes_do_not_spoil_a_model():
     log = moved_log()
     clean = identified(log, *QUICK)["fit"]["rmse"]
