@@ -54,26 +54,9 @@ class Average:
         return residuals
 
     @property
-    def kinds(self) -> list[tuple[float, Fit]]:
-        """The heaviest fit of each kind, with the weight of all of its kind.
-
-        Fits that differ in smoothness, bend or delay alone predict nearly alike: five of
-        one kind would hide how far kinds go apart.
-        """
-        weights: dict[object, float] = {}
-        heaviest: dict[object, Fit] = {}
-        for fit, weight in zip(self.fits, self.weights.tolist(), strict=True):
-            structure = fit.structure
-            kind = (
-                structure.slopes,
-                structure.memories,
-                structure.past,
-                structure.level,
-                structure.drift,
-            )
-            heaviest.setdefault(kind, fit)
-            weights[kind] = weights.get(kind, 0.0) + weight
-        return [(weights[kind], fit) for kind, fit in heaviest.items()]
+    def weighted(self) -> list[tuple[float, Fit]]:
+        """Weight and fit of each."""
+        return list(zip(self.weights.tolist(), self.fits, strict=True))
 
     def words(self) -> list[str]:
         """Return in words what has most of the weight."""
@@ -105,9 +88,9 @@ class Average:
 
 
 def with_levels(
-    kinds: Sequence[tuple[float, Fit]], fits: Sequence[Fit], swings: int
+    average: Average, fits: Sequence[Fit], swings: int
 ) -> list[tuple[float, Fit]]:
-    """Return kinds and, as heavy as these together, the levels where memories may have stood before the logs.
+    """Return the fits of an average and, as heavy together, where memories may have stood before the logs.
 
     The level moves the zero. It shows in the first part, which the others do not predict
     when it is left out; so levels are weighed by how all rows are followed: the likelihood
@@ -115,14 +98,14 @@ def with_levels(
 
     Parameters
     ----------
-    kinds
-        Weight and fit; the heaviest one's kind is fitted at all levels.
+    average
+        The best one's kind is taken at all levels.
     fits
         All there are.
     swings
         How many differ.
     """
-    best = max(kinds, key=lambda pair: pair[0])[1].structure
+    best = average.fits[0].structure
     levels: dict[float | None, Fit] = {}
     for fit in sorted(fits, key=lambda fit: fit.rmse):
         structure = fit.structure
@@ -130,21 +113,39 @@ def with_levels(
         if same and not structure.drift:
             levels.setdefault(structure.level, fit)
     if len(levels) < 2:
-        return list(kinds)
+        return average.weighted
     least = min(fit.rmse for fit in levels.values())
     likely = []
     for fit in levels.values():
         share = least / max(fit.rmse, 1e-300)
         likely.append((share**swings, fit))
     total = sum(weight for weight, _ in likely)
-    return [*kinds, *((weight / total, fit) for weight, fit in likely)]
+    return [*average.weighted, *((weight / total, fit) for weight, fit in likely)]
 
 
-def candidates(weighted: Sequence[tuple[float, Fit]]) -> list[tuple[float, Fit]]:
-    """Return the heaviest of fits and weights, as many as a file holds; the weights add up to 1."""
-    order = sorted(weighted, key=lambda pair: -pair[0])[:MOST_CANDIDATES]
-    total = sum(weight for weight, _ in order)
-    return [(weight / total, fit) for weight, fit in order]
+def candidates(
+    problem: Problem, weighted: Sequence[tuple[float, Fit]]
+) -> list[tuple[float, Fit]]:
+    """Return the fits that travel with a model: the heaviest, and those that add most to the spread.
+
+    The heaviest has the weight of all that stay behind; the weights add up to 1. The
+    spread is that of an invented move and of the logs.
+    """
+    fits = [fit for _, fit in weighted]
+    weights = np.asarray([weight for weight, _ in weighted])
+    weights /= weights.sum()
+    predicted = np.stack(_predictions(problem, invented_log(problem), fits))
+    mean = np.einsum("k,kr->r", weights, predicted)
+    adds = weights * np.mean((predicted - mean) ** 2, axis=1)
+    heaviest = int(np.argmax(weights))
+    adds[heaviest] = 0.0
+    order = np.argsort(-adds, kind="stable")[: MOST_CANDIDATES - 1]
+    chosen = [index for index in order.tolist() if adds[index] > 0.0]
+    remaining = 1.0 - float(weights[chosen].sum())
+    return [
+        (remaining, fits[heaviest]),
+        *((float(weights[index]), fits[index]) for index in chosen),
+    ]
 
 
 def average_model(problem: Problem, average: Average) -> Fit:
@@ -156,14 +157,8 @@ def average_model(problem: Problem, average: Average) -> Fit:
     if len(average.fits) == 1:
         return best
     invented = invented_log(problem)
-    mean = np.zeros(len(problem.output) + len(invented.rows))
-    tables: dict[tuple[float, float], Floats] = {}
-    for member, weight in zip(average.fits, average.weights, strict=True):
-        frame = member.structure.frame
-        if frame not in tables:
-            settled = replace(member.structure, level=None)
-            tables[frame] = _table(problem, invented, settled)
-        mean += weight * member.predict(tables[frame])
+    predicted = np.stack(_predictions(problem, invented, average.fits))
+    mean = np.einsum("k,kr->r", average.weights, predicted)
     weights = np.full(len(mean), INVENTED_WEIGHT)
     weights[: len(problem.output)] = 1.0
     weights /= weights.sum()
@@ -181,6 +176,21 @@ def average_model(problem: Problem, average: Average) -> Fit:
         if misfit < lowest:
             lowest, nearest = misfit, fit
     return best if lowest > MOST_MISFIT * error_left_out(best.residuals) else nearest
+
+
+def _predictions(
+    problem: Problem, invented: PreparedLog, fits: Sequence[Fit]
+) -> list[Floats]:
+    """Return what fits predict on the logs' rows and on an invented drive, memories settled before."""
+    tables: dict[tuple[float, float], Floats] = {}
+    predicted = []
+    for fit in fits:
+        frame = fit.structure.frame
+        if frame not in tables:
+            settled = replace(fit.structure, level=None)
+            tables[frame] = _table(problem, invented, settled)
+        predicted.append(fit.predict(tables[frame]))
+    return predicted
 
 
 def _table(problem: Problem, invented: PreparedLog, structure: Structure) -> Floats:

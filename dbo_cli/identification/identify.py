@@ -81,11 +81,11 @@ def _searched(logs: Sequence[Recording], options: Options, notes: list[str]) -> 
     average = Average.of(fits)
     figures = left_out_figures(problem, average, slow, options)
     fit = average_model(problem, average)
-    others = with_levels(average.kinds, fits, problem.different_swings)
+    others = with_levels(average, fits, problem.different_swings)
     few = problem.one_amplitude or problem.different_swings < FEWEST_SWINGS
     if few and dynamic is None:
         others = search.unjudged(average.fits[0])
-    model = model_of(problem, fit, slow[0], options, candidates(others))
+    model = model_of(problem, fit, slow[0], options, candidates(problem, others))
     if dynamic is not None:
         model = dynamic.applied(model)
     notes += average.words()

@@ -34,7 +34,8 @@ HOPELESS = 1.0  # of the score: a fit that is worse at best weighs nothing
 FEWEST_SWINGS = 4  # with fewer neither bend nor drift can be told from the loop
 ONE_WAY = 2  # swings, up and down once: a curve cannot be told from the loop, either
 SLOWEST = 3.0  # swings: the slowest memory that a log of one amplitude can tell
-OTHER_BENDS = (-0.25, 0.25)  # of candidates that logs cannot judge
+OTHER_SMOOTHNESS = (0.01, 0.1, 10.0, 100.0)  # of candidates that logs cannot judge
+OTHER_BENDS = (-0.25, 0.25)  # the same
 
 
 @dataclass(frozen=True)
@@ -182,6 +183,9 @@ class Search:
         structure, problem = best.structure, self.problem
         straight = np.isinf(structure.smooth_curve)
         trials = [replace(structure, slopes=rule) for rule in RULES]
+        for factor in OTHER_SMOOTHNESS:
+            smooth = factor * structure.smooth_slopes
+            trials.append(replace(structure, smooth_slopes=smooth))
         for bend in OTHER_BENDS:
             trials.append(replace(structure, bend=structure.bend + bend))
         curve = ONE_AMPLITUDE_CURVE if straight else np.inf
