@@ -224,7 +224,7 @@ class Judge:
                 fits = f"{1.0 / (slower * period):.2g} Hz"
             texts.append(f"{limits.slew:g}{limits.suffix}/s allows {fits}")
         if not texts and self._first_clipped == 1 and not self._lead_rows:
-            way = "`from` VOLT and " if self.standing is None else ""
+            way = "`from_` VOLT and " if self.standing is None else ""
             texts.append(f"type {way}`approach` auto for a way to row 1")
         return f"; {', '.join(texts)}" if texts else ""
 
