@@ -176,10 +176,11 @@ def scales_apart(
     reading: opt.Reading, recorded: Collection[str]
 ) -> tuple[opt.Reading, opt.Reading]:
     """Return how a trajectory is read, and how recordings with other roles are, each with its own scales."""
-    scales: list[dict[str, str | float]] = [{}, {}]
-    for role, factor in reading.scale.items():
-        scales[role in recorded][role] = factor
-    return replace(reading, scale=scales[0]), replace(reading, scale=scales[1])
+    own, passes = dict(reading.scale), {}
+    for role in recorded:
+        if role in own:
+            passes[role] = own.pop(role)
+    return replace(reading, scale=own), replace(reading, scale=passes)
 
 
 def write_stream(driver: Driver, log: Log, outputs: Outputs, output: str) -> Drive:

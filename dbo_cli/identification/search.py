@@ -228,7 +228,7 @@ class Search:
                 self.path(trial, [trial.smooth_curve])
 
     def _pasts(self, structure: Structure) -> list[Structure]:
-        """Return a structure with each past: what moved before the logs moved gears and memories."""
+        """Return a structure with each past: of the gears unknown or not, of memories at each level."""
         pasts = (False, True) if self.problem.past.size else (False,)
         levels = LEVELS if structure.memories and self.problem.clock else LEVELS[:1]
         trials = []

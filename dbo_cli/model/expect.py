@@ -87,8 +87,7 @@ def expected_error(
     memory = 0.0
     if model.gears.relaxation is not None:
         memory = _spread_of_memory(model, drive, steps, begin)
-    squares, past = math.sqrt(squares), math.sqrt(past)
-    return ExpectedError(squares, past, math.sqrt(memory), math.sqrt(unswept))
+    return ExpectedError(*map(math.sqrt, (squares, past, memory, unswept)))
 
 
 def _spread_of_memory(

@@ -228,9 +228,8 @@ def _strokes(ends: Range, flat: int, turn: int, count: int, loop: bool) -> Float
     end, pace = low, -speed
     if count % 2:
         end, pace = high, speed
-    stop = _started(end, -pace, soft_rows)[::-1][
-        1:
-    ]  # a stop is a start played backwards
+    # a stop is a start played backwards
+    stop = _started(end, -pace, soft_rows)[::-1][1:]
     begin = _started(low, speed, soft_rows)
     return np.concatenate([begin, lines[: lines.size - turn], stop])
 
