@@ -7,8 +7,7 @@ are one signal through one inverse in one state, and every row passes the gate.
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -20,7 +19,7 @@ from dbo_cli.drive.judge import Judge
 from dbo_cli.drive.lead import Lead, LeadIn, ramp
 from dbo_cli.drive.limits import Figure, Gate, Limits, voltage_in
 from dbo_cli.drive.simulate import NO_ROWS, Ahead, Due, Rows, stacked
-from dbo_cli.errors import DboWarning, InputError, UsageError
+from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import Cascade, State, Steps
 
 if TYPE_CHECKING:
@@ -313,11 +312,11 @@ class Driver:
                 desired=desired,
                 time=time,
                 step=dt,
-                reference=self._reference(desired, time, dt, periodic, passes),
                 state=self.lead.state,
                 periodic=periodic,
                 absolute=absolute,
-                lead_to=self._lead_to(dt),
+                sweep=self.limits.sweep,
+                is_swept=self.lead.condition,
             )
             return move.learned(tracked, history, bandwidth, drive_of)
         if bandwidth is None:
@@ -378,36 +377,6 @@ class Driver:
             for due in self._ahead.take(step, still, still, at_rest):
                 blocks.append(self._driven(step, due))
         return dt, stacked(blocks)
-
-    def _lead_to(self, dt: float) -> Callable[[float], Floats] | None:
-        """Return what makes the voltages before a move by its first displacement, if a sweep is asked for."""
-        if not self.lead.condition:
-            return None
-
-        def lead_to(first: float) -> Floats:
-            lead_in = LeadIn(
-                self.model, first, dt, self.limits, self.lead, self._standing
-            )
-            _, voltage, still = lead_in.planned(self.hold)
-            return np.append(voltage, np.full(still, voltage[-1]))
-
-        return lead_to
-
-    def _reference(
-        self, desired: Floats, time: Floats, dt: float, periodic: bool, passes: int
-    ) -> Floats:
-        """Return the voltages of the loop or the move, if nothing is learned; behind a sweep none."""
-        if periodic:
-            return self._loop_of(desired, dt, passes).planned().voltage
-        if self.lead.condition:
-            return np.empty(0)
-        driver = Driver(
-            self.model, self.limits, self.lead, on_limit="clip", name=self.name
-        )
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DboWarning)
-            drive = driver.whole(desired, dt, time)
-        return drive.voltage[drive.move]
 
     def _usual_step(self, dt: Steps) -> float:
         """Return the seconds a row at the beginning; 0 without a clock.

@@ -248,7 +248,7 @@ class LeadIn:
         limits, drive = self.limits, self.model.input
         dt, seconds = self.dt, self.lead.approach
         # at or below the first gear's origin every bit is clear, so that the past is wiped out
-        low, high = max(limits.move[0], drive.min), min(limits.move[1], drive.max)
+        low, high = limits.sweep
         if not low < high:
             raise UsageError(
                 f"`condition` sweeps the identified range, {drive.min:.6g} to {drive.max:.6g}"

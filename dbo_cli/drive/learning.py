@@ -18,14 +18,14 @@ from hashlib import sha256
 
 import numpy as np
 
-from dbo_cli.alignment import ACTUATOR_LAG, RATE_SLACK, align_drives, mean_step
+from dbo_cli.alignment import ACTUATOR_LAG, DRIVE_RESIDUAL, RATE_SLACK, mean_step
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.smooth import low_pass, soft_rise
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.model import Cascade, Resonance, State, fields
-from dbo_cli.signals import noise, turns, without_delay
+from dbo_cli.model import Cascade, State, fields
+from dbo_cli.signals import lag, noise, turns, without_delay
 
 FORMAT = "dbo-history"
 
@@ -40,20 +40,11 @@ LONG_STEP = 1.5  # steps: a longer one lacks rows
 OTHER_SCALE = 1.25
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
-# of what differs by the stamps: with less by the drive, the recorder counts from elsewhere
-MUCH_CLOSER = 0.5
-NEAR_ROWS = 2  # behind a sweep the first row is found to one: so near, the stamps count
-LOOKS = 6  # for the first row behind a sweep; two or three are usual
 SWEEP_TRAVEL = 1.7  # ranges that the drive travels in a sweep there and back
 # of what was asked, in a third of an octave: a pass takes two thirds off
 TRUSTED_ERROR = 1.0 / 3.0
 # of the strongest third of an octave (amplitude): with less a band says nothing
 BAND_ENERGY = 1e-3
-# how far off a resonance may be: a payload of half the moving mass does that
-MISTUNED = 0.25
-SHARPER = 0.25  # of the model's damping: that of the mistuned resonance; chosen
-# most that |Q(1 - M)| may be at any frequency for such a resonance; chosen
-FACTOR = 0.9
 
 
 @dataclass(frozen=True)
@@ -86,26 +77,25 @@ class RepeatedMove:
         A forward model.
     desired, time, step
         The trajectory, the time of each row and its even step (s).
-    reference
-        Voltages of the move or period if nothing is learned: a recorded drive is laid over
-        them, or over ``lead_to``.
     state
         In which the drives began.
     periodic, absolute
         Whether recordings are of whole periods, and whether the mean is learned.
-    lead_to
-        Where a sweep stands before the move: the voltages before it, by its first value.
+    sweep
+        Least and greatest voltage of a sweep.
+    is_swept
+        Whether a sweep stands before the move.
     """
 
     model: Cascade
     desired: Floats
     time: Floats
     step: float
-    reference: Floats
-    state: str | State = "auto"
-    periodic: bool = False
-    absolute: bool = False
-    lead_to: Callable[[float], Floats] | None = None
+    state: str | State
+    periodic: bool
+    absolute: bool
+    sweep: tuple[float, float]
+    is_swept: bool
 
     def learned(
         self,
@@ -199,24 +189,29 @@ class RepeatedMove:
 
     def _pass_of(self, recording: Tracked) -> tuple[Floats, Floats, Floats]:
         """Return drive, modelled and measured displacement of the rows that belong to the trajectory."""
-        count, begin = self.desired.size, self._first_row(recording)
-        rows = recording.voltage.size - begin
+        voltage, step, count = recording.voltage, self.step, self.desired.size
+        is_move = voltage.size == count and recording.time is None
+        state = self.state if is_move else "auto"
+        start = self.model.start(float(voltage[0]), state)
+        modelled = self.model.run(voltage, start, step).y
+        begin = 0 if is_move else self._first_row(recording, modelled)
+        rows = voltage.size - begin
         if rows < count:
             raise InputError(
                 f"{recording.name}: {rows:,} rows from the start of the move, the trajectory has "
                 f"{count:,}: record each row of it"
             )
-        time = self.step * np.arange(float(recording.measured.size))
+        time = step * np.arange(float(voltage.size))
         delay = self.model.sensor_delay
         measured, _ = without_delay(time, recording.measured, delay)
         if self.periodic:
-            return self._mean_period(recording.voltage[begin:], measured[begin:])
-        self._require_same_past(recording, begin)
-        state = self.state if begin == 0 else "auto"
-        start = self.model.start(float(recording.voltage[0]), state)
-        modelled = self.model.run(recording.voltage, start, self.step).y
+            return self._mean_period(voltage[begin:], measured[begin:])
+        self._require_same_past(recording.name, voltage[:begin])
+        if begin == 0 and self.state != state:
+            start = self.model.start(float(voltage[0]), self.state)
+            modelled = self.model.run(voltage, start, step).y
         move = slice(begin, begin + count)  # what stands behind is a return
-        return recording.voltage[move], modelled[move], measured[move]
+        return voltage[move], modelled[move], measured[move]
 
     def _mean_period(
         self, voltage: Floats, measured: Floats
@@ -235,95 +230,29 @@ class RepeatedMove:
         start = self.model.start(float(drive[0]), self.state)
         return drive, settled_run(self.model, drive, self.step, start), measured
 
-    def _first_row(self, recording: Tracked) -> int:
+    def _first_row(self, recording: Tracked, modelled: Floats) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead.
 
-        A recorder may count from elsewhere: the recorded drive is laid over the reference.
+        A recorder may count from elsewhere: what the model makes of the recorded drive is
+        laid over the trajectory. Rows of a lead are none of it, whatever they are.
         """
-        voltage, count = recording.voltage, self.desired.size
-        by_stamps = self._row_by_stamps(recording)
-        if recording.time is None and voltage.size == count:
-            return 0
-        if self.lead_to is not None:
-            row = self._row_behind_sweep(voltage)
-            if row is None or abs(row - by_stamps) <= NEAR_ROWS:
-                return by_stamps
-            return row
-        row = self._row_by_drive(voltage)
-        if row is None:
+        by_stamps, count = self._row_by_stamps(recording), self.desired.size
+        last, trajectory = modelled, self.desired
+        if self.periodic:  # in the last two periods what leads to the loop is over
+            last, trajectory = modelled[-2 * count :], np.tile(trajectory, 4)
+        late = lag(last, trajectory)
+        if late is None or late.residual > DRIVE_RESIDUAL:
             return by_stamps
-        difference = abs(row - by_stamps)
-        is_stamped = recording.time is not None and voltage.size - by_stamps >= count
+        row = modelled.size - last.size + round(late.seconds)
+        row = min(max(row, 0), max(modelled.size - count, 0))
+        difference, behind = abs(row - by_stamps), modelled.size - by_stamps
         if self.periodic:  # which of the periods does not matter
             row, difference = row % count, difference % count
             difference = min(difference, count - difference)
-            is_stamped = is_stamped and (voltage.size - by_stamps) % count == 0
-        if not is_stamped:
-            return row
-        if difference * self.step <= ACTUATOR_LAG:
-            return by_stamps  # what was learned may be as early
-        by_drive = self._mismatch(voltage, row)
-        if by_drive < MUCH_CLOSER * self._mismatch(voltage, by_stamps):
-            return row
-        return by_stamps
-
-    def _mismatch(self, voltage: Floats, row: int) -> float:
-        """Return how far a recorded move or last period is off the reference (RMS), without the mean."""
-        count = self.reference.size
-        if self.periodic:
-            row += max((voltage.size - row) // count - 1, 0) * count
-        rows = voltage[row : row + count]
-        if rows.size < count:
-            return math.inf
-        return float(np.std(rows - self.reference))
-
-    def _row_by_drive(self, voltage: Floats) -> int | None:
-        """Return the first row of the move in a recorded drive; None where the reference is not there."""
-        reference, begin = self.reference, 0
-        if self.periodic:
-            # in the last two periods what leads to the loop is over
-            begin = max(voltage.size - 2 * reference.size, 0)
-            reference = np.tile(reference, 4)
-        row = self._shift(voltage[begin:], reference)
-        if row is None or self.periodic:
-            return None if row is None else begin + row
-        return min(max(row, 0), max(voltage.size - self.desired.size, 0))
-
-    def _row_behind_sweep(self, voltage: Floats) -> int | None:
-        """Return the first row of the move in a recorded drive that begins with a sweep; None: it does not.
-
-        The way behind the sweep lasts as long as the first value is far, and what was
-        learned moves that: the next look is for the way to the value that was found, as
-        long as it lies closer.
-        """
-        assert self.lead_to is not None
-        first, row, closest = float(self.desired[0]), None, math.inf
-        for _ in range(LOOKS):
-            lead = self.lead_to(first)
-            shift = self._shift(voltage, lead)
-            if shift is None:
-                break
-            # the recording may lack rows at rest that another axis needs
-            sweep = lead[max(-shift, 0) :]
-            end = max(shift + lead.size, 0)
-            recorded = voltage[max(shift, 0) : end]
-            if recorded.size != sweep.size or not self._is_same_drive(recorded, sweep):
-                break
-            difference = rms(recorded - sweep)
-            if difference >= closest:
-                break
-            row, closest = end, difference
-            start = self.model.start(float(voltage[0]), "auto")
-            modelled = self.model.run(voltage[: row + 1], start, self.step).y
-            first = float(modelled[-1])
-        return row
-
-    def _shift(self, voltage: Floats, reference: Floats) -> int | None:
-        """Return the row of a recorded drive at which another one begins; None: they are not alike."""
-        rows = self.step * np.arange(float(max(voltage.size, reference.size)))
-        times = rows[: voltage.size], rows[: reference.size]
-        found = align_drives(times[0], voltage, times[1], reference)
-        return None if found is None else round(found.ahead / self.step)
+        has_all = behind % count == 0 if self.periodic else behind >= count
+        # what was learned may be as early
+        is_near = difference * self.step <= ACTUATOR_LAG
+        return by_stamps if has_all and is_near else row
 
     def _row_by_stamps(self, recording: Tracked) -> int:
         """Return the row at the time of the trajectory's first; the first where there is no clock.
@@ -350,22 +279,19 @@ class RepeatedMove:
             )
         return int(np.searchsorted(time, self.time[0] - 0.5 * self.step))
 
-    def _require_same_past(self, recording: Tracked, begin: int) -> None:
+    def _require_same_past(self, name: str, lead: Floats) -> None:
         """Refuse a pass with a sweep before it for a drive without, or the other way round (InputError)."""
-        if begin < 2 or isinstance(self.state, State):
+        if lead.size < 2 or isinstance(self.state, State):
             return
-        lead = recording.voltage[:begin]
-        is_swept, span = self.lead_to is not None, self.model.input.span
-        if self.lead_to is not None:
-            span = float(np.ptp(self.lead_to(float(self.desired[0]))))
+        span = self.sweep[1] - self.sweep[0]
         extremes = lead[turns(lead, 0.1 * span)]
         was_swept = float(np.abs(np.diff(extremes)).sum()) > SWEEP_TRAVEL * span
-        if was_swept == is_swept:
+        if was_swept == self.is_swept:
             return
         how = "with" if was_swept else "without"
         raise InputError(
-            f"{recording.name}: recorded {how} a sweep before the move, which makes another past: record a "
-            "pass of this drive, or change `condition`"
+            f"{name}: recorded {how} a sweep before the move, which makes another past: record a pass of "
+            "this drive, or change `condition`"
         )
 
     # --- refusals ---
@@ -414,14 +340,13 @@ class RepeatedMove:
     def _trusted(self, name: str, residual: Floats) -> float:
         """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows.
 
-        ``residual``: measured less what the model makes of the drive.
+        A third of the lowest resonance is safe where the model has it 25 % off: there |Q(1 - M)|
+        stays below 0.9. ``residual``: measured less what the model makes of the drive.
         """
-        dynamics = self.model.dynamics
-        resonances = () if dynamics is None else dynamics.resonances
         frequency = self.model.trusted_frequency
         if frequency is None:
             frequency = _trusted_by_bands(name, self.desired, residual, self.step)
-        return min(frequency, 0.45 / self.step, _safe(resonances))
+        return min(frequency, 0.45 / self.step)
 
 
 def rms(values: Floats) -> float:
@@ -462,26 +387,6 @@ def _require_same_scale(name: str, modelled: Floats, measured: Floats) -> None:
         f"{name}: the displacement is {gain:.3g} times what the model expects of this drive: if the sensor's "
         f"scale is another, type `scale` measured={1.0 / gain:.3g}, else identify with `prior`"
     )
-
-
-def _safe(resonances: Sequence[Resonance]) -> float:
-    """Return the highest cut-off (Hz) at which no mistuned resonance makes what was learned grow.
-
-    From |Q(1 - M)| <= FACTOR with Q = 1/(1 + (f/f_c)^2n), solved for f_c at every
-    frequency.
-    """
-    highest = math.inf
-    for resonance in resonances:
-        plain = Resonance(resonance.frequency, resonance.damping)
-        frequency = resonance.frequency * np.linspace(0.5, 2.0, 3001)
-        for factor in (1.0 - MISTUNED, 1.0 + MISTUNED):
-            tuned = resonance.frequency * factor
-            actual = Resonance(tuned, SHARPER * resonance.damping)
-            kept = np.abs(1.0 - actual.response(frequency) / plain.response(frequency))
-            growing = kept > FACTOR
-            bound = frequency[growing] / (kept[growing] / FACTOR - 1.0) ** (0.5 / ORDER)
-            highest = min(highest, float(bound.min(initial=math.inf)))
-    return highest
 
 
 def _trusted_by_bands(

@@ -139,6 +139,12 @@ class Limits:
         """The unit behind a blank, for messages."""
         return f" {self.unit}" if self.unit else ""
 
+    @property
+    def sweep(self) -> tuple[float, float]:
+        """The range of a sweep: the move's, as far as it is identified, if that leaves any."""
+        low, high = self.identified
+        return max(self.move[0], low), min(self.move[1], high)
+
     def range_of(self, phase: str) -> tuple[float, float]:
         """Return the range of a part of a drive: ``move``, or another one, which may use the rating."""
         return self.move if phase == "move" else self.rating
