@@ -25,7 +25,7 @@ from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.smooth import low_pass, soft_rise
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import Cascade, State, fields
-from dbo_cli.signals import lag, noise, turns, without_delay
+from dbo_cli.signals import lag, noise, residual_at, turns, without_delay
 
 FORMAT = "dbo-history"
 
@@ -40,6 +40,8 @@ LONG_STEP = 1.5  # steps: a longer one lacks rows
 OTHER_SCALE = 1.25
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
+# of the variance that stamps leave: with more left elsewhere, they are believed
+MUCH_CLOSER = 0.25
 SWEEP_TRAVEL = 1.7  # ranges that the drive travels in a sweep there and back
 # of what was asked, in a third of an octave: a pass takes two thirds off
 TRUSTED_ERROR = 1.0 / 3.0
@@ -243,16 +245,19 @@ class RepeatedMove:
         late = lag(last, trajectory)
         if late is None or late.residual > DRIVE_RESIDUAL:
             return by_stamps
-        row = modelled.size - last.size + round(late.seconds)
-        row = min(max(row, 0), max(modelled.size - count, 0))
-        difference, behind = abs(row - by_stamps), modelled.size - by_stamps
+        before, behind = modelled.size - last.size, modelled.size - by_stamps
+        shift = by_stamps - before
+        row = before + round(late.seconds)
+        difference, has_all = abs(row - by_stamps), behind >= count
         if self.periodic:  # which of the periods does not matter
-            row, difference = row % count, difference % count
-            difference = min(difference, count - difference)
-        has_all = behind % count == 0 if self.periodic else behind >= count
+            shift, row, has_all = shift % count - count, row % count, not behind % count
+            difference = min(difference % count, -difference % count)
         # what was learned may be as early
         is_near = difference * self.step <= ACTUATOR_LAG
-        return by_stamps if has_all and is_near else row
+        explained = MUCH_CLOSER * residual_at(last, trajectory, shift) <= late.residual
+        if has_all and (is_near or explained):
+            return by_stamps
+        return min(max(row, 0), max(modelled.size - count, 0))
 
     def _row_by_stamps(self, recording: Tracked) -> int:
         """Return the row at the time of the trajectory's first; the first where there is no clock.
