@@ -134,6 +134,8 @@ def driver_of(
 ) -> Driver:
     """Return a driver by its options."""
     lead = Lead(
+        model,
+        limits,
         state=options.get("state", "auto"),
         start=options.get("start"),
         approach=options.get("approach"),
@@ -141,8 +143,6 @@ def driver_of(
         rest=options.get("lead"),
     )
     return Driver(
-        model,
-        limits,
         lead,
         on_limit=options.get("on_limit", "auto"),
         return_to=options.get("return_to"),

@@ -411,16 +411,8 @@ class Model:
         signal = signal_of(wanted, (role, role), self.output, time, rate, unit)
         start = room.state_of(state, self.actuator)
         limits = Limits.within(self.input, v_min, v_max, max_slew, extrapolate)
-        before = Lead(
-            state=start,
-            start=from_,
-            approach=approach,
-            condition=condition,
-            rest=lead,
-        )
-        driver = Driver(
-            self.actuator, limits, before, on_limit=on_limit, return_to=return_
-        )
+        before = Lead(self.actuator, limits, start, from_, approach, condition, lead)
+        driver = Driver(before, on_limit=on_limit, return_to=return_)
         file = None
         if history and tracked is None:
             raise UsageError("`history` needs `tracked` LOG")

@@ -105,23 +105,10 @@ def compensate(
         typed = channels.values_for(voltages, channel, names)
         begin, end = typed.pop("from"), typed.pop("return")
         bounds = Limits.within(actuator.input, **typed, extrapolate=extrapolate)
-        before = Lead(
-            state=starts[channel],
-            start=begin,
-            approach=approach,
-            condition=condition,
-            rest=lead,
-        )
+        state = starts[channel]
+        before = Lead(actuator, bounds, state, begin, approach, condition, lead)
         label = f"channel {channel}" if channel else trajectory
-        return Driver(
-            actuator,
-            bounds,
-            before,
-            on_limit=on_limit,
-            return_to=end,
-            name=label,
-            hold=hold,
-        )
+        return Driver(before, on_limit=on_limit, return_to=end, name=label, hold=hold)
 
     if streams:
         units = {"displacement": models[""].output.unit}

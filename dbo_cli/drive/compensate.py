@@ -16,22 +16,19 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.judge import Judge
-from dbo_cli.drive.lead import Lead, LeadIn, ramp
-from dbo_cli.drive.limits import Figure, Gate, Limits, voltage_in
+from dbo_cli.drive.lead import Lead, ramp
+from dbo_cli.drive.limits import Figure, Gate, voltage_in
 from dbo_cli.drive.simulate import NO_ROWS, Ahead, Due, Rows, stacked
 from dbo_cli.errors import InputError, UsageError
-from dbo_cli.model import Cascade, State, Steps
+from dbo_cli.model import State, Steps
 
 if TYPE_CHECKING:
     from dbo_cli.drive.learning import Tracked
-    from dbo_cli.drive.loops import Loop
 
 OnLimit = Literal["auto", "clip", "error"]
 
 DRIVEN_ROWS = 65_536  # that are driven at once: what they take stays in caches
 LARGEST_DISPLACEMENT = 1e60  # of a displacement, as of the numbers of a model
-HELD_STEPS = 1e-6
-"""Of a step: so much later than a step behind a state, its voltage was held."""
 
 
 class Driver:
@@ -39,12 +36,8 @@ class Driver:
 
     Parameters
     ----------
-    model : Cascade
-        A forward model.
-    limits : Limits
-        What the drive may do.
-    lead : Lead, optional
-        What stands before the move.
+    lead : Lead
+        A forward model, what its drive may do, and what stands before the move.
     on_limit : {"auto", "clip", "error"}
         auto: what costs more than one percent of the move (RMS) is refused at the end.
     return_to : float or str, optional
@@ -56,37 +49,26 @@ class Driver:
 
     Raises
     ------
-    LimitError
-        The amplifier stands outside the rating.
-    ModelError
-        The model is an inverse one.
     UsageError
-        ``on_limit`` is unknown, or ``lead`` contradicts itself.
+        ``on_limit`` is unknown, or ``return_to`` cannot be read.
     """
 
     def __init__(
         self,
-        model: Cascade,
-        limits: Limits,
-        lead: Lead | None = None,
+        lead: Lead,
         *,
         on_limit: OnLimit = "auto",
         return_to: Figure = None,
         name: str = "trajectory",
         hold: int = 0,
     ) -> None:
-        model.require("forward")
         if on_limit not in get_args(OnLimit):
             raise UsageError(f"`on_limit` {on_limit}: give auto, clip or error")
-        self.model, self.limits, self.name = model, limits, name
-        self.on_limit, self.hold = on_limit, hold
-        self.return_to = voltage_in("return_", return_to, model.input)
-        self.lead = lead = Lead() if lead is None else lead
-        self._standing = lead.standing(limits, model.input)
-        if lead.approach is not None and not lead.condition and self._standing is None:
-            raise UsageError("`approach` needs `from_` VOLT or a `state` file")
-        self._gate = Gate(limits, self._standing)
-        self._judge = Judge(model, limits, lead, self._standing, on_limit, name)
+        self.model, self.limits, self.name = lead.model, lead.limits, name
+        self.lead, self.on_limit, self.hold = lead, on_limit, hold
+        self.return_to = voltage_in("return_", return_to, lead.model.input)
+        self._gate = Gate(lead.limits, lead.standing)
+        self._judge = Judge(lead, on_limit, name)
         self._state: State | None = None
         self._row_count = 0
         self._step = 0.0
@@ -205,21 +187,19 @@ class Driver:
             raise UsageError(
                 "`periodic` excludes `condition`, `lead` and `return_`: use `passes` N"
             )
-        loop = self._loop_of(target, dt, passes)
-        plan = loop.planned()
-        settled, state = plan.settled.run, plan.settled.before
-        self._judge.clip(desired, loop.static_target, settled, state, dt)
+        loop = loops.Loop(lead, target, dt, passes, self.name, self.hold)
+        self._judge.clip(desired, loop.target, loop.run, loop.state, dt)
         self._judge.require_reached(dt, is_loop=True)
-        texts = loop.require_settled(plan, self.on_limit)
-        leading, period = plan.lead_voltage, plan.voltage
+        texts = loop.require_settled(self.on_limit)
+        leading, period = loop.lead_voltage, loop.voltage
         first = float(leading[0] if leading.size else period[0])
         self._gate.require_reachable(first, first, dt)
-        self._state, self._step = plan.begin, dt
+        self._state, self._step = loop.begin, dt
         stamps = time[0] - dt * np.arange(leading.size, 0.0, -1.0)
         before = self._played(stamps, leading, "lead", True)
         first_pass = self._played(time, period, "move", True)
         self._gate.admit(period[:1], dt)  # the seam
-        unsettled = first_pass.x - loops.settled_run(model, period, dt, state)
+        unsettled = first_pass.x - loops.settled_run(model, period, dt, loop.state)
         unsettled_rms = float(np.sqrt(np.mean(unsettled**2)))
         drive = self._judge.concluded(self._state, dt, unsettled_rms)
         note = f"the first pass is {unsettled_rms:.3g}{model.output.suffix} off the settled one (RMS)"
@@ -228,22 +208,6 @@ class Driver:
             drive,
             notes=(f"{self.name}: {note}",),
             warnings=(*texts, *drive.warnings),
-        )
-
-    def _loop_of(self, target: Floats, dt: float, passes: int) -> Loop:
-        """Return a loop on its way to the settled drive."""
-        from dbo_cli.drive.loops import Loop
-
-        return Loop(
-            model=self.model,
-            limits=self.limits,
-            target=target,
-            dt=dt,
-            lead=self.lead,
-            begin=self._standing,
-            passes=passes,
-            name=self.name,
-            hold=self.hold,
         )
 
     # --- a whole trajectory ---
@@ -352,24 +316,21 @@ class Driver:
         self, first: float, dt: Steps, time: Floats | None
     ) -> tuple[Steps, Rows]:
         """Return the time steps of the first block, and the rows before the move that are ready."""
-        lead, model = self.lead, self.model
         step = self._step = self._usual_step(dt)
         if isinstance(dt, np.ndarray):
             dt = np.concatenate([[step], dt[1:]])
-        if isinstance(lead.state, State):
-            lead = replace(lead, state=_aged(model, lead.state, time, step))
-        lead_in = LeadIn(model, first, step, self.limits, lead, self._standing)
-        self._state, voltage, still_rows = lead_in.planned(self.hold)
+        begin = None if time is None else float(time[0])
+        planned = self.lead.planned(first, step, begin, self.hold)
+        self._state, voltage, still_rows = planned
         count = voltage.size + still_rows
-        begin = 0.0 if time is None else float(time[0])
-        stamps = begin - step * np.arange(count, 0.0, -1.0)
+        stamps = (begin or 0.0) - step * np.arange(count, 0.0, -1.0)
         blocks = []
         if voltage.size:
             before = stamps[: voltage.size]
             blocks.append(self._played(before, voltage, "lead", time is not None))
         else:
             self._gate.require_reachable(*self.limits.move, dt)
-        self._ahead = Ahead(model, dt, self._state)
+        self._ahead = Ahead(self.model, dt, self._state)
         self._still_rows = still_rows
         if still_rows:
             still = np.full(still_rows, first)
@@ -455,13 +416,3 @@ class Driver:
             f"{self.name}: row {self._row_count + row + 1:,}: {values[row]:g} is no displacement: check "
             "column and unit (`skip_bad` drops rows without a number)"
         )
-
-
-def _aged(model: Cascade, state: State, time: Floats | None, step: float) -> State:
-    """Return a state after the pause between its last row and the first one: the voltage was held."""
-    if state.time is None or state.drive is None or time is None:
-        return state
-    pause = float(time[0]) - state.time - step
-    if pause <= HELD_STEPS * step:
-        return state
-    return model.run(np.array([state.drive]), state, pause).state

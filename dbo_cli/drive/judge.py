@@ -10,9 +10,9 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import Lead
-from dbo_cli.drive.limits import Limits, in_full, rounded_up
+from dbo_cli.drive.limits import in_full, rounded_up
 from dbo_cli.errors import InputError, LimitError, warn
-from dbo_cli.model import Cascade, Run, State, Steps, expect
+from dbo_cli.model import Run, State, Steps, expect
 
 ALLOWED_PART = 0.01
 """Of the move: so much of it (RMS) may be cut off unasked; the order of a good model's error; chosen."""
@@ -28,27 +28,17 @@ class Judge:
 
     Parameters
     ----------
-    model, limits, lead
+    lead
         A forward model, what its drive may do, and what stands before the move.
-    standing : float or None
-        Where the amplifier stands before the first row, if that is known.
     on_limit : str
         What happens where limits cut rows off.
     name : str
         Of the trajectory, in messages.
     """
 
-    def __init__(
-        self,
-        model: Cascade,
-        limits: Limits,
-        lead: Lead,
-        standing: float | None,
-        on_limit: str,
-        name: str,
-    ) -> None:
-        self.model, self.limits, self.lead = model, limits, lead
-        self.standing, self.on_limit, self.name = standing, on_limit, name
+    def __init__(self, lead: Lead, on_limit: str, name: str) -> None:
+        self.model, self.limits, self.lead = lead.model, lead.limits, lead
+        self.on_limit, self.name = on_limit, name
         # how far the first row starts off its displacement, where no settled actuator
         # stands, and by how much dynamics and delay are in motion there
         self._missed = self._transient = 0.0
@@ -224,7 +214,7 @@ class Judge:
                 fits = f"{1.0 / (slower * period):.2g} Hz"
             texts.append(f"{limits.slew:g}{limits.suffix}/s allows {fits}")
         if not texts and self._first_clipped == 1 and not self._lead_rows:
-            way = "`from_` VOLT and " if self.standing is None else ""
+            way = "`from_` VOLT and " if self.lead.standing is None else ""
             texts.append(f"type {way}`approach` auto for a way to row 1")
         return f"; {', '.join(texts)}" if texts else ""
 
@@ -291,7 +281,10 @@ class Judge:
         warnings = tuple(f"{self.name}: {text}" for text in texts)
         for text in warnings:
             warn(text)
-        asks_start = self.standing is None and self.lead.state in ("auto", "settled")
+        asks_start = self.lead.standing is None and self.lead.state in (
+            "auto",
+            "settled",
+        )
         return Drive(
             self.model,
             self.limits,
@@ -336,7 +329,7 @@ class Judge:
             texts.append(
                 "the move starts in motion and rings at first: add `lead` auto"
             )
-        (low, high), standing = self.limits.identified, self.standing
+        (low, high), standing = self.limits.identified, self.lead.standing
         if standing is not None and abs(self._first - standing) > JUMP * (high - low):
             texts.append(
                 f"jumps from {in_full(standing)} to {in_full(self._first)}{self.limits.suffix} at row 1, and "

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.limits import Figure, Limits, rounded_up, voltage_in
 from dbo_cli.drive.smooth import swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
-from dbo_cli.model import Cascade, Lag, Quantity, State
+from dbo_cli.model import Cascade, Lag, State
 from dbo_cli.units import parse_quantity
 
 Seconds = float | str | None
@@ -42,14 +42,20 @@ SECANT_SLACK = 1e-8  # of the move's range, around what a secant finds
 LONGEST_CHOSEN = 60.0  # s that the program may put before a move; a user may type more
 MOST_LEAD_ROWS = 100_000_000
 NO_VOLTAGES = np.zeros(0)
+HELD_STEPS = 1e-6
+"""Of a step: so much later than a step behind a state, its voltage was held."""
 
 
-@dataclass(kw_only=True)
+@dataclass(frozen=True)
 class Lead:
-    """What is asked for before a move.
+    """What a drive may do, and what stands before a move.
 
     Attributes
     ----------
+    model
+        A forward model.
+    limits
+        What its drive may do.
     state : str or State
         ``auto``, ``empty``, ``full``, ``settled``, or the state to go on from.
     start : float or str, optional
@@ -61,44 +67,46 @@ class Lead:
         Sweep the move's range first.
     rest : float, str or "auto", optional
         Seconds at the first value; auto: as many as dynamics and delay need.
+    standing : float or None
+        Where the amplifier stands, as typed or as a state left it; None where neither is known.
 
     Raises
     ------
+    LimitError
+        The amplifier stands outside the rating.
+    ModelError
+        The model is an inverse one.
     UsageError
-        A value is out of its range, or two exclude each other.
+        A value is out of its range, or two contradict each other.
     """
 
+    model: Cascade
+    limits: Limits
     state: str | State = "auto"
     start: Figure = None
     approach: Seconds = None
     condition: bool = False
     rest: Seconds = None
+    standing: float | None = field(init=False)
 
     def __post_init__(self) -> None:
         """Check every value."""
-        self.approach = _seconds("approach", self.approach)
-        self.rest = _seconds("lead", self.rest)
+        self.model.require("forward")
+        standing = self._standing()
+        object.__setattr__(self, "standing", standing)
+        object.__setattr__(self, "approach", _seconds("approach", self.approach))
+        object.__setattr__(self, "rest", _seconds("lead", self.rest))
         if self.condition and self.state != "auto":
             raise UsageError(
                 "`condition` and `state` exclude each other: leave one out"
             )
+        if self.approach is not None and not self.condition and standing is None:
+            raise UsageError("`approach` needs `from_` VOLT or a `state` file")
 
-    @property
-    def past_known(self) -> bool:
-        """Whether a sweep from rest or a typed state makes the past known."""
-        return self.condition or isinstance(self.state, State) or self.state != "auto"
-
-    def standing(self, limits: Limits, voltage: Quantity) -> float | None:
-        """Return where the amplifier stands: as typed, or as a state left it; None where neither is known.
-
-        Raises
-        ------
-        LimitError
-            It is outside the rating.
-        UsageError
-            The two contradict each other.
-        """
-        start = voltage_in("from_", self.start, voltage)
+    def _standing(self) -> float | None:
+        """Return where the amplifier stands; see ``standing``."""
+        limits = self.limits
+        start = voltage_in("from_", self.start, self.model.input)
         if start is not None:
             limits.require_start(start, "`from_`")
         left_at = self.state.drive if isinstance(self.state, State) else None
@@ -112,47 +120,24 @@ class Lead:
             )
         return left_at
 
+    @property
+    def past_known(self) -> bool:
+        """Whether a sweep from rest or a typed state makes the past known."""
+        return self.condition or isinstance(self.state, State) or self.state != "auto"
 
-def _seconds(name: str, value: Seconds) -> Seconds:
-    """Return typed seconds as a number; UsageError where they are not above 0, None or auto."""
-    if value is None or value == "auto":
-        return value
-    seconds = parse_quantity(value, "s", name)
-    if 0.0 < seconds < math.inf:
-        return seconds
-    raise UsageError(f"`{name}` {value}: give seconds above 0, or auto")
+    # --- the rows before a move; ``first`` is its first displacement, ``dt`` the seconds a row ---
 
-
-@dataclass(frozen=True)
-class LeadIn:
-    """What stands before a move.
-
-    Attributes
-    ----------
-    model
-        A forward model.
-    first
-        First value of the move (displacement).
-    dt
-        Seconds a row.
-    limits, lead
-        What the drive may do, and what is asked for.
-    last
-        Where the amplifier stands, if that is known.
-    """
-
-    model: Cascade
-    first: float
-    dt: float
-    limits: Limits
-    lead: Lead
-    last: float | None
-
-    def planned(self, hold: int = 0) -> tuple[State | None, Floats, int]:
+    def planned(
+        self, first: float, dt: float, time: float | None = None, hold: int = 0
+    ) -> tuple[State | None, Floats, int]:
         """Return what stands before the move.
 
         Parameters
         ----------
+        first, dt
+            The first displacement of the move, and the seconds a row.
+        time
+            Stamp (s) of that row: the voltage of a state was held until what stands before it.
         hold
             Rows at the beginning that are added to it.
 
@@ -168,71 +153,78 @@ class LeadIn:
         Raises
         ------
         LimitError
-            The start is outside the rating, typed seconds are too few for the slew
-            limit, or more than a minute would be needed that nobody typed.
+            Typed seconds are too few for the slew limit, or more than a minute would be
+            needed that nobody typed.
         UsageError
             A piece is too long for any memory.
         """
-        lead, last = self.lead, self.last
-        moves = lead.condition or lead.approach is not None
-        still, untyped = self._still_rows(moves)
-        state, before = lead.state, NO_VOLTAGES
+        moves = self.condition or self.approach is not None
+        rest, untyped = self.rest, 0.0
+        still = self.model.inverter(dt).ahead if moves or rest == "auto" else 0
+        if isinstance(rest, float):
+            still = _checked_rows(swing_rows(0.0, dt, rest))
+        else:
+            untyped = still * dt
+        state, before, standing = self.state, NO_VOLTAGES, self.standing
         if isinstance(state, State):
-            state = replace(state, drive=last)
-        elif last is not None:
-            state = self.model.start(last, state)
-            before = np.array([last])
+            state = replace(self._held(state, time, dt), drive=standing)
+        elif standing is not None:
+            state = self.model.start(standing, state)
+            before = np.array([standing])
         if moves:
-            begin, voltage = self._way_in(state, before, hold, untyped)
-            return begin, voltage, still
+            return *self._way_in(first, dt, state, before, hold, untyped), still
         _require_short(untyped, "lead", untyped)
-        if not isinstance(state, State):
-            return None, NO_VOLTAGES, still + hold
-        return self._state_after(before, state), NO_VOLTAGES, still + hold
+        begin = None
+        if isinstance(state, State):
+            begin = self._state_after(before, state, dt)
+        return begin, NO_VOLTAGES, still + hold
+
+    def _held(self, state: State, time: float | None, dt: float) -> State:
+        """Return a state after the pause behind its last row, in which the voltage was held."""
+        if state.time is None or state.drive is None or time is None:
+            return state
+        pause = time - state.time - dt
+        if pause <= HELD_STEPS * dt:
+            return state
+        return self.model.run(np.array([state.drive]), state, pause).state
 
     def _way_in(
-        self, state: State | str, before: Floats, hold: int, untyped: float
+        self,
+        first: float,
+        dt: float,
+        state: State | str,
+        before: Floats,
+        hold: int,
+        untyped: float,
     ) -> tuple[State, Floats]:
         """Return the state before the first row, and the voltages that lead to the move.
 
         ``before`` is where the amplifier stands, if a row of it is to be written;
         ``untyped`` are seconds that nobody typed so far.
         """
-        lead, dt = self.lead, self.dt
-        last, swept = self.last, NO_VOLTAGES
-        if lead.condition:
-            swept = self._conditioning(last)
+        swept, seconds = NO_VOLTAGES, self.approach
+        if self.condition:
+            swept = self._conditioning(first, dt)
+            if isinstance(seconds, float):
+                seconds = max(seconds - swept.size * dt, dt)
+            else:
+                seconds = "auto"
         before = np.concatenate([before, swept])
-        stands = before[:1] if before.size else np.array([last])
+        stands = before[:1] if before.size else np.array([self.standing])
         before = np.concatenate([np.repeat(stands, hold), before])
         if not isinstance(state, State):
             state = self.model.start(float(before[0]), state)
-        seconds = lead.approach
-        if lead.condition:
-            seconds = "auto"
-            if isinstance(lead.approach, float):
-                seconds = max(lead.approach - swept.size * dt, dt)
-        path = self._way(self._state_after(before, state), seconds)
+        path = self._way(first, dt, self._state_after(before, state, dt), seconds)
         voltage = np.concatenate([before, path])
         still = rest_rows(self.model, dt)
         swing = (voltage.size - hold - still) * dt
         untyped += still * dt
-        if not isinstance(lead.approach, float):
+        if not isinstance(self.approach, float):
             untyped += swing
         _require_short(untyped, "approach", swing)
         return state, voltage
 
-    def _still_rows(self, moves: bool) -> tuple[int, float]:
-        """Return the rows at the first displacement, and the seconds of them that nobody typed."""
-        rest = self.lead.rest
-        if isinstance(rest, float):
-            return _checked_rows(swing_rows(0.0, self.dt, rest)), 0.0
-        still = 0
-        if moves or rest == "auto":
-            still = self.model.inverter(self.dt).ahead
-        return still, still * self.dt
-
-    def _conditioning(self, last: float | None) -> Floats:
+    def _conditioning(self, first: float, dt: float) -> Floats:
         """Return the voltages of a sweep, behind the way there from where the amplifier stands.
 
         Typed seconds are those of the whole way, to the first value of the move: each
@@ -245,20 +237,20 @@ class LeadIn:
         UsageError
             The limits leave nothing to sweep.
         """
-        limits, drive = self.limits, self.model.input
-        dt, seconds = self.dt, self.lead.approach
+        limits, standing, seconds = self.limits, self.standing, self.approach
         # at or below the first gear's origin every bit is clear, so that the past is wiped out
         low, high = limits.sweep
         if not low < high:
+            lowest, highest = limits.identified
             raise UsageError(
-                f"`condition` sweeps the identified range, {drive.min:.6g} to {drive.max:.6g}"
-                f"{limits.suffix}; the limits leave none of it"
+                f"`condition` sweeps the identified range, {lowest:.6g} to {highest:.6g}{limits.suffix}; "
+                "the limits leave none of it"
             )
-        begin = low if last is None else last
+        begin = low if standing is None else standing
         inwards: Seconds = "auto"
         sweeping = SWEEP_SECONDS
         if isinstance(seconds, float):
-            end = self._goes_on(self.model.start(low, "empty"))
+            end = self._goes_on(first, dt, self.model.start(low, "empty"))
             distance = abs(begin - low) + 2.0 * (high - low) + abs(end - low)
             shortest = _rows(distance, dt, dt, limits) * dt
             _require_time("approach", seconds, shortest, dt)
@@ -266,11 +258,12 @@ class LeadIn:
             sweeping = seconds * (high - low) / distance
         count = _rows(high - low, dt, sweeping, limits)
         swept = swings([low, high, low], [count, count])
-        if last is None:
+        if standing is None:
             return swept
-        return np.concatenate([_swing(last, low, dt, inwards, limits), swept[1:]])
+        inward = ramp("", standing, low, dt, inwards, limits)
+        return np.concatenate([inward, swept[1:]])
 
-    def _way(self, state: State, seconds: Seconds) -> Floats:
+    def _way(self, first: float, dt: float, state: State, seconds: Seconds) -> Floats:
         """Return the voltages from where a state stands to where the move goes on, with a rest there.
 
         What creeps meanwhile is counted: behind these rows the inverse begins the move at
@@ -282,33 +275,41 @@ class LeadIn:
         LimitError
             The typed seconds are too few for the slew limit.
         """
-        static, dt, limits = self.model.static, self.dt, self.limits
+        static, limits = self.model.static, self.limits
         begin, still = state.drive, rest_rows(self.model, dt)
         assert begin is not None
 
-        def way_to(end: float) -> Floats:
-            swing = _swing(begin, end, dt, seconds, limits)
+        def way_to(end: float, name: str = "") -> Floats:
+            swing = ramp(name, begin, end, dt, seconds, limits)
             return np.concatenate([swing, np.full(still, end)])
 
         def missing(end: float) -> float:
-            return self._goes_on(static.run(way_to(end), state, dt).state) - end
+            after = static.run(way_to(end), state, dt).state
+            return self._goes_on(first, dt, after) - end
 
-        end = self._goes_on(state)
+        end = self._goes_on(first, dt, state)
         if self.model.gears.relaxation is not None:
             end = _zero_of(missing, *limits.move, end)
-        if not self.lead.condition:
-            ramp("approach", begin, end, dt, seconds, limits)
-        return way_to(end)
+        return way_to(end, "" if self.condition else "approach")
 
-    def _goes_on(self, state: State) -> float:
+    def _goes_on(self, first: float, dt: float, state: State) -> float:
         """Return the voltage at which the move goes on behind a state."""
-        first, move = np.array([self.first]), self.limits.move
-        return float(self.model.static.drive(first, state, self.dt, move).y[0])
+        target, move = np.array([first]), self.limits.move
+        return float(self.model.static.drive(target, state, dt, move).y[0])
 
-    def _state_after(self, voltage: Floats, state: State) -> State:
+    def _state_after(self, voltage: Floats, state: State, dt: float) -> State:
         """Return the state after voltages; without a clock the model does not need one."""
-        dt = self.dt if self.dt > 0.0 else None
-        return self.model.run(voltage, state, dt).state
+        return self.model.run(voltage, state, dt if dt > 0.0 else None).state
+
+
+def _seconds(name: str, value: Seconds) -> Seconds:
+    """Return typed seconds as a number; UsageError where they are not above 0, None or auto."""
+    if value is None or value == "auto":
+        return value
+    seconds = parse_quantity(value, "s", name)
+    if 0.0 < seconds < math.inf:
+        return seconds
+    raise UsageError(f"`{name}` {value}: give seconds above 0, or auto")
 
 
 def _require_short(untyped: float, option: str, seconds: float) -> None:
@@ -328,17 +329,27 @@ def _require_short(untyped: float, option: str, seconds: float) -> None:
 def ramp(
     name: str, begin: float, end: float, dt: float, seconds: Seconds, limits: Limits
 ) -> Floats:
-    """Return the voltages after ``begin`` of a swing to ``end``; ``name`` is the option that asks for it.
+    """Return the voltages after ``begin`` of a swing to ``end``, as slow as the slew limit needs.
+
+    ``name`` is the option whose seconds these are; empty: more than they are may be needed.
 
     Raises
     ------
     LimitError
         The typed seconds are too few for the slew limit.
     """
-    voltage = _swing(begin, end, dt, seconds, limits)
+    if begin == end:
+        return NO_VOLTAGES
+    shortest = SHORTEST_SWING
     if isinstance(seconds, float):
-        _require_time(name, seconds, voltage.size * dt, dt)
-    return voltage
+        shortest = seconds
+    elif limits.slew is None:
+        span = limits.rating[1] - limits.rating[0]
+        shortest = max(SHORTEST_SWING, SWEEP_SECONDS * abs(end - begin) / span)
+    count = _rows(end - begin, dt, shortest, limits)
+    if name and isinstance(seconds, float):
+        _require_time(name, seconds, count * dt, dt)
+    return swings([begin, end], [count])[1:]
 
 
 def _require_time(name: str, seconds: float, shortest: float, dt: float) -> None:
@@ -348,21 +359,6 @@ def _require_time(name: str, seconds: float, shortest: float, dt: float) -> None
             f"`{name}` {seconds:g}: too fast for `max_slew`; give at least {rounded_up(shortest, 4):.9g} s "
             "for the whole way, or auto"
         )
-
-
-def _swing(
-    begin: float, end: float, dt: float, seconds: Seconds, limits: Limits
-) -> Floats:
-    """Return the voltages after ``begin`` of a swing to ``end``, as slow as the slew limit needs."""
-    if begin == end:
-        return NO_VOLTAGES
-    shortest = SHORTEST_SWING
-    if isinstance(seconds, float):
-        shortest = float(seconds)
-    elif limits.slew is None:
-        span = limits.rating[1] - limits.rating[0]
-        shortest = max(SHORTEST_SWING, SWEEP_SECONDS * abs(end - begin) / span)
-    return swings([begin, end], [_rows(end - begin, dt, shortest, limits)])[1:]
 
 
 def _zero_of(

@@ -87,7 +87,6 @@ class Controller:
         from_: Figure = None,
         lookahead: float | Literal["auto"] | None = None,
     ) -> None:
-        model.require("forward")
         self.limits = limits
         self.clipped = 0
         self._model = model
@@ -95,9 +94,7 @@ class Controller:
         self._dt = 1.0 / sample_rate
         step = self.limits.largest_step(self._dt)
         self._step = math.inf if step is None else float(step)
-        self.last = Lead(state=self._begin, start=from_).standing(
-            self.limits, model.input
-        )
+        self.last = Lead(model, limits, state, from_).standing
         if self.last is not None:
             self._begin = self._stood_at(self.last)
         self._stepper: Any = None

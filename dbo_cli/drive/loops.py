@@ -12,16 +12,13 @@ first pass in which it grows from where the amplifier stands, then whole passes 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.judge import ALLOWED_PART
 from dbo_cli.drive.lead import MOST_LEAD_ROWS, Lead, ramp
-from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.smooth import open_seam, soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 from dbo_cli.model import Cascade, Run, State
@@ -39,115 +36,79 @@ LOOP_ERROR = 1e-6
 FEWEST_PERIOD_ROWS = 4  # of a period: fewer have no shape
 
 
-class SettledDrive(NamedTuple):
-    """A drive that settles as it is repeated.
-
-    Attributes
-    ----------
-    run : Run
-        Of one period.
-    before : State
-        Before a pass of it.
-    converged : bool
-        Whether it stays.
-    """
-
-    run: Run
-    before: State
-    converged: bool
-
-
-class LoopPlan(NamedTuple):
-    """A loop and what leads to it.
-
-    Attributes
-    ----------
-    begin : State
-        Before the first row.
-    lead_voltage, voltage : array
-        What leads to the period, and the period.
-    settled : SettledDrive
-        The loop.
-    """
-
-    begin: State
-    lead_voltage: Floats
-    voltage: Floats
-    settled: SettledDrive
-
-
-@dataclass(frozen=True)
 class Loop:
-    """A loop on its way to the settled drive.
+    """A period that settles as it is repeated, and what leads to it.
 
-    Attributes
+    Parameters
     ----------
-    model, limits
-        A forward model, and what its drive may do.
-    target
+    lead
+        A forward model, what its drive may do, and what stands before the loop: a way
+        from where the amplifier stands, or a state.
+    period
         One period of what is asked of the model.
     dt
         Seconds a row.
-    lead, begin, passes
-        What stands before it: a way from where the amplifier stands, or a state; that
-        voltage, if it is known; and passes of run-in.
+    passes
+        Of run-in.
     name
         Of the trajectory.
     hold
         Rows for which the amplifier stands still before a way to the loop.
 
+    Attributes
+    ----------
+    target
+        One period of what the static part is to follow, with dynamics and delay undone.
+    begin
+        State before the first row.
+    lead_voltage, voltage
+        What leads to the period, and the period.
+    run, state
+        The settled drive of the period, and the state before a pass of it.
+    has_settled
+        Whether that stays.
+
     Raises
     ------
     InputError
         The period is too short, or does not close.
+    LimitError
+        The loop does not close within the limits.
     UsageError
         ``passes`` is no number of passes, or too many.
     """
 
-    model: Cascade
-    limits: Limits
-    target: Floats
-    dt: float
-    lead: Lead
-    begin: float | None
-    passes: int
-    name: str
-    hold: int = 0
-
-    def __post_init__(self) -> None:
-        """Refuse what is no loop."""
-        passes = self.passes
+    def __init__(
+        self, lead: Lead, period: Floats, dt: float, passes: int, name: str, hold: int
+    ) -> None:
         if not isinstance(passes, int | np.integer) or passes < 0:
             raise UsageError(f"`passes` {passes}: give a whole number of passes")
-        if passes * self.target.size > MOST_LEAD_ROWS:
+        if passes * period.size > MOST_LEAD_ROWS:
             raise UsageError(
                 f"`passes` {passes}: at most {MOST_LEAD_ROWS:,} rows in all"
             )
-        period = self.target
         if period.size < FEWEST_PERIOD_ROWS:
             raise InputError(
-                f"{self.name}: {period.size} rows are too few for a loop; give {FEWEST_PERIOD_ROWS} or more"
+                f"{name}: {period.size} rows are too few for a loop; give {FEWEST_PERIOD_ROWS} or more"
             )
         seam = open_seam(period)
         if seam:
-            raise InputError(f"{self.name}: {seam}")
+            raise InputError(f"{name}: {seam}")
+        self.lead, self.model, self.limits = lead, lead.model, lead.limits
+        self.dt, self.passes, self.name, self.hold = dt, passes, name, hold
+        self.target = self.model.inverter(dt).loop(period)
+        self._settle()
 
-    @cached_property
-    def static_target(self) -> Floats:
-        """One period of what the static part is to follow, with dynamics and delay undone."""
-        return self.model.inverter(self.dt).loop(self.target)
-
-    def require_settled(self, plan: LoopPlan, on_limit: str) -> tuple[str, ...]:
+    def require_settled(self, on_limit: str) -> tuple[str, ...]:
         """Warn of a loop that the model does not repeat; refuse it where it costs too much (LimitError)."""
-        model, dt, target = self.model, self.dt, self.static_target
-        static, settled = model.static, plan.settled
-        period = settled.run.y
+        model, dt, target, period = self.model, self.dt, self.target, self.run.y
+        static = model.static
         size = max(float(np.ptp(target)), LOOP_ERROR * model.output.span)
-        state = static.run(plan.lead_voltage, plan.begin, dt).state
+        state = static.run(self.lead_voltage, self.begin, dt).state
         looped = looped_state(model, period, dt, state)
-        aim = static.run(period, settled.before, dt).y
+        aim = static.run(period, self.state, dt).y
         residual = largest_difference(static.run(period, looped, dt).y, aim)
-        if settled.converged and residual <= LOOP_ERROR * size:
+        if self.has_settled and residual <= LOOP_ERROR * size:
             return ()
         text = (
             f"{self.name}: the loop does not settle: however often it is repeated, it ends {residual:.3g}"
@@ -161,41 +122,49 @@ class Loop:
         warn(text)
         return (text,)
 
-    # --- what stands before the period ---
-
-    def planned(self) -> LoopPlan:
-        """Return the settled loop and what leads to it.
+    def _settle(self) -> None:
+        """Find the settled loop and what leads to it.
 
         The loop depends on the state in which it begins, and what stands before it on
         the loop: both are found by turns.
-
-        Raises
-        ------
-        LimitError
-            The loop does not close within the limits.
         """
         model, limits, start = self.model, self.limits, self.lead.state
-        target = self.static_target
-        begin = self.begin
+        begin = self.lead.standing
         if begin is not None:
             state = model.start(begin, start)
         else:
-            state = model.start_drive(float(target[0]), start, *limits.move)
+            state = model.start_drive(float(self.target[0]), start, *limits.move)
             if self.passes:
                 begin = state.drive if state.first is None else state.first
-        settled = settled_drive(model, target, self.dt, state, limits)
+        following = self._repeated(state)
         for _ in range(MOST_STARTS):
-            last = settled
-            voltage = self._closed(last.run.y)
-            stands = float(voltage[0]) if begin is None else begin
-            before = self._before(voltage, stands)
-            begin_state = model.start(stands, start)
-            state = model.run(before, begin_state, self.dt).state
-            settled = settled_drive(model, target, self.dt, state, limits)
-            change = largest_difference(settled.run.y, last.run.y)
+            self.run, self.state, self.has_settled = following
+            self.voltage = self._closed(self.run.y)
+            stands = float(self.voltage[0]) if begin is None else begin
+            self.lead_voltage = self._before(self.voltage, stands)
+            self.begin = model.start(stands, start)
+            state = model.run(self.lead_voltage, self.begin, self.dt).state
+            following = self._repeated(state)
+            change = largest_difference(following[0].y, self.run.y)
             if change <= ONE_LOOP * model.input.span:
                 break
-        return LoopPlan(begin_state, before, voltage, last)
+
+    def _repeated(self, state: State) -> tuple[Run, State, bool]:
+        """Return the drive to which the period settles, the state before a pass of it, and whether it stays.
+
+        ``state`` is that before the first pass ever: gears that the loop does not reach keep it.
+        """
+        model, limits, dt, target = self.model, self.limits, self.dt, self.target
+        static, before = model.static, state
+        run = static.drive(target, state, dt, limits.move, limits.slew)
+        for _ in range(MOST_PASSES):
+            before = looped_state(model, run.y, dt, state)
+            again = static.drive(target, before, dt, limits.move, limits.slew)
+            change = largest_difference(again.y, run.y)
+            run = again
+            if change <= SETTLED * model.input.span:
+                return run, before, True
+        return run, before, False
 
     def _before(self, period: Floats, begin: float) -> Floats:
         """Return what leads to a period: a ramp, or a pass in which it grows, then whole passes of it.
@@ -222,8 +191,6 @@ class Loop:
                 "`passes` or `max_slew`"
             )
         return voltage
-
-    # --- the period ---
 
     def _closed(self, voltage: Floats) -> Floats:
         """Return a settled drive whose seam keeps the slew limit to the last digit (LimitError: it jumps).
@@ -255,39 +222,6 @@ class Loop:
         for k, value in enumerate(values):
             last = values[k] = min(max(value, last - largest_step), last + largest_step)
         return np.array(values)
-
-
-# --- the settled drive ---
-
-
-def settled_drive(
-    model: Cascade, target: Floats, dt: float, state: State, limits: Limits
-) -> SettledDrive:
-    """Return the drive to which a period settles.
-
-    Parameters
-    ----------
-    model
-        A forward model.
-    target
-        One period of what its static part is to follow (``Inverter.loop``).
-    dt
-        Seconds a row.
-    state
-        Before the first pass ever: gears that the loop does not reach keep it.
-    limits
-        What the drive may do.
-    """
-    static, move, slew = model.static, limits.move, limits.slew
-    run = static.drive(target, state, dt, move, slew)
-    for _ in range(MOST_PASSES):
-        before = looped_state(model, run.y, dt, state)
-        again = static.drive(target, before, dt, move, slew)
-        change = largest_difference(again.y, run.y)
-        run = again
-        if change <= SETTLED * model.input.span:
-            return SettledDrive(run, before, True)
-    return SettledDrive(run, before, False)
 
 
 def largest_difference(values: Floats, others: Floats) -> float:

@@ -132,8 +132,8 @@ def plan(model, desired, clock, limits, *, on_limit="auto", return_to=None, **op
     """Return the drive of a whole trajectory; ``clock`` is a step, the time of each row, or None."""
     names = ("state", "start", "approach", "condition")
     around = {name: options.pop(name) for name in names if name in options}
-    lead = Lead(rest=options.pop("lead", None), **around)
-    driver = Driver(model, limits, lead, on_limit=on_limit, return_to=return_to)
+    lead = Lead(model, limits, rest=options.pop("lead", None), **around)
+    driver = Driver(lead, on_limit=on_limit, return_to=return_to)
     dt, time = clock, None
     if np.ndim(clock):
         time = np.asarray(clock, dtype=np.float64)

@@ -53,7 +53,7 @@ def test_values_do_not_depend_on_blocks(model, rows, slow):
     slew = 3.0 * model.input.span if slow else None
     limits = limits_of(model, max_slew=slew)
     whole = rig.plan(model, wanted, DT, limits, on_limit="clip")
-    driver = Driver(model, limits, on_limit="clip")
+    driver = Driver(Lead(model, limits), on_limit="clip")
     drive = rig.driven_in_blocks(driver, rig.blocks_of(wanted, DT, rows))
     assert np.abs(drive.voltage - whole.voltage).max() <= 1e-12 * model.input.span
     assert drive.clipped == whole.clipped
@@ -92,7 +92,7 @@ def test_nothing_of_a_lead_that_is_too_long_leaves():
     model = rig.actuator()
     limits = limits_of(model, max_slew=1)
     moves = rig.blocks_of(rig.ripple(model, 9), DT, 3)
-    parts = rig.in_blocks(Driver(model, limits, Lead(condition=True)), moves)
+    parts = rig.in_blocks(Driver(Lead(model, limits, condition=True)), moves)
     with pytest.raises(LimitError, match="max_slew"):
         next(parts)
 
@@ -130,6 +130,8 @@ def test_a_row_that_is_no_displacement_is_named(value):
     for options in ({}, {"bandwidth": 50.0}, {"periodic": True}):
         with pytest.raises(InputError, match="row 42"):
             rig.plan(model, wanted, DT, limits_of(model), **options)
-    rows = rig.in_blocks(Driver(model, limits_of(model)), rig.blocks_of(wanted, DT, 30))
+    rows = rig.in_blocks(
+        Driver(Lead(model, limits_of(model))), rig.blocks_of(wanted, DT, 30)
+    )
     with pytest.raises(InputError, match="row 42"):
         list(rows)

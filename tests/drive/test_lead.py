@@ -59,14 +59,15 @@ def test_options_that_are_none():
     limits = limits_of(model)
     for wrong in (0.0, -1.0, math.nan, math.inf, "soon"):
         with pytest.raises(UsageError):
-            Lead(approach=wrong)
+            Lead(model, limits, start=0.0, approach=wrong)
     with pytest.raises(UsageError, match="exclude"):
-        Lead(condition=True, state="empty")
+        Lead(model, limits, condition=True, state="empty")
     with pytest.raises(UsageError, match="from"):
         plan(model, [1.0, 2.0, 3.0], DT, limits, approach="auto")
     for number in (np.float32(0.5), np.int64(1), 1):
-        plain = Lead(approach=float(number), rest=float(number))
-        assert Lead(approach=number, rest=number) == plain
+        plain = Lead(model, limits, "auto", 0.0, float(number), rest=float(number))
+        typed = Lead(model, limits, "auto", 0.0, number, rest=number)
+        assert typed == plain
     state = plan(model, [1.0, 2.0, 3.0], DT, limits).state
     with pytest.raises(UsageError, match="contradicts"):
         plan(model, [1.0, 2.0, 3.0], DT, limits, start=77.0, state=state)

@@ -110,7 +110,7 @@ def driven(model, wanted, limits, state="empty"):
     """Return the drive of the library."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        driver = Driver(model, limits, Lead(state=state), on_limit="clip")
+        driver = Driver(Lead(model, limits, state), on_limit="clip")
         return driver.whole(np.asarray(wanted), 1.0 / RATE).voltage
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from random_actuators import DT, random_drive, undone
 
 import dbo_cli.model as dm
-from dbo_cli.drive import Driver, Limits
+from dbo_cli.drive import Driver, Lead, Limits
 from dbo_cli.drive.live import Controller
 from dbo_cli.errors import DboWarning, InputError, ModelError
 from dbo_cli.export import export_model
@@ -124,7 +124,8 @@ def test_a_compensated_move_is_reached():
     time = np.arange(2000) * DT
     desired = 8.0 - 6.0 * np.cos(2 * np.pi * 10.0 * time) * np.minimum(time, 1.0)
     with pytest.warns(DboWarning, match="row 1 starts"):
-        drive = Driver(model, Limits.within(model.input)).whole(desired, DT)
+        lead = Lead(model, Limits.within(model.input))
+        drive = Driver(lead).whole(desired, DT)
     reached, _ = model.simulate(drive.voltage, dt=DT, state="auto")
     np.testing.assert_allclose(reached[1:], desired[1:], rtol=0, atol=0.31)
     np.testing.assert_allclose(reached[50:], desired[50:], rtol=0, atol=1e-9)
