@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.drive.limits import Gate, Limits
@@ -19,13 +18,11 @@ TOLERANCE = 1e-3
 """Of the drive's range, by which a recording may differ: a converter of 10 bits rounds to half of it."""
 NOISE = 6.0
 """Standard deviations of a recording's noise: white noise reaches 5 once in two million rows."""
-GAP = 1.5
-"""Usual steps, from which on a step is a gap; usual is the median of the steps around it."""
+GAP = 1.5  # longest steps around it, from which on a step is a gap
 NEIGHBOURS = 16  # steps on either side that say what is usual
-FEWEST_NEIGHBOURS = 4  # of them on one side at least: fewer say nothing
 EVEN_STEPS = 0.1
-"""Of a step: the steps around a gap differ by less, but for one in ``NEIGHBOURS``. On an uneven clock
-nothing says when the next row is due. Stamps of so even a clock may be rounded, to a twentieth of a step.
+"""Of a step: the steps around one differ by less. On an uneven clock nothing says when the next row is due.
+Stamps of so even a clock may be rounded, to a twentieth of a step.
 """
 ANOTHER = 0.5  # correlation below which a recording is of another drive
 ONE_RATE = 1e-6  # relative difference of two rates that are one
@@ -225,10 +222,9 @@ def _steps(time: Floats) -> Floats:
     between them.
     """
     steps = np.maximum(np.diff(time), 0.0)
-    padded = np.pad(steps, NEIGHBOURS, mode="edge")
-    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1)
-    longest = around.max(axis=1)
-    is_even = longest - around.min(axis=1) <= EVEN_STEPS * steps
+    shortest, longest = _around(steps)
+    longest = np.fmax(longest, steps)
+    is_even = longest - np.fmin(shortest, steps) <= EVEN_STEPS * steps
     steps = np.where(is_even, longest, steps)
     steps += 2.0 * np.spacing(np.maximum(np.abs(time[1:]), np.abs(time[:-1])))
     # as ``compensate`` counts the step before the first row
@@ -253,36 +249,21 @@ def _odd_times(time: Floats) -> list[str]:
 
 def gaps(steps: Floats) -> Booleans:
     """Return which steps of a clock are gaps: far longer than the steps around them, which are even."""
-    result = np.zeros(steps.size, dtype=np.bool_)
-    for index in _long_among_even(steps):
-        before = steps[max(index - NEIGHBOURS, 0) : index]
-        after = steps[index + 1 : index + 1 + NEIGHBOURS]
-        typical = float(np.median(np.concatenate([before, after])))
-        if steps[index] > GAP * typical:
-            is_clear = max(before.size, after.size) >= FEWEST_NEIGHBOURS
-            is_even = _is_even(before, typical) and _is_even(after, typical)
-            result[index] = is_clear and is_even
-    return result
+    shortest, longest = _around(steps)
+    is_even = longest - shortest <= EVEN_STEPS * shortest
+    gaps: Booleans = is_even & (steps > GAP * longest)
+    return gaps
 
 
-def _is_even(steps: Floats, typical: float) -> bool:
-    """Return whether the steps on one side of a step are even, but for one in ``NEIGHBOURS``."""
-    different = np.count_nonzero(np.abs(steps - typical) > EVEN_STEPS * typical)
-    return bool(different <= steps.size // NEIGHBOURS)
-
-
-def _long_among_even(steps: Floats) -> NDArray[np.intp]:
-    """Return the steps that may be gaps: longer than the shortest, and few changes of step around them."""
-    pairs = np.minimum(steps[1:], steps[:-1])
-    changes = np.cumsum(np.abs(np.diff(steps)) > EVEN_STEPS * pairs)
-    changes = np.concatenate([[0], changes])
-    index = np.arange(steps.size)
-    first = np.maximum(index - NEIGHBOURS, 0)
-    last = np.minimum(index + NEIGHBOURS, steps.size - 1)
-    # each odd step, the gap itself and two more, changes the step twice
-    few = changes[last] - changes[first] <= 6
-    forward = steps[steps > 0.0]
-    return np.flatnonzero(few & (steps > GAP * forward.min(initial=np.inf)))
+def _around(steps: Floats) -> tuple[Floats, Floats]:
+    """Return the shortest and the longest of the 16 steps on either side of each step."""
+    shortest = longest = np.pad(steps, NEIGHBOURS, constant_values=np.nan)
+    for shift in (1, 2, 4, 8):  # of two, four, eight, sixteen steps
+        shortest = np.fmin(shortest[:-shift], shortest[shift:])
+        longest = np.fmax(longest[:-shift], longest[shift:])
+    before, after = slice(steps.size), slice(NEIGHBOURS + 1, None)
+    shortest = np.fmin(shortest[before], shortest[after])
+    return shortest, np.fmax(longest[before], longest[after])
 
 
 def _problem(rows: Booleans, reason: str) -> str:
