@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -42,18 +43,16 @@ class Judge:
         # how far the first row starts off its displacement, where no settled actuator
         # stands, and by how much dynamics and delay are in motion there
         self._missed = self._transient = 0.0
-        # of all rows, and of those before the move
-        self._rows = self._lead_rows = 0
+        # by part of the drive: rows, least and greatest voltage; of the move, too
+        self._rows: Counter[str] = Counter()
+        self._ranges: dict[str, list[float]] = {}
         self._first = math.nan
-        self._range: list[float] | None = None
-        self._lead_range: list[float] | None = None
         # of the move: what limits cut off, and what no voltage reaches
-        self._move_rows = self._clipped = self._first_clipped = self._unreachable = 0
+        self._clipped = self._first_clipped = self._unreachable = 0
         self._squares = self._largest = 0.0
-        self._low, self._high = math.inf, -math.inf
         # the first rows, which judgements play again: voltages and steps, part by part
         self._voltages: list[Floats] = []
-        self._steps: list[Steps] = []
+        self._steps: list[Floats] = []
         self._needed_slew = 0.0
 
     # --- rows ---
@@ -90,16 +89,15 @@ class Judge:
         LimitError
             Something was cut off, and ``on_limit`` is error.
         """
-        model, before = self.model, self._move_rows
+        model, before = self.model, self._rows["move"]
         if run.clipped and not self._clipped:
             self._first_clipped = before + run.first_clipped + 1
-        self._move_rows += desired.size
+        self._rows["move"] += desired.size
         self._clipped += run.clipped
         slack = BEYOND_REACH * model.output.span
         low, high = model.output.min - slack, model.output.max + slack
         self._unreachable += int(np.count_nonzero((desired < low) | (desired > high)))
-        self._low = min(self._low, float(desired.min()))
-        self._high = max(self._high, float(desired.max()))
+        self._widen("desired", desired)
         if self._clipped:
             lost = target - model.static.run(run.y, state, dt).y
             # a settled start may step over the first value: no limit does that
@@ -118,31 +116,31 @@ class Judge:
         """Count rows of a part: ``lead``, ``move``, of which ``clip`` knows already, or ``return``."""
         if not voltage.size:
             return
-        if not self._rows:
+        if not self._ranges.get("drive"):
             self._first = float(voltage[0])
-        self._rows += voltage.size
-        self._range = widened(self._range, voltage)
-        if phase == "return":
-            return
-        if phase == "lead":
-            self._lead_rows += voltage.size
-            self._lead_range = widened(self._lead_range, voltage)
-        else:
-            before = self._move_rows - voltage.size
+        self._widen("drive", voltage)
+        self._widen(phase, voltage)
+        if phase == "move":
+            before = self._rows[phase] - voltage.size
             voltage = voltage[: max(expect.FIRST_ROWS - before, 0)]
-        if voltage.size:
+        else:
+            self._rows[phase] += voltage.size
+        if voltage.size and phase != "return":
+            steps = np.full(1, np.nan) if dt is None else np.atleast_1d(dt)
             self._voltages.append(voltage)
-            self._steps.append(dt[: voltage.size] if isinstance(dt, np.ndarray) else dt)
+            self._steps.append(np.resize(steps, voltage.size))
+
+    def _widen(self, what: str, values: Floats) -> None:
+        """Widen what is known of least and greatest values."""
+        low, high = float(values.min()), float(values.max())
+        lowest, greatest = self._ranges.get(what, (low, high))
+        self._ranges[what] = [min(low, lowest), max(high, greatest)]
 
     def _played(self) -> tuple[Floats, Steps]:
         """Return the first voltages in one array, and their time steps; one number where all are alike."""
-        voltage = np.concatenate(self._voltages)
-        steps = []
-        for rows, dt in zip(self._voltages, self._steps, strict=True):
-            if dt is None:
-                return voltage, None
-            steps.append(np.broadcast_to(dt, rows.shape))
-        dt = np.concatenate(steps)
+        voltage, dt = np.concatenate(self._voltages), np.concatenate(self._steps)
+        if np.isnan(dt).any():
+            return voltage, None
         return voltage, float(dt[0]) if (dt == dt[0]).all() else dt
 
     # --- refusals ---
@@ -150,12 +148,12 @@ class Judge:
     @property
     def _lost_rms(self) -> float:
         """What the move misses."""
-        return math.sqrt(self._squares / self._move_rows) if self._clipped else 0.0
+        return math.sqrt(self._squares / self._rows["move"]) if self._clipped else 0.0
 
     def _exceeding(self) -> str:
         """Return how much of the move the limits forbid, in words; rows before the move do not count."""
         return (
-            f"{self._clipped:,} of {self._move_rows:,} rows read (first: row {self._first_clipped:,}) "
+            f"{self._clipped:,} of {self._rows['move']:,} rows read (first: row {self._first_clipped:,}) "
             f"exceed {self.limits.describe()}"
         )
 
@@ -177,7 +175,8 @@ class Judge:
             More than a hundredth of the move would be missed, or it is over before the
             model answers.
         """
-        seconds = self._move_rows * step
+        rows = self._rows["move"]
+        seconds = rows * step
         if (
             self.on_limit == "auto"
             and not is_loop
@@ -188,12 +187,13 @@ class Judge:
                 f"{self.model.delay_seconds:.4g} s (`on_limit` clip writes it)"
             )
         reach, unit = self.model.output, self.model.output.suffix
-        if self._unreachable == self._move_rows:
+        if self._unreachable == rows:
             raise InputError(
                 f"{self.name}: every row is outside the model's reach, {reach.min:.6g} to {reach.max:.6g}"
                 f"{unit}: check unit, column and zero of the trajectory"
             )
-        size, noun = self._high - self._low, "the move"
+        low, high = self._ranges["desired"]
+        size, noun = high - low, "the move"
         if not size > 0.0:
             size, noun = reach.span, "the model's range"
         lost = self._lost_rms
@@ -213,7 +213,7 @@ class Judge:
             if period is not None:
                 fits = f"{1.0 / (slower * period):.2g} Hz"
             texts.append(f"{limits.slew:g}{limits.suffix}/s allows {fits}")
-        if not texts and self._first_clipped == 1 and not self._lead_rows:
+        if not texts and self._first_clipped == 1 and not self._rows["lead"]:
             way = "`from_` VOLT and " if self.lead.standing is None else ""
             texts.append(f"type {way}`approach` auto for a way to row 1")
         return f"; {', '.join(texts)}" if texts else ""
@@ -224,10 +224,10 @@ class Judge:
         for voltage, start in zip(self.limits.move, ("full", "empty"), strict=True):
             state = static.start(voltage, start)
             ends.append(float(static.run(np.array([voltage]), state, 1.0).y[0]))
-        texts = []
+        texts, (low, high) = [], self._ranges["desired"]
         for voltage, end in zip(self.limits.move, ends, strict=True):
-            above = end == max(ends) and self._high > end
-            below = end == min(ends) and self._low < end
+            above = end == max(ends) and high > end
+            below = end == min(ends) and low < end
             if above or below:
                 texts.append(
                     f"{voltage:.6g}{self.limits.suffix} reaches {end:.4g}{self.model.output.suffix}"
@@ -251,9 +251,9 @@ class Judge:
 
         ``unsettled`` is how far a loop's first pass is off the settled one (RMS).
         """
-        assert self._range is not None
         voltage, steps = self._played()
-        (low, high), (lowest, highest) = self._range, self.limits.identified
+        lead_rows, move_rows = self._rows["lead"], self._rows["move"]
+        (low, high), (lowest, highest) = self._ranges["drive"], self.limits.identified
         outside_texts = []
         error = known_error = unrested = expected = None
         if self.limits.extrapolate and not lowest <= low <= high <= highest:
@@ -262,9 +262,7 @@ class Judge:
                 f"range, {lowest:.6g} to {highest:.6g}{self.limits.suffix}"
             )
         else:
-            expected = expect.expected_error(
-                self.model, voltage, steps, self._lead_rows
-            )
+            expected = expect.expected_error(self.model, voltage, steps, lead_rows)
         if expected is not None:
             missed = math.hypot(self._lost_rms, unsettled or 0.0)
             if self.lead.condition:
@@ -289,12 +287,12 @@ class Judge:
             self.model,
             self.limits,
             self.name,
-            move=slice(self._lead_rows, self._lead_rows + self._move_rows),
-            rows=self._rows,
-            voltage_range=self._range,
-            lead_range=self._lead_range,
-            move_range=[self._low, self._high],
-            lead_seconds=self._lead_rows * step,
+            move=slice(lead_rows, lead_rows + move_rows),
+            rows=self._rows.total(),
+            voltage_range=self._ranges["drive"],
+            lead_range=self._ranges.get("lead"),
+            move_range=self._ranges["desired"],
+            lead_seconds=lead_rows * step,
             clipped=self._clipped,
             first_clipped=self._first_clipped,
             lost_rms=self._lost_rms,
@@ -367,11 +365,3 @@ class Judge:
         position = static.run(np.array([state.drive]), still, 0.0).y
         seconds = LONG_HOLD * max(relaxation.tau)
         return float(static.drive(position, still, seconds).y[0])
-
-
-def widened(span: list[float] | None, values: Floats) -> list[float]:
-    """Return the least and the greatest of a span and of values."""
-    low, high = float(values.min()), float(values.max())
-    if span is None:
-        return [low, high]
-    return [min(low, span[0]), max(high, span[1])]
