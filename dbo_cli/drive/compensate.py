@@ -271,17 +271,7 @@ class Driver:
         if tracked:
             from dbo_cli.drive.learning import RepeatedMove
 
-            move = RepeatedMove(
-                model=self.model,
-                desired=desired,
-                time=time,
-                step=dt,
-                state=self.lead.state,
-                periodic=periodic,
-                absolute=absolute,
-                sweep=self.limits.sweep,
-                is_swept=self.lead.condition,
-            )
+            move = RepeatedMove(self.lead, desired, time, dt, periodic, absolute)
             return move.learned(tracked, history, bandwidth, drive_of)
         if bandwidth is None:
             return drive_of(desired)

@@ -21,6 +21,7 @@ import numpy as np
 from dbo_cli.alignment import ACTUATOR_LAG, DRIVE_RESIDUAL, RATE_SLACK, mean_step
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
+from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.smooth import low_pass, soft_rise
 from dbo_cli.errors import InputError, ModelError
@@ -75,29 +76,25 @@ class RepeatedMove:
 
     Attributes
     ----------
-    model
-        A forward model.
+    lead
+        The model, the limits, and what stands before the move.
     desired, time, step
         The trajectory, the time of each row and its even step (s).
-    state
-        In which the drives began.
     periodic, absolute
         Whether recordings are of whole periods, and whether the mean is learned.
-    sweep
-        Least and greatest voltage of a sweep.
-    is_swept
-        Whether a sweep stands before the move.
     """
 
-    model: Cascade
+    lead: Lead
     desired: Floats
     time: Floats
     step: float
-    state: str | State
     periodic: bool
     absolute: bool
-    sweep: tuple[float, float]
-    is_swept: bool
+
+    @property
+    def model(self) -> Cascade:
+        """The forward model."""
+        return self.lead.model
 
     def learned(
         self,
@@ -137,9 +134,13 @@ class RepeatedMove:
         zero = 0.0 if self.absolute else float(error.mean())
         error = error - zero
         passed = PassRecord(sha256(voltage.tobytes()).hexdigest(), rms(error))
-        before = _passes_before(history, passed)
+        drives = [record.drive_sha256 for record in history]
+        before = tuple(history)
+        if passed.drive_sha256 in drives:  # what came of learning from it is forgotten
+            before = before[: drives.index(passed.drive_sha256)]
         cutoff = bandwidth or self._trusted(name, measured - modelled)
-        self._require_no_growth(name, passed, before, cutoff)
+        errors = [record.rmse for record in before]
+        self._require_no_growth(name, errors, passed.rmse, cutoff)
         change = modelled - self.desired + error
         learned = low_pass(change, cutoff, self.step, self.periodic, ORDER)
         if not self.absolute:
@@ -192,11 +193,9 @@ class RepeatedMove:
     def _pass_of(self, recording: Tracked) -> tuple[Floats, Floats, Floats]:
         """Return drive, modelled and measured displacement of the rows that belong to the trajectory."""
         voltage, step, count = recording.voltage, self.step, self.desired.size
-        is_move = voltage.size == count and recording.time is None
-        state = self.state if is_move else "auto"
-        start = self.model.start(float(voltage[0]), state)
+        start = self.model.start(float(voltage[0]), self.lead.state)
         modelled = self.model.run(voltage, start, step).y
-        begin = 0 if is_move else self._first_row(recording, modelled)
+        begin = self._first_row(recording, modelled)
         rows = voltage.size - begin
         if rows < count:
             raise InputError(
@@ -209,9 +208,6 @@ class RepeatedMove:
         if self.periodic:
             return self._mean_period(voltage[begin:], measured[begin:])
         self._require_same_past(recording.name, voltage[:begin])
-        if begin == 0 and self.state != state:
-            start = self.model.start(float(voltage[0]), self.state)
-            modelled = self.model.run(voltage, start, step).y
         move = slice(begin, begin + count)  # what stands behind is a return
         return voltage[move], modelled[move], measured[move]
 
@@ -229,7 +225,7 @@ class RepeatedMove:
             first += 1  # not settled yet
         drive = periods[first:].mean(axis=0)
         measured = measured[:rows].reshape(-1, count)[first:].mean(axis=0)
-        start = self.model.start(float(drive[0]), self.state)
+        start = self.model.start(float(drive[0]), self.lead.state)
         return drive, settled_run(self.model, drive, self.step, start), measured
 
     def _first_row(self, recording: Tracked, modelled: Floats) -> int:
@@ -239,6 +235,8 @@ class RepeatedMove:
         laid over the trajectory. Rows of a lead are none of it, whatever they are.
         """
         by_stamps, count = self._row_by_stamps(recording), self.desired.size
+        if recording.time is None and modelled.size == count:
+            return 0
         last, trajectory = modelled, self.desired
         if self.periodic:  # in the last two periods what leads to the loop is over
             last, trajectory = modelled[-2 * count :], np.tile(trajectory, 4)
@@ -286,12 +284,13 @@ class RepeatedMove:
 
     def _require_same_past(self, name: str, lead: Floats) -> None:
         """Refuse a pass with a sweep before it for a drive without, or the other way round (InputError)."""
-        if lead.size < 2 or isinstance(self.state, State):
+        if lead.size < 2 or isinstance(self.lead.state, State):
             return
-        span = self.sweep[1] - self.sweep[0]
+        low, high = self.lead.limits.sweep
+        span = high - low
         extremes = lead[turns(lead, 0.1 * span)]
         was_swept = float(np.abs(np.diff(extremes)).sum()) > SWEEP_TRAVEL * span
-        if was_swept == self.is_swept:
+        if was_swept == self.lead.condition:
             return
         how = "with" if was_swept else "without"
         raise InputError(
@@ -305,10 +304,7 @@ class RepeatedMove:
         """Refuse a drive that asks for another shape, whatever its size, or for another mean (InputError)."""
         shape = modelled - modelled.mean()
         move = self.desired - self.desired.mean()
-        square = float(np.sum(move * move))
-        size = 1.0
-        if square > 0.0:
-            size = max(float(np.sum(shape * move)) / square, 0.0)
+        size = max(float(np.sum(shape * move) / np.sum(move * move)), 0.0)
         mean = 0.0
         if not self.absolute:
             mean = float(modelled.mean() - self.desired.mean())
@@ -321,23 +317,18 @@ class RepeatedMove:
             )
 
     def _require_no_growth(
-        self,
-        name: str,
-        passed: PassRecord,
-        before: Sequence[PassRecord],
-        cutoff: float,
+        self, name: str, errors: Sequence[float], rmse: float, cutoff: float
     ) -> None:
-        """Refuse to go on when the error grew (InputError)."""
-        errors = [record.rmse for record in before]
+        """Refuse to go on when the error grew from those of the passes before (InputError)."""
         if not errors:
             return
         best = min(errors)
         allowed = min(GROWTH * errors[-1], FROM_BEST * best)
-        if passed.rmse <= allowed:
+        if rmse <= allowed:
             return
         number, unit = 1 + errors.index(best), self.model.output.suffix
         raise InputError(
-            f"{name}: the error grew from {errors[-1]:.3g} to {passed.rmse:.3g}{unit} RMS: check the "
+            f"{name}: the error grew from {errors[-1]:.3g} to {rmse:.3g}{unit} RMS: check the "
             f"sensor's scale, or learn from pass {number} ({best:.3g}) with `bandwidth` "
             f"{0.5 * cutoff:.3g} (it was {cutoff:.3g} Hz)"
         )
@@ -357,16 +348,6 @@ class RepeatedMove:
 def rms(values: Floats) -> float:
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _passes_before(
-    history: Sequence[PassRecord], passed: PassRecord
-) -> tuple[PassRecord, ...]:
-    """Return the passes before this one: what came of learning from it before is forgotten."""
-    drives = [record.drive_sha256 for record in history]
-    if passed.drive_sha256 in drives:
-        history = history[: drives.index(passed.drive_sha256)]
-    return tuple(history)
 
 
 def _resting_ends(learned: Floats, per_sample: float) -> Floats:
