@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal, cast, get_args
 
 import numpy as np
 
@@ -72,10 +72,7 @@ class Driver:
         self._state: State | None = None
         self._row_count = 0
         self._step = 0.0
-        # undoing dynamics and delay; how many of the rows that wait stand before the move
-        self._ahead: Ahead | None = None
-        self._still_rows = 0
-        self._is_moving = False
+        self._ahead: Ahead | None = None  # undoing dynamics and delay
 
     # --- rows ---
 
@@ -255,50 +252,38 @@ class Driver:
         self._require_numbers(desired)
         if time is None and isinstance(dt, float):
             time = dt * np.arange(float(desired.size))
-        if not (tracked or periodic or bandwidth is not None):
-            return self._driven_whole(desired, desired, time, dt, return_rows)
-        if time is None or not isinstance(dt, float):
+        is_even = time is not None and isinstance(dt, float)
+        if (tracked or periodic or bandwidth is not None) and not is_even:
             raise InputError(
                 f"{self.name}: `tracked`, `periodic` and `bandwidth` need an even clock (`sample_rate` "
                 "HZ, or `resample` HZ)"
             )
+        stamps, step = cast(Floats, time), cast(float, dt)  # where the clock is even
 
         def drive_of(target: Floats) -> Drive:
             if periodic:
-                return self.loop(desired, target, time, dt, passes)
-            return self._driven_whole(desired, target, time, dt, return_rows)
+                return self.loop(desired, target, stamps, step, passes)
+            blocks = []
+            for begin in range(0, desired.size, DRIVEN_ROWS):
+                rows = slice(begin, begin + DRIVEN_ROWS)
+                times = None if time is None else time[rows]
+                steps = dt[rows] if isinstance(dt, np.ndarray) else dt
+                blocks.append(self.rows(desired[rows], steps, times, target[rows]))
+            last, drive = self.finish(return_rows)
+            return drive.with_rows(stacked([*blocks, last]))
 
         if tracked:
             from dbo_cli.drive.learning import RepeatedMove
 
-            move = RepeatedMove(self.lead, desired, time, dt, periodic, absolute)
+            move = RepeatedMove(self.lead, desired, stamps, step, periodic, absolute)
             return move.learned(tracked, history, bandwidth, drive_of)
         if bandwidth is None:
             return drive_of(desired)
         from dbo_cli.drive.smooth import low_pass
 
-        target = low_pass(desired, bandwidth, dt, periodic)
-        return drive_of(target).rounded_by(
-            float(np.sqrt(np.mean((target - desired) ** 2)))
-        )
-
-    def _driven_whole(
-        self,
-        desired: Floats,
-        target: Floats,
-        time: Floats | None,
-        dt: Steps,
-        return_rows: int,
-    ) -> Drive:
-        """Return the drive of a whole trajectory, driven in blocks."""
-        blocks = []
-        for begin in range(0, desired.size, DRIVEN_ROWS):
-            rows = slice(begin, begin + DRIVEN_ROWS)
-            stamps = None if time is None else time[rows]
-            steps = dt[rows] if isinstance(dt, np.ndarray) else dt
-            blocks.append(self.rows(desired[rows], steps, stamps, target[rows]))
-        last, drive = self.finish(return_rows)
-        return drive.with_rows(stacked([*blocks, last]))
+        target = low_pass(desired, bandwidth, step, periodic)
+        rounding = float(np.sqrt(np.mean((target - desired) ** 2)))
+        return drive_of(target).rounded_by(rounding)
 
     # --- before the move ---
 
@@ -321,11 +306,10 @@ class Driver:
         else:
             self._gate.require_reachable(*self.limits.move, dt)
         self._ahead = Ahead(self.model, dt, self._state)
-        self._still_rows = still_rows
         if still_rows:
             still = np.full(still_rows, first)
             at_rest = None if time is None else stamps[voltage.size :]
-            for due in self._ahead.take(step, still, still, at_rest):
+            for due in self._ahead.take(step, still, still, at_rest, "lead"):
                 blocks.append(self._driven(step, due))
         return dt, stacked(blocks)
 
@@ -356,30 +340,20 @@ class Driver:
 
     def _driven(self, dt: Steps, due: Due) -> Rows:
         """Return the drive of rows that are due, with which the static part reaches their target."""
-        model, limits, judge = self.model, self.limits, self._judge
-        target, time = due.target, due.time
+        model, limits, target = self.model, self.limits, due.target
         if self._state is None:  # nothing leads to the move
-            self._state = model.start_drive(
-                float(target[0]), self.lead.state, *limits.move
-            )
+            first, start = float(target[0]), self.lead.state
+            self._state = model.start_drive(first, start, *limits.move)
             if self._gate.last is None and limits.slew is not None:
                 self._gate.last = self._state.drive
-        if not self._is_moving:
-            self._is_moving = True
-            judge.see_transient(target, due.asked, dt)
-        phase = "lead" if self._still_rows else "move"
-        self._still_rows = 0
         state = self._state
         run = model.drive(target, state, dt, limits.move, limits.slew)
-        if phase == "move":
-            judge.clip(due.desired, target, run, state, dt)
-        if state.first is not None:
-            judge.see_start(target, run, state)
-        self._admit(run.y, dt, phase)
+        self._judge.see(due, run, state, dt)
+        self._admit(run.y, dt, due.phase)
         self._state = run.state
-        if time is not None:
-            self._state = replace(run.state, time=float(time[-1]))
-        return Rows(time, due.desired, run.y)
+        if due.time is not None:
+            self._state = replace(run.state, time=float(due.time[-1]))
+        return Rows(due.time, due.desired, run.y)
 
     def _played(self, time: Floats, voltage: Floats, phase: str, clocked: bool) -> Rows:
         """Return rows that are played as they are, with the displacement that the model expects of them."""

@@ -12,6 +12,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.limits import in_full, rounded_up
+from dbo_cli.drive.simulate import Due
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Run, State, Steps, expect
 
@@ -42,7 +43,8 @@ class Judge:
         self.on_limit, self.name = on_limit, name
         # how far the first row starts off its displacement, where no settled actuator
         # stands, and by how much dynamics and delay are in motion there
-        self._missed = self._transient = 0.0
+        self._missed = 0.0
+        self._transient: float | None = None
         # by part of the drive: rows, least and greatest voltage; of the move, too
         self._rows: Counter[str] = Counter()
         self._ranges: dict[str, list[float]] = {}
@@ -57,19 +59,28 @@ class Judge:
 
     # --- rows ---
 
-    def see_transient(self, target: Floats, asked: Floats, dt: Steps) -> None:
-        """Look at the first rows: what the static part is to reach, and what is asked for."""
-        delayed = 0
-        if isinstance(dt, float):
-            delayed = round(self.model.delay_seconds / dt)
-        self._transient = float(target[0] - asked[delayed])
+    def see(self, due: Due, run: Run, state: State, dt: Steps) -> None:
+        """Look at rows that are driven: how the first ones begin, and what limits cut off the move.
 
-    def see_start(self, target: Floats, run: Run, state: State) -> None:
-        """Look at the first row of a drive that chose its own start, unless a limit or the reach moved it."""
+        Parameters
+        ----------
+        due
+            The rows, and what the static part was to reach for them.
+        run, state, dt
+            As of ``clip``, which see.
+        """
+        model, target = self.model, due.target
+        if self._transient is None:
+            delayed = 0
+            if isinstance(dt, float):
+                delayed = round(model.delay_seconds / dt)
+            self._transient = float(target[0] - due.asked[delayed])
+        if due.phase == "move":
+            self.clip(due.desired, target, run, state, dt)
         is_clipped = run.clipped and run.first_clipped == 0
-        if is_clipped or self.model.inverse().outside(target[:1])[0]:
-            return
-        reached = self.model.static.run(run.y[:1], state, 0.0).y
+        if state.first is None or is_clipped or model.inverse().outside(target[:1])[0]:
+            return  # the start was not chosen, or a limit or the reach moved it
+        reached = model.static.run(run.y[:1], state, 0.0).y
         self._missed = float(target[0] - reached[0])
 
     def clip(
@@ -323,7 +334,7 @@ class Judge:
                 f"row 1 starts {abs(self._missed):.3g}{unit} off, where no settled actuator is: try "
                 "`condition` or `state` empty"
             )
-        if abs(self._transient) > OFF_AT_FIRST * span:
+        if abs(self._transient or 0.0) > OFF_AT_FIRST * span:
             texts.append(
                 "the move starts in motion and rings at first: add `lead` auto"
             )

@@ -59,12 +59,15 @@ class Due(NamedTuple):
         What was asked for in these rows, and behind them as far as it is read ahead.
     desired, time : array
         Of the rows; no time without a clock.
+    phase : {"move", "lead"}
+        Whether they stand before the move.
     """
 
     target: Floats
     asked: Floats
     desired: Floats
     time: MaybeFloats
+    phase: str
 
 
 class Ahead:
@@ -82,15 +85,20 @@ class Ahead:
         inverter = model.inverter(dt)
         self._count = inverter.ahead
         self._undoing = inverter.behind(state) if isinstance(state, State) else None
-        self._waiting: deque[tuple[Floats, MaybeFloats]] = deque()
+        self._waiting: deque[tuple[Floats, MaybeFloats, str]] = deque()
         self._asked = np.empty(0)  # of the blocks that wait, and of those after
 
     def take(
-        self, dt: Steps, asked: Floats, desired: Floats, time: MaybeFloats
+        self,
+        dt: Steps,
+        asked: Floats,
+        desired: Floats,
+        time: MaybeFloats,
+        phase: str = "move",
     ) -> Iterator[Due]:
         """Take a block, what is asked for and what is desired; yield those that are due."""
         self.dt = dt
-        self._waiting.append((desired, time))
+        self._waiting.append((desired, time, phase))
         if self._asked.size:
             asked = np.concatenate([self._asked, asked])
         self._asked = asked
@@ -105,7 +113,7 @@ class Ahead:
     def _due(self) -> Iterator[Due]:
         """Yield each block of which enough is known behind it."""
         while self._waiting:
-            desired, time = self._waiting[0]
+            desired, time, phase = self._waiting[0]
             if self._asked.size < desired.size + self._count:
                 return
             asked = self._asked[: desired.size + self._count]
@@ -113,7 +121,7 @@ class Ahead:
             inverter = self._model.inverter(self.dt)
             target, self._undoing = inverter.run(asked, self._undoing)
             self._waiting.popleft()
-            yield Due(target, asked, desired, time)
+            yield Due(target, asked, desired, time, phase)
 
 
 class Simulator:
