@@ -18,7 +18,7 @@ from hashlib import sha256
 
 import numpy as np
 
-from dbo_cli.alignment import ACTUATOR_LAG, DRIVE_RESIDUAL, RATE_SLACK, mean_step
+from dbo_cli.alignment import ACTUATOR_LAG, RATE_SLACK, mean_step
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.lead import Lead
@@ -26,7 +26,7 @@ from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.smooth import low_pass, soft_rise
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import Cascade, State, fields
-from dbo_cli.signals import lag, noise, residual_at, turns, without_delay
+from dbo_cli.signals import noise, turns, without_delay
 
 FORMAT = "dbo-history"
 
@@ -41,7 +41,7 @@ LONG_STEP = 1.5  # steps: a longer one lacks rows
 OTHER_SCALE = 1.25
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
-# of the variance that stamps leave: with more left elsewhere, they are believed
+# of the squares that stamps leave: with more left elsewhere, they are believed
 MUCH_CLOSER = 0.25
 SWEEP_TRAVEL = 1.7  # ranges that the drive travels in a sweep there and back
 # of what was asked, in a third of an octave: a pass takes two thirds off
@@ -231,31 +231,33 @@ class RepeatedMove:
     def _first_row(self, recording: Tracked, modelled: Floats) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead.
 
-        A recorder may count from elsewhere: what the model makes of the recorded drive is
-        laid over the trajectory. Rows of a lead are none of it, whatever they are.
+        A recorder may count from elsewhere: the trajectory is laid where what the model
+        makes of the recorded drive is closest to it.
         """
-        by_stamps, count = self._row_by_stamps(recording), self.desired.size
-        if recording.time is None and modelled.size == count:
-            return 0
-        last, trajectory = modelled, self.desired
-        if self.periodic:  # in the last two periods what leads to the loop is over
-            last, trajectory = modelled[-2 * count :], np.tile(trajectory, 4)
-        late = lag(last, trajectory)
-        if late is None or late.residual > DRIVE_RESIDUAL:
-            return by_stamps
-        before, behind = modelled.size - last.size, modelled.size - by_stamps
-        shift = by_stamps - before
-        row = before + round(late.seconds)
-        difference, has_all = abs(row - by_stamps), behind >= count
+        desired, count = self.desired - self.desired.mean(), self.desired.size
+        level = modelled - self.desired.mean()
+        places = max(level.size - count + 1, 1)
+        size = level.size + count
+        spectrum = np.fft.rfft(level, size) * np.fft.rfft(desired, size).conj()
+        products = np.fft.irfft(spectrum, size)[:places]
+        squares = np.cumsum(np.append(0.0, level**2))
+        squares = squares[-places:] - squares[:places]
+        misfit = squares - 2.0 * products + np.sum(desired**2)
+        # in the last two periods of a loop what leads to it is over
+        begin = max(places - 1 - count, 0) if self.periodic else 0
+        row = begin + int(np.argmin(misfit[begin:]))
+        by_stamps = self._row_by_stamps(recording)
         if self.periodic:  # which of the periods does not matter
-            shift, row, has_all = shift % count - count, row % count, not behind % count
-            difference = min(difference % count, -difference % count)
+            row %= count
+            difference = min((row - by_stamps) % count, (by_stamps - row) % count)
+            is_whole, explained = (level.size - by_stamps) % count == 0, False
+        else:
+            difference, is_whole = abs(row - by_stamps), by_stamps < places
+            left = float(misfit[min(by_stamps, places - 1)])
+            explained = MUCH_CLOSER * left <= float(misfit[row])
         # what was learned may be as early
         is_near = difference * self.step <= ACTUATOR_LAG
-        explained = MUCH_CLOSER * residual_at(last, trajectory, shift) <= late.residual
-        if has_all and (is_near or explained):
-            return by_stamps
-        return min(max(row, 0), max(modelled.size - count, 0))
+        return by_stamps if is_whole and (is_near or explained) else row
 
     def _row_by_stamps(self, recording: Tracked) -> int:
         """Return the row at the time of the trajectory's first; the first where there is no clock.
