@@ -90,13 +90,16 @@ class Controller:
         self.limits = limits
         self.clipped = 0
         self._model = model
-        self._begin = state
         self._dt = 1.0 / sample_rate
         step = self.limits.largest_step(self._dt)
         self._step = math.inf if step is None else float(step)
         self.last = Lead(model, limits, state, from_).standing
         if self.last is not None:
-            self._begin = self._stood_at(self.last)
+            if not isinstance(state, State):
+                begin = model.start(self.last, state)
+                state = model.run(np.array([self.last]), begin, self._dt).state
+            state = dataclasses.replace(state, drive=self.last)
+        self._begin = state
         self._stepper: Any = None
         self._pending: Planned | None = None
         self._to_gears = model.tail.inverse()
@@ -113,14 +116,6 @@ class Controller:
         self._memory: Undoing | None = None
         if isinstance(self._begin, State):
             self._memory = self._inverter.behind(self._begin)
-
-    def _stood_at(self, voltage: float) -> State:
-        """Return the state before the first row, where the amplifier stands at a voltage."""
-        begin = self._begin
-        if not isinstance(begin, State):
-            started = self._model.start(voltage, begin)
-            begin = self._model.run(np.array([voltage]), started, self._dt).state
-        return dataclasses.replace(begin, drive=voltage)
 
     def _samples_ahead(self, lookahead: float | Literal["auto"] | None) -> int:
         """Return how many samples what is wanted is read ahead."""
@@ -144,15 +139,13 @@ class Controller:
         """The state after the last sample committed, of gears and memories; None before the first."""
         if self._stepper is None:
             return self._begin if isinstance(self._begin, State) else None
-        after = dataclasses.replace(
+        return dataclasses.replace(
             self._model.gears.committed(self._stepper),
             drive=self.last,
             undoing=self._memory,
             model=self._model.digest,
+            amplifier=None if self._amplified is None else self._output,
         )
-        if self._amplified is not None:
-            after = dataclasses.replace(after, amplifier=self._output)
-        return after
 
     def plan(self, wanted: float) -> float:
         """Return the voltage for what is wanted now (or ``lookahead`` later); nothing has changed yet.
@@ -169,9 +162,13 @@ class Controller:
         voltage, clipped, output = self._way_in(), True, 0.0
         start = after = None
         if self._stepper is None:
-            start = self._model.start_drive(target, self._begin, *self.limits.move)
+            (low, high), slew = self.limits.move, self.limits.slew
+            start = self._model.start_drive(target, self._begin, low, high)
             if voltage is None:
-                voltage, clipped, after = self._planned_first(target, start)
+                first = np.array([target])
+                run = self._model.drive(first, start, self._dt, (low, high), slew)
+                voltage, clipped = float(run.y[0]), bool(run.clipped)
+                after = run.state if self._amplified is not None else None
         elif voltage is None:
             voltage, clipped, output = self._planned(target)
         else:
@@ -196,12 +193,14 @@ class Controller:
         if applied is not None:
             voltage = _number(applied, "applied", *self.limits.rating, APPLIED_SPANS)
             after = None
-        if self._stepper is None:
+        if start is not None:
+            model = self._model
             if after is None:
-                assert start is not None
                 first = np.array([voltage])
-                after = self._model.static.run(first, start, self._dt).state
-            self._stepper = self._stepper_behind(after, voltage)
+                after = model.static.run(first, start, self._dt).state
+            window, slew = model.inner_limits(self.limits.move, self.limits.slew)
+            at_gears = dataclasses.replace(after, drive=model.head.value(voltage))
+            self._stepper = model.gears.stepper(at_gears, self._dt, window, slew)
             output = after.amplifier or 0.0
         else:
             if applied is not None:
@@ -232,15 +231,6 @@ class Controller:
         target, memory = self._inverter.run(ahead, self._memory)
         return float(target[0]), queue, memory
 
-    def _planned_first(
-        self, target: float, start: State
-    ) -> tuple[float, bool, State | None]:
-        """Return the voltage of the first row, whether a limit held it, and an amplifier's state after it."""
-        move, slew = self.limits.move, self.limits.slew
-        run = self._model.drive(np.array([target]), start, self._dt, move, slew)
-        after = None if self._amplified is None else run.state
-        return float(run.y[0]), bool(run.clipped), after
-
     def _follow(self, voltage: float) -> float:
         """Plan a voltage that was not asked of the gears; return what comes out of the amplifier."""
         output = 0.0
@@ -252,30 +242,22 @@ class Controller:
         self._stepper.follow(self._model.head.value(voltage))
         return output
 
-    def _stepper_behind(self, first: State, voltage: float) -> Any:
-        """Return the stepper behind the first row."""
-        state = dataclasses.replace(first, drive=self._model.head.value(voltage))
-        window, slew = self._model.inner_limits(self.limits.move, self.limits.slew)
-        return self._model.gears.stepper(state, self._dt, window, slew)
-
     def _planned(self, target: float) -> tuple[float, bool, float]:
         """Return the voltage of a later row, whether a limit held it, and the amplifier's output."""
-        at_gears = self._to_gears.value(target)
+        (low, high), last = self.limits.move, self.last
+        at_gears, output = self._to_gears.value(target), 0.0
         if self._amplified is not None:
-            (low, high), last = self.limits.move, self.last
             assert last is not None
             low, high = max(low, last - self._step), min(high, last + self._step)
             row = AmplifiedRow(self._output, self._share, low, high)
             window = self._amplified.window(row)
             self._stepper.limit(*window, self._model.gears.slack(*window))
-            voltage = self._stepper.plan(at_gears)
-            voltage, output = self._amplified.drive(voltage, row)
-            return voltage, bool(self._stepper.clipped), output
         voltage = self._stepper.plan(at_gears)
-        if self._from_gears:
-            low, high = self.limits.move
+        if self._amplified is not None:
+            voltage, output = self._amplified.drive(voltage, row)
+        elif self._from_gears:
             voltage = min(max(self._from_gears.value(voltage), low), high)
-        return voltage, bool(self._stepper.clipped), 0.0
+        return voltage, bool(self._stepper.clipped), output
 
     def _way_in(self) -> float | None:
         """Return the next voltage from outside the range of a move; None where the amplifier is inside."""
