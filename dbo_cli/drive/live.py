@@ -244,20 +244,21 @@ class Controller:
 
     def _planned(self, target: float) -> tuple[float, bool, float]:
         """Return the voltage of a later row, whether a limit held it, and the amplifier's output."""
+        stepper, at_gears = self._stepper, self._to_gears.value(target)
+        if self._amplified is None:
+            voltage, output = stepper.plan(at_gears), 0.0
+            if self._from_gears:
+                low, high = self.limits.move
+                voltage = min(max(self._from_gears.value(voltage), low), high)
+            return voltage, bool(stepper.clipped), output
         (low, high), last = self.limits.move, self.last
-        at_gears, output = self._to_gears.value(target), 0.0
-        if self._amplified is not None:
-            assert last is not None
-            low, high = max(low, last - self._step), min(high, last + self._step)
-            row = AmplifiedRow(self._output, self._share, low, high)
-            window = self._amplified.window(row)
-            self._stepper.limit(*window, self._model.gears.slack(*window))
-        voltage = self._stepper.plan(at_gears)
-        if self._amplified is not None:
-            voltage, output = self._amplified.drive(voltage, row)
-        elif self._from_gears:
-            voltage = min(max(self._from_gears.value(voltage), low), high)
-        return voltage, bool(self._stepper.clipped), output
+        assert last is not None
+        low, high = max(low, last - self._step), min(high, last + self._step)
+        row = AmplifiedRow(self._output, self._share, low, high)
+        window = self._amplified.window(row)
+        stepper.limit(*window, self._model.gears.slack(*window))
+        voltage, output = self._amplified.drive(stepper.plan(at_gears), row)
+        return voltage, bool(stepper.clipped), output
 
     def _way_in(self) -> float | None:
         """Return the next voltage from outside the range of a move; None where the amplifier is inside."""
