@@ -187,7 +187,7 @@ class Driver:
         loop = loops.Loop(lead, target, dt, passes, self.name, self.hold)
         self._judge.clip(desired, loop.target, loop.run, loop.state, dt)
         self._judge.require_reached(dt, is_loop=True)
-        texts = loop.require_settled(self.on_limit)
+        self._judge.warned = loop.require_settled(self.on_limit)
         leading, period = loop.lead_voltage, loop.voltage
         first = float(leading[0] if leading.size else period[0])
         self._gate.require_reachable(first, first, dt)
@@ -197,15 +197,9 @@ class Driver:
         first_pass = self._played(time, period, "move", True)
         self._gate.admit(period[:1], dt)  # the seam
         unsettled = first_pass.x - loops.settled_run(model, period, dt, loop.state)
-        unsettled_rms = float(np.sqrt(np.mean(unsettled**2)))
-        drive = self._judge.concluded(self._state, dt, unsettled_rms)
-        note = f"the first pass is {unsettled_rms:.3g}{model.output.suffix} off the settled one (RMS)"
-        drive = drive.with_rows(stacked([before, first_pass._replace(x=desired)]))
-        return replace(
-            drive,
-            notes=(f"{self.name}: {note}",),
-            warnings=(*texts, *drive.warnings),
-        )
+        self._judge.unsettled = float(np.sqrt(np.mean(unsettled**2)))
+        drive = self._judge.concluded(self._state, dt)
+        return drive.with_rows(stacked([before, first_pass._replace(x=desired)]))
 
     # --- a whole trajectory ---
 
@@ -282,8 +276,8 @@ class Driver:
         from dbo_cli.drive.smooth import low_pass
 
         target = low_pass(desired, bandwidth, step, periodic)
-        rounding = float(np.sqrt(np.mean((target - desired) ** 2)))
-        return drive_of(target).rounded_by(rounding)
+        self._judge.rounding = float(np.sqrt(np.mean((target - desired) ** 2)))
+        return drive_of(target)
 
     # --- before the move ---
 

@@ -106,21 +106,6 @@ class Drive:
         """Return the drive with its rows."""
         return replace(self, time=rows.time, desired=rows.x, voltage=rows.y)
 
-    def rounded_by(self, rms: float) -> Drive:
-        """Return the drive with what a low-pass took of the move (RMS) in the errors to expect."""
-
-        def rounded(error: float | None) -> float | None:
-            return None if error is None else math.hypot(error, rms)
-
-        note = f"`bandwidth` rounds the move by {rms:.3g}{self.model.output.suffix} RMS"
-        return replace(
-            self,
-            expected_error=rounded(self.expected_error),
-            expected_known=rounded(self.expected_known),
-            expected_unrested=rounded(self.expected_unrested),
-            notes=(*self.notes, f"{self.name}: {note}"),
-        )
-
     def line(self) -> str:
         """Return what came out: ``4,910 rows, 3.1 to 96.2 V, within limits``."""
         unit = self.limits.suffix

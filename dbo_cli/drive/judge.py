@@ -56,6 +56,11 @@ class Judge:
         self._voltages: list[Floats] = []
         self._steps: list[Floats] = []
         self._needed_slew = 0.0
+        # RMS that a low-pass took of the move, and by which a loop's first pass is off the
+        # settled one; what was warned of before
+        self.rounding = 0.0
+        self.unsettled: float | None = None
+        self.warned: tuple[str, ...] = ()
 
     # --- rows ---
 
@@ -255,45 +260,36 @@ class Judge:
 
     # --- the end ---
 
-    def concluded(
-        self, state: State | None, step: float, unsettled: float | None = None
-    ) -> Drive:
-        """Return the figures of a drive of which all rows were seen, and warn of what is unusual.
-
-        ``unsettled`` is how far a loop's first pass is off the settled one (RMS).
-        """
+    def concluded(self, state: State, step: float) -> Drive:
+        """Return the figures of a drive of which all rows were seen, and warn of what is unusual."""
         voltage, steps = self._played()
         lead_rows, move_rows = self._rows["lead"], self._rows["move"]
         (low, high), (lowest, highest) = self._ranges["drive"], self.limits.identified
-        outside_texts = []
+        texts = self._start_warnings()
         error = known_error = unrested = expected = None
         if self.limits.extrapolate and not lowest <= low <= high <= highest:
-            outside_texts.append(
+            texts.append(
                 f"the drive goes from {low:.6g} to {high:.6g}{self.limits.suffix}, beyond the identified "
                 f"range, {lowest:.6g} to {highest:.6g}{self.limits.suffix}"
             )
         else:
             expected = expect.expected_error(self.model, voltage, steps, lead_rows)
+        past_known = self.lead.past_known
         if expected is not None:
-            missed = math.hypot(self._lost_rms, unsettled or 0.0)
+            missed = math.hypot(self._lost_rms, self.unsettled or 0.0)
             if self.lead.condition:
                 missed = math.hypot(missed, expected.unswept)
-            past_known = self.lead.past_known
+                unrested = math.hypot(expected.rms(past_known=True), missed)
             error = math.hypot(expected.rms(past_known, past_known), missed)
             if not past_known:
                 known_error = math.hypot(expected.known, missed)
-            if self.lead.condition:
-                unrested = math.hypot(expected.rms(past_known=True), missed)
-        texts = [*self._start_warnings(), *outside_texts]
         texts += expect.move_warnings(self.model, voltage, steps)
         texts += self._end_warnings(error, state)
-        warnings = tuple(f"{self.name}: {text}" for text in texts)
+        warnings = [f"{self.name}: {text}" for text in texts]
         for text in warnings:
             warn(text)
-        asks_start = self.lead.standing is None and self.lead.state in (
-            "auto",
-            "settled",
-        )
+        is_auto = self.lead.state in ("auto", "settled")
+        asks_start = is_auto and self.lead.standing is None
         return Drive(
             self.model,
             self.limits,
@@ -308,15 +304,33 @@ class Judge:
             first_clipped=self._first_clipped,
             lost_rms=self._lost_rms,
             lost_most=self._largest,
-            expected_error=error,
-            expected_known=known_error,
-            expected_unrested=unrested,
+            expected_error=self._rounded(error),
+            expected_known=self._rounded(known_error),
+            expected_unrested=self._rounded(unrested),
             starts_at=self._first if asks_start else None,
-            past_known=self.lead.past_known,
-            is_loop=unsettled is not None,
-            state=None if state is None else replace(state, model=self.model.digest),
-            warnings=warnings,
+            past_known=past_known,
+            is_loop=self.unsettled is not None,
+            state=replace(state, model=self.model.digest),
+            notes=self._notes(),
+            warnings=(*self.warned, *warnings),
         )
+
+    def _rounded(self, error: float | None) -> float | None:
+        """Return an error to expect with what a low-pass took of the move."""
+        return None if error is None else math.hypot(error, self.rounding)
+
+    def _notes(self) -> tuple[str, ...]:
+        """Return what a user should know of a low-pass and of a loop."""
+        notes, unit = [], self.model.output.suffix
+        if self.unsettled is not None:
+            notes.append(
+                f"the first pass is {self.unsettled:.3g}{unit} off the settled one (RMS)"
+            )
+        if self.rounding:
+            notes.append(
+                f"`bandwidth` rounds the move by {self.rounding:.3g}{unit} RMS"
+            )
+        return tuple(f"{self.name}: {note}" for note in notes)
 
     # --- warnings, without the name of the trajectory ---
 
@@ -346,7 +360,7 @@ class Judge:
             )
         return texts
 
-    def _end_warnings(self, error: float | None, state: State | None) -> list[str]:
+    def _end_warnings(self, error: float | None, state: State) -> list[str]:
         """Return warnings where a straight line is as good, and where holding the end leaves the limits."""
         texts, unit = [], self.model.output.suffix
         line = self.model.fit.get("line_rmse")
@@ -365,10 +379,10 @@ class Judge:
             )
         return texts
 
-    def _held_voltage(self, state: State | None) -> float | None:
+    def _held_voltage(self, state: State) -> float | None:
         """Return where holding the last position leads, of an actuator whose drive creeps outward for it."""
         relaxation, static = self.model.gears.relaxation, self.model.static
-        if relaxation is None or state is None or state.drive is None:
+        if relaxation is None or state.drive is None:
             return None
         if min(relaxation.gain) >= 0.0:
             return None
