@@ -2,13 +2,7 @@
 
 from __future__ import annotations
 
-from dbo_cli.moves.reach import check_reach
-from dbo_cli.moves.shapes import trajectory
+from dbo_cli.moves.shapes import check_reach, trajectory
 from dbo_cli.moves.waveform import side_by_side, waveform
 
-__all__ = [
-    "check_reach",
-    "side_by_side",
-    "trajectory",
-    "waveform",
-]
+__all__ = ["check_reach", "side_by_side", "trajectory", "waveform"]

@@ -9,12 +9,14 @@ takes one period of the bandwidth.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import UsageError
+from dbo_cli.model import Cascade
 
 Range = tuple[float, float]
 
@@ -34,6 +36,7 @@ TAKES = {
 """What some of them take besides."""
 SHAPES = tuple(NEEDS)
 
+RANGE_ROUNDING = 1e-8  # of the range: rounding reaches no further
 START = 2.0 / math.pi
 """Of a turn's rows: a start of so many reaches as far outside a line as a turn does, more gently than it."""
 FEWEST_CYCLE_ROWS = (
@@ -60,7 +63,7 @@ class Trajectory(NamedTuple):
 
 
 class _Plan(NamedTuple):
-    """What is asked for, in rows: of a line or cycle, of a turn, and how many of them."""
+    """What is asked for, in rows: of a line, cycle or dwell, of a turn or rise, and how many of them."""
 
     ends: Range
     period: int
@@ -126,26 +129,23 @@ def trajectory(
     if shape == "staircase":
         assert steps is not None
         assert dwell is not None
-        rows = round(dwell * rate)
-        return _clocked(rate, *_staircase(range, steps, rows, max(turn, 1), rate))
-    assert frequency is not None
-    count = lines or max(round((duration or 0.0) * frequency), 1)
-    if bandwidth is not None and frequency >= bandwidth:
-        raise UsageError(
-            f"`frequency` {frequency:g}: give less than the bandwidth, {bandwidth:g} Hz, or raise "
-            "`bandwidth`"
-        )
-    period = round(rate / frequency)
-    if period < FEWEST_CYCLE_ROWS:
-        raise UsageError(
-            f"`frequency` {frequency:g}: {period} rows each at `rate` {rate:g}; give at most "
-            f"{rate / FEWEST_CYCLE_ROWS:g}"
-        )
-    plan = _Plan(range, period, turn, count, loop, rate)
-    return _clocked(rate, *_MAKERS[shape](plan))
-
-
-def _clocked(rate: float, axes: tuple[Floats, ...], note: str) -> Trajectory:
+        plan = _Plan(range, round(dwell * rate), max(turn, 1), steps, loop, rate)
+    else:
+        assert frequency is not None
+        count = lines or max(round((duration or 0.0) * frequency), 1)
+        if bandwidth is not None and frequency >= bandwidth:
+            raise UsageError(
+                f"`frequency` {frequency:g}: give less than the bandwidth, {bandwidth:g} Hz, or raise "
+                "`bandwidth`"
+            )
+        period = round(rate / frequency)
+        if period < FEWEST_CYCLE_ROWS:
+            raise UsageError(
+                f"`frequency` {frequency:g}: {period} rows each at `rate` {rate:g}; give at most "
+                f"{rate / FEWEST_CYCLE_ROWS:g}"
+            )
+        plan = _Plan(range, period, turn, count, loop, rate)
+    axes, note = _MAKERS[shape](plan)
     return Trajectory(np.arange(axes[0].size) / rate, axes, note)
 
 
@@ -179,6 +179,32 @@ def _check_numbers(
     for name, value in {"rate": rate, "bandwidth": bandwidth, **figures}.items():
         if value is not None and not 0.0 < value < math.inf:
             raise UsageError(f"`{name}` {value:g}: give a number above 0")
+
+
+def check_reach(move: Trajectory, models: Sequence[Cascade]) -> None:
+    """Refuse a move that a model does not reach, its turns included.
+
+    Parameters
+    ----------
+    move
+        The move.
+    models
+        The model of each axis, the last one also of the axes after it.
+
+    Raises
+    ------
+    UsageError
+        The move leaves what a model reaches.
+    """
+    for number, axis in enumerate(move.axes):
+        output = models[min(number, len(models) - 1)].output
+        slack = RANGE_ROUNDING * output.span
+        lowest, highest = float(axis.min()), float(axis.max())
+        if lowest < output.min - slack or highest > output.max + slack:
+            raise UsageError(
+                f"the move goes from {lowest:.6g} to {highest:.6g}, the model from {output.min:.6g} to "
+                f"{output.max:.6g}{output.suffix}: narrow `range`"
+            )
 
 
 # --- the pieces: rows after the one that they begin at ---
@@ -321,22 +347,25 @@ def _spiral(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
     return (x, y), f"{plan.cycles} turns, {plan.period / plan.rate:.6g} s each"
 
 
-def _staircase(
-    ends: Range, steps: int, dwell: int, rise: int, rate: float
-) -> tuple[tuple[Floats, ...], str]:
-    """Return levels that are held, up and down again; ``dwell`` and ``rise`` in rows."""
+def _staircase(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
+    """Return levels that are held, up and down again: a dwell is a period, a rise a turn."""
+    steps, dwell, rise = plan.cycles, plan.period, plan.turn
     up = np.arange(steps + 1.0) / steps
     levels = np.concatenate([up, up[-2::-1]])
     profile = np.concatenate([_risen(rise), np.ones(dwell)])
     blocks = levels[:-1, None] + np.diff(levels)[:, None] * profile
     stairs = np.concatenate([np.zeros(dwell + 1), blocks.ravel()])
-    note = f"{levels.size} levels, {dwell / rate:.6g} s each, {rise / rate:.3g} s to the next"
-    return (_between(ends, stairs),), note
+    seconds = dwell / plan.rate, rise / plan.rate
+    note = (
+        f"{levels.size} levels, {seconds[0]:.6g} s each, {seconds[1]:.3g} s to the next"
+    )
+    return (_between(plan.ends, stairs),), note
 
 
 _MAKERS = {
     "raster": _raster,
     "spiral": _spiral,
+    "staircase": _staircase,
     "sine": _sine,
     "triangle": _triangle,
 }

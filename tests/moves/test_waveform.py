@@ -7,8 +7,7 @@ import pytest
 
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import LimitError, UsageError
-from dbo_cli.moves import waveform
-from dbo_cli.moves.generators import GENERATORS
+from dbo_cli.moves.waveform import GENERATORS, waveform
 
 RATE = 1000.0
 TIME = np.arange(1000) / RATE
