@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
+from dbo_cli.alignment import RATE_SLACK, align_drives
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.drive.limits import Gate, Limits
 from dbo_cli.drive.smooth import open_seam
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.signals import between, lag, noise
+from dbo_cli.signals import between, noise
 
 TOLERANCE = 1e-3
 """Of the drive's range, by which a recording may differ: a converter of 10 bits rounds to half of it."""
@@ -24,8 +26,6 @@ EVEN_STEPS = 0.1
 """Of a step: the steps around one differ by less. On an uneven clock nothing says when the next row is due.
 Stamps of so even a clock may be rounded, to a twentieth of a step.
 """
-ANOTHER = 0.5  # correlation below which a recording is of another drive
-ONE_RATE = 1e-6  # relative difference of two rates that are one
 
 
 @dataclass
@@ -320,51 +320,35 @@ def check_played(
         The largest difference allowed.
     """
     allowed = tolerance_of(drive, recorded, tolerance)
-    step, recorded_step = steps
-    if step and recorded_step and abs(recorded_step / step - 1.0) > ONE_RATE:
-        times = np.arange(0.0, (drive.size - 1) * step, recorded_step)
-        drive = np.interp(times, step * np.arange(drive.size), drive)
-    found = lag(recorded, drive)
-    delay = 0.0 if found is None else found.seconds
-    overlaid = [_overlaid(drive, recorded, rows) for rows in (round(delay), delay)]
-    lag_rows, meant, played = min(
-        overlaid, key=lambda rows: float(np.abs(rows[2] - rows[1]).max())
-    )
+    step = steps[0] or 1.0
+    recorded_step = steps[1] or step
+    time = recorded_step * np.arange(float(recorded.size))
+    found = align_drives(time, recorded, step * np.arange(float(drive.size)), drive)
+    late, row = 0.0, time / step
+    if found is not None:
+        late, row = found.lag.seconds, np.round(found.reference_time(time) / step, 6)
+    inside = (row >= 0.0) & (row <= drive.size - 1)
+    row, played = row[inside], recorded[inside]
+    meant = between(drive, row)
     gain, offset = 1.0, float(np.mean(played - meant))
     if np.ptp(meant) > 0.0:
         gain, offset = np.polyfit(meant, played, 1).tolist()
     largest = float(np.abs(played - meant).max())
     if abs(offset) < 1e-9 * allowed:
         offset = 0.0
-    shared = meant.size if lag_rows == round(lag_rows) else meant.size + 1
-    unit = f" {checked.unit}" if checked.unit else ""
-    seconds = None if recorded_step is None else lag_rows * recorded_step
+    shared = math.ceil(row[-1]) - math.floor(row[0]) + 1
+    seconds = None if steps[1] is None else late
+    lag_rows = late / recorded_step
     checked.played = Played(shared, lag_rows, seconds, gain, offset, largest, allowed)
-    if _correlation(meant, played) < ANOTHER:
+    unit = f" {checked.unit}" if checked.unit else ""
+    if found is None and np.ptp(drive) > 0.0:
         checked.problems.append("another drive was played: the two do not correlate")
         return
-    if shared < drive.size:
-        checked.problems.append(
-            f"{drive.size - shared:,} of {drive.size:,} rows were not played"
-        )
+    lost = drive.size - shared
+    if lost * step >= (1.0 - RATE_SLACK) * recorded_step:
+        checked.problems.append(f"{lost:,} of {drive.size:,} rows were not played")
     if largest > allowed:
         checked.problems.append(
             f"the recording differs by up to {largest:.4g}{unit}, more than {allowed:.3g}{unit} (gain "
             f"{gain:.5g}, offset {offset:.3g}{unit})"
         )
-
-
-def _correlation(a: Floats, b: Floats) -> float:
-    """Return the correlation of two stretches, without its sign."""
-    if np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
-        return float(np.ptp(a) == np.ptp(b))
-    return abs(float(np.corrcoef(a, b)[0, 1]))
-
-
-def _overlaid(
-    drive: Floats, recorded: Floats, rows: float
-) -> tuple[float, Floats, Floats]:
-    """Return a lag in rows, and drive and recording at the same times."""
-    places = np.arange(float(recorded.size)) - rows
-    inside = (places >= 0.0) & (places <= drive.size - 1)
-    return rows, between(drive, places[inside]), recorded[inside]

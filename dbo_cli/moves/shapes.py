@@ -9,7 +9,7 @@ takes one period of the bandwidth.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,22 +19,6 @@ from dbo_cli.errors import UsageError
 from dbo_cli.model import Cascade
 
 Range = tuple[float, float]
-
-NEEDS = {
-    "raster": ("frequency", "lines"),
-    "spiral": ("frequency", "duration"),
-    "staircase": ("steps", "dwell"),
-    "sine": ("frequency",),
-    "triangle": ("frequency",),
-}
-"""What each shape needs."""
-TAKES = {
-    "raster": ("loop",),
-    "sine": ("duration", "loop"),
-    "triangle": ("duration", "loop"),
-}
-"""What some of them take besides."""
-SHAPES = tuple(NEEDS)
 
 RANGE_ROUNDING = 1e-8  # of the range: rounding reaches no further
 START = 2.0 / math.pi
@@ -145,7 +129,7 @@ def trajectory(
                 f"{rate / FEWEST_CYCLE_ROWS:g}"
             )
         plan = _Plan(range, period, turn, count, loop, rate)
-    axes, note = _MAKERS[shape](plan)
+    axes, note = SHAPES[shape].make(plan)
     return Trajectory(np.arange(axes[0].size) / rate, axes, note)
 
 
@@ -153,14 +137,14 @@ def _check_options(
     shape: str, figures: dict[str, float | int | None], loop: bool
 ) -> None:
     """Refuse a shape that there is not, and options that are missing or of another shape."""
-    if shape not in NEEDS:
+    if shape not in SHAPES:
         raise UsageError(f"SHAPE {shape}: give one of {', '.join(SHAPES)}")
-    for name in NEEDS[shape]:
+    _, needed, possible = SHAPES[shape]
+    for name in needed:
         if figures[name] is None:
             raise UsageError(f"a {shape} needs `{name}`")
-    allowed = NEEDS[shape] + TAKES.get(shape, ())
     for name, value in [*figures.items(), ("loop", loop or None)]:
-        if value is not None and name not in allowed:
+        if value is not None and name not in needed + possible:
             raise UsageError(f"`{name}`: a {shape} has none")
 
 
@@ -362,10 +346,18 @@ def _staircase(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
     return (_between(plan.ends, stairs),), note
 
 
-_MAKERS = {
-    "raster": _raster,
-    "spiral": _spiral,
-    "staircase": _staircase,
-    "sine": _sine,
-    "triangle": _triangle,
+class _Shape(NamedTuple):
+    """How a shape is made, what it needs, and what it takes besides."""
+
+    make: Callable[[_Plan], tuple[tuple[Floats, ...], str]]
+    needed: tuple[str, ...]
+    possible: tuple[str, ...] = ()
+
+
+SHAPES = {
+    "raster": _Shape(_raster, ("frequency", "lines"), ("loop",)),
+    "spiral": _Shape(_spiral, ("frequency", "duration")),
+    "staircase": _Shape(_staircase, ("steps", "dwell")),
+    "sine": _Shape(_sine, ("frequency",), ("duration", "loop")),
+    "triangle": _Shape(_triangle, ("frequency",), ("duration", "loop")),
 }
