@@ -21,7 +21,7 @@ import random
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.smooth import swing_rows, swings
+from dbo_cli.drive.smooth import MOST_ROWS, swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
 
 # a turning point as a part of the range, and the rows on the way there
@@ -35,7 +35,6 @@ FEWEST_CYCLES = 6
 """Two swings over the range, the return and the rest leave four for the turns."""
 ROWS_A_CYCLE = 20
 """With fewer, interpolation between rows no longer shows where a swing turns."""
-MOST_EXCITED_ROWS = 100_000_000
 FASTEST, SLOWEST = -0.9, 0.6
 """log10 of a swing's time in that of a swing over the range; slower in longer drives."""
 AT_AN_END = 0.12  # chance that a turn lies at an end of the range
@@ -142,9 +141,9 @@ def _rows(duration: float, frequency: float, sample_rate: float) -> int:
             f"`duration` {duration:g}: too short for {FEWEST_CYCLES} swings over the range; give "
             f"{shortest} or more"
         )
-    if duration * sample_rate > MOST_EXCITED_ROWS:
+    if duration * sample_rate > MOST_ROWS:
         raise UsageError(
-            f"`duration` {duration:g} at `sample_rate` {sample_rate:g}: more than {MOST_EXCITED_ROWS:,} rows"
+            f"`duration` {duration:g} at `sample_rate` {sample_rate:g}: more than {MOST_ROWS:,} rows"
         )
     return round(duration * sample_rate) - 1
 

@@ -40,7 +40,6 @@ SECANTS = 4
 """Steps of a secant that begins there; what creeps on the way is a small part."""
 SECANT_SLACK = 1e-8  # of the move's range, around what a secant finds
 LONGEST_CHOSEN = 60.0  # s that the program may put before a move; a user may type more
-MOST_LEAD_ROWS = 100_000_000
 NO_VOLTAGES = np.zeros(0)
 HELD_STEPS = 1e-6
 """Of a step: so much later than a step behind a state, its voltage was held."""
@@ -162,7 +161,7 @@ class Lead:
         rest, untyped = self.rest, 0.0
         still = self.model.inverter(dt).ahead if moves or rest == "auto" else 0
         if isinstance(rest, float):
-            still = _checked_rows(swing_rows(0.0, dt, rest))
+            still = swing_rows(0.0, dt, rest)
         else:
             untyped = still * dt
         state, before, standing = self.state, NO_VOLTAGES, self.standing
@@ -407,14 +406,4 @@ def rest_rows(model: Cascade, dt: float) -> int:
 def _rows(distance: float, dt: float, seconds: float, limits: Limits) -> int:
     """Return the steps of a swing within the slew limit."""
     slew = None if limits.slew is None else SLEW_SPARE * limits.slew
-    return _checked_rows(swing_rows(distance, dt, seconds, slew))
-
-
-def _checked_rows(rows: int) -> int:
-    """Return a number of rows (UsageError: more than any memory holds)."""
-    if rows > MOST_LEAD_ROWS:
-        raise UsageError(
-            f"{rows:.4g} rows before the move, at most {MOST_LEAD_ROWS:,}: raise `max_slew`, or lower the "
-            "sample rate"
-        )
-    return rows
+    return swing_rows(distance, dt, seconds, slew)

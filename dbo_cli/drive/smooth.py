@@ -12,7 +12,7 @@ from dbo_cli.errors import UsageError
 
 REACH = 10.0
 """Periods of the cut-off, over which what a sample does to others dies away."""
-MOST_PADDED_ROWS = 100_000_000  # that the ends of a signal are held for
+MOST_ROWS = 100_000_000  # of a swing, or that the ends of a signal are held for
 
 OPEN_SEAM = 3.0  # times the largest step inside, from which on a loop does not close
 ROUNDED = 1e-9  # of a row: what rounding may add to a number of rows
@@ -39,10 +39,20 @@ def swing_rows(
     """Return the steps of a swing that takes ``seconds``, or longer where the slew is limited.
 
     The steepest part of a swing rises by pi/2 times its mean slope.
+
+    Raises
+    ------
+    UsageError
+        They are more than any memory holds.
     """
     if slew is not None:
         seconds = max(seconds, 0.5 * math.pi * abs(distance) / slew)
-    return max(math.ceil(seconds / dt - ROUNDED), 1)
+    rows = max(math.ceil(seconds / dt - ROUNDED), 1)
+    if rows > MOST_ROWS:
+        raise UsageError(
+            f"a swing of {rows:.4g} rows, at most {MOST_ROWS:,}: raise `max_slew`, or lower `sample_rate`"
+        )
+    return rows
 
 
 def soft_rise(t: Floats) -> Floats:
@@ -91,7 +101,7 @@ def low_pass(
             f"`bandwidth` {cutoff:g}: must be above 0 and at most half the sample rate, {0.5 * rate:.6g}"
         )
     reach = 0 if loop else math.ceil(REACH * rate / cutoff)
-    if reach > MOST_PADDED_ROWS:
+    if reach > MOST_ROWS:
         raise UsageError(
             f"`bandwidth` {cutoff:g}: too low for a sample rate of {rate:.6g} Hz"
         )
