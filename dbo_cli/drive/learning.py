@@ -18,7 +18,7 @@ from hashlib import sha256
 
 import numpy as np
 
-from dbo_cli.alignment import ACTUATOR_LAG, RATE_SLACK, mean_step
+from dbo_cli.alignment import ACTUATOR_LAG, DRIVE_RESIDUAL, RATE_SLACK, mean_step
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.lead import Lead
@@ -242,7 +242,8 @@ class RepeatedMove:
         products = np.fft.irfft(spectrum, size)[:places]
         squares = np.cumsum(np.append(0.0, level**2))
         squares = squares[-places:] - squares[:places]
-        misfit = squares - 2.0 * products + np.sum(desired**2)
+        square = float(np.sum(desired**2))
+        misfit = squares - 2.0 * products + square
         # in the last two periods of a loop what leads to it is over
         begin = max(places - 1 - count, 0) if self.periodic else 0
         row = begin + int(np.argmin(misfit[begin:]))
@@ -254,7 +255,8 @@ class RepeatedMove:
         else:
             difference, is_whole = abs(row - by_stamps), by_stamps < places
             left = float(misfit[min(by_stamps, places - 1)])
-            explained = MUCH_CLOSER * left <= float(misfit[row])
+            enough = min(MUCH_CLOSER * left, DRIVE_RESIDUAL * square)
+            explained = enough <= float(misfit[row])
         # what was learned may be as early
         is_near = difference * self.step <= ACTUATOR_LAG
         return by_stamps if is_whole and (is_near or explained) else row

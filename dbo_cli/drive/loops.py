@@ -180,6 +180,7 @@ class Loop:
         rise = soft_rise(np.linspace(0.0, 1.0, period.size))
         growing = begin + rise * (period - begin)
         growing = np.clip(growing, *limits.rating)  # rounding
+        growing[-1] = period[-1]
         voltage = np.concatenate([growing, np.tile(period, passes - 1)])
         voltage = self._within_slew(voltage, begin)
         miss = abs(float(voltage[-1] - period[-1]))

@@ -85,6 +85,19 @@ def test_a_move_that_starts_in_motion_is_said_to_ring(more):
         assert not any("`lead` auto" in text for text in rested.warnings)
 
 
+@pytest.mark.parametrize(
+    ("top", "begins"), [(None, False), (50.0, False), (None, True)]
+)
+def test_a_first_row_off_its_value_is_said_where_no_limit_moved_it(top, begins):
+    """Two gears stand settled at a few voltages only; a limit is told of as one."""
+    model = rig.actuator(gears=2 if begins else 200)
+    wanted = np.linspace(6.2, 6.0, 50)
+    limits = limits_of(model, 0, top)
+    drive = rig.plan(model, wanted, DT, limits, on_limit="clip")
+    assert (drive.clipped > 0) is (top is not None)
+    assert any("row 1 starts" in text for text in drive.warnings) is begins
+
+
 # --- limits ---
 
 

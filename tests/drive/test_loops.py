@@ -4,6 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.drive import Limits
+from dbo_cli.drive.limits import GateError
+from dbo_cli.drive.loops import Loop
 from dbo_cli.errors import InputError, LimitError, UsageError
 
 from .actuators import actuator, actuators, plan, ripple
@@ -73,3 +75,13 @@ def test_what_is_no_loop():
             plan(model, wanted, DT, limits, periodic=True, passes=passes)
     drive = plan(model, wanted, DT, limits, periodic=True, passes=np.int64(2))
     assert drive.rows == 600
+
+
+def test_the_gate_looks_at_the_seam(monkeypatch):
+    """Whatever makes the loop: a saw tooth keeps the slew limit but for its seam."""
+    model = actuator()
+    tooth = np.linspace(20.0, 60.0, 200)
+    monkeypatch.setattr(Loop, "_closed", lambda loop, voltage: tooth)
+    wanted = ripple(model, 200, 0.1, 1.0)
+    with pytest.raises(GateError, match="60 to 20 V"):
+        plan(model, wanted, DT, limits_of(model, 300.0), periodic=True)
