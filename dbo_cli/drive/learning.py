@@ -269,20 +269,15 @@ class RepeatedMove:
         InputError
             The clock has another rate, or a gap.
         """
-        time, name = recording.time, recording.name
+        time = recording.time
         if time is None or time.size < 2:
             return 0
-        step = mean_step(time)
-        if abs(step / self.step - 1.0) > RATE_SLACK:
+        step, longest = mean_step(time), float(np.diff(time).max())
+        other_rate = abs(step / self.step - 1.0) > RATE_SLACK
+        if other_rate or longest > LONG_STEP * step:
             raise InputError(
-                f"{name}: {1.0 / max(step, 1e-300):.6g} Hz, the trajectory {1.0 / self.step:.6g} Hz: "
-                "record at its rate, or `resample` HZ"
-            )
-        steps = np.diff(time)
-        longest = int(np.argmax(steps))
-        if steps[longest] > LONG_STEP * step:
-            raise InputError(
-                f"{name}: rows are missing behind row {longest + 1:,}: record each row"
+                f"{recording.name}: {1.0 / max(step, 1e-300):.6g} Hz, longest step {longest:.4g} s, the "
+                f"trajectory {1.0 / self.step:.6g} Hz: record each row at its rate, or `resample` HZ"
             )
         return int(np.searchsorted(time, self.time[0] - 0.5 * self.step))
 
