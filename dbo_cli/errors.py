@@ -8,6 +8,7 @@ option (`` `skip_bad` `` becomes ``--skip-bad``).
 
 from __future__ import annotations
 
+import math
 import warnings
 
 
@@ -52,3 +53,10 @@ class DboWarning(UserWarning):
 def warn(text: str) -> None:
     """Warn the user: the command line prints it, the library leaves it to ``warnings``."""
     warnings.warn(text, DboWarning, stacklevel=3)
+
+
+def require_positive(**figures: float | None) -> None:
+    """Refuse numbers of options that are not above 0 and finite; None was not typed (UsageError)."""
+    for name, value in figures.items():
+        if value is not None and not 0.0 < value < math.inf:
+            raise UsageError(f"`{name}` {value:g}: give a number above 0")

@@ -22,7 +22,7 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.smooth import MOST_ROWS, swing_rows, swings
-from dbo_cli.errors import LimitError, UsageError
+from dbo_cli.errors import LimitError, UsageError, require_positive
 
 # a turning point as a part of the range, and the rows on the way there
 Leg = tuple[float, int]
@@ -95,15 +95,8 @@ def excite(
     """
     if not v_min < v_max:
         raise UsageError(f"`v_min` {v_min:g} must be below `v_max` {v_max:g}")
-    for name, value in (
-        ("sample_rate", sample_rate),
-        ("duration", duration),
-        ("rest", rest),
-        ("max_slew", max_slew),
-        ("sweep_to", sweep_to),
-    ):
-        if value is not None and not 0.0 < value < math.inf:
-            raise UsageError(f"`{name}` {value:g}: give a number above 0")
+    require_positive(sample_rate=sample_rate, duration=duration, rest=rest)
+    require_positive(max_slew=max_slew, sweep_to=sweep_to)
     if sweep_amplitude is not None and sweep_to is None:
         raise UsageError("`sweep_amplitude` needs `sweep_to` HZ")
     span = v_max - v_min

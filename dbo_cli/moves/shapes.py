@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import UsageError, require_positive
 from dbo_cli.model import Cascade
 
 Range = tuple[float, float]
@@ -160,9 +160,7 @@ def _check_numbers(
         raise UsageError(
             f"`range` {low:g}:{high:g}: give two finite numbers, the lower first"
         )
-    for name, value in {"rate": rate, "bandwidth": bandwidth, **figures}.items():
-        if value is not None and not 0.0 < value < math.inf:
-            raise UsageError(f"`{name}` {value:g}: give a number above 0")
+    require_positive(rate=rate, bandwidth=bandwidth, **figures)
 
 
 def check_reach(move: Trajectory, models: Sequence[Cascade]) -> None:

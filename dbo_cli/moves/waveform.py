@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.check import check_drive
 from dbo_cli.drive.limits import Gate, Limits
-from dbo_cli.errors import LimitError, UsageError
+from dbo_cli.errors import LimitError, UsageError, require_positive
 
 Codes = NDArray[np.int64]
 Values = NDArray[np.float64 | np.int64]
@@ -328,8 +328,7 @@ def _check_numbers(
         raise UsageError("`points` and `rate` exclude each other: leave one out")
     if points is not None and points < 2:
         raise UsageError(f"`points` {points}: give 2 or more")
-    if rate is not None and not 0.0 < rate < math.inf:
-        raise UsageError(f"`rate` {rate:g}: give a number above 0")
+    require_positive(rate=rate)
     if not 0.0 <= max_rounding < math.inf:
         raise UsageError(f"`max_rounding` {max_rounding:g}: give 0 or more")
 
