@@ -171,19 +171,14 @@ def check_drive(
         steps = _steps(time)
     low, high = limits.rating
     if start is not None and not low <= start <= high:
-        reason = Gate(limits, None).reason(start, start, "return")
+        _, reason = Gate(limits).broken(np.array([start]), 1.0, "return")
         checked.problems.append(f"the amplifier: {reason}")
     gate = Gate(replace(limits, rating=(low - tolerance, high + tolerance)), start)
     waits = steps
     if tolerance > 0.0 and steps is not None and limits.slew is not None:
         waits = steps + 2.0 * tolerance / limits.slew  # both rows of a step may miss
-    bad = gate.broken(voltage, waits, "return")
-    if bad.any():
-        row = int(np.argmax(bad))
-        before = voltage[max(row - 1, 0)]
-        if row == 0 and start is not None:
-            before = start
-        reason = gate.reason(float(voltage[row]), float(before), "return")
+    bad, reason = gate.broken(voltage, waits, "return")
+    if reason:
         checked.problems.append(_problem(bad, reason))
     if loop:
         checked.problems += _seam(voltage, gate, waits)
@@ -275,10 +270,10 @@ def _problem(rows: Booleans, reason: str) -> str:
 
 def _seam(voltage: Floats, gate: Gate, waits: Floats | None) -> list[str]:
     """Return what is wrong with the step from the last row of a loop to its first."""
-    last, first = float(voltage[-1]), float(voltage[0])
-    bad = gate.broken(voltage[:1], None if waits is None else waits[:1], "return")
-    if bad.any():
-        return [f"from the last row to the first: {gate.reason(first, last, 'return')}"]
+    wait = None if waits is None else waits[:1]
+    _, reason = gate.broken(voltage[:1], wait, "return")
+    if reason:
+        return [f"from the last row to the first: {reason}"]
     seam = open_seam(voltage)
     return [seam] if seam else []
 

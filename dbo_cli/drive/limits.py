@@ -145,10 +145,6 @@ class Limits:
         low, high = self.identified
         return max(self.move[0], low), min(self.move[1], high)
 
-    def range_of(self, phase: str) -> tuple[float, float]:
-        """Return the range of a part of a drive: ``move``, or another one, which may use the rating."""
-        return self.move if phase == "move" else self.rating
-
     def largest_step(self, dt: float | Floats | None) -> float | Floats | None:
         """Return the largest change in a time step (s), rounded down; None where any change is allowed.
 
@@ -272,8 +268,8 @@ class Gate:
 
     def broken(
         self, voltage: Floats, dt: float | Floats | None = None, phase: str = "move"
-    ) -> Booleans:
-        """Return which rows break a limit; the gate goes on behind the last row.
+    ) -> tuple[Booleans, str]:
+        """Return which rows break a limit, and how the first one does; the gate goes on behind the last row.
 
         Parameters
         ----------
@@ -290,20 +286,35 @@ class Gate:
             There is a slew limit and no ``dt``.
         """
         if voltage.size == 0:
-            return np.zeros(0, dtype=np.bool_)
-        low, high = self.limits.range_of(phase)
-        inside = np.isfinite(voltage) & (voltage >= low) & (voltage <= high)
-        bad: Booleans = ~inside
+            return np.zeros(0, dtype=np.bool_), ""
+        low, high = self.limits.move if phase == "move" else self.limits.rating
+        first = voltage[:1] if self.last is None else [self.last]
+        before = np.concatenate([first, voltage[:-1]])
+        bad = ~(np.isfinite(voltage) & (voltage >= low) & (voltage <= high))
         largest = self.limits.largest_step(dt)
         if largest is not None:
-            before = self._before(voltage)
             digits = STEP_ROUNDING * np.maximum(np.abs(voltage), np.abs(before))
             slow = np.abs(voltage - before) <= largest + digits
             if self.last is None:
                 slow[0] = True
             bad |= ~slow
         self.last = float(voltage[-1])
-        return bad
+        row = int(np.argmax(bad))
+        if not bad[row]:
+            return bad, ""
+        value, unit = float(voltage[row]), self.limits.suffix
+        if not math.isfinite(value):
+            reason = f"{value} is no voltage"
+        elif value > high:
+            reason = f"{value:.9g}{unit} is above {high:.9g}{unit}"
+        elif value < low:
+            reason = f"{value:.9g}{unit} is below {low:.9g}{unit}"
+        else:
+            reason = (
+                f"{float(before[row]):.9g} to {value:.9g}{unit} in one row is faster than "
+                f"{self.limits.slew:g}{unit}/s"
+            )
+        return bad, reason
 
     def admit(
         self, voltage: Floats, dt: float | Floats | None = None, phase: str = "move"
@@ -315,31 +326,12 @@ class Gate:
         GateError
             A row breaks a limit.
         """
-        before = self._before(voltage)
-        bad = self.broken(voltage, dt, phase)
-        if not bad.any():
-            return
-        row = int(np.argmax(bad))
-        reason = self.reason(float(voltage[row]), float(before[row]), phase)
-        raise GateError(
-            f"internal error: a computed row breaks the limits: {reason}; the output ends here "
-            "(please report it)"
-        )
-
-    def reason(self, voltage: float, before: float, phase: str = "move") -> str:
-        """Say why a row behind another one breaks a limit."""
-        low, high = self.limits.range_of(phase)
-        unit = self.limits.suffix
-        if not math.isfinite(voltage):
-            return f"{voltage} is no voltage"
-        if voltage > high:
-            return f"{voltage:.9g}{unit} is above {high:.9g}{unit}"
-        if voltage < low:
-            return f"{voltage:.9g}{unit} is below {low:.9g}{unit}"
-        return (
-            f"{before:.9g} to {voltage:.9g}{unit} in one row is faster than "
-            f"{self.limits.slew:g}{unit}/s"
-        )
+        bad, reason = self.broken(voltage, dt, phase)
+        if bad.any():
+            raise GateError(
+                f"internal error: a computed row breaks the limits: {reason}; the output ends here "
+                "(please report it)"
+            )
 
     def require_reachable(
         self, low: float, high: float, dt: float | Floats | None
@@ -359,8 +351,3 @@ class Gate:
                 f"the amplifier is at {self.last:.6g}{unit}; {self.limits.slew:g}{unit}/s does not reach "
                 f"{aim}{unit} in one row: add `approach` auto"
             )
-
-    def _before(self, voltage: Floats) -> Floats:
-        """Return the row before each row."""
-        first = voltage[:1] if self.last is None else [self.last]
-        return np.concatenate([first, voltage[:-1]])
