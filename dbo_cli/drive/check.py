@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -29,33 +30,6 @@ Stamps of so even a clock may be rounded, to a twentieth of a step.
 
 
 @dataclass
-class Played:
-    """How a recording is like the drive that was to be played.
-
-    Attributes
-    ----------
-    rows : int
-        Rows of the drive that the recording holds.
-    lag_rows, lag_seconds
-        By how much the recording is later.
-    gain, offset : float
-        Recording = gain * drive + offset.
-    largest_difference : float
-        Between recording and drive, in the drive's unit.
-    tolerance : float
-        The largest difference allowed.
-    """
-
-    rows: int
-    lag_rows: float
-    lag_seconds: float | None
-    gain: float
-    offset: float
-    largest_difference: float
-    tolerance: float
-
-
-@dataclass
 class Checked:
     """What a drive asks of an amplifier, and what is wrong with it.
 
@@ -67,8 +41,10 @@ class Checked:
         From row to row, and per second (None without a clock).
     problems : list of str
         Each with its first row; empty where the drive passes.
-    played : Played, optional
-        With a recording.
+    played : dict, optional
+        How a recording is like the drive: how many ``rows`` of it the recording holds, by how
+        much it is later (``lag_rows``, ``lag_seconds``), recording = ``gain`` * drive +
+        ``offset``, and the ``largest_difference`` beside the ``tolerance``, in ``unit``.
     """
 
     name: str
@@ -81,7 +57,7 @@ class Checked:
     largest_step: float
     fastest: float | None
     problems: list[str] = field(default_factory=list)
-    played: Played | None = None
+    played: dict[str, Any] | None = None
 
     def json(self) -> str:
         """Return the check as JSON (``dbo-check``)."""
@@ -105,13 +81,13 @@ class Checked:
         ]
         if self.played is not None:
             match = self.played
-            lag_rows = round(match.lag_rows, 2) + 0.0
+            lag_rows = round(match["lag_rows"], 2) + 0.0
             lag_text = f"{lag_rows:g} rows late"
-            if lag_rows and match.lag_seconds:
-                lag_text += f" ({1e3 * match.lag_seconds:.4g} ms)"
+            if lag_rows and match["lag_seconds"]:
+                lag_text += f" ({1e3 * match['lag_seconds']:.4g} ms)"
             lines.append(
-                f"  played: {match.rows:,} rows, {lag_text}, gain {match.gain:.6g},"
-                f" offset {match.offset:.3g}{unit}, largest difference {match.largest_difference:.3g}{unit}"
+                f"  played: {match['rows']:,} rows, {lag_text}, gain {match['gain']:.6g}, offset "
+                f"{match['offset']:.3g}{unit}, largest difference {match['largest_difference']:.3g}{unit}"
             )
         lines += [f"  {problem}" for problem in self.problems]
         return "\n".join(lines) + "\n"
@@ -332,9 +308,15 @@ def check_played(
     if abs(offset) < 1e-9 * allowed:
         offset = 0.0
     shared = math.ceil(row[-1]) - math.floor(row[0]) + 1
-    seconds = None if steps[1] is None else late
-    lag_rows = late / recorded_step
-    checked.played = Played(shared, lag_rows, seconds, gain, offset, largest, allowed)
+    checked.played = {
+        "rows": shared,
+        "lag_rows": late / recorded_step,
+        "lag_seconds": None if steps[1] is None else late,
+        "gain": gain,
+        "offset": offset,
+        "largest_difference": largest,
+        "tolerance": allowed,
+    }
     unit = f" {checked.unit}" if checked.unit else ""
     if found is None and np.ptp(drive) > 0.0:
         checked.problems.append("another drive was played: the two do not correlate")

@@ -22,6 +22,7 @@ ALLOWED_PART = 0.01
 BEYOND_REACH = 0.01
 OFF_AT_FIRST = 1e-3  # of the range: so far off its first value may a drive begin unsaid
 JUMP = 0.01  # of the range: a first step that is said
+PARTS = ("lead", "move", "return")  # of a drive
 LONG_HOLD = 100.0  # times the longest time constant: what creeps has come to rest
 
 
@@ -132,19 +133,19 @@ class Judge:
         """Count rows of a part: ``lead``, ``move``, of which ``clip`` knows already, or ``return``."""
         if not voltage.size:
             return
-        if not self._ranges.get("drive"):
+        if math.isnan(self._first):
             self._first = float(voltage[0])
-        self._widen("drive", voltage)
         self._widen(phase, voltage)
+        steps = np.broadcast_to(np.nan if dt is None else dt, voltage.shape)
+        first = slice(None)
         if phase == "move":
             before = self._rows[phase] - voltage.size
-            voltage = voltage[: max(expect.FIRST_ROWS - before, 0)]
+            first = slice(max(expect.FIRST_ROWS - before, 0))
         else:
             self._rows[phase] += voltage.size
-        if voltage.size and phase != "return":
-            steps = np.full(1, np.nan) if dt is None else np.atleast_1d(dt)
-            self._voltages.append(voltage)
-            self._steps.append(np.resize(steps, voltage.size))
+        if voltage[first].size and phase != "return":
+            self._voltages.append(voltage[first])
+            self._steps.append(steps[first])
 
     def _widen(self, what: str, values: Floats) -> None:
         """Widen what is known of least and greatest values."""
@@ -155,7 +156,7 @@ class Judge:
     def _played(self) -> tuple[Floats, Steps]:
         """Return the first voltages in one array, and their time steps; one number where all are alike."""
         voltage, dt = np.concatenate(self._voltages), np.concatenate(self._steps)
-        if np.isnan(dt).any():
+        if np.isnan(dt[0]):
             return voltage, None
         return voltage, float(dt[0]) if (dt == dt[0]).all() else dt
 
@@ -264,7 +265,10 @@ class Judge:
         """Return the figures of a drive of which all rows were seen, and warn of what is unusual."""
         voltage, steps = self._played()
         lead_rows, move_rows = self._rows["lead"], self._rows["move"]
-        (low, high), (lowest, highest) = self._ranges["drive"], self.limits.identified
+        voltages = [self._ranges[part] for part in PARTS if part in self._ranges]
+        low = min(span[0] for span in voltages)
+        high = max(span[1] for span in voltages)
+        lowest, highest = self.limits.identified
         texts = self._start_warnings()
         error = known_error = unrested = expected = None
         if self.limits.extrapolate and not lowest <= low <= high <= highest:
@@ -296,7 +300,7 @@ class Judge:
             self.name,
             move=slice(lead_rows, lead_rows + move_rows),
             rows=self._rows.total(),
-            voltage_range=self._ranges["drive"],
+            voltage_range=[low, high],
             lead_range=self._ranges.get("lead"),
             move_range=self._ranges["desired"],
             lead_seconds=lead_rows * step,
