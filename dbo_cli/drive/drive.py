@@ -143,14 +143,13 @@ class Drive:
         way = "from a known `state`" if self.is_loop else "from rest with `condition`"
         return f"{text} (past unknown; {from_rest} {way})"
 
-    def _expected_with_mean(self) -> float | None:
-        """Return the error that a user meets: with the mean that learning left to the sensor's zero."""
-        if self.expected_error is None or self.mean_left_out is None:
-            return self.expected_error
-        return math.hypot(self.expected_error, self.mean_left_out)
-
     def summary(self) -> dict[str, Any]:
         """Return the drive as plain values, for a summary in JSON."""
+        expected = self.expected_error
+        if (
+            expected is not None
+        ):  # a user meets the mean, too, that is left to the sensor's zero
+            expected = math.hypot(expected, self.mean_left_out or 0.0)
         return {
             "format": "dbo-summary",
             "version": 1,
@@ -169,7 +168,7 @@ class Drive:
             "lost_rms": self.lost_rms,
             "lost_most": self.lost_most,
             "sensor_delay": self.model.sensor_delay or None,
-            "expected_rmse": self._expected_with_mean(),
+            "expected_rmse": expected,
             "expected_rmse_past_known": self.expected_known,
             "past_known": self.past_known,
             "warnings": list(self.warnings),

@@ -45,7 +45,7 @@ HELD_STEPS = 1e-6
 """Of a step: so much later than a step behind a state, its voltage was held."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Lead:
     """What a drive may do, and what stands before a move.
 
@@ -91,15 +91,14 @@ class Lead:
     def __post_init__(self) -> None:
         """Check every value."""
         self.model.require("forward")
-        standing = self._standing()
-        object.__setattr__(self, "standing", standing)
-        object.__setattr__(self, "approach", _seconds("approach", self.approach))
-        object.__setattr__(self, "rest", _seconds("lead", self.rest))
+        self.standing = self._standing()
+        self.approach = _seconds("approach", self.approach)
+        self.rest = _seconds("lead", self.rest)
         if self.condition and self.state != "auto":
             raise UsageError(
                 "`condition` and `state` exclude each other: leave one out"
             )
-        if self.approach is not None and not self.condition and standing is None:
+        if self.approach is not None and not self.condition and self.standing is None:
             raise UsageError("`approach` needs `from_` VOLT or a `state` file")
 
     def _standing(self) -> float | None:

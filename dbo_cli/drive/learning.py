@@ -138,7 +138,13 @@ class RepeatedMove:
         before = tuple(history)
         if passed.drive_sha256 in drives:  # what came of learning from it is forgotten
             before = before[: drives.index(passed.drive_sha256)]
-        cutoff = bandwidth or self._trusted(name, measured - modelled)
+        # a third of the lowest resonance: nothing grows where the model has it 25 % off
+        cutoff = bandwidth or self.model.trusted_frequency
+        if cutoff is None:
+            residual = measured - modelled
+            cutoff = _trusted_by_bands(name, self.desired, residual, self.step)
+        if bandwidth is None:
+            cutoff = min(cutoff, 0.45 / self.step)
         errors = [record.rmse for record in before]
         self._require_no_growth(name, errors, passed.rmse, cutoff)
         change = modelled - self.desired + error
@@ -332,17 +338,6 @@ class RepeatedMove:
             f"{0.5 * cutoff:.3g} (it was {cutoff:.3g} Hz)"
         )
 
-    def _trusted(self, name: str, residual: Floats) -> float:
-        """Return the frequency (Hz) up to which a pass takes most of the error off, and nothing grows.
-
-        A third of the lowest resonance is safe where the model has it 25 % off: there |Q(1 - M)|
-        stays below 0.9. ``residual``: measured less what the model makes of the drive.
-        """
-        frequency = self.model.trusted_frequency
-        if frequency is None:
-            frequency = _trusted_by_bands(name, self.desired, residual, self.step)
-        return min(frequency, 0.45 / self.step)
-
 
 def rms(values: Floats) -> float:
     """Return the root of the mean square."""
@@ -413,19 +408,15 @@ def parse_history(values: object, name: str = "the history") -> tuple[PassRecord
     """Return the passes that JSON values describe, the oldest first (ModelError: they do not)."""
     try:
         content = fields.contents(values, "", FORMAT, "a history")
+        record = partial(
+            fields.build, PassRecord, drive_sha256=fields.text, rmse=fields.magnitude
+        )
         passes: tuple[PassRecord, ...] = fields.build(
-            dict, content, "", passes=partial(fields.listed, read=_pass_record)
+            dict, content, "", passes=partial(fields.listed, read=record)
         )["passes"]
     except ModelError as problem:
         raise ModelError(f"{name}: {problem}: give a new file") from None
     return passes
-
-
-def _pass_record(values: object, path: str) -> PassRecord:
-    record: PassRecord = fields.build(
-        PassRecord, values, path, drive_sha256=fields.text, rmse=fields.magnitude
-    )
-    return record
 
 
 def dumps_history(passes: Sequence[PassRecord]) -> str:

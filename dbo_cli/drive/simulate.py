@@ -194,7 +194,11 @@ class Simulator:
         if not x.size:
             return NO_ROWS
         if self._ahead is None:
-            return self._counted(x, self._displacement(x, dt), time)
+            start = self.model.start(float(x[0]), self.state)
+            self._watch(x, self.model)
+            run = self.model.run(x, start, dt, self.outside)
+            self.state = run.state
+            return self._counted(x, run.y, time)
         return stacked([self._driven(due) for due in self._ahead.take(dt, x, x, time)])
 
     def finish(self) -> Rows:
@@ -221,14 +225,6 @@ class Simulator:
             assert isinstance(self.state, State)
             self.state = replace(self.state, time=float(time[-1]))
         return Rows(time, x, y)
-
-    def _displacement(self, voltage: Floats, dt: Steps) -> Floats:
-        """Return what a forward model makes of a drive."""
-        self.state = self.model.start(float(voltage[0]), self.state)
-        self._watch(voltage, self.model)
-        run = self.model.run(voltage, self.state, dt, self.outside)
-        self.state = run.state
-        return run.y
 
     def _driven(self, due: Due) -> Rows:
         """Return rows with the drive that an inverse model makes, within its range where it is held."""
