@@ -4,8 +4,8 @@ What the static model predicts for the fast rows is the input of the dynamics, w
 measured their output. Starts come from the ratio of the two spectra; parameters are
 refined on the output error. No, one or two resonances, the last with an antiresonance
 or without, and a pure delay: by the error on blocks left out, one step from the whole
-fit. ``find`` does this for a static model that knows no dynamics; the slow rows are then
-identified again with the sections known, and ``refine`` fits the sections again.
+fit. ``find`` does this beside a static model that knows no dynamics; the slow rows are
+then identified again with the sections known, and ``refine`` fits the sections again.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.errors import FitError
 from dbo_cli.identification.fast import Band, FastPart
 from dbo_cli.identification.recording import white_noise
 from dbo_cli.identification.sections import (
@@ -32,7 +31,7 @@ from dbo_cli.identification.sections import (
     phase_delay,
     swept,
 )
-from dbo_cli.model import Cascade, Gears, Lag, Relaxation, Resonance, Section
+from dbo_cli.model import Cascade, Gears, Relaxation, Resonance, Section
 
 MOST_RESONANCES = 2  # one sweep does not tell more apart
 EARNED = 0.9  # of the error left out: what a resonance must lower it to
@@ -50,60 +49,39 @@ FAST_LAGS = 2.0  # periods of the lowest frequency: shorter relaxation is dynami
 UNEXPLAINED = 0.1  # of what the fast rows do: more is a warning
 
 
-def find(
-    static: Cascade, fast: Sequence[FastPart], order: str | int
-) -> tuple[tuple[Section, ...], float, dict[str, Any]]:
-    """Return sections, delay (s) and figures of the dynamics that the fast rows ask for.
+def find(rows: FastRows, order: str | int) -> Fitted:
+    """Return the dynamics that the fast rows ask for, with ``order`` resonances or "auto".
 
-    Parameters
-    ----------
-    static
-        Identified from the slow rows; its own dynamics and delay do not count.
-    fast
-        The fast parts.
-    order
-        How many resonances, or "auto". Without any the sections are empty.
-
-    Raises
-    ------
-    FitError
-        Resonances are asked for, and no log has fast rows.
+    A sensor that is late by half a period of a resonance turns its phase around: without
+    a pure delay no resonance fits.
     """
-    if not fast:
-        if order == "auto":
-            return (), 0.0, {}
-        raise FitError(
-            f"`dynamics` {order}: no log has a sweep: record a drive of dbo excite with `sweep_to` HZ"
-        )
-    rows = _fast_rows(static, fast)
-    best = _with_delay(rows, order, _chosen(rows, order, 0.0))
-    if not best.form.resonances:
-        return (), 0.0, {"warnings": _unexplained(rows, best)}
-    return rows.sections(best), best.delay, _figures(rows, best)
+    best = _chosen(rows, order, 0.0)
+    if best.form.resonances and _is_noise(rows, best):
+        return best
+    phase_lag = phase_delay(rows)
+    if phase_lag * rows.band[1] < SEEN_DELAY:
+        return best
+    delayed = _chosen(rows, order, phase_lag)
+    return delayed if delayed.left_out <= EARNED * best.left_out else best
 
 
 def refine(
-    static: Cascade,
-    fast: Sequence[FastPart],
+    rows: FastRows,
     sections: Sequence[Section],
     delay: float,
     order: str | int = "auto",
-    creep: Sequence[Lag] = (),
-) -> tuple[float, tuple[Section, ...], float, dict[str, Any]]:
-    """Return amplifier's lag, sections, delay and figures, with a static model that knew the sections found.
+) -> Fitted:
+    """Return dynamics fitted again beside a static model that knew ``sections`` and ``delay``.
 
-    They are fitted again, and the lag may stand before the gears. What hides a weak
-    second resonance from the first reading of the slow rows is gone with the second: one
-    more is offered. ``creep`` stands behind the gears and before the sections; it is not
-    among those returned.
+    The lag may stand before the gears. What hides a weak second resonance from the first
+    reading of the slow rows is gone with the second: one more is offered.
     """
-    rows = _fast_rows(static, fast, creep)
     form, start = parameters_of(sections, delay, NO_LAG * rows.step)
     best = _with_amplifier(rows, fitted(rows, [start], form))
     if order == "auto" and form.resonances < MOST_RESONANCES:
         if not _is_noise(rows, best):
             best = _one_more(rows, best) or best
-    return best.amplifier, rows.sections(best), best.delay, _figures(rows, best)
+    return best
 
 
 def least_relaxation(fast: Sequence[FastPart]) -> float:
@@ -134,14 +112,6 @@ def without_fast_lags(model: Cascade, shortest: float) -> Cascade:
     return model.with_stages(tuple(stages))
 
 
-def _fast_rows(
-    static: Cascade, fast: Sequence[FastPart], creep: Sequence[Lag] = ()
-) -> FastRows:
-    """Return the fast parts beside a static model without fast memories."""
-    still = without_fast_lags(static.static, least_relaxation(fast))
-    return FastRows(still, fast, creep)
-
-
 # --- which dynamics ---
 
 
@@ -161,21 +131,6 @@ def _chosen(rows: FastRows, order: str | int, delay: float) -> Fitted:
             break
         best = more
     return best
-
-
-def _with_delay(rows: FastRows, order: str | int, without: Fitted) -> Fitted:
-    """Return dynamics with a pure delay behind them where the fast rows ask for it, else those without.
-
-    A sensor that is late by half a period of a resonance turns its phase around:
-    without the delay no resonance fits.
-    """
-    if without.form.resonances and _is_noise(rows, without):
-        return without
-    phase_lag = phase_delay(rows)
-    if phase_lag * rows.band[1] < SEEN_DELAY:
-        return without
-    delayed = _chosen(rows, order, phase_lag)
-    return delayed if delayed.left_out <= EARNED * without.left_out else without
 
 
 def _with_amplifier(rows: FastRows, behind: Fitted) -> Fitted:
@@ -266,17 +221,17 @@ def _is_inside(resonance: Resonance, band: Band) -> bool:
 # --- warnings ---
 
 
-def _figures(rows: FastRows, best: Fitted) -> dict[str, Any]:
+def figures_of(rows: FastRows, best: Fitted) -> dict[str, Any]:
     """Return what the model file says of the dynamics."""
     return {
         "rmse": best.rmse,
         "left_out_rmse": best.left_out,
         "logs": [signals.part.recording.name for signals in rows.signals],
-        "warnings": _unexplained(rows, best),
+        "warnings": unexplained(rows, best),
     }
 
 
-def _unexplained(rows: FastRows, best: Fitted) -> list[str]:
+def unexplained(rows: FastRows, best: Fitted) -> list[str]:
     """Return a warning for each fast part of which much is not explained; noise aside."""
     warnings = []
     for signals in rows.signals:

@@ -13,7 +13,6 @@ import numpy as np
 from dbo_cli.arrays import Floats, Integers
 from dbo_cli.errors import FitError, LimitError
 from dbo_cli.identification.averaging import Average, invented_log
-from dbo_cli.identification.clean import spiked_rows
 from dbo_cli.identification.cross_validation import error_left_out, without_lost_offsets
 from dbo_cli.identification.problem import Problem, known_weights
 from dbo_cli.identification.recording import (
@@ -46,61 +45,59 @@ def refuse_other_sign(logs: Sequence[Recording], options: Options) -> None:
         )
 
 
-def left_out_figures(
-    problem: Problem, average: Average, logs: Sequence[Recording], options: Options
-) -> dict[str, Any]:
-    """Return what is left of parts left out, and what a line leaves of them.
+def stated(
+    model: Cascade,
+    problem: Problem,
+    average: Average,
+    logs: Sequence[Recording],
+    options: Options,
+) -> Cascade:
+    """Return the model with what is left of parts left out, and the error to expect on an invented move.
+
+    The sensor's noise is no error of the actuator. But for it, no part that was left out
+    is predicted better than the logs are followed, row by row: where their past no longer
+    shows, and for an unknown past from the first row on.
 
     Raises
     ------
     FitError
-        They are predicted no better than by a line or an offset, or not at all within
-        swings.
+        The parts are predicted no better than by a line or an offset, or not at all
+        within swings.
     """
     residuals, size = average.residuals, abs(problem.scale)
-    error, line = size * error_left_out(residuals), line_left_out(problem, average)
+    past_unknown = size * error_left_out(residuals)
+    past_known = size * rmse_where_known(problem, residuals)
+    line = line_left_out(problem, average)
     unexplained = unexplained_share(problem, residuals)
     if not options.force:
-        refuse_no_better(error, line, logs)
+        refuse_no_better(past_unknown, line, logs)
         if unexplained > UNRELATED:
             raise FitError(
                 f"{_names(logs)}: within swings of the drive {min(unexplained, 1.0):.0%} of the displacement "
                 "does not follow it: check columns and clocks (`force` keeps it)"
             )
-    return {
-        "method": "least-squares",
-        "left_out_rmse": size * rmse_where_known(problem, residuals),
-        "unknown_past_rmse": error,
-        "left_out_line_rmse": line,
-        "unexplained": unexplained,
-    }
-
-
-def stated(
-    model: Cascade, problem: Problem, figures: dict[str, Any], logs: Sequence[Recording]
-) -> Cascade:
-    """Return the model with the error to expect on an invented move.
-
-    The sensor's noise is no error of the actuator. But for it, no part that was left out
-    is predicted better than the logs are followed, row by row: where their past no longer
-    shows, and for an unknown past from the first row on. ``figures`` are those of the
-    parts left out.
-    """
     errors = residuals_of(model, logs)
     sensor = noise_rms(errors)
     averaged = sensor**2 / rows_a_mean(problem, logs)
-    figures = dict(figures)
-    for key, is_known in (("left_out_rmse", True), ("unknown_past_rmse", False)):
-        left_out = float(figures[key]) ** 2 - averaged
+
+    def without_noise(left_out: float, is_known: bool) -> float:
         followed = pooled(errors_of(model, logs, errors, is_known)) ** 2 - sensor**2
-        figures[key] = math.sqrt(max(left_out, followed, 0.0))
-    model = replace(model, fit={**figures, **model.fit, "noise_rms": sensor})
+        return math.sqrt(max(left_out**2 - averaged, followed, 0.0))
+
+    figures = {
+        "method": "least-squares",
+        "left_out_rmse": without_noise(past_known, True),
+        "unknown_past_rmse": without_noise(past_unknown, False),
+        "left_out_line_rmse": line,
+        "unexplained": unexplained,
+        **model.fit,
+        "noise_rms": sensor,
+    }
     invented = invented_log(problem)
     inside = np.clip(invented.drive, 0.0, 1.0)
     drive = problem.low + (problem.high - problem.low) * inside
-    error = expected_error(model, drive, invented.dt)
-    figures = {
-        **model.fit,
+    error = expected_error(replace(model, fit=figures), drive, invented.dt)
+    figures |= {
         "expected_rmse": None if error is None else error.rms(memory_known=True),
         "one_amplitude": problem.one_amplitude,
         "swings": problem.swing_count,
@@ -202,10 +199,9 @@ def measured(
     """Return the model with its figures on the logs; refuse (FitError) what is no better than a line."""
     errors = errors_of(model, logs, residuals_of(model, logs))
     rmse, line = pooled(errors), line_rmse(logs)
-    if not options.force:
-        if "left_out_line_rmse" not in model.fit:  # no part was left out
-            refuse_no_better(rmse, line, logs)
-        _refuse_drift(model, errors)
+    if not options.force and "left_out_line_rmse" not in model.fit:
+        refuse_no_better(rmse, line, logs)  # no part was left out
+    drifts = _drift_warnings(model, errors, options.force)
     speeds, rests, ways = [], [], []
     for log in logs:
         if log.time is not None:
@@ -228,7 +224,7 @@ def measured(
     }
     if options.known_sensor_delay:
         figures["sensor_delay"] = options.known_sensor_delay
-    found = [*figures.get("warnings", []), *_warnings(model, figures)]
+    found = [*figures.get("warnings", []), *_warnings(model, figures), *drifts]
     return replace(model, fit={**figures, "warnings": found})
 
 
@@ -240,17 +236,6 @@ def refuse_no_better(error: float, line: float, logs: Sequence[Recording]) -> No
         f"{_names(logs)}: error {error:.4g}, a straight line's is {line:.4g}: check columns and sensor, or "
         "record more amplitudes (`force` keeps it)"
     )
-
-
-def _refuse_drift(model: Cascade, errors: Sequence[dict[str, Any]]) -> None:
-    """Refuse (FitError) a drift that goes further than the drive moves the actuator."""
-    unit, span = model.output.suffix, model.output.span
-    for log in errors:
-        if abs(log["drift"]) > span:
-            raise FitError(
-                f"{log['name']}: the displacement drifts by {log['drift']:.3g}{unit}, the drive moves it by "
-                f"{span:.3g}: check the columns, or warm up and record again (`force` keeps it)"
-            )
 
 
 def _names(logs: Sequence[Recording]) -> str:
@@ -284,12 +269,24 @@ def _warnings(model: Cascade, figures: dict[str, Any]) -> list[str]:
             f"expected error {expected:.3g}{model.output.suffix}, a straight line's is {line:.3g}: "
             "record several amplitudes and cycles"
         )
-    for log in figures["logs"]:
-        if abs(log["drift"]) > LARGE_DRIFT * model.output.span:
-            found.append(
-                f"{log['name']}: a drift of {log['drift']:.3g}{model.output.suffix} is left out of the "
-                "model: warm up, and record again"
+    return found
+
+
+def _drift_warnings(
+    model: Cascade, errors: Sequence[dict[str, Any]], force: bool
+) -> list[str]:
+    """Return a warning for each large drift; refuse (FitError) one beyond the actuator's range."""
+    found, unit, span = [], model.output.suffix, model.output.span
+    for log in errors:
+        if abs(log["drift"]) <= LARGE_DRIFT * span:
+            continue
+        text = f"{log['name']}: a drift of {log['drift']:.3g}{unit} is left out of the model"
+        if abs(log["drift"]) > span and not force:
+            raise FitError(
+                f"{text}, more than the drive's {span:.3g}: check the columns, or warm up and record again"
+                " (`force` keeps it)"
             )
+        found.append(f"{text}: warm up, and record again")
     return found
 
 
@@ -350,17 +347,13 @@ def line_rmse(logs: Sequence[Recording]) -> float:
     return math.sqrt(float(np.mean((y - gain * v) ** 2)))
 
 
-def describe(model: Cascade, logs: Sequence[Recording]) -> str:
-    """Return in one line what to expect of a model, as a part of what its logs moved."""
+def describe(model: Cascade) -> str:
+    """Return in one line what to expect of a model, as a part of what it moves."""
     fit, unit = model.fit, model.output.suffix
     expected = fit.get("expected_rmse")
     if expected is None:
         return f"fit RMSE {fit['rmse']:.3g}{unit}; error on new moves unknown"
-    spans = []
-    for log in logs:
-        measured_rows = log.usable & ~spiked_rows(log.displacement)
-        spans.append(float(np.ptp(log.displacement[measured_rows])))
-    percent = 100.0 * expected / max(spans)
+    percent = 100.0 * expected / model.output.span
     return (
         f"expected error {expected:.3g}{unit} ({percent:.2g} % of range);"
         f" a straight line would leave {fit['line_rmse']:.3g}{unit}"

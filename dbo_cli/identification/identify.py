@@ -14,7 +14,6 @@ from dbo_cli.identification.averaging import (
 from dbo_cli.identification.clean import clean
 from dbo_cli.identification.fast import split
 from dbo_cli.identification.figures import (
-    left_out_figures,
     measured,
     refuse_other_sign,
     stated,
@@ -79,7 +78,6 @@ def _searched(logs: Sequence[Recording], options: Options, notes: list[str]) -> 
         dynamic = moving(problem, fits, slow, fast, options)
         problem, fits = dynamic.problem, dynamic.fits
     average = Average.of(fits)
-    figures = left_out_figures(problem, average, slow, options)
     fit = average_model(problem, average)
     others = with_levels(average, fits, problem.different_swings)
     few = problem.one_amplitude or problem.different_swings < FEWEST_SWINGS
@@ -89,4 +87,4 @@ def _searched(logs: Sequence[Recording], options: Options, notes: list[str]) -> 
     if dynamic is not None:
         model = dynamic.applied(model)
     notes += average.words()
-    return stated(model, problem, figures, logs)
+    return stated(model, problem, average, logs, options)

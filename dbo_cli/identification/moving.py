@@ -18,12 +18,21 @@ import numpy as np
 from scipy.optimize import nnls
 
 from dbo_cli.arrays import Floats
+from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import Structure
-from dbo_cli.identification.dynamics import find, least_relaxation, refine
+from dbo_cli.identification.dynamics import (
+    figures_of,
+    find,
+    least_relaxation,
+    refine,
+    unexplained,
+    without_fast_lags,
+)
 from dbo_cli.identification.fast import FastPart, even_step
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.search import CURVES, Choices, Search
+from dbo_cli.identification.sections import FastRows
 from dbo_cli.identification.solve import Fit
 from dbo_cli.identification.stages import model_of, with_changed_stages
 from dbo_cli.model import (
@@ -74,20 +83,16 @@ class Moving:
         model = replace(model, fit={"dynamics": self.figures})
         if not self.sections:
             return model
-        return with_changed_stages(model, self._moving)
-
-    def _moving(self, stages: Sequence[Stage]) -> tuple[Stage, ...]:
-        """Return the amplifier, the static stages, the sections, and the delay."""
-        changed: list[Stage] = []
-        if self.amplifier > 0.0:
-            changed.append(Amplifier(self.amplifier))
-        for stage in stages:
-            if not isinstance(stage, Dynamics | Delay):
-                changed.append(stage)
-        changed.append(Dynamics(self.sections))
+        before = (Amplifier(self.amplifier),) if self.amplifier > 0.0 else ()
+        behind: tuple[Stage, ...] = (Dynamics(self.sections),)
         if self.delay > 0.0:
-            changed.append(Delay(self.delay))
-        return tuple(changed)
+            behind = (*behind, Delay(self.delay))
+
+        def changed(stages: Sequence[Stage]) -> tuple[Stage, ...]:
+            static = [stage for stage in stages if not isinstance(stage, Delay)]
+            return (*before, *static, *behind)
+
+        return with_changed_stages(model, changed)
 
 
 def moving(
@@ -111,18 +116,25 @@ def moving(
     Raises
     ------
     FitError
-        Resonances are asked for, and there are no fast rows.
+        Resonances are asked for, and no log has fast rows.
     """
-    best = fits[0]
-    static = model_of(problem, best, logs[0], options)
-    order = options.dynamics
-    sections, delay, figures = find(static, fast, order)
-    if not sections:
-        return Moving(problem, fits, (), 0.0, 0.0, figures)
-    slower = problem.taus[problem.taus >= least_relaxation(fast)]
+    best, order = fits[0], options.dynamics
+    if not fast:
+        raise FitError(
+            f"`dynamics` {order}: no log has a sweep: record a drive of dbo excite with `sweep_to` HZ"
+        )
+    shortest = least_relaxation(fast)
+    static = model_of(problem, best, logs[0], options).static
+    rows = FastRows(without_fast_lags(static, shortest), fast)
+    found = find(rows, order)
+    if not found.form.resonances:
+        return Moving(
+            problem, fits, (), 0.0, 0.0, {"warnings": unexplained(rows, found)}
+        )
+    sections = rows.sections(found)
+    slower = problem.taus[problem.taus >= shortest]
     problem = replace(problem, taus=slower)
-    total_delay = delay + lateness(sections)
-    fits = _around(problem, best, total_delay)
+    fits = _around(problem, best, found.delay + lateness(sections))
     best = fits[0]
     creep: tuple[Lag, ...] = ()
     if options.taus is None and len(slower) and all(map(even_step, logs)):
@@ -130,11 +142,14 @@ def moving(
         if others and min(fit.score for fit in others) < best.score:
             problem, fits, creep = freed, others, lags
             best = min(fits, key=lambda fit: fit.score)
-    static = model_of(problem, best, logs[0], options)
-    amplifier, sections, delay, figures = refine(
-        static, fast, sections, delay, order, creep
-    )
-    return Moving(problem, fits, (*creep, *sections), amplifier, delay, figures)
+    static = model_of(problem, best, logs[0], options).static
+    if creep:
+        static = static.with_stages((*static.stages, Dynamics(creep)))
+    rows = FastRows(static, fast)
+    refined = refine(rows, sections, found.delay, order)
+    sections = (*creep, *rows.sections(refined))
+    figures = figures_of(rows, refined)
+    return Moving(problem, fits, sections, refined.amplifier, refined.delay, figures)
 
 
 def lateness(sections: Sequence[Section]) -> float:

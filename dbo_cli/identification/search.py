@@ -117,6 +117,11 @@ def _fixed(choices: Choices, options: Options) -> Choices:
     return replace(choices, curves=CURVES[1:], segments=options.points)
 
 
+def likelihood(fit: Fit, least: float, swings: int) -> float:
+    """Return the likelihood of a Gaussian error of one size a swing, over that of the ``least`` RMS error."""
+    return float(min(least / max(fit.rmse, 1e-300), 1.0) ** swings)
+
+
 class Search:
     """The fits of one identification, all judged."""
 
@@ -178,7 +183,7 @@ class Search:
         """Return weight and fit of structures that the logs cannot tell from the best one.
 
         They explain the logs nearly alike, and differ where these show nothing: in smaller
-        loops, for one. The weight is the likelihood of a Gaussian error of one size a swing.
+        loops, for one. The weight is the likelihood.
         """
         structure, problem = best.structure, self.problem
         straight = np.isinf(structure.smooth_curve)
@@ -198,8 +203,8 @@ class Search:
         weighted = []
         for trial in dict.fromkeys(trials):
             fit = solve(problem.rows(trial), trial)
-            share = min(best.rmse / max(fit.rmse, 1e-300), 1.0)
-            weighted.append((share**problem.different_swings, fit))
+            weight = likelihood(fit, best.rmse, problem.different_swings)
+            weighted.append((weight, fit))
         return weighted
 
     def _best_kinds(self) -> list[Fit]:

@@ -110,29 +110,25 @@ class Fitted:
 class Signals:
     """Of one fast part: what the static model predicts, and what was measured."""
 
-    def __init__(
-        self, static: Cascade, segment: FastPart, creep: Sequence[Lag] = ()
-    ) -> None:
-        log, rows = segment.recording, segment.rows
-        if creep:
-            static = static.with_stages((*static.stages, Dynamics(tuple(creep))))
-        self._static, self._drive, self.dt = static, log.voltage[rows], segment.dt
+    def __init__(self, static: Cascade, part: FastPart) -> None:
+        log, rows = part.recording, part.rows
+        self.static, self.drive, self.dt = static, log.voltage[rows], part.dt
         self._before: State | str = "auto"
         if rows.start:
             before = log.voltage[: rows.start]
             _, self._before = static.simulate(before, dt=self.dt)
-        self.predicted = self._static_output(static)
+        self.predicted = self._simulated(static)
         self._behind_amplifier = 0.0, self.predicted
-        self.part, self.measured = segment, log.displacement[rows]
+        self.part, self.measured = part, log.displacement[rows]
         size = self.measured.size
         self.block = np.arange(size) * FAST_BLOCKS // size
         ramp = np.linspace(-1.0, 1.0, size)
         self._drift = np.column_stack([np.ones(size), ramp])
         self._drift /= np.sqrt(np.sum(self._drift**2, axis=0))
 
-    def _static_output(self, model: Cascade) -> Floats:
+    def _simulated(self, model: Cascade) -> Floats:
         """Return what a model without dynamics predicts; an amplifier rests at the first row."""
-        output, _ = model.simulate(self._drive, dt=self.dt, state=self._before)
+        output, _ = model.simulate(self.drive, dt=self.dt, state=self._before)
         return output
 
     def behind_amplifier(self, seconds: float) -> Floats:
@@ -140,8 +136,8 @@ class Signals:
         if not seconds:
             return self.predicted
         if seconds != self._behind_amplifier[0]:
-            stages = (Amplifier(seconds), *self._static.stages)
-            output = self._static_output(self._static.with_stages(stages))
+            stages = (Amplifier(seconds), *self.static.stages)
+            output = self._simulated(self.static.with_stages(stages))
             self._behind_amplifier = seconds, output
         return self._behind_amplifier[1]
 
@@ -168,7 +164,7 @@ class Signals:
 
 
 class FastRows:
-    """All fast parts beside one static model, with ``creep`` behind it.
+    """All fast parts beside one static model.
 
     Attributes
     ----------
@@ -178,10 +174,8 @@ class FastRows:
     count : how many rows there are
     """
 
-    def __init__(
-        self, static: Cascade, fast: Sequence[FastPart], creep: Sequence[Lag] = ()
-    ) -> None:
-        self.signals = [Signals(static, part, creep) for part in fast]
+    def __init__(self, static: Cascade, fast: Sequence[FastPart]) -> None:
+        self.signals = [Signals(static, part) for part in fast]
         self.band = swept(fast)
         self.step = min(part.dt for part in fast)
         self.count = sum(signals.measured.size for signals in self.signals)

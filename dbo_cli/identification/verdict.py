@@ -43,7 +43,7 @@ def judged(
         name = os.path.basename(log.name)
         rmse, spread = math.sqrt(float(np.mean(error**2))), float(np.std(error))
         entries.append({"name": name, "rmse": rmse, "offset_free_rmse": spread})
-        if any(_is_same(log, fitted) for fitted in logs):
+        if any(np.array_equal(log.displacement, own.displacement) for own in logs):
             warnings.append(
                 f"{name}: a log of the fit validates nothing: record another one"
             )
@@ -93,21 +93,8 @@ def loop_sense(drive: Floats, output: Floats) -> float:
     drive, output : array of shape (rows,)
         In any units; the output may rise or fall with the drive.
     """
-    if drive.size < 2 or not np.ptp(drive) or not np.ptp(output):
-        return 0.0
-    u = (drive - drive.mean()) / np.ptp(drive)
-    y = output - output.mean()
-    curve = np.polynomial.Polynomial.fit(u, y, CURVE_ORDER)
-    residual = y - curve(u)
+    u, y = drive - drive.mean(), output - output.mean()
+    residual = y - np.polynomial.Polynomial.fit(u, y, CURVE_ORDER)(u)
     area = 0.5 * (residual[1:] + residual[:-1]) * np.diff(u)
-    size = float(np.abs(area).sum())
-    if not size:
-        return 0.0
-    rising = 1.0 if float(u @ y) >= 0.0 else -1.0
-    return rising * float(area.sum()) / size
-
-
-def _is_same(log: Recording, second: Recording) -> bool:
-    """Return whether two logs hold the same rows."""
-    same_drive = np.array_equal(log.voltage, second.voltage)
-    return same_drive and np.array_equal(log.displacement, second.displacement)
+    size = max(float(np.abs(area).sum()), 1e-300)
+    return float(np.sign(u @ y) * area.sum()) / size

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from dbo_cli.errors import FitError
-from dbo_cli.identification import dynamics
+from dbo_cli.identification import Options, dynamics, identify
 from dbo_cli.identification.fast import FastPart, split
 from dbo_cli.identification.recording import Recording
+from dbo_cli.identification.sections import FastRows
 from dbo_cli.model import (
     Amplifier,
     Cascade,
@@ -56,9 +57,18 @@ def recorded(model: Cascade, drive: np.ndarray, noise: float = 0.002) -> Recordi
     return Recording("log.csv", drive, moved, np.arange(moved.size) / RATE)
 
 
+def rows_of(model: Cascade, crest: float = 1.0) -> FastRows:
+    _, fast = split([recorded(model, swept(crest=crest))])
+    return FastRows(plant(), fast)
+
+
 def found(model: Cascade, wanted: str | int = "auto") -> tuple:
-    _, fast = split([recorded(model, swept())])
-    return dynamics.find(plant(), fast, wanted)
+    """Sections, delay, and what is left of blocks left out; no sections without a resonance."""
+    rows = rows_of(model)
+    best = dynamics.find(rows, wanted)
+    if not best.form.resonances:
+        return (), 0.0, best.left_out
+    return rows.sections(best), best.delay, best.left_out
 
 
 def test_the_sweep_is_told_from_the_loops() -> None:
@@ -92,14 +102,14 @@ def test_a_log_ten_times_as_fast_is_a_fast_one() -> None:
 def test_a_resonance_and_a_lag_come_back(
     frequency: float, damping: float, lag: float
 ) -> None:
-    sections, delay, figures = found(plant(Lag(lag), Resonance(frequency, damping)))
+    sections, delay, left_out = found(plant(Lag(lag), Resonance(frequency, damping)))
     *lags, resonance = sections
     assert isinstance(resonance, Resonance)
     assert resonance.frequency == pytest.approx(frequency, rel=0.005)
     assert resonance.damping == pytest.approx(damping, rel=0.1)
     assert sum(one.seconds for one in lags) == pytest.approx(lag, abs=2e-4)
     assert delay == 0.0
-    assert figures["left_out_rmse"] < 0.003
+    assert left_out < 0.003
 
 
 def test_two_modes_that_add_up_have_an_antiresonance() -> None:
@@ -129,10 +139,8 @@ def test_a_late_sensor_hides_no_resonance() -> None:
 
 def test_refining_keeps_what_fits_and_offers_one_more() -> None:
     model = plant(Resonance(60.0, 0.02), Resonance(150.0, 0.02))
-    _, fast = split([recorded(model, swept())])
-    begun = (Resonance(61.0, 0.03),)
-    _, sections, _, _ = dynamics.refine(plant(), fast, begun, 0.0)
-    frequencies = [one.frequency for one in sections if isinstance(one, Resonance)]
+    refined = dynamics.refine(rows_of(model), (Resonance(61.0, 0.03),), 0.0)
+    frequencies = [one.frequency for one in refined.resonances]
     assert frequencies == pytest.approx([60.0, 150.0], rel=0.01)
 
 
@@ -147,18 +155,16 @@ def test_a_lag_stands_before_the_gears_unless_a_large_sweep_shows_it_behind(
     model = plant(*((Lag(2e-3), resonance) if is_behind else (resonance,)))
     if not is_behind:
         model = model.with_stages((Amplifier(2e-3), *model.stages))
-    _, fast = split([recorded(model, swept(crest=crest))])
     begun = (Lag(2e-3), Resonance(61.0, 0.05))
-    amplifier, sections, _, _ = dynamics.refine(plant(), fast, begun, 0.0)
-    behind = sum(one.seconds for one in sections if isinstance(one, Lag))
-    assert (amplifier > 0.0) == is_found_before
-    assert amplifier + behind == pytest.approx(2e-3, rel=0.1)
+    refined = dynamics.refine(rows_of(model, crest), begun, 0.0)
+    assert (refined.amplifier > 0.0) == is_found_before
+    assert refined.amplifier + refined.lag == pytest.approx(2e-3, rel=0.1)
 
 
 def test_resonances_without_a_sweep_are_refused() -> None:
+    log = recorded(plant(), swept()[:4000])
     with pytest.raises(FitError, match="`dynamics` 1"):
-        dynamics.find(plant(), [], 1)
-    assert dynamics.find(plant(), [], "auto") == ((), 0.0, {})
+        identify([log], Options(dynamics=1))
 
 
 def test_fast_memories_act_at_once_and_slow_ones_stay() -> None:
