@@ -13,7 +13,7 @@ from dbo_cli.identification.basis import PreparedLog, Structure, columns_of, sum
 from dbo_cli.identification.cross_validation import error_left_out
 from dbo_cli.identification.problem import GOLDEN, Problem
 from dbo_cli.identification.search import CURVES, likelihood
-from dbo_cli.identification.solve import Fit, Rows, solve
+from dbo_cli.identification.solve import Equations, Fit, Rows
 from dbo_cli.model.cascade import MOST_CANDIDATES
 
 WIDTH = 0.15  # of the score: a fit that is worse by so much weighs exp(-1)
@@ -161,7 +161,8 @@ def average_model(problem: Problem, average: Average) -> Fit:
         rows = Rows(table, mean, weights, free, problem.cells.shares, len(problem.taus))
         fit: Fit | None = None
         for smooth in CURVES:
-            fit = solve(rows, replace(structure, smooth_curve=smooth), fit)
+            curved = replace(structure, smooth_curve=smooth)
+            fit = Equations(rows, curved).solve(fit)
         assert fit is not None
         misfit = math.sqrt(float(weights @ fit.error**2))
         if misfit < lowest:

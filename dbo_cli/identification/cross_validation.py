@@ -11,7 +11,7 @@ import numpy as np
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.errors import FitError
 from dbo_cli.identification.problem import Problem
-from dbo_cli.identification.solve import Equations, Fit, products
+from dbo_cli.identification.solve import Equations, Fit
 
 FLOOR = 1e-4  # of the output's standard deviation: a smaller error is as good
 PRICE = 0.1
@@ -31,7 +31,10 @@ def cross_validate(problem: Problem, fit: Fit, equations: Equations) -> Fit:
     rows = equations.rows
     table = equations.table(fit)
     groups, of_row = problem.groups
-    grams = np.stack([products(table[of_row == index]) for index in range(len(groups))])
+    grams = np.empty((len(groups), table.shape[1], table.shape[1]))
+    for index in range(len(groups)):
+        group = table[of_row == index]
+        grams[index] = group.T @ group
     total = np.add.reduce(grams)
     residuals = []
     for number, mask in enumerate(problem.parts):

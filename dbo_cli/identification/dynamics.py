@@ -21,17 +21,15 @@ from dbo_cli.identification.recording import white_noise
 from dbo_cli.identification.sections import (
     LEAST_DAMPING,
     MOST_BESIDE,
-    NO_LAG,
     FastRows,
     Fitted,
     Form,
     fitted,
-    parameters_of,
     peak_of,
     phase_delay,
     swept,
 )
-from dbo_cli.model import Cascade, Gears, Relaxation, Resonance, Section
+from dbo_cli.model import Resonance
 
 MOST_RESONANCES = 2  # one sweep does not tell more apart
 EARNED = 0.9  # of the error left out: what a resonance must lower it to
@@ -65,20 +63,14 @@ def find(rows: FastRows, order: str | int) -> Fitted:
     return delayed if delayed.left_out <= EARNED * best.left_out else best
 
 
-def refine(
-    rows: FastRows,
-    sections: Sequence[Section],
-    delay: float,
-    order: str | int = "auto",
-) -> Fitted:
-    """Return dynamics fitted again beside a static model that knew ``sections`` and ``delay``.
+def refine(rows: FastRows, found: Fitted, order: str | int = "auto") -> Fitted:
+    """Return dynamics fitted again beside a static model that knew those ``found``.
 
     The lag may stand before the gears. What hides a weak second resonance from the first
     reading of the slow rows is gone with the second: one more is offered.
     """
-    form, start = parameters_of(sections, delay, NO_LAG * rows.step)
-    best = _with_amplifier(rows, fitted(rows, [start], form))
-    if order == "auto" and form.resonances < MOST_RESONANCES:
+    best = _with_amplifier(rows, fitted(rows, [found.parameters], found.form))
+    if order == "auto" and found.form.resonances < MOST_RESONANCES:
         if not _is_noise(rows, best):
             best = _one_more(rows, best) or best
     return best
@@ -87,29 +79,6 @@ def refine(
 def least_relaxation(fast: Sequence[FastPart]) -> float:
     """Return the shortest time constant (s) that slow rows may tell; what is faster is dynamics."""
     return FAST_LAGS / swept(fast)[0]
-
-
-def without_fast_lags(model: Cascade, shortest: float) -> Cascade:
-    """Return a model whose relaxation of less than ``shortest`` (s) is immediate.
-
-    A memory of milliseconds stands in a slow model for what dynamics say better. At
-    once, it makes every gear steeper by its gain.
-    """
-    gears = model.gears
-    terms = gears.relaxation
-    if terms is None or min(terms.tau) >= shortest:
-        return model
-    kept = [
-        pair for pair in zip(terms.tau, terms.gain, strict=True) if pair[0] >= shortest
-    ]
-    added = sum(terms.gain) - sum(gain for _, gain in kept)
-    remaining = None
-    if kept:
-        remaining = Relaxation(terms.reference, *map(tuple, zip(*kept, strict=True)))
-    y0 = gears.y0 + added * (gears.x0 - terms.reference)
-    steeper = Gears(gears.dx, gears.dy + added * gears.dx, gears.x0, y0, remaining)
-    stages = [steeper if stage is gears else stage for stage in model.stages]
-    return model.with_stages(tuple(stages))
 
 
 # --- which dynamics ---

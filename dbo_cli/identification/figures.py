@@ -118,11 +118,9 @@ def rmse_where_known(problem: Problem, residuals: Sequence[Floats]) -> float:
 
     Rows weigh the less, the more another past of the gears would change them.
     """
-    squares = total = 0.0
-    for mask, residual in zip(problem.parts, residuals, strict=True):
-        squares += float(problem.known[mask] @ residual**2)
-        total += float(problem.known[mask].sum())
-    return math.sqrt(squares / total)
+    weights = np.concatenate([problem.known[mask] for mask in problem.parts])
+    squares = np.concatenate(residuals) ** 2
+    return math.sqrt(float(np.average(squares, weights=weights)))
 
 
 def line_left_out(problem: Problem, average: Average) -> float:

@@ -26,7 +26,6 @@ from dbo_cli.identification.dynamics import (
     least_relaxation,
     refine,
     unexplained,
-    without_fast_lags,
 )
 from dbo_cli.identification.fast import FastPart, even_step
 from dbo_cli.identification.problem import Problem
@@ -124,20 +123,20 @@ def moving(
             f"`dynamics` {order}: no log has a sweep: record a drive of dbo excite with `sweep_to` HZ"
         )
     shortest = least_relaxation(fast)
-    static = model_of(problem, best, logs[0], options).static
-    rows = FastRows(without_fast_lags(static, shortest), fast)
+    slower, steeper = without_fast_memories(problem, best, shortest)
+    static = model_of(slower, steeper, logs[0], options).static
+    rows = FastRows(static, fast)
     found = find(rows, order)
     if not found.form.resonances:
         return Moving(
             problem, fits, (), 0.0, 0.0, {"warnings": unexplained(rows, found)}
         )
     sections = rows.sections(found)
-    slower = problem.taus[problem.taus >= shortest]
-    problem = replace(problem, taus=slower)
+    problem = slower
     fits = _around(problem, best, found.delay + lateness(sections))
     best = fits[0]
     creep: tuple[Lag, ...] = ()
-    if options.taus is None and len(slower) and all(map(even_step, logs)):
+    if options.taus is None and len(problem.taus) and all(map(even_step, logs)):
         freed, others, lags = _with_creep(problem, logs, best.structure)
         if others and min(fit.score for fit in others) < best.score:
             problem, fits, creep = freed, others, lags
@@ -146,10 +145,31 @@ def moving(
     if creep:
         static = static.with_stages((*static.stages, Dynamics(creep)))
     rows = FastRows(static, fast)
-    refined = refine(rows, sections, found.delay, order)
+    refined = refine(rows, found, order)
     sections = (*creep, *rows.sections(refined))
     figures = figures_of(rows, refined)
     return Moving(problem, fits, sections, refined.amplifier, refined.delay, figures)
+
+
+def without_fast_memories(
+    problem: Problem, fit: Fit, shortest: float
+) -> tuple[Problem, Fit]:
+    """Return problem and fit whose memories of less than ``shortest`` (s) are immediate.
+
+    A memory of milliseconds stands in a slow fit for what dynamics say better. At once,
+    it makes every gear steeper by its gain, about the middle of the range.
+    """
+    slow = problem.taus >= shortest
+    kept = np.tile(slow, len(fit.structure.memories))
+    lags = fit.gains[: len(slow)]
+    added = float(lags[~kept[: len(slow)]].sum())
+    steeper = replace(
+        fit,
+        slopes=fit.slopes + added,
+        gains=fit.gains[kept],
+        offset=fit.offset + added / 2.0,
+    )
+    return replace(problem, taus=problem.taus[slow]), steeper
 
 
 def lateness(sections: Sequence[Section]) -> float:

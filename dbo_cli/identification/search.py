@@ -13,7 +13,7 @@ from dbo_cli.identification.basis import SEGMENTS, Structure
 from dbo_cli.identification.cross_validation import cross_validate, least_score
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options
-from dbo_cli.identification.solve import Equations, Fit, solve
+from dbo_cli.identification.solve import Equations, Fit
 
 RULES = ("growing", "falling")  # for the slopes
 CURVES = (np.inf, 1e1, 1e-1, 1e-4)
@@ -96,7 +96,7 @@ def _for_one_amplitude(problem: Problem, choices: Choices) -> tuple[Problem, Cho
 def _error_of(problem: Problem, rule: str, smooth: float) -> float:
     """Return what slopes of a smoothness leave of the logs beside a smooth curve."""
     structure = Structure(rule, "", smooth, ONE_AMPLITUDE_CURVE)
-    return solve(problem.rows(structure), structure).rmse
+    return Equations(problem.rows(structure), structure).solve().rmse
 
 
 def _fixed(choices: Choices, options: Options) -> Choices:
@@ -202,7 +202,7 @@ class Search:
             trials.append(replace(structure, past=not structure.past))
         weighted = []
         for trial in dict.fromkeys(trials):
-            fit = solve(problem.rows(trial), trial)
+            fit = Equations(problem.rows(trial), trial).solve()
             weight = likelihood(fit, best.rmse, problem.different_swings)
             weighted.append((weight, fit))
         return weighted

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,14 +97,10 @@ class Fitted:
         count = self.form.resonances
         pairs = np.exp(self.parameters[: 2 * count]).reshape(count, 2)
         pairs = pairs[np.argsort(pairs[:, 0])]
-        modes = []
-        for frequency, damping in pairs.tolist():
-            modes.append(Resonance(frequency, min(damping, MOST_DAMPING)))
+        modes = [Resonance(*pair) for pair in pairs.tolist()]
         if self.form.antiresonance:
             pair = np.exp(self.parameters[2 * count : 2 * count + 2])
-            frequency, damping = pair.tolist()
-            notch = Mode(frequency, min(damping, MOST_DAMPING))
-            modes[-1] = Resonance(modes[-1].frequency, modes[-1].damping, notch)
+            modes[-1] = replace(modes[-1], antiresonance=Mode(*pair.tolist()))
         return modes
 
 
@@ -204,27 +201,32 @@ def swept(fast: Sequence[FastPart]) -> Band:
 
 
 def fitted(rows: FastRows, starts: Sequence[Floats], form: Form) -> Fitted:
-    """Return the best of several refinements, judged (see ``_judged``)."""
+    """Return the best of several refinements, with its error on blocks left out."""
     low, high = _bounds(rows, form)
 
     def error(parameters: Floats) -> Floats:
         return np.concatenate(rows.residuals(form, parameters))
 
-    def refined(start: Floats, steps: int) -> tuple[float, Floats]:
+    def refined(start: Floats, steps: int) -> Any:
         # no bound on the gradient: it has the displacement's unit
-        found = least_squares(error, np.clip(start, low, high), bounds=(low, high),
-                              x_scale=0.1, diff_step=DERIVATIVE_STEP, gtol=None, max_nfev=steps)  # fmt: skip
-        return float(found.cost), np.asarray(found.x)
+        return least_squares(error, start, bounds=(low, high), x_scale=0.1,
+                             diff_step=DERIVATIVE_STEP, gtol=None, max_nfev=steps)  # fmt: skip
 
     different = {tuple(np.clip(start, low, high).tolist()) for start in starts}
     tried = [refined(np.array(start), FEW_STEPS) for start in sorted(different)]
-    tried.sort(key=lambda one: one[0])
-    finals = [refined(start, MOST_STEPS) for _, start in tried[:FINALISTS]]
-    best = min(finals, key=lambda one: one[0])[1]
-    count = 2 * form.resonances
-    pairs = best[:count].reshape(-1, 2)
-    best[:count] = pairs[np.argsort(pairs[:, 0])].ravel()
-    return _judged(rows, best, form)
+    tried.sort(key=lambda trial: trial.cost)
+    finals = [refined(trial.x, MOST_STEPS) for trial in tried[:FINALISTS]]
+    best = min(finals, key=lambda trial: trial.cost)
+    parameters, count = np.array(best.x), 2 * form.resonances
+    pairs = parameters[:count].reshape(-1, 2)
+    parameters[:count] = pairs[np.argsort(pairs[:, 0])].ravel()
+    return Fitted(
+        form,
+        parameters,
+        float(np.sqrt(np.mean(best.fun**2))),
+        _left_out(rows, best.fun, best.jac),
+        white_noise(rows.residuals(form, parameters)),
+    )
 
 
 def _bounds(rows: FastRows, form: Form) -> tuple[Floats, Floats]:
@@ -240,48 +242,16 @@ def _bounds(rows: FastRows, form: Form) -> tuple[Floats, Floats]:
     return low, high
 
 
-def _judged(rows: FastRows, parameters: Floats, form: Form) -> Fitted:
-    """Return a fit with its error on blocks left out, each one step from the whole fit."""
-    parts = rows.residuals(form, parameters)
-    residuals = np.concatenate(parts)
-    columns = []
-    for direction in np.eye(parameters.size):
-        stepped = rows.residuals(form, parameters + DERIVATIVE_STEP * direction)
-        columns.append((np.concatenate(stepped) - residuals) / DERIVATIVE_STEP)
-    along = np.column_stack(columns)
+def _left_out(rows: FastRows, residuals: Floats, derivatives: Floats) -> float:
+    """Return the error (RMS) on blocks left out, each one step from the whole fit."""
     block = np.concatenate([signals.block for signals in rows.signals])
     squares = 0.0
     for fold in range(FOLDS):
         out = block % FOLDS == fold
-        kept = along[~out]
+        kept = derivatives[~out]
         step = -np.linalg.lstsq(kept, residuals[~out], rcond=1e-9)[0]
-        squares += float(np.sum((residuals[out] + along[out] @ step) ** 2))
-    return Fitted(
-        form,
-        parameters,
-        float(np.sqrt(np.mean(residuals**2))),
-        float(np.sqrt(squares / residuals.size)),
-        white_noise(parts),
-    )
-
-
-def parameters_of(
-    sections: Sequence[Section], delay: float, shortest: float
-) -> tuple[Form, Floats]:
-    """Return form and parameters of sections; where there is no lag, the ``shortest`` (s)."""
-    values: list[float] = []
-    notch: list[float] = []
-    lag = shortest
-    for section in sections:
-        if isinstance(section, Lag):
-            lag = section.seconds
-            continue
-        values += [section.frequency, section.damping]
-        if section.antiresonance is not None:
-            notch = [section.antiresonance.frequency, section.antiresonance.damping]
-    form = Form(len(values) // 2, bool(notch), delay > 0.0)
-    pure_delay = [delay] if delay > 0.0 else []
-    return form, np.log([*values, *notch, *pure_delay, lag])
+        squares += float(np.sum((residuals[out] + derivatives[out] @ step) ** 2))
+    return float(np.sqrt(squares / residuals.size))
 
 
 # --- spectra: where a resonance is to be looked for, and how late all is ---

@@ -1,13 +1,20 @@
 """Resonances and lags: found where a sweep shows them, and not elsewhere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dbo_cli.errors import FitError
 from dbo_cli.identification import Options, dynamics, identify
+from dbo_cli.identification.basis import Structure
 from dbo_cli.identification.fast import FastPart, split
+from dbo_cli.identification.moving import without_fast_memories
+from dbo_cli.identification.problem import prepare
 from dbo_cli.identification.recording import Recording
-from dbo_cli.identification.sections import FastRows
+from dbo_cli.identification.sections import FastRows, Fitted, Form
+from dbo_cli.identification.solve import Equations
+from dbo_cli.identification.stages import model_of
 from dbo_cli.model import (
     Amplifier,
     Cascade,
@@ -17,7 +24,6 @@ from dbo_cli.model import (
     Lag,
     Mode,
     Quantity,
-    Relaxation,
     Resonance,
     Scale,
 )
@@ -139,7 +145,8 @@ def test_a_late_sensor_hides_no_resonance() -> None:
 
 def test_refining_keeps_what_fits_and_offers_one_more() -> None:
     model = plant(Resonance(60.0, 0.02), Resonance(150.0, 0.02))
-    refined = dynamics.refine(rows_of(model), (Resonance(61.0, 0.03),), 0.0)
+    begun = Fitted(Form(1), np.log([61.0, 0.03, 1e-6]))
+    refined = dynamics.refine(rows_of(model), begun)
     frequencies = [one.frequency for one in refined.resonances]
     assert frequencies == pytest.approx([60.0, 150.0], rel=0.01)
 
@@ -155,8 +162,8 @@ def test_a_lag_stands_before_the_gears_unless_a_large_sweep_shows_it_behind(
     model = plant(*((Lag(2e-3), resonance) if is_behind else (resonance,)))
     if not is_behind:
         model = model.with_stages((Amplifier(2e-3), *model.stages))
-    begun = (Lag(2e-3), Resonance(61.0, 0.05))
-    refined = dynamics.refine(rows_of(model, crest), begun, 0.0)
+    begun = Fitted(Form(1), np.log([61.0, 0.05, 2e-3]))
+    refined = dynamics.refine(rows_of(model, crest), begun)
     assert (refined.amplifier > 0.0) == is_found_before
     assert refined.amplifier + refined.lag == pytest.approx(2e-3, rel=0.1)
 
@@ -168,13 +175,18 @@ def test_resonances_without_a_sweep_are_refused() -> None:
 
 
 def test_fast_memories_act_at_once_and_slow_ones_stay() -> None:
-    widths = np.full(40, 2.5)
-    terms = Relaxation(0.0, (1e-3, 5.0), (0.01, 0.02))
-    gears = Gears(widths, 0.1 * widths, 0.0, 0.0, terms)
-    model = plant().with_stages((gears,))
-    fixed = dynamics.without_fast_lags(model, 0.1)
-    assert fixed.gears.relaxation == Relaxation(0.0, (5.0,), (0.02,))
-    slow = np.linspace(0.0, 100.0, 500)
-    with_memory, _ = model.simulate(slow, dt=0.1)
-    without, _ = fixed.simulate(slow, dt=0.1)
-    assert np.abs(with_memory - without).max() < 1e-9
+    time = np.arange(2000) / 100.0
+    drive = 50.0 - 50.0 * np.cos(2.0 * np.pi * 0.1 * time)
+    log = Recording("log.csv", drive, 0.1 * drive, time)
+    problem = prepare([log], Options(relaxation=(1e-4, 5.0)))
+    structure = Structure(memories="tr")
+    fit = Equations(problem.rows(structure), structure).solve()
+    fit = replace(fit, gains=np.array([0.1, 0.2, 0.3, 0.05]))
+    slower, steeper = without_fast_memories(problem, fit, 0.1)
+    assert slower.taus.tolist() == [5.0]
+    assert steeper.gains.tolist() == [0.2, 0.05]
+    first = model_of(problem, fit, log, Options())
+    second = model_of(slower, steeper, log, Options())
+    with_memory, _ = first.simulate(drive, time=time)
+    without, _ = second.simulate(drive, time=time)
+    assert np.abs(with_memory - without).max() < 1e-3
