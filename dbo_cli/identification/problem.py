@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.identification.basis import (
@@ -65,7 +66,7 @@ class Problem:
     taus: Floats
     clock: bool
     _columns: dict[object, Floats] = field(default_factory=dict, init=False)
-    _sums: dict[float, list[Floats]] = field(default_factory=dict, init=False)
+    _sums: tuple[float, list[Floats]] = field(default=(np.nan, []), init=False)
 
     @property
     def dt(self) -> float:
@@ -124,13 +125,8 @@ class Problem:
     @cached_property
     def past(self) -> Floats:
         """What an unknown past of each log may add to the fitted rows; (rows, k)."""
-        owner, columns = self.owner, []
-        for index, log in enumerate(self.logs):
-            table = past_columns(log, self.cells)
-            padded = np.zeros((len(owner), table.shape[1]))
-            padded[owner == index] = table
-            columns.append(padded)
-        return np.hstack(columns)
+        tables = [past_columns(log, self.cells) for log in self.logs]
+        return np.asarray(block_diag(*tables))
 
     @cached_property
     def known(self) -> Floats:
@@ -187,26 +183,20 @@ class Problem:
 
     def _sums_of(self, bend: float) -> list[Floats]:
         """Return the sums that columns of all delays are made of, the last bend's stored."""
-        if bend not in self._sums:
-            self._sums.clear()
+        if bend != self._sums[0]:
             sums = [sums_of(log, self.cells, self.taus, bend) for log in self.logs]
-            self._sums[bend] = sums
-        return self._sums[bend]
+            self._sums = bend, sums
+        return self._sums[1]
 
     def drift(self, straight: bool) -> Floats:
         """Return offsets of all logs but the first, and straight drifts where asked for; (rows, k)."""
-        owner = self.owner
-        columns = []
+        tables = []
         for index, log in enumerate(self.logs):
-            if index:
-                columns.append((owner == index).astype(float))
-            if straight:
-                clock = log.time[log.rows]
-                ramp = 2.0 * (clock - clock.mean()) / max(np.ptp(clock), 1e-300)
-                column = np.zeros(len(owner))
-                column[owner == index] = ramp
-                columns.append(column)
-        return np.array(columns).reshape(-1, len(owner)).T
+            clock = log.time[log.rows]
+            ramp = 2.0 * (clock - clock.mean()) / max(np.ptp(clock), 1e-300)
+            table = np.column_stack((np.ones(len(clock)), ramp))
+            tables.append(table[:, int(index == 0) : 1 + straight])
+        return np.asarray(block_diag(*tables))
 
     def rows(self, structure: Structure) -> Rows:
         """Return the rows that a structure is fitted to."""
