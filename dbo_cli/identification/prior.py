@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,8 +84,7 @@ class Prediction:
         return table
 
 
-@dataclass(frozen=True)
-class Change:
+class Change(NamedTuple):
     """What is new: displacement = gain * prior + offset, ``delay`` (s) later than the prior's."""
 
     gain: float
@@ -112,11 +111,20 @@ def rescale(
             "the prior needs a clock: add `time` COLUMN or `sample_rate` HZ"
         )
     predictions = [_prediction(prior, log) for log in recordings]
-    fitted, shrunk = _changes(prior, predictions)
-    warnings = _check_shape(prior, fitted, predictions, options.force)
-    residuals = np.concatenate(_residuals(prior, shrunk, predictions))
-    rmse = float(np.sqrt(np.mean(residuals**2)))
-    return _refreshed(prior, shrunk, rmse, warnings)
+    change = _change(prior, predictions)
+    residuals = [_residual(prior, change, each) for each in predictions]
+    rmse = float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
+    stated_error = change.gain * _stated_of_logs(prior, predictions)
+    shape = float(np.sqrt(max(rmse**2 - white_noise(residuals), 0.0)))
+    warnings = []
+    if shape > BEYOND_STATED * stated_error:
+        warnings.append(
+            f"{recordings[0].name}: error {shape:.4g}{prior.output.suffix}, the prior states "
+            f"{stated_error:.4g}: its shape has changed; identify again without it"
+        )
+        if not options.force:
+            raise FitError(f"{warnings[0]} (`force` keeps the shape)")
+    return _refreshed(prior, change, rmse, warnings)
 
 
 def _prediction(prior: Cascade, log: Recording) -> Prediction:
@@ -170,10 +178,8 @@ def _stated_of_logs(prior: Cascade, predictions: Sequence[Prediction]) -> float:
     return max(float(np.sqrt(np.mean(squares))), LEAST_STATED * prior.output.span)
 
 
-def _changes(
-    prior: Cascade, predictions: Sequence[Prediction]
-) -> tuple[Change, Change]:
-    """Return the change of least squares, and what its uncertainty leaves of it.
+def _change(prior: Cascade, predictions: Sequence[Prediction]) -> Change:
+    """Return the change of least squares, each number shrunk by its uncertainty.
 
     A number with a standard error u becomes d (1 - (2 u / d)^2), 0 within the interval
     (James and Stein's positive part).
@@ -199,10 +205,8 @@ def _changes(
     shrunk = np.zeros(5)
     sure = np.abs(numbers) > within
     shrunk[sure] = numbers[sure] - within[sure] ** 2 / numbers[sure]
-    changes = []
-    for gain, offset, extra in (numbers[:3].tolist(), shrunk[:3].tolist()):
-        changes.append(Change(1.0 + gain, offset - gain * middle, extra))
-    return changes[0], changes[1]
+    gain, offset, delay = shrunk[:3].tolist()
+    return Change(1.0 + gain, offset - gain * middle, delay)
 
 
 def _solved(
@@ -225,39 +229,14 @@ def _solved(
     return numbers, np.sqrt(np.diag(covariance))
 
 
-def _residuals(
-    prior: Cascade, change: Change, predictions: Sequence[Prediction]
-) -> list[Floats]:
-    """Return what a change leaves of each log, drift and past aside."""
-    residuals = []
-    for each in predictions:
-        table = each.columns(max(prior.delay_seconds + change.delay, 0.0))
-        scaled = change.gain * table[:, 0] + change.offset
-        residual = each.displacement - scaled
-        nuisance = np.linalg.lstsq(table[:, 3:], residual, rcond=None)[0]
-        nuisance[1] = min(max(nuisance[1], -1.0), 1.0)
-        residuals.append(residual - table[:, 3:] @ nuisance)
-    return residuals
-
-
-def _check_shape(
-    prior: Cascade, change: Change, predictions: Sequence[Prediction], force: bool
-) -> list[str]:
-    """Refuse logs that the prior's shape does not follow, the sensor's noise aside; warn where forced."""
-    residuals = _residuals(prior, change, predictions)
-    stated_error = change.gain * _stated_of_logs(prior, predictions)
-    squares = float(np.mean(np.concatenate(residuals) ** 2))
-    shape = float(np.sqrt(max(squares - white_noise(residuals), 0.0)))
-    if shape <= BEYOND_STATED * stated_error:
-        return []
-    name, unit = predictions[0].log.name, prior.output.suffix
-    text = (
-        f"{name}: error {shape:.4g}{unit}, the prior states {stated_error:.4g}: its shape has changed; "
-        "identify again without it"
-    )
-    if not force:
-        raise FitError(f"{text} (`force` keeps the shape)")
-    return [text]
+def _residual(prior: Cascade, change: Change, prediction: Prediction) -> Floats:
+    """Return what a change leaves of a log, drift and past aside."""
+    table = prediction.columns(max(prior.delay_seconds + change.delay, 0.0))
+    scaled = change.gain * table[:, 0] + change.offset
+    residual = prediction.displacement - scaled
+    nuisance = np.linalg.lstsq(table[:, 3:], residual, rcond=None)[0]
+    nuisance[1] = min(max(nuisance[1], -1.0), 1.0)
+    return np.asarray(residual - table[:, 3:] @ nuisance)
 
 
 def _refreshed(
@@ -288,13 +267,10 @@ def _refreshed(
 
 def _changed(stages: Sequence[Any], change: Change) -> tuple[Any, ...]:
     """Return stages with another gain, offset and delay."""
+    seconds = sum((s.seconds for s in stages if isinstance(s, Delay)), change.delay)
     static = [stage for stage in stages if not isinstance(stage, Delay | Dynamics)]
     moving: list[Any] = [stage for stage in stages if isinstance(stage, Dynamics)]
-    delays = [stage.seconds for stage in stages if isinstance(stage, Delay)]
-    seconds = sum(delays, change.delay)
-    scale = Scale(1.0, 0.0)
-    if isinstance(static[-1], Scale):
-        scale = static.pop()
+    scale = static.pop() if isinstance(static[-1], Scale) else Scale(1.0, 0.0)
     gain, offset = change.gain * scale.gain, change.gain * scale.offset + change.offset
     if (gain, offset) != (1.0, 0.0):
         static.append(Scale(gain, offset))
