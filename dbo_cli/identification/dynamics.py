@@ -1,4 +1,4 @@
-"""Resonances and lags behind the gears, from small sweeps and fast logs.
+"""Resonances and lags behind the gears, from small sweeps.
 
 What the static model predicts for the fast rows is the input of the dynamics, what was
 measured their output. Starts come from the ratio of the two spectra; parameters are

@@ -1,4 +1,4 @@
-"""Fast parts of logs: small sweeps, and logs ten times as fast as another.
+"""Fast parts of logs: small sweeps.
 
 Gears, curve and creep are told from the slow rows; resonances from the fast ones, which
 a fit without resonances would take for hysteresis.
@@ -11,20 +11,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dbo_cli.arrays import Booleans
 from dbo_cli.identification.recording import Recording, runs_of
 from dbo_cli.signals import turns
 
 FEWEST_SLOW_ROWS = 40  # of a slow part
 NOTICEABLE = 3e-4  # of the range: a smaller reversal of the drive is no turn
 SMALL_SWING = 0.35  # of the range: a sweep's largest swing
-FEWEST_TURNS = 6  # of slow rows, to tell how fast they are
 FEWEST_IN_SWEEP = 40  # in a sweep
 SWEPT = 5.0  # highest over lowest frequency of a sweep, at least
 SMOOTH = 0.7  # of the logarithms of neighbouring half periods: a sweep is gradual
 FEWEST_A_PERIOD = 6  # samples of the highest frequency
 WIDER = 2.0  # periods of the lowest frequency that belong to a sweep on either side
-FASTER = 10.0  # half periods of a slow log over those of a fast one
 
 Band = tuple[float, float]  # lowest and highest frequency of a drive, Hz
 
@@ -54,25 +51,16 @@ class FastPart:
 def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPart]]:
     """Return the logs with only their slow rows usable, and their fast parts."""
     span = max(float(np.ptp(log.voltage)) for log in recordings)
-    sweeps = [_sweep(log, span) for log in recordings]
-    halves = []
-    for log, sweep in zip(recordings, sweeps, strict=True):
-        halves.append(_median_half_period(log, sweep, span))
-    slowest = max((half for half in halves if half is not None), default=0.0)
     slow: list[Recording] = []
     fast: list[FastPart] = []
-    for log, sweep, half in zip(recordings, sweeps, halves, strict=True):
-        step = even_step(log)
-        if step is not None and half is not None and FASTER * half <= slowest:
-            rows = slice(0, len(log.voltage))
-            fast.append(FastPart(log, rows, step, _band(log, span, step)))
-        elif sweep is not None:
+    for log in recordings:
+        sweep = _sweep(log, span)
+        if sweep is not None:
             fast.append(sweep)
             usable = log.usable.copy()
             usable[sweep.rows] = False  # driven through, but they do not count
-            slow.append(replace(log, good=usable))
-        else:
-            slow.append(log)
+            log = replace(log, good=usable)
+        slow.append(log)
     return slow, fast
 
 
@@ -80,32 +68,10 @@ def even_step(log: Recording) -> float | None:
     """Return the step (s) of an even clock to whose grid each row is nearest, or None."""
     if log.time is None:
         return None
-    time = np.asarray(log.time, dtype=np.float64)
-    step = float(time[-1] - time[0]) / (time.size - 1)
-    if not step > 0.0:
-        return None
-    deviation = np.abs(time - (time[0] + step * np.arange(time.size)))
+    rows = np.arange(len(log.time))
+    step = float(log.time[-1] - log.time[0]) / float(rows[-1])
+    deviation = np.abs(log.time - (log.time[0] + step * rows))
     return step if float(deviation.max()) <= 0.5 * step else None
-
-
-def _median_half_period(
-    log: Recording, sweep: FastPart | None, span: float
-) -> float | None:
-    """Return the median time between turns outside a sweep (s), None where there are too few."""
-    rows = turns(log.voltage, NOTICEABLE * span)
-    slow = np.ones(len(rows), bool)
-    if sweep is not None:
-        slow = (rows < sweep.rows.start) | (rows >= sweep.rows.stop)
-    if log.time is None or np.count_nonzero(slow) < FEWEST_TURNS:
-        return None
-    return float(np.median(np.diff(log.time[rows[slow]])))
-
-
-def _band(log: Recording, span: float, step: float) -> Band:
-    """Return the lowest and highest frequency of a fast log's drive (Hz), by its turns."""
-    halves = step * np.diff(turns(log.voltage, NOTICEABLE * span))[1:-1]
-    shortest, longest = np.quantile(halves[halves > 0.0], (0.02, 0.98))
-    return 0.5 / float(longest), 0.5 / max(float(shortest), step)
 
 
 def _sweep(log: Recording, span: float) -> FastPart | None:
@@ -118,7 +84,8 @@ def _sweep(log: Recording, span: float) -> FastPart | None:
     small = np.abs(np.diff(log.voltage[rows])) <= SMALL_SWING * span
     gradual = np.abs(np.diff(np.log(np.maximum(halves, 1.0)))) <= SMOOTH
     quick = np.minimum(halves[1:], halves[:-1]) <= FEWEST_A_PERIOD
-    first, last = _longest_run(small[1:] & small[:-1] & (gradual | quick))
+    runs = runs_of(small[1:] & small[:-1] & (gradual | quick)).tolist()
+    first, last = max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
     if last - first < FEWEST_IN_SWEEP:
         return None
     periods = 2.0 * step * halves[first : last + 1]
@@ -132,12 +99,3 @@ def _sweep(log: Recording, span: float) -> FastPart | None:
         return None  # nothing else is left to tell the gears from
     band = 1.0 / slowest, 1.0 / float(periods.min())
     return FastPart(log, slice(begin, end), step, band)
-
-
-def _longest_run(mask: Booleans) -> tuple[int, int]:
-    """Return begin and end of the longest run of true values."""
-    runs = runs_of(mask)
-    if not len(runs):
-        return 0, 0
-    first, last = runs[np.argmax(runs[:, 1] - runs[:, 0])].tolist()
-    return first, last

@@ -14,6 +14,7 @@ from dbo_cli.identification.averaging import (
 from dbo_cli.identification.clean import clean
 from dbo_cli.identification.fast import split
 from dbo_cli.identification.figures import (
+    judged,
     measured,
     refuse_other_sign,
     stated,
@@ -23,7 +24,6 @@ from dbo_cli.identification.problem import prepare
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.search import FEWEST_SWINGS, Search, choices_for
 from dbo_cli.identification.stages import model_of
-from dbo_cli.identification.verdict import judged
 from dbo_cli.model import Cascade
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError, UsageError
+from dbo_cli.identification.figures import BEYOND_STATED
 from dbo_cli.identification.recording import (
     FEWEST_ROWS,
     Options,
@@ -28,7 +29,6 @@ from dbo_cli.identification.recording import (
     white_noise,
 )
 from dbo_cli.identification.stages import with_changed_stages
-from dbo_cli.identification.verdict import BEYOND_STATED
 from dbo_cli.model import Cascade, Delay, Dynamics, Scale, State, steps_of
 from dbo_cli.model.expect import expected_error
 

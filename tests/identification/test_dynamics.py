@@ -92,15 +92,6 @@ def test_the_sweep_is_told_from_the_loops() -> None:
     assert split([Recording("log.csv", log.voltage, log.displacement)])[1] == []
 
 
-def test_a_log_ten_times_as_fast_is_a_fast_one() -> None:
-    phase = 2.0 * np.pi * np.arange(8000) / RATE
-    slow = recorded(plant(), 50.0 - 50.0 * np.cos(phase))
-    fast = recorded(plant(), 50.0 - 20.0 * np.cos(30.0 * phase))
-    rest, (part,) = split([slow, fast])
-    assert rest[0] is slow and len(rest) == 1 and part.recording is fast
-    assert part.band == pytest.approx((30.0, 30.0), rel=0.1)
-
-
 @pytest.mark.parametrize(
     ("frequency", "damping", "lag"),
     [(60.0, 0.02, 5e-4), (110.0, 0.005, 2e-3), (35.0, 0.3, 1e-3)],
