@@ -111,11 +111,11 @@ def rescale(
             "the prior needs a clock: add `time` COLUMN or `sample_rate` HZ"
         )
     predictions = [_prediction(prior, log) for log in recordings]
-    change = _change(prior, predictions)
-    residuals = [_residual(prior, change, each) for each in predictions]
-    rmse = float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
-    stated_error = change.gain * _stated_of_logs(prior, predictions)
-    shape = float(np.sqrt(max(rmse**2 - white_noise(residuals), 0.0)))
+    fitted, shrunk = _changes(prior, predictions)
+    residuals = [_residual(prior, fitted, each) for each in predictions]
+    squares = float(np.mean(np.concatenate(residuals) ** 2))
+    stated_error = fitted.gain * _stated_of_logs(prior, predictions)
+    shape = float(np.sqrt(max(squares - white_noise(residuals), 0.0)))
     warnings = []
     if shape > BEYOND_STATED * stated_error:
         warnings.append(
@@ -124,7 +124,9 @@ def rescale(
         )
         if not options.force:
             raise FitError(f"{warnings[0]} (`force` keeps the shape)")
-    return _refreshed(prior, change, rmse, warnings)
+    residuals = [_residual(prior, shrunk, each) for each in predictions]
+    rmse = float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
+    return _refreshed(prior, shrunk, rmse, warnings)
 
 
 def _prediction(prior: Cascade, log: Recording) -> Prediction:
@@ -178,8 +180,10 @@ def _stated_of_logs(prior: Cascade, predictions: Sequence[Prediction]) -> float:
     return max(float(np.sqrt(np.mean(squares))), LEAST_STATED * prior.output.span)
 
 
-def _change(prior: Cascade, predictions: Sequence[Prediction]) -> Change:
-    """Return the change of least squares, each number shrunk by its uncertainty.
+def _changes(
+    prior: Cascade, predictions: Sequence[Prediction]
+) -> tuple[Change, Change]:
+    """Return the change of least squares, and what its uncertainty leaves of it.
 
     A number with a standard error u becomes d (1 - (2 u / d)^2), 0 within the interval
     (James and Stein's positive part).
@@ -205,8 +209,10 @@ def _change(prior: Cascade, predictions: Sequence[Prediction]) -> Change:
     shrunk = np.zeros(5)
     sure = np.abs(numbers) > within
     shrunk[sure] = numbers[sure] - within[sure] ** 2 / numbers[sure]
-    gain, offset, delay = shrunk[:3].tolist()
-    return Change(1.0 + gain, offset - gain * middle, delay)
+    changes = []
+    for gain, offset, extra in (numbers[:3].tolist(), shrunk[:3].tolist()):
+        changes.append(Change(1.0 + gain, offset - gain * middle, extra))
+    return changes[0], changes[1]
 
 
 def _solved(
