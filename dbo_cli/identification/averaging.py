@@ -53,16 +53,6 @@ class Average:
             residuals.append(np.einsum("k,kr->r", self.weights, np.stack(parts)))
         return residuals
 
-    def words(self) -> list[str]:
-        """Return in words what has most of the weight."""
-        best = self.fits[0].structure
-        curve = "a straight line" if np.isinf(best.smooth_curve) else "a curve"
-        return [
-            f"mean of {len(self.fits)} structures; the heaviest: {best.slopes} slopes and {curve},"
-            f" {'creep' if best.memories else 'no creep'}, delay {best.delay:.3g} s,"
-            f" bend {best.bend:g}, {'drift' if best.drift else 'no drift'}"
-        ]
-
     def frames(self, dt: float) -> list[tuple[float, float]]:
         """Return delay and bend of the fits that have most of the weight, and the mean ones.
 

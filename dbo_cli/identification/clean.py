@@ -102,20 +102,19 @@ def not_skipped(log: Recording, seconds: float) -> Booleans:
 
 def faulty_rows(log: Recording, notes: list[str]) -> Booleans:
     """Return the rows in which the sensor did not measure."""
+    spiked = spiked_rows(log.displacement)
+    stuck = stuck_rows(log) & ~spiked
     kinds = {
-        "spikes of the displacement": spiked_rows(log.displacement),
-        "the displacement stands still while the drive moves": stuck_rows(log),
+        "spikes of the displacement": spiked & log.usable,
+        "the displacement stands still while the drive moves": stuck & log.usable,
     }
-    faulty = np.zeros(len(log.voltage), bool)
     for words, rows in kinds.items():
-        new = rows & log.usable & ~faulty
-        if new.any():
+        if rows.any():
             notes.append(
-                f"{log.name}: {int(new.sum())} rows left out (first: row {int(np.argmax(new)) + 1}): "
+                f"{log.name}: {int(rows.sum())} rows left out (first: row {int(np.argmax(rows)) + 1}): "
                 f"{words}"
             )
-        faulty |= rows
-    return faulty
+    return spiked | stuck
 
 
 def spiked_rows(displacement: Floats) -> Booleans:

@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from dbo_cli.arrays import Booleans, Floats, Integers
-from dbo_cli.errors import FitError
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.solve import Equations, Fit
 
@@ -27,6 +26,11 @@ def cross_validate(problem: Problem, fit: Fit, equations: Equations) -> Fit:
     """Return the fit with what it leaves of each part left out, and its score.
 
     A fit without a part is one step from the fit to all rows. ``equations`` are the fit's.
+
+    Raises
+    ------
+    FitError
+        A part leaves rows that determine nothing.
     """
     rows = equations.rows
     table = equations.table(fit)
@@ -39,13 +43,8 @@ def cross_validate(problem: Problem, fit: Fit, equations: Equations) -> Fit:
     residuals = []
     for number, mask in enumerate(problem.parts):
         remaining = total - np.add.reduce(grams[groups[:, number]])
-        error = fit.error
-        try:
-            share = float(rows.weights[mask].sum())
-            step = equations.step(remaining / (1.0 - share))
-            error = equations.fit_of(step).error
-        except FitError:
-            pass
+        share = float(rows.weights[mask].sum())
+        error = equations.fit_of(equations.step(remaining / (1.0 - share))).error
         residuals.append(without_lost_offsets(error, mask, problem)[mask])
     return replace(
         fit, residuals=tuple(residuals), score=score(problem, fit, residuals)

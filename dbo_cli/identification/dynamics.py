@@ -10,24 +10,22 @@ then identified again with the sections known, and ``refine`` fits the sections 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from dbo_cli.identification.fast import Band, FastPart
 from dbo_cli.identification.recording import white_noise
 from dbo_cli.identification.sections import (
     LEAST_DAMPING,
     MOST_BESIDE,
+    Band,
     FastRows,
     Fitted,
     Form,
     fitted,
     peak_of,
     phase_delay,
-    swept,
 )
 from dbo_cli.model import Resonance
 
@@ -43,7 +41,6 @@ WHITE = 0.05  # of the noise's mean square: so little more is noise alone
 NEAR = 0.03  # of the logarithms of two resonances that undo each other
 LATE = 0.5  # of a step: a shorter lag is no amplifier's
 SEEN_DELAY = 0.1  # periods of the highest frequency: less is fitted as a lag
-FAST_LAGS = 2.0  # periods of the lowest frequency: shorter relaxation is dynamics
 UNEXPLAINED = 0.1  # of what the fast rows do: more is a warning
 
 
@@ -74,11 +71,6 @@ def refine(rows: FastRows, found: Fitted, order: str | int = "auto") -> Fitted:
         if not _is_noise(rows, best):
             best = _one_more(rows, best) or best
     return best
-
-
-def least_relaxation(fast: Sequence[FastPart]) -> float:
-    """Return the shortest time constant (s) that slow rows may tell; what is faster is dynamics."""
-    return FAST_LAGS / swept(fast)[0]
 
 
 # --- which dynamics ---

@@ -23,15 +23,13 @@ from dbo_cli.identification.basis import Structure
 from dbo_cli.identification.dynamics import (
     figures_of,
     find,
-    least_relaxation,
     refine,
     unexplained,
 )
-from dbo_cli.identification.fast import FastPart, even_step
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.search import CURVES, Choices, Search
-from dbo_cli.identification.sections import FastRows
+from dbo_cli.identification.sections import FastPart, FastRows, Fitted, even_step, swept
 from dbo_cli.identification.solve import Fit
 from dbo_cli.identification.stages import model_of, with_changed_stages
 from dbo_cli.model import (
@@ -46,6 +44,7 @@ from dbo_cli.model import (
 )
 from dbo_cli.model.inverter import Inverter
 
+FAST_LAGS = 2.0  # periods of the lowest frequency: shorter relaxation is dynamics
 CREEP_ROUNDS = 8  # of gears and creep in turn
 CREEP_RATIO = 1.4  # of neighbouring time constants: 3 leaves 2 % of the creep
 LEAST_SHARE = 1e-5  # of the displacement: less is no creep
@@ -82,14 +81,16 @@ class Moving:
         model = replace(model, fit={"dynamics": self.figures})
         if not self.sections:
             return model
-        before = (Amplifier(self.amplifier),) if self.amplifier > 0.0 else ()
-        behind: tuple[Stage, ...] = (Dynamics(self.sections),)
-        if self.delay > 0.0:
-            behind = (*behind, Delay(self.delay))
 
         def changed(stages: Sequence[Stage]) -> tuple[Stage, ...]:
-            static = [stage for stage in stages if not isinstance(stage, Delay)]
-            return (*before, *static, *behind)
+            moved: list[Stage] = []
+            moved += [stage for stage in stages if not isinstance(stage, Delay)]
+            moved.append(Dynamics(self.sections))
+            if self.amplifier > 0.0:
+                moved.insert(0, Amplifier(self.amplifier))
+            if self.delay > 0.0:
+                moved.append(Delay(self.delay))
+            return tuple(moved)
 
         return with_changed_stages(model, changed)
 
@@ -110,7 +111,7 @@ def moving(
     logs
         The slow rows, cleaned.
     fast
-        The fast parts; see ``fast.split``.
+        The fast parts; see ``sections.split``.
 
     Raises
     ------
@@ -122,7 +123,7 @@ def moving(
         raise FitError(
             f"`dynamics` {order}: no log has a sweep: record a drive of dbo excite with `sweep_to` HZ"
         )
-    shortest = least_relaxation(fast)
+    shortest = FAST_LAGS / swept(fast)[0]
     slower, steeper = without_fast_memories(problem, best, shortest)
     static = model_of(slower, steeper, logs[0], options).static
     rows = FastRows(static, fast)
@@ -131,9 +132,8 @@ def moving(
         return Moving(
             problem, fits, (), 0.0, 0.0, {"warnings": unexplained(rows, found)}
         )
-    sections = rows.sections(found)
     problem = slower
-    fits = _around(problem, best, found.delay + lateness(sections))
+    fits = _around(problem, best, lateness(found))
     best = fits[0]
     creep: tuple[Lag, ...] = ()
     if options.taus is None and len(problem.taus) and all(map(even_step, logs)):
@@ -172,18 +172,15 @@ def without_fast_memories(
     return replace(problem, taus=problem.taus[slow]), steeper
 
 
-def lateness(sections: Sequence[Section]) -> float:
-    """Return how late slow moves are behind sections (s)."""
-    total_delay = 0.0
-    for section in sections:
-        if isinstance(section, Lag):
-            total_delay += section.seconds - section.lead
-            continue
-        total_delay += section.damping / (math.pi * section.frequency)
-        notch = section.antiresonance
+def lateness(found: Fitted) -> float:
+    """Return how late slow moves are behind a delay, a lag and resonances (s)."""
+    seconds = found.delay + found.lag
+    for resonance in found.resonances:
+        seconds += resonance.damping / (math.pi * resonance.frequency)
+        notch = resonance.antiresonance
         if notch is not None:
-            total_delay -= notch.damping / (math.pi * notch.frequency)
-    return total_delay
+            seconds -= notch.damping / (math.pi * notch.frequency)
+    return float(seconds)
 
 
 def _around(problem: Problem, best: Fit, delay: float) -> list[Fit]:

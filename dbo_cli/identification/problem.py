@@ -37,7 +37,6 @@ BLOCKS = 6  # of time, each left out in turn
 SMALL = 0.75  # of the largest swing: swings below are left out together
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 BOTH_WAYS = 2  # swings, up and down: less shows no loop
-ROUNDING = 1e-9  # of the range: smaller noise of a drive is that of numbers
 ROWS_WITH_NOISE = 20  # of a swing: with fewer, the drive's motion looks like noise
 MOST_DEVIATIONS = 4.0  # of the noise that a drive's range is drawn in by
 KNOWN = 0.005  # of the range: an unknown past that adds more lessens the row's weight
@@ -259,8 +258,10 @@ def drive_range(voltage: Floats) -> tuple[float, float]:
     low, high = float(voltage.min()), float(voltage.max())
     deviation = noise(voltage)
     steps = np.diff(np.unique(voltage))
-    resolution = max(float(steps.min()), ROUNDING * (high - low))
-    if deviation <= resolution or Swings.of(voltage).usual_rows < ROWS_WITH_NOISE:
+    if (
+        deviation <= float(steps.min())
+        or Swings.of(voltage).usual_rows < ROWS_WITH_NOISE
+    ):
         return low, high
     ends = []
     for distance in (voltage - low, high - voltage):
@@ -281,16 +282,16 @@ def thinned(logs: Sequence[Recording]) -> list[Recording]:
         averages: Floats = values[:complete].reshape(-1, size).mean(axis=1)
         return averages
 
-    shorter = []
-    for log in logs:
-        means = {
-            "voltage": mean(log.voltage),
-            "displacement": mean(log.displacement),
-            "time": None if log.time is None else mean(log.time),
-            "good": mean(log.usable.astype(float)) == 1.0,
-        }
-        shorter.append(replace(log, **means))
-    return shorter
+    return [
+        replace(
+            log,
+            voltage=mean(log.voltage),
+            displacement=mean(log.displacement),
+            time=None if log.time is None else mean(log.time),
+            good=mean(log.usable.astype(float)) == 1.0,
+        )
+        for log in logs
+    ]
 
 
 def groups_of(rows: Booleans, stride: int, size: int) -> tuple[Integers, Integers]:

@@ -8,11 +8,10 @@ import pytest
 from dbo_cli.errors import FitError
 from dbo_cli.identification import Options, dynamics, identify
 from dbo_cli.identification.basis import Structure
-from dbo_cli.identification.fast import FastPart, split
 from dbo_cli.identification.moving import without_fast_memories
 from dbo_cli.identification.problem import prepare
 from dbo_cli.identification.recording import Recording
-from dbo_cli.identification.sections import FastRows, Fitted, Form
+from dbo_cli.identification.sections import FastPart, FastRows, Fitted, Form, split
 from dbo_cli.identification.solve import Equations
 from dbo_cli.identification.stages import model_of
 from dbo_cli.model import (
