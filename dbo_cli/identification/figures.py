@@ -356,27 +356,18 @@ def describe_validation(model: Cascade) -> list[str]:
 
 
 def leads(logs: Sequence[Recording]) -> bool:
-    """Return whether the displacement leads the drive: dampers do, and exchanged columns."""
+    """Return whether the displacement leads the drive: dampers do, and exchanged columns.
+
+    The sense of a loop is -1 where the output lags, 1 where it leads: the area of output
+    against drive, the sum of r du with r what a curve without memory leaves of the
+    output, over the sum of |r du|.
+    """
     senses = []
     for log in logs:
-        drive, output = log.voltage[log.usable], log.displacement[log.usable]
-        senses.append(loop_sense(drive, output))
+        u = log.voltage - log.voltage.mean()
+        y = log.displacement - log.displacement.mean()
+        residual = y - np.polynomial.Polynomial.fit(u, y, CURVE_ORDER)(u)
+        area = 0.5 * (residual[1:] + residual[:-1]) * np.diff(u)
+        size = max(float(np.abs(area).sum()), 1e-300)
+        senses.append(float(np.sign(u @ y) * area.sum()) / size)
     return float(np.mean(senses)) > LEADING
-
-
-def loop_sense(drive: Floats, output: Floats) -> float:
-    """Return the sense of loops: -1 where the output lags, 1 where it leads, 0 without loops.
-
-    The area of output against drive, the sum of r du with r what a curve without memory
-    leaves of the output, over the sum of |r du|.
-
-    Parameters
-    ----------
-    drive, output : array of shape (rows,)
-        In any units; the output may rise or fall with the drive.
-    """
-    u, y = drive - drive.mean(), output - output.mean()
-    residual = y - np.polynomial.Polynomial.fit(u, y, CURVE_ORDER)(u)
-    area = 0.5 * (residual[1:] + residual[:-1]) * np.diff(u)
-    size = max(float(np.abs(area).sum()), 1e-300)
-    return float(np.sign(u @ y) * area.sum()) / size

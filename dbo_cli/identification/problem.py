@@ -160,25 +160,23 @@ class Problem:
         return few and self.swing_count >= BOTH_WAYS
 
     def columns(self, structure: Structure) -> Floats:
-        """Return the columns of the fitted rows; stored for each delay, bend and level."""
+        """Return the columns of the fitted rows; stored for each delay, bend and level.
+
+        Lags begin with what they still hold of a level, the drive less its lags without.
+        """
         key = (*structure.frame, structure.level)
         if key not in self._columns:
             tables = []
             for log, sums in zip(self.logs, self._sums_of(structure.bend), strict=True):
                 table = columns_of(log, sums, self.cells, structure.delay)
                 if structure.level is not None:
-                    self._begin_memories(table, log, structure.level)
+                    time = log.time[log.rows] - log.time[0]
+                    held = np.exp(-time[:, None] / self.taus)
+                    held *= structure.level - log.drive[0]
+                    table[:, self.cells.count :] += np.hstack((held, -held))
                 tables.append(table)
             self._columns[key] = np.vstack(tables)
         return self._columns[key]
-
-    def _begin_memories(self, table: Floats, log: PreparedLog, level: float) -> None:
-        """Add to the lags of a log, and take off the drive less its lags, what they still hold of a level."""
-        time = log.time[log.rows] - log.time[0]
-        held = (level - log.drive[0]) * np.exp(-time[:, None] / self.taus)
-        lags = self.cells.count + len(self.taus)
-        table[:, self.cells.count : lags] += held
-        table[:, lags:] -= held
 
     def _sums_of(self, bend: float) -> list[Floats]:
         """Return the sums that columns of all delays are made of, the last bend's stored."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dbo_cli.errors import FitError, InputError
+from dbo_cli.errors import FitError, InputError, UsageError
 from dbo_cli.identification import search
 from dbo_cli.identification.averaging import Average
 from dbo_cli.identification.basis import (
@@ -155,7 +155,7 @@ def test_stuck_and_clipped_sensors_are_left_out() -> None:
 
 
 def test_skip_needs_a_clock() -> None:
-    with pytest.raises(FitError, match="skip"):
+    with pytest.raises(UsageError, match="skip"):
         clean([Recording("log", DRIVE, hysteresis(DRIVE))], Options(skip=1.0))
 
 
