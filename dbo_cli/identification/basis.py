@@ -256,7 +256,11 @@ def sums_of(log: PreparedLog, cells: Cells, taus: Floats, bend: float) -> Floats
     if bend:
         drive = points_of(bend)(drive)
     inside = np.clip(drive, -cells.overshoot, 1.0 + cells.overshoot)
-    table, state = _play_table(reach, float(inside[0]))
+    padded = -(-len(reach) // LANES) * LANES
+    table, state = np.zeros((3, padded)), np.zeros(padded)
+    table[:2] = np.inf
+    table[:2, : len(reach)] = reach
+    state[: len(reach)] = plays_at_start(float(inside[0]), reach)
     seconds = tuple(taus.tolist()) or (1.0,)  # the kernel wants one at least
     lag = Relaxation(0.0, seconds, (0.0,) * len(seconds))
     memory: Sequence[float] | None = None
@@ -273,17 +277,6 @@ def sums_of(log: PreparedLog, cells: Cells, taus: Floats, bend: float) -> Floats
         block[0] += sums[first]
         np.cumsum(block, axis=0, out=sums[first + 1 : first + 1 + len(x)])
     return sums
-
-
-def _play_table(reach: Floats, first: float) -> tuple[Floats, Floats]:
-    """Return the kernel's table of plays, and their state."""
-    padded = -(-len(reach) // LANES) * LANES
-    table = np.zeros((3, padded))
-    table[:2] = np.inf
-    table[:2, : len(reach)] = reach
-    state = np.zeros(padded)
-    state[: len(reach)] = plays_at_start(first, reach)
-    return table, state
 
 
 def _late(log: PreparedLog, delay: float, places: Integers) -> Floats:

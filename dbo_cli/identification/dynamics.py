@@ -27,7 +27,7 @@ from dbo_cli.identification.sections import (
     peak_of,
     phase_delay,
 )
-from dbo_cli.model import Resonance
+from dbo_cli.model import Mode, Resonance
 
 MOST_RESONANCES = 2  # one sweep does not tell more apart
 EARNED = 0.9  # of the error left out: what a resonance must lower it to
@@ -166,17 +166,15 @@ def _is_noise(rows: FastRows, best: Fitted) -> bool:
 
 def _is_inside(resonance: Resonance, band: Band) -> bool:
     """Return whether a resonance, and its antiresonance, lie inside the swept band and the bounds."""
-    lowest, highest = INSIDE * band[0], band[1]
-    if not lowest < resonance.frequency < highest:
-        return False
+    notch = resonance.antiresonance
+    modes: list[Mode] = [resonance]
+    if notch is not None:
+        modes.append(notch)
+        if max(mode.damping for mode in modes) > MOST_BESIDE / INSIDE:
+            return False
     if resonance.damping < INSIDE * LEAST_DAMPING:
         return False
-    notch = resonance.antiresonance
-    if notch is None:
-        return True
-    if max(resonance.damping, notch.damping) > MOST_BESIDE / INSIDE:
-        return False
-    return lowest < notch.frequency < highest
+    return all(INSIDE * band[0] < mode.frequency < band[1] for mode in modes)
 
 
 # --- warnings ---

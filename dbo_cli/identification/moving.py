@@ -256,21 +256,20 @@ def _shares(
     """Return the shares of creep with which a fit comes nearest to the logs, one for each time constant."""
     model = model_of(problem, fit, logs[0], Options())
     count = len(taus)
+    lag = Relaxation(0.0, tuple(taus.tolist()), (0.0,) * count)
     tables, targets = [], []
     for log, prepared in zip(logs, problem.logs, strict=True):
         bare, _ = model.simulate(log.voltage, dt=prepared.dt)
-        table = np.empty((len(prepared.rows), count + 3))
-        for index, tau in enumerate(taus.tolist()):
-            lag = Relaxation(0.0, (tau,), (0.0,))
-            lagged, _ = lag.lags(bare, prepared.dt)
-            table[:, index] = (lagged[:, 0] - bare)[prepared.rows]
-        table[:, count] = bare[prepared.rows]
-        table[:, count + 1 :] = 1.0, -1.0
-        size = abs(problem.scale)
-        tables.append(table / size)
-        targets.append(log.displacement[prepared.rows] / size)
-    stacked = np.vstack(tables)
-    gains, _ = nnls(stacked, np.concatenate(targets), maxiter=100 * stacked.shape[1])
+        lagged, _ = lag.lags(bare, prepared.dt)
+        table = np.ones((len(bare), count + 3))
+        table[:, :count] = lagged - bare[:, None]
+        table[:, count] = bare
+        table[:, -1] = -1.0
+        tables.append(table[prepared.rows])
+        targets.append(log.displacement[prepared.rows])
+    stacked = np.vstack(tables) / abs(problem.scale)
+    target = np.concatenate(targets) / abs(problem.scale)
+    gains, _ = nnls(stacked, target, maxiter=100 * stacked.shape[1])
     shares: Floats = gains[:count] / max(float(gains[count]), 1e-300)
     return shares
 

@@ -11,8 +11,6 @@ does on the cycle and on the cycle shrunk about its middle.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.optimize import nnls
 
@@ -21,7 +19,7 @@ from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import Structure
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.solve import Equations, Fit, Rows
-from dbo_cli.identification.stages import zero_of
+from dbo_cli.identification.stages import with_reach, zero_of
 from dbo_cli.model import Cascade, Gears, Points, Quantity, Scale
 
 PAPER_GEARS = 25  # the paper's
@@ -88,8 +86,7 @@ def identify_paper(recording: Recording, options: Options) -> Cascade:
         stages=tuple(stages),
         fit=fit,
     )
-    ends, _ = model.simulate(np.array([low, low + swing]), state="empty")
-    return replace(model, output=Quantity(*recording.output, *ends.tolist()))
+    return with_reach(model)
 
 
 def _fine_fit(drive: Floats, output: Floats, segments: int) -> Fit:

@@ -101,11 +101,16 @@ def model_of(
         stages_of(problem, fit, zero),
         candidates=tuple(candidates),
     )
-    ends: list[float] = []
-    for voltage, state in ((problem.low, "empty"), (problem.high, "full")):
+    return with_reach(model)
+
+
+def with_reach(model: Cascade) -> Cascade:
+    """Return a model with its output's range: empty at the least voltage, full at the greatest."""
+    ends = []
+    for voltage, state in ((model.input.min, "empty"), (model.input.max, "full")):
         reached, _ = model.static.simulate(np.asarray([voltage]), dt=1.0, state=state)
         ends.append(float(reached[0]))
-    return replace(model, output=Quantity(*log.output, min(ends), max(ends)))
+    return replace(model, output=replace(model.output, min=min(ends), max=max(ends)))
 
 
 def with_changed_stages(
