@@ -1,9 +1,8 @@
 """Identification: from recordings to a model."""
 
-from dbo_cli.identification.figures import describe
+from dbo_cli.identification.figures import describe, describe_validation, leads
 from dbo_cli.identification.identify import identify
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.identification.verdict import describe_validation, leads
 
 __all__ = [
     "Options", "Recording", "describe", "describe_validation", "identify", "leads",

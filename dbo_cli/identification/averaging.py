@@ -12,8 +12,8 @@ from dbo_cli.arrays import Floats
 from dbo_cli.identification.basis import PreparedLog, Structure, columns_of, sums_of
 from dbo_cli.identification.cross_validation import error_left_out
 from dbo_cli.identification.problem import GOLDEN, Problem
-from dbo_cli.identification.search import CURVES
-from dbo_cli.identification.solve import Fit, Rows, solve
+from dbo_cli.identification.search import CURVES, likelihood
+from dbo_cli.identification.solve import Equations, Fit, Rows
 from dbo_cli.model.cascade import MOST_CANDIDATES
 
 WIDTH = 0.15  # of the score: a fit that is worse by so much weighs exp(-1)
@@ -53,38 +53,21 @@ class Average:
             residuals.append(np.einsum("k,kr->r", self.weights, np.stack(parts)))
         return residuals
 
-    @property
-    def weighted(self) -> list[tuple[float, Fit]]:
-        """Weight and fit of each."""
-        return list(zip(self.weights.tolist(), self.fits, strict=True))
-
-    def words(self) -> list[str]:
-        """Return in words what has most of the weight."""
-        best = self.fits[0].structure
-        curve = "a straight line" if np.isinf(best.smooth_curve) else "a curve"
-        return [
-            f"mean of {len(self.fits)} structures; the heaviest: {best.slopes} slopes and {curve},"
-            f" {'creep' if best.memories else 'no creep'}, delay {best.delay:.3g} s,"
-            f" bend {best.bend:g}, {'drift' if best.drift else 'no drift'}"
-        ]
-
     def frames(self, dt: float) -> list[tuple[float, float]]:
         """Return delay and bend of the fits that have most of the weight, and the mean ones.
 
         The mean delay is a whole number of steps ``dt``: between jumps of a drive a part
         of a step has no meaning.
         """
-        total: dict[tuple[float, float], float] = {}
-        for fit, weight in zip(self.fits, self.weights.tolist(), strict=True):
-            frame = fit.structure.frame
-            total[frame] = total.get(frame, 0.0) + weight
+        frames = [fit.structure.frame for fit in self.fits]
+        total = dict.fromkeys(frames, 0.0)
+        for frame, weight in zip(frames, self.weights.tolist(), strict=True):
+            total[frame] += weight
         heaviest = max(total, key=lambda key: total[key])
-        frames = np.asarray([fit.structure.frame for fit in self.fits])
-        delay, bend = (self.weights @ frames).tolist()
-        delay = round(delay / dt) * dt
-        if np.ptp(frames[:, 0]) == 0.0:
-            delay = heaviest[0]
-        return [heaviest, (delay, bend)]
+        delay, bend = (self.weights @ np.asarray(frames)).tolist()
+        if len({delay for delay, _ in frames}) == 1:
+            return [heaviest, (heaviest[0], bend)]
+        return [heaviest, (round(delay / dt) * dt, bend)]
 
 
 def with_levels(
@@ -112,15 +95,13 @@ def with_levels(
         same = structure.memories == best.memories and structure.past == best.past
         if same and not structure.drift:
             levels.setdefault(structure.level, fit)
+    weighted = list(zip(average.weights.tolist(), average.fits, strict=True))
     if len(levels) < 2:
-        return average.weighted
+        return weighted
     least = min(fit.rmse for fit in levels.values())
-    likely = []
-    for fit in levels.values():
-        share = least / max(fit.rmse, 1e-300)
-        likely.append((share**swings, fit))
+    likely = [(likelihood(fit, least, swings), fit) for fit in levels.values()]
     total = sum(weight for weight, _ in likely)
-    return [*average.weighted, *((weight / total, fit) for weight, fit in likely)]
+    return [*weighted, *((weight / total, fit) for weight, fit in likely)]
 
 
 def candidates(
@@ -165,12 +146,13 @@ def average_model(problem: Problem, average: Average) -> Fit:
     lowest, nearest = math.inf, best
     for delay, bend in dict.fromkeys(average.frames(problem.dt)):
         structure = replace(_widest(average), delay=delay, bend=bend)
-        table = _table(problem, invented, structure)
+        table = _table(problem, invented, delay, bend)
         free = np.zeros((len(mean), 0))
         rows = Rows(table, mean, weights, free, problem.cells.shares, len(problem.taus))
         fit: Fit | None = None
         for smooth in CURVES:
-            fit = solve(rows, replace(structure, smooth_curve=smooth), fit)
+            curved = replace(structure, smooth_curve=smooth)
+            fit = Equations(rows, curved).solve(fit)
         assert fit is not None
         misfit = math.sqrt(float(weights @ fit.error**2))
         if misfit < lowest:
@@ -187,18 +169,19 @@ def _predictions(
     for fit in fits:
         frame = fit.structure.frame
         if frame not in tables:
-            settled = replace(fit.structure, level=None)
-            tables[frame] = _table(problem, invented, settled)
+            tables[frame] = _table(problem, invented, *frame)
         predicted.append(fit.predict(tables[frame]))
     return predicted
 
 
-def _table(problem: Problem, invented: PreparedLog, structure: Structure) -> Floats:
+def _table(
+    problem: Problem, invented: PreparedLog, delay: float, bend: float
+) -> Floats:
     """Return the columns of the logs' rows and of an invented drive."""
-    cells = problem.cells
-    sums = sums_of(invented, cells, problem.taus, structure.bend)
-    added = columns_of(invented, sums, cells, structure.delay)
-    return np.vstack((problem.columns(structure), added))
+    sums = sums_of(invented, problem.cells, problem.taus, bend)
+    added = columns_of(invented, sums, problem.cells, delay)
+    logs = problem.columns(Structure(delay=delay, bend=bend))
+    return np.vstack((logs, added))
 
 
 def _widest(average: Average) -> Structure:

@@ -17,7 +17,7 @@ import numpy as np
 
 from dbo_cli.arrays import Floats, Integers
 from dbo_cli.identification.recording import Swings
-from dbo_cli.model import Relaxation, kernel
+from dbo_cli.model import Points, Relaxation, kernel
 
 GEARS = 2048  # of a model inside its range, all of one width
 SPARE = 0.125  # of the drive's range: gears beyond either end
@@ -178,17 +178,12 @@ def plays_at_start(first: float, reach: Floats) -> Floats:
     return plays
 
 
-def bent(drive: Floats, bend: float) -> Floats:
-    """Return the drive bent by ``bend * x * (1 - x)``, straight between 33 points and beyond them."""
-    if not bend:
-        return drive
+def points_of(bend: float, low: float = 0.0, span: float = 1.0) -> Points:
+    """Return points that bend a drive of ``low`` to ``low + span`` by bend * x * (1 - x), x its part."""
     grid = np.linspace(0.0, 1.0, BEND_SEGMENTS + 1)
     curve = grid + bend * grid * (1.0 - grid)
-    inside: Floats = np.interp(drive, grid, curve)
-    slope = np.diff(curve) * BEND_SEGMENTS
-    below, above = np.minimum(drive, 0.0), np.maximum(drive - 1.0, 0.0)
-    extended: Floats = inside + slope[0] * below + slope[-1] * above
-    return extended
+    widths = np.full(BEND_SEGMENTS, span / BEND_SEGMENTS)
+    return Points(widths, span * np.diff(curve), low, low)
 
 
 def time_constants(logs: Sequence[PreparedLog]) -> Floats:
@@ -257,9 +252,15 @@ def _unswept(log: PreparedLog, reach: Floats, start: Floats) -> Floats:
 def sums_of(log: PreparedLog, cells: Cells, taus: Floats, bend: float) -> Floats:
     """Return the sums of plays, lags and what is beyond the gears over the rows before each row."""
     compiled = kernel.extension
-    drive, reach = bent(log.drive, bend), cells.reach
+    drive, reach = log.drive, cells.reach
+    if bend:
+        drive = points_of(bend)(drive)
     inside = np.clip(drive, -cells.overshoot, 1.0 + cells.overshoot)
-    table, state = _play_table(reach, float(inside[0]))
+    padded = -(-len(reach) // LANES) * LANES
+    table, state = np.zeros((3, padded)), np.zeros(padded)
+    table[:2] = np.inf
+    table[:2, : len(reach)] = reach
+    state[: len(reach)] = plays_at_start(float(inside[0]), reach)
     seconds = tuple(taus.tolist()) or (1.0,)  # the kernel wants one at least
     lag = Relaxation(0.0, seconds, (0.0,) * len(seconds))
     memory: Sequence[float] | None = None
@@ -276,17 +277,6 @@ def sums_of(log: PreparedLog, cells: Cells, taus: Floats, bend: float) -> Floats
         block[0] += sums[first]
         np.cumsum(block, axis=0, out=sums[first + 1 : first + 1 + len(x)])
     return sums
-
-
-def _play_table(reach: Floats, first: float) -> tuple[Floats, Floats]:
-    """Return the kernel's table of plays, and their state."""
-    padded = -(-len(reach) // LANES) * LANES
-    table = np.zeros((3, padded))
-    table[:2] = np.inf
-    table[:2, : len(reach)] = reach
-    state = np.zeros(padded)
-    state[: len(reach)] = plays_at_start(first, reach)
-    return table, state
 
 
 def _late(log: PreparedLog, delay: float, places: Integers) -> Floats:

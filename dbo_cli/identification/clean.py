@@ -35,15 +35,16 @@ def clean(
     ------
     FitError
         Too few rows are left, or a voltage stands alone.
+    UsageError
+        Seconds are asked for, and a log has no clock.
     """
     notes: list[str] = []
     logs = []
     for log in recordings:
         if not options.force:
             refuse_wrong_voltage(log)
-        log = without_sensor_delay(log, options.known_sensor_delay)
-        good = log.usable & not_skipped(log, options.skip)
-        good &= ~faulty_rows(log, notes)
+        log = without_late_and_skipped_rows(log, options)
+        good = log.usable & ~faulty_rows(log, notes)
         if int(good.sum()) < FEWEST_ROWS:
             raise FitError(
                 f"{log.name}: {int(good.sum())} usable rows are too few; record longer, or skip less"
@@ -76,46 +77,39 @@ def turns_back(log: Recording) -> bool:
     return len(turns(log.voltage, TURNS_BACK * float(np.ptp(log.voltage)))) > 2
 
 
-def without_sensor_delay(log: Recording, delay: float) -> Recording:
-    """Return the log as a sensor without delay (s) would have made it; its last rows are cut off."""
-    if delay == 0.0:
+def without_late_and_skipped_rows(log: Recording, options: Options) -> Recording:
+    """Return the log as a sensor without delay would have made it, without the rows that are skipped."""
+    displacement, good = log.displacement, log.usable
+    skip, delay = options.skip, options.known_sensor_delay
+    if log.time is None:
+        for name, seconds in (("skip", skip), ("sensor_delay", delay)):
+            if seconds:
+                raise UsageError(
+                    f"{log.name}: `{name}` needs a clock: add `time` COLUMN or `sample_rate` HZ"
+                )
         return log
-    if log.time is None:
-        raise UsageError(
-            "`sensor_delay` needs a clock: add `time` COLUMN or `sample_rate` HZ"
-        )
-    displacement, measured = without_delay(log.time, log.displacement, delay)
-    return replace(log, displacement=displacement, good=log.usable & measured)
-
-
-def not_skipped(log: Recording, seconds: float) -> Booleans:
-    """Return the rows from ``seconds`` after the first one on."""
-    if seconds == 0.0:
-        return np.ones(len(log.voltage), bool)
-    if log.time is None:
-        raise FitError(
-            f"{log.name}: `skip` needs a clock: add `time` COLUMN or `sample_rate` HZ"
-        )
-    settled: Booleans = log.time - log.time[0] >= seconds
-    return settled
+    if delay:
+        displacement, measured = without_delay(log.time, displacement, delay)
+        good = good & measured
+    good = good & (log.time - log.time[0] >= skip)
+    return replace(log, displacement=displacement, good=good)
 
 
 def faulty_rows(log: Recording, notes: list[str]) -> Booleans:
     """Return the rows in which the sensor did not measure."""
+    spiked = spiked_rows(log.displacement)
+    stuck = stuck_rows(log) & ~spiked
     kinds = {
-        "spikes of the displacement": spiked_rows(log.displacement),
-        "the displacement stands still while the drive moves": stuck_rows(log),
+        "spikes of the displacement": spiked & log.usable,
+        "the displacement stands still while the drive moves": stuck & log.usable,
     }
-    faulty = np.zeros(len(log.voltage), bool)
     for words, rows in kinds.items():
-        new = rows & log.usable & ~faulty
-        if new.any():
+        if rows.any():
             notes.append(
-                f"{log.name}: {int(new.sum())} rows left out (first: row {int(np.argmax(new)) + 1}): "
+                f"{log.name}: {int(rows.sum())} rows left out (first: row {int(np.argmax(rows)) + 1}): "
                 f"{words}"
             )
-        faulty |= rows
-    return faulty
+    return spiked | stuck
 
 
 def spiked_rows(displacement: Floats) -> Booleans:

@@ -8,10 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from dbo_cli.arrays import Booleans, Floats
-from dbo_cli.errors import FitError
+from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.identification.problem import Problem
-from dbo_cli.identification.solve import Equations, Fit, products
+from dbo_cli.identification.solve import Equations, Fit
 
 FLOOR = 1e-4  # of the output's standard deviation: a smaller error is as good
 PRICE = 0.1
@@ -27,22 +26,25 @@ def cross_validate(problem: Problem, fit: Fit, equations: Equations) -> Fit:
     """Return the fit with what it leaves of each part left out, and its score.
 
     A fit without a part is one step from the fit to all rows. ``equations`` are the fit's.
+
+    Raises
+    ------
+    FitError
+        A part leaves rows that determine nothing.
     """
     rows = equations.rows
     table = equations.table(fit)
     groups, of_row = problem.groups
-    grams = np.stack([products(table[of_row == index]) for index in range(len(groups))])
+    grams = np.empty((len(groups), table.shape[1], table.shape[1]))
+    for index in range(len(groups)):
+        group = table[of_row == index]
+        grams[index] = group.T @ group
     total = np.add.reduce(grams)
     residuals = []
     for number, mask in enumerate(problem.parts):
         remaining = total - np.add.reduce(grams[groups[:, number]])
-        error = fit.error
-        try:
-            share = float(rows.weights[mask].sum())
-            step = equations.step(remaining / (1.0 - share))
-            error = equations.fit_of(step).error
-        except FitError:
-            pass
+        share = float(rows.weights[mask].sum())
+        error = equations.fit_of(equations.step(remaining / (1.0 - share))).error
         residuals.append(without_lost_offsets(error, mask, problem)[mask])
     return replace(
         fit, residuals=tuple(residuals), score=score(problem, fit, residuals)
@@ -85,3 +87,68 @@ def score(problem: Problem, fit: Fit, residuals: Sequence[Floats]) -> float:
 def least_score(problem: Problem, fit: Fit) -> float:
     """Return what the score can be at best: no part is predicted better than it is fitted."""
     return score(problem, fit, [fit.error[mask] for mask in problem.parts])
+
+
+def rmse_where_known(problem: Problem, residuals: Sequence[Floats]) -> float:
+    """Return the RMS of what is left of parts left out, in units of the fit.
+
+    Rows weigh the less, the more another past of the gears would change them.
+    """
+    weights = np.concatenate([problem.known[mask] for mask in problem.parts])
+    squares = np.concatenate(residuals) ** 2
+    return math.sqrt(float(np.average(squares, weights=weights)))
+
+
+def line_left_out(problem: Problem, straight: bool) -> float:
+    """Return what a line or, where that is better, an offset leaves of the parts: RMS, in units of the fit.
+
+    Beside them stand offsets of logs, and ``straight`` drifts where the fits have them.
+    """
+    drift = problem.drift(straight)
+    offset = np.column_stack((np.ones(len(drift)), drift))
+    drive = [log.fitted(log.drive) for log in problem.logs]
+    errors = []
+    for table in (offset, np.column_stack((offset, np.concatenate(drive)))):
+        residuals = []
+        for mask in problem.parts:
+            kept = ~mask
+            weights = np.linalg.lstsq(table[kept], problem.output[kept], rcond=None)[0]
+            error = problem.output - table @ weights
+            residuals.append(without_lost_offsets(error, mask, problem)[mask])
+        errors.append(error_left_out(residuals))
+    return min(errors)
+
+
+def unexplained_share(problem: Problem, residuals: Sequence[Floats]) -> float:
+    """Return what is left of parts left out over the output there, both less their mean over each swing.
+
+    Walks that have nothing to do with each other go along for a while, but not within a
+    swing. About 1: the displacement does not follow the drive. Windows from swing to
+    swing and from mid-swing to mid-swing; the smaller share counts.
+    """
+    shares = []
+    for shift in (0.0, 0.5):
+        windows = _windows(problem, shift)
+        error = output = 0.0
+        for mask, residual in zip(problem.parts, residuals, strict=True):
+            error += _variance_within(residual, windows[mask])
+            output += _variance_within(problem.output[mask], windows[mask])
+        shares.append(math.sqrt(error / max(output, 1e-300)))
+    return min(shares)
+
+
+def _windows(problem: Problem, shift: float) -> Integers:
+    """Return the number of each row's swing; swings begin a part ``shift`` of themselves later."""
+    numbers, first = [], 0
+    for log in problem.logs:
+        begins = log.swings.turns[:-1] + shift * log.swings.rows
+        numbers.append(first + np.searchsorted(begins, log.rows, side="right"))
+        first += len(begins) + 1
+    return np.concatenate(numbers)
+
+
+def _variance_within(values: Floats, windows: Integers) -> float:
+    """Return the mean square of values less their mean over each window."""
+    _, index = np.unique(windows, return_inverse=True)
+    mean = np.bincount(index, values) / np.bincount(index)
+    return float(np.mean((values - mean[index]) ** 2))

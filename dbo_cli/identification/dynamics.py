@@ -1,38 +1,33 @@
-"""Resonances and lags behind the gears, from small sweeps and fast logs.
+"""Resonances and lags behind the gears, from small sweeps.
 
 What the static model predicts for the fast rows is the input of the dynamics, what was
 measured their output. Starts come from the ratio of the two spectra; parameters are
 refined on the output error. No, one or two resonances, the last with an antiresonance
 or without, and a pure delay: by the error on blocks left out, one step from the whole
-fit. ``find`` does this for a static model that knows no dynamics; the slow rows are then
-identified again with the sections known, and ``refine`` fits the sections again.
+fit. ``find`` does this beside a static model that knows no dynamics; the slow rows are
+then identified again with the sections known, and ``refine`` fits the sections again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from dbo_cli.errors import FitError
-from dbo_cli.identification.fast import Band, FastPart
 from dbo_cli.identification.recording import white_noise
 from dbo_cli.identification.sections import (
     LEAST_DAMPING,
     MOST_BESIDE,
-    NO_LAG,
+    Band,
     FastRows,
     Fitted,
     Form,
     fitted,
-    parameters_of,
     peak_of,
     phase_delay,
-    swept,
 )
-from dbo_cli.model import Cascade, Gears, Lag, Relaxation, Resonance, Section
+from dbo_cli.model import Mode, Resonance
 
 MOST_RESONANCES = 2  # one sweep does not tell more apart
 EARNED = 0.9  # of the error left out: what a resonance must lower it to
@@ -46,100 +41,36 @@ WHITE = 0.05  # of the noise's mean square: so little more is noise alone
 NEAR = 0.03  # of the logarithms of two resonances that undo each other
 LATE = 0.5  # of a step: a shorter lag is no amplifier's
 SEEN_DELAY = 0.1  # periods of the highest frequency: less is fitted as a lag
-FAST_LAGS = 2.0  # periods of the lowest frequency: shorter relaxation is dynamics
 UNEXPLAINED = 0.1  # of what the fast rows do: more is a warning
 
 
-def find(
-    static: Cascade, fast: Sequence[FastPart], order: str | int
-) -> tuple[tuple[Section, ...], float, dict[str, Any]]:
-    """Return sections, delay (s) and figures of the dynamics that the fast rows ask for.
+def find(rows: FastRows, order: str | int) -> Fitted:
+    """Return the dynamics that the fast rows ask for, with ``order`` resonances or "auto".
 
-    Parameters
-    ----------
-    static
-        Identified from the slow rows; its own dynamics and delay do not count.
-    fast
-        The fast parts.
-    order
-        How many resonances, or "auto". Without any the sections are empty.
-
-    Raises
-    ------
-    FitError
-        Resonances are asked for, and no log has fast rows.
+    A sensor that is late by half a period of a resonance turns its phase around: without
+    a pure delay no resonance fits.
     """
-    if not fast:
-        if order == "auto":
-            return (), 0.0, {}
-        raise FitError(
-            f"`dynamics` {order}: no log has a sweep: record a drive of dbo excite with `sweep_to` HZ"
-        )
-    rows = _fast_rows(static, fast)
-    best = _with_delay(rows, order, _chosen(rows, order, 0.0))
-    if not best.form.resonances:
-        return (), 0.0, {"warnings": _unexplained(rows, best)}
-    return rows.sections(best), best.delay, _figures(rows, best)
+    best = _chosen(rows, order, 0.0)
+    if best.form.resonances and _is_noise(rows, best):
+        return best
+    phase_lag = phase_delay(rows)
+    if phase_lag * rows.band[1] < SEEN_DELAY:
+        return best
+    delayed = _chosen(rows, order, phase_lag)
+    return delayed if delayed.left_out <= EARNED * best.left_out else best
 
 
-def refine(
-    static: Cascade,
-    fast: Sequence[FastPart],
-    sections: Sequence[Section],
-    delay: float,
-    order: str | int = "auto",
-    creep: Sequence[Lag] = (),
-) -> tuple[float, tuple[Section, ...], float, dict[str, Any]]:
-    """Return amplifier's lag, sections, delay and figures, with a static model that knew the sections found.
+def refine(rows: FastRows, found: Fitted, order: str | int = "auto") -> Fitted:
+    """Return dynamics fitted again beside a static model that knew those ``found``.
 
-    They are fitted again, and the lag may stand before the gears. What hides a weak
-    second resonance from the first reading of the slow rows is gone with the second: one
-    more is offered. ``creep`` stands behind the gears and before the sections; it is not
-    among those returned.
+    The lag may stand before the gears. What hides a weak second resonance from the first
+    reading of the slow rows is gone with the second: one more is offered.
     """
-    rows = _fast_rows(static, fast, creep)
-    form, start = parameters_of(sections, delay, NO_LAG * rows.step)
-    best = _with_amplifier(rows, fitted(rows, [start], form))
-    if order == "auto" and form.resonances < MOST_RESONANCES:
+    best = _with_amplifier(rows, fitted(rows, [found.parameters], found.form))
+    if order == "auto" and found.form.resonances < MOST_RESONANCES:
         if not _is_noise(rows, best):
             best = _one_more(rows, best) or best
-    return best.amplifier, rows.sections(best), best.delay, _figures(rows, best)
-
-
-def least_relaxation(fast: Sequence[FastPart]) -> float:
-    """Return the shortest time constant (s) that slow rows may tell; what is faster is dynamics."""
-    return FAST_LAGS / swept(fast)[0]
-
-
-def without_fast_lags(model: Cascade, shortest: float) -> Cascade:
-    """Return a model whose relaxation of less than ``shortest`` (s) is immediate.
-
-    A memory of milliseconds stands in a slow model for what dynamics say better. At
-    once, it makes every gear steeper by its gain.
-    """
-    gears = model.gears
-    terms = gears.relaxation
-    if terms is None or min(terms.tau) >= shortest:
-        return model
-    kept = [
-        pair for pair in zip(terms.tau, terms.gain, strict=True) if pair[0] >= shortest
-    ]
-    added = sum(terms.gain) - sum(gain for _, gain in kept)
-    remaining = None
-    if kept:
-        remaining = Relaxation(terms.reference, *map(tuple, zip(*kept, strict=True)))
-    y0 = gears.y0 + added * (gears.x0 - terms.reference)
-    steeper = Gears(gears.dx, gears.dy + added * gears.dx, gears.x0, y0, remaining)
-    stages = [steeper if stage is gears else stage for stage in model.stages]
-    return model.with_stages(tuple(stages))
-
-
-def _fast_rows(
-    static: Cascade, fast: Sequence[FastPart], creep: Sequence[Lag] = ()
-) -> FastRows:
-    """Return the fast parts beside a static model without fast memories."""
-    still = without_fast_lags(static.static, least_relaxation(fast))
-    return FastRows(still, fast, creep)
+    return best
 
 
 # --- which dynamics ---
@@ -161,21 +92,6 @@ def _chosen(rows: FastRows, order: str | int, delay: float) -> Fitted:
             break
         best = more
     return best
-
-
-def _with_delay(rows: FastRows, order: str | int, without: Fitted) -> Fitted:
-    """Return dynamics with a pure delay behind them where the fast rows ask for it, else those without.
-
-    A sensor that is late by half a period of a resonance turns its phase around:
-    without the delay no resonance fits.
-    """
-    if without.form.resonances and _is_noise(rows, without):
-        return without
-    phase_lag = phase_delay(rows)
-    if phase_lag * rows.band[1] < SEEN_DELAY:
-        return without
-    delayed = _chosen(rows, order, phase_lag)
-    return delayed if delayed.left_out <= EARNED * without.left_out else without
 
 
 def _with_amplifier(rows: FastRows, behind: Fitted) -> Fitted:
@@ -250,33 +166,31 @@ def _is_noise(rows: FastRows, best: Fitted) -> bool:
 
 def _is_inside(resonance: Resonance, band: Band) -> bool:
     """Return whether a resonance, and its antiresonance, lie inside the swept band and the bounds."""
-    lowest, highest = INSIDE * band[0], band[1]
-    if not lowest < resonance.frequency < highest:
-        return False
+    notch = resonance.antiresonance
+    modes: list[Mode] = [resonance]
+    if notch is not None:
+        modes.append(notch)
+        if max(mode.damping for mode in modes) > MOST_BESIDE / INSIDE:
+            return False
     if resonance.damping < INSIDE * LEAST_DAMPING:
         return False
-    notch = resonance.antiresonance
-    if notch is None:
-        return True
-    if max(resonance.damping, notch.damping) > MOST_BESIDE / INSIDE:
-        return False
-    return lowest < notch.frequency < highest
+    return all(INSIDE * band[0] < mode.frequency < band[1] for mode in modes)
 
 
 # --- warnings ---
 
 
-def _figures(rows: FastRows, best: Fitted) -> dict[str, Any]:
+def figures_of(rows: FastRows, best: Fitted) -> dict[str, Any]:
     """Return what the model file says of the dynamics."""
     return {
         "rmse": best.rmse,
         "left_out_rmse": best.left_out,
         "logs": [signals.part.recording.name for signals in rows.signals],
-        "warnings": _unexplained(rows, best),
+        "warnings": unexplained(rows, best),
     }
 
 
-def _unexplained(rows: FastRows, best: Fitted) -> list[str]:
+def unexplained(rows: FastRows, best: Fitted) -> list[str]:
     """Return a warning for each fast part of which much is not explained; noise aside."""
     warnings = []
     for signals in rows.signals:

@@ -12,9 +12,8 @@ from dbo_cli.identification.averaging import (
     with_levels,
 )
 from dbo_cli.identification.clean import clean
-from dbo_cli.identification.fast import split
 from dbo_cli.identification.figures import (
-    left_out_figures,
+    judged,
     measured,
     refuse_other_sign,
     stated,
@@ -23,8 +22,8 @@ from dbo_cli.identification.moving import moving
 from dbo_cli.identification.problem import prepare
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.search import FEWEST_SWINGS, Search, choices_for
+from dbo_cli.identification.sections import split
 from dbo_cli.identification.stages import model_of
-from dbo_cli.identification.verdict import judged
 from dbo_cli.model import Cascade
 
 
@@ -60,7 +59,7 @@ def identify(
 
         model = rescale(options.prior, logs, options)
     else:
-        model = _searched(logs, options, notes)
+        model = _searched(logs, options)
     model = measured(model, logs, options, notes)
     model = judged(model, recordings, validation)
     for text in model.fit["warnings"]:
@@ -68,7 +67,7 @@ def identify(
     return model
 
 
-def _searched(logs: Sequence[Recording], options: Options, notes: list[str]) -> Cascade:
+def _searched(logs: Sequence[Recording], options: Options) -> Cascade:
     """Return the model that structures judged on parts left out add up to."""
     slow, fast = split(logs)
     problem, choices = choices_for(prepare(slow, options), options)
@@ -79,7 +78,6 @@ def _searched(logs: Sequence[Recording], options: Options, notes: list[str]) -> 
         dynamic = moving(problem, fits, slow, fast, options)
         problem, fits = dynamic.problem, dynamic.fits
     average = Average.of(fits)
-    figures = left_out_figures(problem, average, slow, options)
     fit = average_model(problem, average)
     others = with_levels(average, fits, problem.different_swings)
     few = problem.one_amplitude or problem.different_swings < FEWEST_SWINGS
@@ -88,5 +86,4 @@ def _searched(logs: Sequence[Recording], options: Options, notes: list[str]) -> 
     model = model_of(problem, fit, slow[0], options, candidates(problem, others))
     if dynamic is not None:
         model = dynamic.applied(model)
-    notes += average.words()
-    return stated(model, problem, figures, logs)
+    return stated(model, problem, average, logs, options)

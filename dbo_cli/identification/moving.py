@@ -18,12 +18,18 @@ import numpy as np
 from scipy.optimize import nnls
 
 from dbo_cli.arrays import Floats
+from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import Structure
-from dbo_cli.identification.dynamics import find, least_relaxation, refine
-from dbo_cli.identification.fast import FastPart, even_step
+from dbo_cli.identification.dynamics import (
+    figures_of,
+    find,
+    refine,
+    unexplained,
+)
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.search import CURVES, Choices, Search
+from dbo_cli.identification.sections import FastPart, FastRows, Fitted, even_step, swept
 from dbo_cli.identification.solve import Fit
 from dbo_cli.identification.stages import model_of, with_changed_stages
 from dbo_cli.model import (
@@ -38,6 +44,7 @@ from dbo_cli.model import (
 )
 from dbo_cli.model.inverter import Inverter
 
+FAST_LAGS = 2.0  # periods of the lowest frequency: shorter relaxation is dynamics
 CREEP_ROUNDS = 8  # of gears and creep in turn
 CREEP_RATIO = 1.4  # of neighbouring time constants: 3 leaves 2 % of the creep
 LEAST_SHARE = 1e-5  # of the displacement: less is no creep
@@ -74,20 +81,18 @@ class Moving:
         model = replace(model, fit={"dynamics": self.figures})
         if not self.sections:
             return model
-        return with_changed_stages(model, self._moving)
 
-    def _moving(self, stages: Sequence[Stage]) -> tuple[Stage, ...]:
-        """Return the amplifier, the static stages, the sections, and the delay."""
-        changed: list[Stage] = []
-        if self.amplifier > 0.0:
-            changed.append(Amplifier(self.amplifier))
-        for stage in stages:
-            if not isinstance(stage, Dynamics | Delay):
-                changed.append(stage)
-        changed.append(Dynamics(self.sections))
-        if self.delay > 0.0:
-            changed.append(Delay(self.delay))
-        return tuple(changed)
+        def changed(stages: Sequence[Stage]) -> tuple[Stage, ...]:
+            moved: list[Stage] = []
+            moved += [stage for stage in stages if not isinstance(stage, Delay)]
+            moved.append(Dynamics(self.sections))
+            if self.amplifier > 0.0:
+                moved.insert(0, Amplifier(self.amplifier))
+            if self.delay > 0.0:
+                moved.append(Delay(self.delay))
+            return tuple(moved)
+
+        return with_changed_stages(model, changed)
 
 
 def moving(
@@ -106,49 +111,76 @@ def moving(
     logs
         The slow rows, cleaned.
     fast
-        The fast parts; see ``fast.split``.
+        The fast parts; see ``sections.split``.
 
     Raises
     ------
     FitError
-        Resonances are asked for, and there are no fast rows.
+        Resonances are asked for, and no log has fast rows.
     """
-    best = fits[0]
-    static = model_of(problem, best, logs[0], options)
-    order = options.dynamics
-    sections, delay, figures = find(static, fast, order)
-    if not sections:
-        return Moving(problem, fits, (), 0.0, 0.0, figures)
-    slower = problem.taus[problem.taus >= least_relaxation(fast)]
-    problem = replace(problem, taus=slower)
-    total_delay = delay + lateness(sections)
-    fits = _around(problem, best, total_delay)
+    best, order = fits[0], options.dynamics
+    if not fast:
+        raise FitError(
+            f"`dynamics` {order}: no log has a sweep: record a drive of dbo excite with `sweep_to` HZ"
+        )
+    shortest = FAST_LAGS / swept(fast)[0]
+    slower, steeper = without_fast_memories(problem, best, shortest)
+    static = model_of(slower, steeper, logs[0], options).static
+    rows = FastRows(static, fast)
+    found = find(rows, order)
+    if not found.form.resonances:
+        return Moving(
+            problem, fits, (), 0.0, 0.0, {"warnings": unexplained(rows, found)}
+        )
+    problem = slower
+    fits = _around(problem, best, lateness(found))
     best = fits[0]
     creep: tuple[Lag, ...] = ()
-    if options.taus is None and len(slower) and all(map(even_step, logs)):
+    if options.taus is None and len(problem.taus) and all(map(even_step, logs)):
         freed, others, lags = _with_creep(problem, logs, best.structure)
         if others and min(fit.score for fit in others) < best.score:
             problem, fits, creep = freed, others, lags
             best = min(fits, key=lambda fit: fit.score)
-    static = model_of(problem, best, logs[0], options)
-    amplifier, sections, delay, figures = refine(
-        static, fast, sections, delay, order, creep
+    static = model_of(problem, best, logs[0], options).static
+    if creep:
+        static = static.with_stages((*static.stages, Dynamics(creep)))
+    rows = FastRows(static, fast)
+    refined = refine(rows, found, order)
+    sections = (*creep, *rows.sections(refined))
+    figures = figures_of(rows, refined)
+    return Moving(problem, fits, sections, refined.amplifier, refined.delay, figures)
+
+
+def without_fast_memories(
+    problem: Problem, fit: Fit, shortest: float
+) -> tuple[Problem, Fit]:
+    """Return problem and fit whose memories of less than ``shortest`` (s) are immediate.
+
+    A memory of milliseconds stands in a slow fit for what dynamics say better. At once,
+    it makes every gear steeper by its gain, about the middle of the range.
+    """
+    slow = problem.taus >= shortest
+    kept = np.tile(slow, len(fit.structure.memories))
+    lags = fit.gains[: len(slow)]
+    added = float(lags[~kept[: len(slow)]].sum())
+    steeper = replace(
+        fit,
+        slopes=fit.slopes + added,
+        gains=fit.gains[kept],
+        offset=fit.offset + added / 2.0,
     )
-    return Moving(problem, fits, (*creep, *sections), amplifier, delay, figures)
+    return replace(problem, taus=problem.taus[slow]), steeper
 
 
-def lateness(sections: Sequence[Section]) -> float:
-    """Return how late slow moves are behind sections (s)."""
-    total_delay = 0.0
-    for section in sections:
-        if isinstance(section, Lag):
-            total_delay += section.seconds - section.lead
-            continue
-        total_delay += section.damping / (math.pi * section.frequency)
-        notch = section.antiresonance
+def lateness(found: Fitted) -> float:
+    """Return how late slow moves are behind a delay, a lag and resonances (s)."""
+    seconds = found.delay + found.lag
+    for resonance in found.resonances:
+        seconds += resonance.damping / (math.pi * resonance.frequency)
+        notch = resonance.antiresonance
         if notch is not None:
-            total_delay -= notch.damping / (math.pi * notch.frequency)
-    return total_delay
+            seconds -= notch.damping / (math.pi * notch.frequency)
+    return float(seconds)
 
 
 def _around(problem: Problem, best: Fit, delay: float) -> list[Fit]:
@@ -224,21 +256,20 @@ def _shares(
     """Return the shares of creep with which a fit comes nearest to the logs, one for each time constant."""
     model = model_of(problem, fit, logs[0], Options())
     count = len(taus)
+    lag = Relaxation(0.0, tuple(taus.tolist()), (0.0,) * count)
     tables, targets = [], []
     for log, prepared in zip(logs, problem.logs, strict=True):
         bare, _ = model.simulate(log.voltage, dt=prepared.dt)
-        table = np.empty((len(prepared.rows), count + 3))
-        for index, tau in enumerate(taus.tolist()):
-            lag = Relaxation(0.0, (tau,), (0.0,))
-            lagged, _ = lag.lags(bare, prepared.dt)
-            table[:, index] = (lagged[:, 0] - bare)[prepared.rows]
-        table[:, count] = bare[prepared.rows]
-        table[:, count + 1 :] = 1.0, -1.0
-        size = abs(problem.scale)
-        tables.append(table / size)
-        targets.append(log.displacement[prepared.rows] / size)
-    stacked = np.vstack(tables)
-    gains, _ = nnls(stacked, np.concatenate(targets), maxiter=100 * stacked.shape[1])
+        lagged, _ = lag.lags(bare, prepared.dt)
+        table = np.ones((len(bare), count + 3))
+        table[:, :count] = lagged - bare[:, None]
+        table[:, count] = bare
+        table[:, -1] = -1.0
+        tables.append(table[prepared.rows])
+        targets.append(log.displacement[prepared.rows])
+    stacked = np.vstack(tables) / abs(problem.scale)
+    target = np.concatenate(targets) / abs(problem.scale)
+    gains, _ = nnls(stacked, target, maxiter=100 * stacked.shape[1])
     shares: Floats = gains[:count] / max(float(gains[count]), 1e-300)
     return shares
 

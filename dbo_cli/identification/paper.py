@@ -11,16 +11,15 @@ does on the cycle and on the cycle shrunk about its middle.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.optimize import nnls
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError
+from dbo_cli.identification.basis import Structure
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.identification.solve import LEAST_CURVE
-from dbo_cli.identification.stages import zero_of
+from dbo_cli.identification.solve import Equations, Fit, Rows
+from dbo_cli.identification.stages import with_reach, zero_of
 from dbo_cli.model import Cascade, Gears, Points, Quantity, Scale
 
 PAPER_GEARS = 25  # the paper's
@@ -31,7 +30,6 @@ PAPER_SEGMENTS = 2
 SHRUNK = tuple(k / 20 for k in range(20, 5, -1))  # amplitudes, over the cycle's
 CYCLE_WEIGHT = 10.0  # of the cycle's own amplitude, over each smaller one
 FLATTEST_GEAR = 0.3  # of a gear, of the mean slope
-ENDS_KEPT = 1e3  # weight of the condition that the curve keeps its ends
 
 
 def identify_paper(recording: Recording, options: Options) -> Cascade:
@@ -64,15 +62,15 @@ def identify_paper(recording: Recording, options: Options) -> Cascade:
     lowest, stroke = float(displacement.min()), float(np.ptp(displacement))
     drive = (voltage - low) / swing
     output = (displacement - lowest) / stroke
-    fine, curve = _fine_slopes(drive, output, segments)
+    fine = _fine_fit(drive, output, segments)
     edges = 0.5 - 0.5 * np.cos(np.pi * np.arange(count + 1) / count)
-    heights = _few_heights(drive, fine, np.diff(edges))
+    heights = _few_heights(drive, fine.slopes, np.diff(edges))
 
     gears = Gears(swing * np.diff(edges), swing * heights, low, 0.0)
     stages: list[Gears | Points | Scale] = [gears]
     if segments > 1:
         parts = np.full(segments, swing / segments)
-        stages.append(Points(swing * curve, parts, 0.0, 0.0))
+        stages.append(Points(parts, parts * fine.curve, 0.0, 0.0))
     shift = zero_of(recording, options)
     stages.append(Scale(stroke / swing, lowest - shift))
     fit = {
@@ -88,39 +86,18 @@ def identify_paper(recording: Recording, options: Options) -> Cascade:
         stages=tuple(stages),
         fit=fit,
     )
-    ends, _ = model.simulate(np.array([low, low + swing]), state="empty")
-    return replace(model, output=Quantity(*recording.output, *ends.tolist()))
+    return with_reach(model)
 
 
-def _fine_slopes(drive: Floats, output: Floats, segments: int) -> tuple[Floats, Floats]:
-    """Fit a fine operator and a curve behind it to a cycle, both 0 to 1; slopes may only grow.
-
-    The curve is unknown by its inverse, so that all is linear: the gears' sum, offset
-    free, is the sum of ``inverse[k]`` times what the output has travelled of segment k.
-    The inverse keeps both ends.
-
-    Returns
-    -------
-    slopes : array, shape (groups,)
-        Heights of the groups of gears.
-    curve : array, shape (segments,)
-        Widths of the curve's segments; their heights are equal.
-    """
+def _fine_fit(drive: Floats, output: Floats, segments: int) -> Fit:
+    """Fit a fine operator and a curve behind it to a cycle, both 0 to 1; slopes may only grow."""
     engaged = _engaged(FINE_WIDTHS, np.tile(drive, 2), GROUP)[drive.size :]
-    cells = engaged.shape[1]
-    edges = np.arange(segments) / segments
-    travelled = np.clip(output[:, None] - edges, 0.0, 1.0 / segments)
-    lowest = LEAST_CURVE * travelled.sum(axis=1)
-    growing = engaged @ np.tril(np.ones((cells, cells))) / cells
-    offset = np.ones((drive.size, 1))
-    table = np.hstack([growing, offset, -offset, -travelled])
-    ends = np.zeros(table.shape[1])
-    ends[-segments:] = ENDS_KEPT
-    bound = np.append(lowest, ENDS_KEPT * segments * (1.0 - LEAST_CURVE))
-    unknown, _ = nnls(np.vstack([table, ends]), bound, maxiter=100 * table.shape[1])
-    slopes = np.cumsum(unknown[:cells]) / cells
-    inverse = LEAST_CURVE + unknown[-segments:]
-    return slopes, inverse / inverse.sum()
+    count, cells = engaged.shape
+    weights, shares = np.full(count, 1.0 / count), np.full(cells, 1.0 / cells)
+    rows = Rows(engaged / cells, output, weights, np.zeros((count, 0)), shares, 0)
+    smooth = 0.0 if segments > 1 else np.inf
+    structure = Structure("growing", "", 0.0, smooth, segments=segments)
+    return Equations(rows, structure).solve()
 
 
 def _engaged(widths: Floats, drive: Floats, group: int) -> Floats:
@@ -129,7 +106,7 @@ def _engaged(widths: Floats, drive: Floats, group: int) -> Floats:
     return np.asarray(engaged, dtype=np.float64)
 
 
-def _few_heights(drive: Floats, fine: Floats, widths: Floats) -> Floats:
+def _few_heights(drive: Floats, slopes: Floats, widths: Floats) -> Floats:
     """Return heights of gears of given widths that do what the fine operator does, at all amplitudes.
 
     Each amplitude has an offset of its own. The first of two cycles of each only sets
@@ -139,7 +116,7 @@ def _few_heights(drive: Floats, fine: Floats, widths: Floats) -> Floats:
     shrunk = [np.tile(0.5 + amplitude * (drive - 0.5), 2) for amplitude in SHRUNK]
     repeated = np.concatenate(shrunk)
     counts = np.tile(np.repeat([False, True], rows), len(SHRUNK))
-    target = (_engaged(FINE_WIDTHS, repeated, GROUP) @ fine)[counts]
+    target = (_engaged(FINE_WIDTHS, repeated, GROUP) @ slopes)[counts] / len(slopes)
     parts = _engaged(widths, repeated, 1)[counts]
     growing = (parts * widths) @ np.tril(np.ones((count, count)))
     offsets = np.repeat(np.eye(len(SHRUNK)), rows, axis=0)

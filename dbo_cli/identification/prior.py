@@ -12,14 +12,14 @@ change keeps the prior's numbers.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dbo_cli.arrays import Floats
+from dbo_cli.arrays import Floats, Integers
 from dbo_cli.errors import FitError, UsageError
+from dbo_cli.identification.figures import BEYOND_STATED
 from dbo_cli.identification.recording import (
     FEWEST_ROWS,
     Options,
@@ -28,7 +28,6 @@ from dbo_cli.identification.recording import (
     white_noise,
 )
 from dbo_cli.identification.stages import with_changed_stages
-from dbo_cli.identification.verdict import BEYOND_STATED
 from dbo_cli.model import Cascade, Delay, Dynamics, Scale, State, steps_of
 from dbo_cli.model.expect import expected_error
 
@@ -39,53 +38,41 @@ LONGEST_DELAY = 0.25  # of the usual swing, to either side
 LEAST_STATED = 1e-6  # of the output's range: the least error that a prior may state
 
 
-@dataclass(frozen=True)
-class Prediction:
+class Prediction(NamedTuple):
     """What the prior predicts for a log, without its delay.
 
     Attributes
     ----------
     middle : shape (n,), between the predictions from an empty and from a full start
     past : shape (n,), half the distance of the two
-    rows : the rows that count
-    swings : how many different swings the drive makes
-    longest_delay : the largest change of the delay (s); 0 without a clock
+    rows : which rows count
     """
 
     log: Recording
     middle: Floats
     past: Floats
-    rows: NDArray[np.intp]
-    swings: int
-    longest_delay: float
+    rows: Integers
 
     @property
     def displacement(self) -> Floats:
         """What was measured in the rows that count."""
         return self.log.displacement[self.rows]
 
-    def delayed(self, signal: Floats, delay: float) -> Floats:
-        """Return a signal ``delay`` seconds later, for the rows that count."""
-        time = self.log.time
-        if time is None or delay == 0.0:
-            return signal[self.rows]
-        return np.interp(time[self.rows] - delay, time, signal)
-
     def columns(self, delay: float) -> Floats:
-        """Return the columns of gain, offset, delay, drift and past; shape (rows, 5)."""
-        table = np.zeros((self.rows.size, 5))
-        table[:, 0] = self.delayed(self.middle, delay)
-        table[:, 1] = 1.0
-        if self.log.time is not None:
-            speed = np.gradient(self.middle, self.log.time)
-            table[:, 2] = -self.delayed(np.nan_to_num(speed), delay)
-            table[:, 3] = np.linspace(-1.0, 1.0, self.rows.size)
-        table[:, 4] = self.delayed(self.past, delay)
-        return table
+        """Return the columns of gain, offset, delay, drift and past in the rows that count; (rows, 5)."""
+        time = self.log.time
+        speed, drift = np.zeros(len(self.middle)), np.zeros(len(self.rows))
+        if time is not None:
+            speed = np.nan_to_num(np.gradient(self.middle, time))
+            drift = np.linspace(-1.0, 1.0, len(drift))
+        signals = [self.middle, -speed, self.past]
+        if time is not None and delay != 0.0:
+            signals = [np.interp(time - delay, time, signal) for signal in signals]
+        gain, late, past = (signal[self.rows] for signal in signals)
+        return np.column_stack((gain, np.ones(len(drift)), late, drift, past))
 
 
-@dataclass(frozen=True)
-class Change:
+class Change(NamedTuple):
     """What is new: displacement = gain * prior + offset, ``delay`` (s) later than the prior's."""
 
     gain: float
@@ -111,32 +98,41 @@ def rescale(
         raise UsageError(
             "the prior needs a clock: add `time` COLUMN or `sample_rate` HZ"
         )
-    predictions = [_prediction(prior, log) for log in recordings]
+    predictions = []
+    for log in recordings:
+        lower = _simulated(prior, log, prior.input.min, "empty")
+        upper = _simulated(prior, log, prior.input.max, "full")
+        middle, past = 0.5 * (lower + upper), 0.5 * (upper - lower)
+        predictions.append(Prediction(log, middle, past, _rows_of(log)))
     fitted, shrunk = _changes(prior, predictions)
-    warnings = _check_shape(prior, fitted, predictions, options.force)
-    residuals = np.concatenate(_residuals(prior, shrunk, predictions))
-    rmse = float(np.sqrt(np.mean(residuals**2)))
+    residuals = [_residual(prior, fitted, each) for each in predictions]
+    squares = float(np.mean(np.concatenate(residuals) ** 2))
+    stated_error = fitted.gain * _stated_of_logs(prior, predictions)
+    shape = float(np.sqrt(max(squares - white_noise(residuals), 0.0)))
+    warnings = []
+    if shape > BEYOND_STATED * stated_error:
+        warnings.append(
+            f"{recordings[0].name}: error {shape:.4g}{prior.output.suffix}, the prior states "
+            f"{stated_error:.4g}: its shape has changed; identify again without it"
+        )
+        if not options.force:
+            raise FitError(f"{warnings[0]} (`force` keeps the shape)")
+    residuals = [_residual(prior, shrunk, each) for each in predictions]
+    rmse = float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
     return _refreshed(prior, shrunk, rmse, warnings)
 
 
-def _prediction(prior: Cascade, log: Recording) -> Prediction:
-    """Return what the prior predicts between both ends of what may have been before a log.
+def _rows_of(log: Recording) -> Integers:
+    """Return the usable rows, if many those by which the drive has been at both ends of its range.
 
-    By the row by which the drive has been at both ends of its range, the past only
-    shifts the displacement.
+    From there on the past only shifts the displacement.
     """
-    lower = _simulated(prior, log, prior.input.min, "empty")
-    upper = _simulated(prior, log, prior.input.max, "full")
-    voltage, rows = log.voltage, np.flatnonzero(log.usable)
-    wiped = max(int(np.argmin(voltage)), int(np.argmax(voltage)))
-    settled = rows[rows >= wiped]
+    rows = np.flatnonzero(log.usable)
+    ends = int(np.argmin(log.voltage)), int(np.argmax(log.voltage))
+    settled = rows[rows >= max(ends)]
     if settled.size >= max(LEAST_KNOWN * rows.size, FEWEST_ROWS):
-        rows = settled
-    swings = Swings.of(voltage)
-    different = len(swings.different(voltage, float(np.ptp(voltage))))
-    longest = LONGEST_DELAY * (log.dt or 0.0) * swings.usual_rows
-    middle, past = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    return Prediction(log, middle, past, rows, different, longest)
+        return settled
+    return rows
 
 
 def _simulated(prior: Cascade, log: Recording, before: float, start: str) -> Floats:
@@ -178,10 +174,14 @@ def _changes(
     A number with a standard error u becomes d (1 - (2 u / d)^2), 0 within the interval
     (James and Stein's positive part).
     """
-    longest = min(each.longest_delay for each in predictions)
-    middle = float(np.mean([each.middle[each.rows].mean() for each in predictions]))
+    longest, swings, means = np.inf, 0, []
+    for log, predicted, _, rows in predictions:
+        ways = Swings.of(log.voltage)
+        swings += len(ways.different(log.voltage, float(np.ptp(log.voltage))))
+        longest = min(longest, LONGEST_DELAY * (log.dt or 0.0) * ways.usual_rows)
+        means.append(predicted[rows].mean())
+    middle = float(np.mean(means))
     delay = 0.0
-    swings = sum(each.swings for each in predictions)
     displacement = np.concatenate([each.displacement for each in predictions])
     for _ in range(DELAY_STEPS):
         total = prior.delay_seconds + delay
@@ -225,39 +225,14 @@ def _solved(
     return numbers, np.sqrt(np.diag(covariance))
 
 
-def _residuals(
-    prior: Cascade, change: Change, predictions: Sequence[Prediction]
-) -> list[Floats]:
-    """Return what a change leaves of each log, drift and past aside."""
-    residuals = []
-    for each in predictions:
-        table = each.columns(max(prior.delay_seconds + change.delay, 0.0))
-        scaled = change.gain * table[:, 0] + change.offset
-        residual = each.displacement - scaled
-        nuisance = np.linalg.lstsq(table[:, 3:], residual, rcond=None)[0]
-        nuisance[1] = min(max(nuisance[1], -1.0), 1.0)
-        residuals.append(residual - table[:, 3:] @ nuisance)
-    return residuals
-
-
-def _check_shape(
-    prior: Cascade, change: Change, predictions: Sequence[Prediction], force: bool
-) -> list[str]:
-    """Refuse logs that the prior's shape does not follow, the sensor's noise aside; warn where forced."""
-    residuals = _residuals(prior, change, predictions)
-    stated_error = change.gain * _stated_of_logs(prior, predictions)
-    squares = float(np.mean(np.concatenate(residuals) ** 2))
-    shape = float(np.sqrt(max(squares - white_noise(residuals), 0.0)))
-    if shape <= BEYOND_STATED * stated_error:
-        return []
-    name, unit = predictions[0].log.name, prior.output.suffix
-    text = (
-        f"{name}: error {shape:.4g}{unit}, the prior states {stated_error:.4g}: its shape has changed; "
-        "identify again without it"
-    )
-    if not force:
-        raise FitError(f"{text} (`force` keeps the shape)")
-    return [text]
+def _residual(prior: Cascade, change: Change, prediction: Prediction) -> Floats:
+    """Return what a change leaves of a log, drift and past aside."""
+    table = prediction.columns(max(prior.delay_seconds + change.delay, 0.0))
+    scaled = change.gain * table[:, 0] + change.offset
+    residual = prediction.displacement - scaled
+    nuisance = np.linalg.lstsq(table[:, 3:], residual, rcond=None)[0]
+    nuisance[1] = min(max(nuisance[1], -1.0), 1.0)
+    return np.asarray(residual - table[:, 3:] @ nuisance)
 
 
 def _refreshed(
@@ -288,13 +263,10 @@ def _refreshed(
 
 def _changed(stages: Sequence[Any], change: Change) -> tuple[Any, ...]:
     """Return stages with another gain, offset and delay."""
+    seconds = sum((s.seconds for s in stages if isinstance(s, Delay)), change.delay)
     static = [stage for stage in stages if not isinstance(stage, Delay | Dynamics)]
     moving: list[Any] = [stage for stage in stages if isinstance(stage, Dynamics)]
-    delays = [stage.seconds for stage in stages if isinstance(stage, Delay)]
-    seconds = sum(delays, change.delay)
-    scale = Scale(1.0, 0.0)
-    if isinstance(static[-1], Scale):
-        scale = static.pop()
+    scale = static.pop() if isinstance(static[-1], Scale) else Scale(1.0, 0.0)
     gain, offset = change.gain * scale.gain, change.gain * scale.offset + change.offset
     if (gain, offset) != (1.0, 0.0):
         static.append(Scale(gain, offset))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.identification.basis import (
@@ -36,7 +37,6 @@ BLOCKS = 6  # of time, each left out in turn
 SMALL = 0.75  # of the largest swing: swings below are left out together
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 BOTH_WAYS = 2  # swings, up and down: less shows no loop
-ROUNDING = 1e-9  # of the range: smaller noise of a drive is that of numbers
 ROWS_WITH_NOISE = 20  # of a swing: with fewer, the drive's motion looks like noise
 MOST_DEVIATIONS = 4.0  # of the noise that a drive's range is drawn in by
 KNOWN = 0.005  # of the range: an unknown past that adds more lessens the row's weight
@@ -65,7 +65,7 @@ class Problem:
     taus: Floats
     clock: bool
     _columns: dict[object, Floats] = field(default_factory=dict, init=False)
-    _sums: dict[float, list[Floats]] = field(default_factory=dict, init=False)
+    _sums: tuple[float, list[Floats]] = field(default=(np.nan, []), init=False)
 
     @property
     def dt(self) -> float:
@@ -124,13 +124,8 @@ class Problem:
     @cached_property
     def past(self) -> Floats:
         """What an unknown past of each log may add to the fitted rows; (rows, k)."""
-        owner, columns = self.owner, []
-        for index, log in enumerate(self.logs):
-            table = past_columns(log, self.cells)
-            padded = np.zeros((len(owner), table.shape[1]))
-            padded[owner == index] = table
-            columns.append(padded)
-        return np.hstack(columns)
+        tables = [past_columns(log, self.cells) for log in self.logs]
+        return np.asarray(block_diag(*tables))
 
     @cached_property
     def known(self) -> Floats:
@@ -165,48 +160,40 @@ class Problem:
         return few and self.swing_count >= BOTH_WAYS
 
     def columns(self, structure: Structure) -> Floats:
-        """Return the columns of the fitted rows; stored for each delay, bend and level."""
+        """Return the columns of the fitted rows; stored for each delay, bend and level.
+
+        Lags begin with what they still hold of a level, the drive less its lags without.
+        """
         key = (*structure.frame, structure.level)
         if key not in self._columns:
             tables = []
             for log, sums in zip(self.logs, self._sums_of(structure.bend), strict=True):
                 table = columns_of(log, sums, self.cells, structure.delay)
                 if structure.level is not None:
-                    self._begin_memories(table, log, structure.level)
+                    time = log.time[log.rows] - log.time[0]
+                    held = np.exp(-time[:, None] / self.taus)
+                    held *= structure.level - log.drive[0]
+                    table[:, self.cells.count :] += np.hstack((held, -held))
                 tables.append(table)
             self._columns[key] = np.vstack(tables)
         return self._columns[key]
 
-    def _begin_memories(self, table: Floats, log: PreparedLog, level: float) -> None:
-        """Add to the lags of a log, and take off the drive less its lags, what they still hold of a level."""
-        time = log.time[log.rows] - log.time[0]
-        held = (level - log.drive[0]) * np.exp(-time[:, None] / self.taus)
-        lags = self.cells.count + len(self.taus)
-        table[:, self.cells.count : lags] += held
-        table[:, lags:] -= held
-
     def _sums_of(self, bend: float) -> list[Floats]:
         """Return the sums that columns of all delays are made of, the last bend's stored."""
-        if bend not in self._sums:
-            self._sums.clear()
+        if bend != self._sums[0]:
             sums = [sums_of(log, self.cells, self.taus, bend) for log in self.logs]
-            self._sums[bend] = sums
-        return self._sums[bend]
+            self._sums = bend, sums
+        return self._sums[1]
 
     def drift(self, straight: bool) -> Floats:
         """Return offsets of all logs but the first, and straight drifts where asked for; (rows, k)."""
-        owner = self.owner
-        columns = []
+        tables = []
         for index, log in enumerate(self.logs):
-            if index:
-                columns.append((owner == index).astype(float))
-            if straight:
-                clock = log.time[log.rows]
-                ramp = 2.0 * (clock - clock.mean()) / max(np.ptp(clock), 1e-300)
-                column = np.zeros(len(owner))
-                column[owner == index] = ramp
-                columns.append(column)
-        return np.array(columns).reshape(-1, len(owner)).T
+            clock = log.time[log.rows]
+            ramp = 2.0 * (clock - clock.mean()) / max(np.ptp(clock), 1e-300)
+            table = np.column_stack((np.ones(len(clock)), ramp))
+            tables.append(table[:, int(index == 0) : 1 + straight])
+        return np.asarray(block_diag(*tables))
 
     def rows(self, structure: Structure) -> Rows:
         """Return the rows that a structure is fitted to."""
@@ -269,8 +256,10 @@ def drive_range(voltage: Floats) -> tuple[float, float]:
     low, high = float(voltage.min()), float(voltage.max())
     deviation = noise(voltage)
     steps = np.diff(np.unique(voltage))
-    resolution = max(float(steps.min()), ROUNDING * (high - low))
-    if deviation <= resolution or Swings.of(voltage).usual_rows < ROWS_WITH_NOISE:
+    if (
+        deviation <= float(steps.min())
+        or Swings.of(voltage).usual_rows < ROWS_WITH_NOISE
+    ):
         return low, high
     ends = []
     for distance in (voltage - low, high - voltage):
@@ -291,16 +280,16 @@ def thinned(logs: Sequence[Recording]) -> list[Recording]:
         averages: Floats = values[:complete].reshape(-1, size).mean(axis=1)
         return averages
 
-    shorter = []
-    for log in logs:
-        means = {
-            "voltage": mean(log.voltage),
-            "displacement": mean(log.displacement),
-            "time": None if log.time is None else mean(log.time),
-            "good": mean(log.usable.astype(float)) == 1.0,
-        }
-        shorter.append(replace(log, **means))
-    return shorter
+    return [
+        replace(
+            log,
+            voltage=mean(log.voltage),
+            displacement=mean(log.displacement),
+            time=None if log.time is None else mean(log.time),
+            good=mean(log.usable.astype(float)) == 1.0,
+        )
+        for log in logs
+    ]
 
 
 def groups_of(rows: Booleans, stride: int, size: int) -> tuple[Integers, Integers]:

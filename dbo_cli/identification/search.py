@@ -13,7 +13,7 @@ from dbo_cli.identification.basis import SEGMENTS, Structure
 from dbo_cli.identification.cross_validation import cross_validate, least_score
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options
-from dbo_cli.identification.solve import Equations, Fit, solve
+from dbo_cli.identification.solve import Equations, Fit
 
 RULES = ("growing", "falling")  # for the slopes
 CURVES = (np.inf, 1e1, 1e-1, 1e-4)
@@ -38,7 +38,7 @@ OTHER_SMOOTHNESS = (0.01, 0.1, 10.0, 100.0)  # of candidates that logs cannot ju
 OTHER_BENDS = (-0.25, 0.25)  # the same
 
 
-@dataclass(frozen=True)
+@dataclass
 class Choices:
     """What is offered to the search."""
 
@@ -57,20 +57,23 @@ def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
     choices = Choices()
     if problem.clock:
         swings = min(len(log.swings.sizes) for log in problem.logs)
-        choices = replace(choices, drift=swings >= FEWEST_SWINGS)
+        choices.drift = swings >= FEWEST_SWINGS
     if problem.swing_count < FEWEST_SWINGS:
-        choices = replace(choices, bends=())
+        choices.bends = ()
     if problem.swing_count <= ONE_WAY:
-        choices = replace(choices, curves=CURVES[:1])
+        choices.curves = CURVES[:1]
     if problem.one_amplitude:
-        problem, choices = _for_one_amplitude(problem, choices)
+        _take_one_amplitude(problem, choices)
+        fast = problem.taus[problem.taus < SLOWEST * problem.swing]
+        problem = replace(problem, taus=fast)
     if not len(problem.taus):
-        choices = replace(choices, memories=("",))
-    return problem, _fixed(choices, options)
+        choices.memories = ("",)
+    _take_options(choices, options)
+    return problem, choices
 
 
-def _for_one_amplitude(problem: Problem, choices: Choices) -> tuple[Problem, Choices]:
-    """Return what logs of one amplitude can tell: what cannot be left out cannot be judged.
+def _take_one_amplitude(problem: Problem, choices: Choices) -> None:
+    """Leave what logs of one amplitude can tell: what cannot be left out cannot be judged.
 
     Slopes as smooth as can be, in the loop's sense, and beside them no curve, or one as
     rough as can be, since loop and curve are fitted by one another; and no memory slower
@@ -78,43 +81,40 @@ def _for_one_amplitude(problem: Problem, choices: Choices) -> tuple[Problem, Cho
     """
     errors = {rule: _error_of(problem, rule, SMOOTHER[0]) for rule in RULES}
     rule = min(errors, key=lambda rule: errors[rule])
-    smooth = SMOOTHER[0]
-    for smoother in SMOOTHER:
-        if _error_of(problem, rule, smoother) <= AS_GOOD * errors[rule]:
-            smooth = smoother
-    fast = problem.taus[problem.taus < SLOWEST * problem.swing]
-    choices = replace(
-        choices,
-        slopes=(rule,),
-        memories=("", "t"),
-        smoothness=(smooth,),
-        curves=choices.curves[:1] + choices.curves[1:][-1:],
-    )
-    return replace(problem, taus=fast), choices
+    for smooth in SMOOTHER:
+        if _error_of(problem, rule, smooth) <= AS_GOOD * errors[rule]:
+            choices.smoothness = (smooth,)
+    choices.slopes = (rule,)
+    choices.memories = ("", "t")
+    choices.curves = choices.curves[:1] + choices.curves[1:][-1:]
 
 
 def _error_of(problem: Problem, rule: str, smooth: float) -> float:
     """Return what slopes of a smoothness leave of the logs beside a smooth curve."""
     structure = Structure(rule, "", smooth, ONE_AMPLITUDE_CURVE)
-    return solve(problem.rows(structure), structure).rmse
+    return Equations(problem.rows(structure), structure).solve().rmse
 
 
-def _fixed(choices: Choices, options: Options) -> Choices:
-    """Return the choices that the user left."""
+def _take_options(choices: Choices, options: Options) -> None:
+    """Leave what the user left."""
     if options.slopes != "auto":
-        choices = replace(choices, slopes=(options.slopes,))
+        choices.slopes = (options.slopes,)
     if options.slopes == "free":
-        choices = replace(choices, smoothness=choices.smoothness[:2])
+        choices.smoothness = choices.smoothness[:2]
     if options.delay != "auto":
-        choices = replace(choices, delay=options.delay)
+        choices.delay = options.delay
     if options.taus:
-        choices = replace(choices, memories=("t", "tr"))
-    if options.points == "auto":
-        return choices
-    choices = replace(choices, bends=())
-    if options.points <= 1:
-        return replace(choices, curves=CURVES[:1])
-    return replace(choices, curves=CURVES[1:], segments=options.points)
+        choices.memories = ("t", "tr")
+    if options.points != "auto":
+        choices.bends = ()
+        choices.curves = CURVES[:1]
+        if options.points > 1:
+            choices.curves, choices.segments = CURVES[1:], options.points
+
+
+def likelihood(fit: Fit, least: float, swings: int) -> float:
+    """Return the likelihood of a Gaussian error of one size a swing, over that of the ``least`` RMS error."""
+    return float(min(least / max(fit.rmse, 1e-300), 1.0) ** swings)
 
 
 class Search:
@@ -178,7 +178,7 @@ class Search:
         """Return weight and fit of structures that the logs cannot tell from the best one.
 
         They explain the logs nearly alike, and differ where these show nothing: in smaller
-        loops, for one. The weight is the likelihood of a Gaussian error of one size a swing.
+        loops, for one. The weight is the likelihood.
         """
         structure, problem = best.structure, self.problem
         straight = np.isinf(structure.smooth_curve)
@@ -197,9 +197,9 @@ class Search:
             trials.append(replace(structure, past=not structure.past))
         weighted = []
         for trial in dict.fromkeys(trials):
-            fit = solve(problem.rows(trial), trial)
-            share = min(best.rmse / max(fit.rmse, 1e-300), 1.0)
-            weighted.append((share**problem.different_swings, fit))
+            fit = Equations(problem.rows(trial), trial).solve()
+            weight = likelihood(fit, best.rmse, problem.different_swings)
+            weighted.append((weight, fit))
         return weighted
 
     def _best_kinds(self) -> list[Fit]:

@@ -1,9 +1,15 @@
-"""Fits of given sections to fast rows: output error, its size on blocks left out, and spectra for starts."""
+"""Fast parts of logs, small sweeps, and fits of given sections to them.
+
+Gears, curve and creep are told from the slow rows; resonances from the fast ones, which
+a fit without resonances would take for hysteresis. Of a fit: output error, its size on
+blocks left out, and spectra for starts.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +17,7 @@ from scipy.optimize import least_squares
 from scipy.signal import csd, welch
 
 from dbo_cli.arrays import Floats
-from dbo_cli.identification.fast import Band, FastPart
-from dbo_cli.identification.recording import white_noise
+from dbo_cli.identification.recording import Recording, runs_of, white_noise
 from dbo_cli.model import (
     Amplifier,
     Cascade,
@@ -24,7 +29,16 @@ from dbo_cli.model import (
     Section,
     State,
 )
+from dbo_cli.signals import turns
 
+FEWEST_SLOW_ROWS = 40  # of a slow part
+NOTICEABLE = 3e-4  # of the range: a smaller reversal of the drive is no turn
+SMALL_SWING = 0.35  # of the range: a sweep's largest swing
+FEWEST_IN_SWEEP = 40  # in a sweep
+SWEPT = 5.0  # highest over lowest frequency of a sweep, at least
+SMOOTH = 0.7  # of the logarithms of neighbouring half periods: a sweep is gradual
+FEWEST_A_PERIOD = 6  # samples of the highest frequency
+WIDER = 2.0  # periods of the lowest frequency that belong to a sweep on either side
 FAST_BLOCKS, FOLDS = 40, 5  # blocks of the fast rows, dealt out to the folds in turn
 LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.98
 MOST_BESIDE = 0.1  # damping of resonances one of which has an antiresonance
@@ -35,6 +49,87 @@ DERIVATIVE_STEP = 1e-5  # of a parameter's logarithm, for derivatives
 APART = 0.3  # of the logarithms of two resonances
 SAME_GAIN = 0.3  # of the logarithm: up to here the phase tells a delay
 ENERGY = 0.003  # of the strongest amplitude of the drive: with less nothing is known
+
+
+Band = tuple[float, float]  # lowest and highest frequency of a drive, Hz
+
+
+@dataclass(frozen=True)
+class FastPart:
+    """Rows of a log in which the drive is fast; those before them tell the state of the gears.
+
+    Attributes
+    ----------
+    recording
+        The whole log.
+    rows
+        The fast rows.
+    dt
+        Time step (s).
+    band
+        Lowest and highest frequency of the drive there (Hz).
+    """
+
+    recording: Recording
+    rows: slice
+    dt: float
+    band: Band
+
+
+def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPart]]:
+    """Return the logs with only their slow rows usable, and their fast parts."""
+    span = max(float(np.ptp(log.voltage)) for log in recordings)
+    slow: list[Recording] = []
+    fast: list[FastPart] = []
+    for log in recordings:
+        sweep = _sweep(log, span)
+        if sweep is not None:
+            fast.append(sweep)
+            usable = log.usable.copy()
+            usable[sweep.rows] = False  # driven through, but they do not count
+            log = replace(log, good=usable)
+        slow.append(log)
+    return slow, fast
+
+
+def even_step(log: Recording) -> float | None:
+    """Return the step (s) of an even clock to whose grid each row is nearest, or None."""
+    if log.time is None:
+        return None
+    rows = np.arange(len(log.time))
+    step = float(log.time[-1] - log.time[0]) / float(rows[-1])
+    deviation = np.abs(log.time - (log.time[0] + step * rows))
+    return step if float(deviation.max()) <= 0.5 * step else None
+
+
+def _sweep(log: Recording, span: float) -> FastPart | None:
+    """Return the longest run of small swings whose frequency changes gradually over a wide band."""
+    step = even_step(log)
+    if step is None:
+        return None
+    rows = turns(log.voltage, NOTICEABLE * span)
+    halves = np.diff(rows).astype(np.float64)
+    small = np.abs(np.diff(log.voltage[rows])) <= SMALL_SWING * span
+    gradual = np.abs(np.diff(np.log(np.maximum(halves, 1.0)))) <= SMOOTH
+    quick = np.minimum(halves[1:], halves[:-1]) <= FEWEST_A_PERIOD
+    runs = runs_of(small[1:] & small[:-1] & (gradual | quick)).tolist()
+    first, last = max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
+    if last - first < FEWEST_IN_SWEEP:
+        return None
+    periods = 2.0 * step * halves[first : last + 1]
+    fastest, slowest = np.quantile(periods, (0.05, 0.98)).tolist()
+    if slowest < SWEPT * fastest or fastest < 0.5 * FEWEST_A_PERIOD * step:
+        return None
+    wider = round(WIDER * slowest / step)
+    begin = max(int(rows[first]) - wider, 0)
+    end = min(int(rows[last + 1]) + wider, len(log.voltage))
+    if begin + len(log.voltage) - end < FEWEST_SLOW_ROWS:
+        return None  # nothing else is left to tell the gears from
+    band = 1.0 / slowest, 1.0 / float(periods.min())
+    return FastPart(log, slice(begin, end), step, band)
+
+
+# --- dynamics of the fast parts ---
 
 
 @dataclass(frozen=True)
@@ -96,54 +191,42 @@ class Fitted:
         count = self.form.resonances
         pairs = np.exp(self.parameters[: 2 * count]).reshape(count, 2)
         pairs = pairs[np.argsort(pairs[:, 0])]
-        modes = []
-        for frequency, damping in pairs.tolist():
-            modes.append(Resonance(frequency, min(damping, MOST_DAMPING)))
+        modes = [Resonance(*pair) for pair in pairs.tolist()]
         if self.form.antiresonance:
             pair = np.exp(self.parameters[2 * count : 2 * count + 2])
-            frequency, damping = pair.tolist()
-            notch = Mode(frequency, min(damping, MOST_DAMPING))
-            modes[-1] = Resonance(modes[-1].frequency, modes[-1].damping, notch)
+            modes[-1] = replace(modes[-1], antiresonance=Mode(*pair.tolist()))
         return modes
 
 
 class Signals:
     """Of one fast part: what the static model predicts, and what was measured."""
 
-    def __init__(
-        self, static: Cascade, segment: FastPart, creep: Sequence[Lag] = ()
-    ) -> None:
-        log, rows = segment.recording, segment.rows
-        if creep:
-            static = static.with_stages((*static.stages, Dynamics(tuple(creep))))
-        self._static, self._drive, self.dt = static, log.voltage[rows], segment.dt
+    def __init__(self, static: Cascade, part: FastPart) -> None:
+        log, rows = part.recording, part.rows
+        self.static, self.drive, self.dt = static, log.voltage[rows], part.dt
         self._before: State | str = "auto"
         if rows.start:
             before = log.voltage[: rows.start]
             _, self._before = static.simulate(before, dt=self.dt)
-        self.predicted = self._static_output(static)
-        self._behind_amplifier = 0.0, self.predicted
-        self.part, self.measured = segment, log.displacement[rows]
+        self.predicted = self._simulated(static)
+        self.part, self.measured = part, log.displacement[rows]
         size = self.measured.size
         self.block = np.arange(size) * FAST_BLOCKS // size
         ramp = np.linspace(-1.0, 1.0, size)
         self._drift = np.column_stack([np.ones(size), ramp])
         self._drift /= np.sqrt(np.sum(self._drift**2, axis=0))
 
-    def _static_output(self, model: Cascade) -> Floats:
+    def _simulated(self, model: Cascade) -> Floats:
         """Return what a model without dynamics predicts; an amplifier rests at the first row."""
-        output, _ = model.simulate(self._drive, dt=self.dt, state=self._before)
+        output, _ = model.simulate(self.drive, dt=self.dt, state=self._before)
         return output
 
     def behind_amplifier(self, seconds: float) -> Floats:
-        """Return what the static model predicts for a drive that lags; the last is stored."""
+        """Return what the static model predicts for a drive that lags."""
         if not seconds:
             return self.predicted
-        if seconds != self._behind_amplifier[0]:
-            stages = (Amplifier(seconds), *self._static.stages)
-            output = self._static_output(self._static.with_stages(stages))
-            self._behind_amplifier = seconds, output
-        return self._behind_amplifier[1]
+        stages = (Amplifier(seconds), *self.static.stages)
+        return self._simulated(self.static.with_stages(stages))
 
     def free(self, signal: Floats) -> Floats:
         """Return what an offset and an even drift do not explain of a signal."""
@@ -168,7 +251,7 @@ class Signals:
 
 
 class FastRows:
-    """All fast parts beside one static model, with ``creep`` behind it.
+    """All fast parts beside one static model.
 
     Attributes
     ----------
@@ -178,10 +261,8 @@ class FastRows:
     count : how many rows there are
     """
 
-    def __init__(
-        self, static: Cascade, fast: Sequence[FastPart], creep: Sequence[Lag] = ()
-    ) -> None:
-        self.signals = [Signals(static, part, creep) for part in fast]
+    def __init__(self, static: Cascade, fast: Sequence[FastPart]) -> None:
+        self.signals = [Signals(static, part) for part in fast]
         self.band = swept(fast)
         self.step = min(part.dt for part in fast)
         self.count = sum(signals.measured.size for signals in self.signals)
@@ -210,27 +291,32 @@ def swept(fast: Sequence[FastPart]) -> Band:
 
 
 def fitted(rows: FastRows, starts: Sequence[Floats], form: Form) -> Fitted:
-    """Return the best of several refinements, judged (see ``_judged``)."""
+    """Return the best of several refinements, with its error on blocks left out."""
     low, high = _bounds(rows, form)
 
     def error(parameters: Floats) -> Floats:
         return np.concatenate(rows.residuals(form, parameters))
 
-    def refined(start: Floats, steps: int) -> tuple[float, Floats]:
+    def refined(start: Floats, steps: int) -> Any:
         # no bound on the gradient: it has the displacement's unit
-        found = least_squares(error, np.clip(start, low, high), bounds=(low, high),
-                              x_scale=0.1, diff_step=DERIVATIVE_STEP, gtol=None, max_nfev=steps)  # fmt: skip
-        return float(found.cost), np.asarray(found.x)
+        return least_squares(error, start, bounds=(low, high), x_scale=0.1,
+                             diff_step=DERIVATIVE_STEP, gtol=None, max_nfev=steps)  # fmt: skip
 
     different = {tuple(np.clip(start, low, high).tolist()) for start in starts}
     tried = [refined(np.array(start), FEW_STEPS) for start in sorted(different)]
-    tried.sort(key=lambda one: one[0])
-    finals = [refined(start, MOST_STEPS) for _, start in tried[:FINALISTS]]
-    best = min(finals, key=lambda one: one[0])[1]
-    count = 2 * form.resonances
-    pairs = best[:count].reshape(-1, 2)
-    best[:count] = pairs[np.argsort(pairs[:, 0])].ravel()
-    return _judged(rows, best, form)
+    tried.sort(key=lambda trial: trial.cost)
+    finals = [refined(trial.x, MOST_STEPS) for trial in tried[:FINALISTS]]
+    best = min(finals, key=lambda trial: trial.cost)
+    parameters, count = np.array(best.x), 2 * form.resonances
+    pairs = parameters[:count].reshape(-1, 2)
+    parameters[:count] = pairs[np.argsort(pairs[:, 0])].ravel()
+    return Fitted(
+        form,
+        parameters,
+        float(np.sqrt(np.mean(best.fun**2))),
+        _left_out(rows, best.fun, best.jac),
+        white_noise(rows.residuals(form, parameters)),
+    )
 
 
 def _bounds(rows: FastRows, form: Form) -> tuple[Floats, Floats]:
@@ -246,48 +332,16 @@ def _bounds(rows: FastRows, form: Form) -> tuple[Floats, Floats]:
     return low, high
 
 
-def _judged(rows: FastRows, parameters: Floats, form: Form) -> Fitted:
-    """Return a fit with its error on blocks left out, each one step from the whole fit."""
-    parts = rows.residuals(form, parameters)
-    residuals = np.concatenate(parts)
-    columns = []
-    for direction in np.eye(parameters.size):
-        stepped = rows.residuals(form, parameters + DERIVATIVE_STEP * direction)
-        columns.append((np.concatenate(stepped) - residuals) / DERIVATIVE_STEP)
-    along = np.column_stack(columns)
+def _left_out(rows: FastRows, residuals: Floats, derivatives: Floats) -> float:
+    """Return the error (RMS) on blocks left out, each one step from the whole fit."""
     block = np.concatenate([signals.block for signals in rows.signals])
     squares = 0.0
     for fold in range(FOLDS):
         out = block % FOLDS == fold
-        kept = along[~out]
+        kept = derivatives[~out]
         step = -np.linalg.lstsq(kept, residuals[~out], rcond=1e-9)[0]
-        squares += float(np.sum((residuals[out] + along[out] @ step) ** 2))
-    return Fitted(
-        form,
-        parameters,
-        float(np.sqrt(np.mean(residuals**2))),
-        float(np.sqrt(squares / residuals.size)),
-        white_noise(parts),
-    )
-
-
-def parameters_of(
-    sections: Sequence[Section], delay: float, shortest: float
-) -> tuple[Form, Floats]:
-    """Return form and parameters of sections; where there is no lag, the ``shortest`` (s)."""
-    values: list[float] = []
-    notch: list[float] = []
-    lag = shortest
-    for section in sections:
-        if isinstance(section, Lag):
-            lag = section.seconds
-            continue
-        values += [section.frequency, section.damping]
-        if section.antiresonance is not None:
-            notch = [section.antiresonance.frequency, section.antiresonance.damping]
-    form = Form(len(values) // 2, bool(notch), delay > 0.0)
-    pure_delay = [delay] if delay > 0.0 else []
-    return form, np.log([*values, *notch, *pure_delay, lag])
+        squares += float(np.sum((residuals[out] + derivatives[out] @ step) ** 2))
+    return float(np.sqrt(squares / residuals.size))
 
 
 # --- spectra: where a resonance is to be looked for, and how late all is ---

@@ -122,7 +122,9 @@ def travelled(u: Floats, segments: int) -> Floats:
 
 def bending(columns: Floats) -> Floats:
     """Return the products of all pairs of columns' second differences."""
-    return products(np.diff(columns, 2, axis=0))
+    bends = np.diff(columns, 2, axis=0)
+    matrix: Floats = bends.T @ bends
+    return matrix
 
 
 def minimum(
@@ -195,12 +197,6 @@ def factor_of(matrix: Floats) -> Floats:
     raise FitError(NOT_SOLVED)
 
 
-def products(table: Floats) -> Floats:
-    """Return the products of all pairs of columns, summed over rows."""
-    gram: Floats = table.T @ table
-    return gram
-
-
 class Equations:
     """The least-squares problem of one structure: tables, penalties and bounds.
 
@@ -218,52 +214,31 @@ class Equations:
         self.roots = np.sqrt(rows.weights)
         centre = float(rows.weights @ rows.output)
         self.variance = max(float(rows.weights @ (rows.output - centre) ** 2), 1e-24)
-        self._stepped = self._unknown_columns()
+        self.slope_map = self._slope_map()
+        self._stepped = self.columns @ self.slope_map
         self.unseen = self._unseen()
         self.gain_costs = np.zeros(self.inner - rows.cells)
         self.penalty = self._penalty()
         self.bounded = np.arange(self.size) < self.free
         self.positive = np.ones(self.size, bool)
 
-    # --- unknowns ---
+    def _slope_map(self) -> Floats:
+        """Return the matrix that makes slopes and gains of their unknowns.
 
-    def _in_steps(self, table: Floats) -> Floats:
-        """Return the columns of the steps of slopes for those of the slopes."""
-        cells, stepped = self.rows.cells, table.copy()
-        if self.structure.slopes == "growing":
-            stepped[:, :cells] = np.cumsum(table[:, cells - 1 :: -1], axis=1)[:, ::-1]
-        elif self.structure.slopes == "falling":
-            stepped[:, :cells] = np.cumsum(table[:, :cells], axis=1)
-        return stepped
-
-    def _unknown_columns(self) -> Floats:
-        """Return the columns of the unknowns; each raises all slopes by its share of their floor."""
+        Unknown are steps where slopes grow or fall. A mean slope of 1, gains included,
+        raises all slopes by a floor.
+        """
         cells = self.rows.cells
-        columns = self._in_steps(self.columns)
-        everywhere = self.columns[:, :cells].sum(axis=1)
-        shares = np.zeros(self.inner)
-        shares[:cells] = self._in_steps(self.rows.widths[None, :])[0]
-        shares[cells:] = 1.0
-        columns += self.floor * everywhere[:, None] * shares
-        return columns
-
-    @property
-    def floor(self) -> float:
-        """What a mean slope of 1 above the floor raises all slopes by."""
-        lowest = LEAST_SLOPE
-        if "r" in self.structure.memories:
-            lowest = LEAST_WITH_NEGATIVE
-        return lowest / (1.0 - lowest)
-
-    def _slopes(self, steps: Floats, gains: Floats) -> Floats:
-        """Return slopes for their steps above the floor, and the gains beside them."""
-        slopes = steps
+        matrix = np.eye(self.inner)
         if self.structure.slopes == "growing":
-            slopes = np.cumsum(steps)
+            matrix[:cells, :cells] = np.tril(np.ones((cells, cells)))
         elif self.structure.slopes == "falling":
-            slopes = np.cumsum(steps[::-1])[::-1]
-        mean = float(slopes @ self.rows.widths) + float(gains.sum())
-        return slopes + self.floor * mean
+            matrix[:cells, :cells] = np.triu(np.ones((cells, cells)))
+        mean = np.ones(self.inner)
+        mean[:cells] = self.rows.widths @ matrix[:cells, :cells]
+        lowest = LEAST_WITH_NEGATIVE if "r" in self.structure.memories else LEAST_SLOPE
+        matrix[:cells] += lowest / (1.0 - lowest) * mean
+        return matrix
 
     def _unseen(self) -> Floats:
         """Return var(x)/var(L) of the drive x and each memory L, beside offsets, drift and past."""
@@ -294,8 +269,8 @@ class Equations:
         """Return the matrix of what smoothness costs, in units of the output's variance."""
         cells = self.rows.cells
         matrix = np.zeros((self.size, self.size))
-        steps = self._in_steps(np.eye(self.inner))[:cells, :cells]
-        matrix[:cells, :cells] = self.structure.smooth_slopes * bending(steps)
+        slopes = self.slope_map[:cells, :cells]
+        matrix[:cells, :cells] = self.structure.smooth_slopes * bending(slopes)
         if self.curved:
             index = slice(self.inner, self.free)
             bent = bending(np.eye(self.segments))
@@ -310,12 +285,12 @@ class Equations:
 
     def fit_of(self, x: Floats) -> Fit:
         """Return the unknowns with their names, and what they leave."""
-        cells = self.rows.cells
         curve = x[self.inner : self.free] if self.curved else np.ones(1)
+        mapped = times(self.slope_map, x[: self.inner])
         fit = Fit(
             self.structure,
-            self._slopes(x[:cells], x[cells : self.inner]),
-            x[cells : self.inner],
+            mapped[: self.rows.cells],
+            mapped[self.rows.cells :],
             curve,
             float(x[self.free]),
             x[self.free + 1 :],
@@ -346,21 +321,21 @@ class Equations:
 
     def start(self, first: Fit | None) -> Fit:
         """Return where Gauss-Newton begins: at a straight line, or at another fit's unknowns."""
-        drift = np.zeros(self.rows.drift.shape[1])
-        if first is None:
-            slopes = np.ones(self.rows.cells)
-            gains = np.zeros(self.inner - self.rows.cells)
-            curve = np.ones(self.segments)
-            level = self.columns[:, : self.rows.cells].sum(axis=1)
-            offset = float(self.rows.weights @ (self.rows.output - level))
-        else:
-            slopes, gains, offset = first.slopes, first.gains, first.offset
-            curve = np.ones(self.segments)
+        curve = np.ones(self.segments)
+        if first is not None:
             if len(first.curve) == self.segments:
                 curve = first.curve
-            if len(first.drift) == len(drift):
-                drift = first.drift
-        fit = Fit(self.structure, slopes, gains, curve, offset, drift, np.zeros(0))
+            return self._measured(replace(first, structure=self.structure, curve=curve))
+        level = self.columns[:, : self.rows.cells].sum(axis=1)
+        fit = Fit(
+            self.structure,
+            np.ones(self.rows.cells),
+            np.zeros(self.inner - self.rows.cells),
+            curve,
+            float(self.rows.weights @ (self.rows.output - level)),
+            np.zeros(self.rows.drift.shape[1]),
+            np.zeros(0),
+        )
         return self._measured(fit)
 
     def table(self, fit: Fit) -> Floats:
@@ -397,7 +372,8 @@ class Equations:
         fit = self.start(first)
         for number in range(STEPS):
             fit = self.believe(fit)
-            full_step = self.fit_of(self.step(products(self.table(fit))))
+            table = self.table(fit)
+            full_step = self.fit_of(self.step(table.T @ table))
             before = fit.penalised
             fit = self._shortened(fit, full_step, forced=number == 0 and first is None)
             if number and not fit.penalised < before * (1.0 - ENOUGH):
@@ -420,8 +396,3 @@ class Equations:
 def _bent(values: Floats) -> float:
     """Return the sum of squared second differences."""
     return float(np.sum(np.diff(values, 2) ** 2))
-
-
-def solve(rows: Rows, structure: Structure, first: Fit | None = None) -> Fit:
-    """Fit one structure; ``first`` is a fit of the same slopes and memories to begin at."""
-    return Equations(rows, structure).solve(first)

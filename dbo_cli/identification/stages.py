@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.identification.basis import BEND_SEGMENTS, bent
+from dbo_cli.identification.basis import points_of
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.solve import LEAST_WITH_NEGATIVE, Fit
@@ -39,7 +39,8 @@ def stages_of(problem: Problem, fit: Fit, zero: float = 0.0) -> tuple[Stage, ...
     straight = len(fit.curve) == 1
     base = offset if rising else 0.0
     if structure.bend:
-        stages.append(_bend_of(problem, structure.bend))
+        span = problem.high - problem.low
+        stages.append(points_of(structure.bend, problem.low, span))
     stages.append(_gears_of(problem, fit, height, base if straight else 0.0))
     if not straight:
         width = height / len(fit.curve)
@@ -50,14 +51,6 @@ def stages_of(problem: Problem, fit: Fit, zero: float = 0.0) -> tuple[Stage, ...
     if structure.delay > 0.0:
         stages.append(Delay(structure.delay))
     return tuple(stages)
-
-
-def _bend_of(problem: Problem, bend: float) -> Points:
-    """Return the points before the gears that bend the drive."""
-    grid = np.linspace(0.0, 1.0, BEND_SEGMENTS + 1)
-    span = problem.high - problem.low
-    widths = np.full(BEND_SEGMENTS, span / BEND_SEGMENTS)
-    return Points(widths, span * np.diff(bent(grid, bend)), problem.low, problem.low)
 
 
 def _gears_of(problem: Problem, fit: Fit, height: float, base: float) -> Gears:
@@ -108,11 +101,16 @@ def model_of(
         stages_of(problem, fit, zero),
         candidates=tuple(candidates),
     )
-    ends: list[float] = []
-    for voltage, state in ((problem.low, "empty"), (problem.high, "full")):
+    return with_reach(model)
+
+
+def with_reach(model: Cascade) -> Cascade:
+    """Return a model with its output's range: empty at the least voltage, full at the greatest."""
+    ends = []
+    for voltage, state in ((model.input.min, "empty"), (model.input.max, "full")):
         reached, _ = model.static.simulate(np.asarray([voltage]), dt=1.0, state=state)
         ends.append(float(reached[0]))
-    return replace(model, output=Quantity(*log.output, min(ends), max(ends)))
+    return replace(model, output=replace(model.output, min=min(ends), max=max(ends)))
 
 
 def with_changed_stages(

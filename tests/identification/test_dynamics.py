@@ -1,12 +1,19 @@
 """Resonances and lags: found where a sweep shows them, and not elsewhere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dbo_cli.errors import FitError
-from dbo_cli.identification import dynamics
-from dbo_cli.identification.fast import FastPart, split
+from dbo_cli.identification import Options, dynamics, identify
+from dbo_cli.identification.basis import Structure
+from dbo_cli.identification.moving import without_fast_memories
+from dbo_cli.identification.problem import prepare
 from dbo_cli.identification.recording import Recording
+from dbo_cli.identification.sections import FastPart, FastRows, Fitted, Form, split
+from dbo_cli.identification.solve import Equations
+from dbo_cli.identification.stages import model_of
 from dbo_cli.model import (
     Amplifier,
     Cascade,
@@ -16,7 +23,6 @@ from dbo_cli.model import (
     Lag,
     Mode,
     Quantity,
-    Relaxation,
     Resonance,
     Scale,
 )
@@ -56,9 +62,18 @@ def recorded(model: Cascade, drive: np.ndarray, noise: float = 0.002) -> Recordi
     return Recording("log.csv", drive, moved, np.arange(moved.size) / RATE)
 
 
+def rows_of(model: Cascade, crest: float = 1.0) -> FastRows:
+    _, fast = split([recorded(model, swept(crest=crest))])
+    return FastRows(plant(), fast)
+
+
 def found(model: Cascade, wanted: str | int = "auto") -> tuple:
-    _, fast = split([recorded(model, swept())])
-    return dynamics.find(plant(), fast, wanted)
+    """Sections, delay, and what is left of blocks left out; no sections without a resonance."""
+    rows = rows_of(model)
+    best = dynamics.find(rows, wanted)
+    if not best.form.resonances:
+        return (), 0.0, best.left_out
+    return rows.sections(best), best.delay, best.left_out
 
 
 def test_the_sweep_is_told_from_the_loops() -> None:
@@ -76,15 +91,6 @@ def test_the_sweep_is_told_from_the_loops() -> None:
     assert split([Recording("log.csv", log.voltage, log.displacement)])[1] == []
 
 
-def test_a_log_ten_times_as_fast_is_a_fast_one() -> None:
-    phase = 2.0 * np.pi * np.arange(8000) / RATE
-    slow = recorded(plant(), 50.0 - 50.0 * np.cos(phase))
-    fast = recorded(plant(), 50.0 - 20.0 * np.cos(30.0 * phase))
-    rest, (part,) = split([slow, fast])
-    assert rest[0] is slow and len(rest) == 1 and part.recording is fast
-    assert part.band == pytest.approx((30.0, 30.0), rel=0.1)
-
-
 @pytest.mark.parametrize(
     ("frequency", "damping", "lag"),
     [(60.0, 0.02, 5e-4), (110.0, 0.005, 2e-3), (35.0, 0.3, 1e-3)],
@@ -92,14 +98,14 @@ def test_a_log_ten_times_as_fast_is_a_fast_one() -> None:
 def test_a_resonance_and_a_lag_come_back(
     frequency: float, damping: float, lag: float
 ) -> None:
-    sections, delay, figures = found(plant(Lag(lag), Resonance(frequency, damping)))
+    sections, delay, left_out = found(plant(Lag(lag), Resonance(frequency, damping)))
     *lags, resonance = sections
     assert isinstance(resonance, Resonance)
     assert resonance.frequency == pytest.approx(frequency, rel=0.005)
     assert resonance.damping == pytest.approx(damping, rel=0.1)
     assert sum(one.seconds for one in lags) == pytest.approx(lag, abs=2e-4)
     assert delay == 0.0
-    assert figures["left_out_rmse"] < 0.003
+    assert left_out < 0.003
 
 
 def test_two_modes_that_add_up_have_an_antiresonance() -> None:
@@ -129,10 +135,9 @@ def test_a_late_sensor_hides_no_resonance() -> None:
 
 def test_refining_keeps_what_fits_and_offers_one_more() -> None:
     model = plant(Resonance(60.0, 0.02), Resonance(150.0, 0.02))
-    _, fast = split([recorded(model, swept())])
-    begun = (Resonance(61.0, 0.03),)
-    _, sections, _, _ = dynamics.refine(plant(), fast, begun, 0.0)
-    frequencies = [one.frequency for one in sections if isinstance(one, Resonance)]
+    begun = Fitted(Form(1), np.log([61.0, 0.03, 1e-6]))
+    refined = dynamics.refine(rows_of(model), begun)
+    frequencies = [one.frequency for one in refined.resonances]
     assert frequencies == pytest.approx([60.0, 150.0], rel=0.01)
 
 
@@ -147,28 +152,31 @@ def test_a_lag_stands_before_the_gears_unless_a_large_sweep_shows_it_behind(
     model = plant(*((Lag(2e-3), resonance) if is_behind else (resonance,)))
     if not is_behind:
         model = model.with_stages((Amplifier(2e-3), *model.stages))
-    _, fast = split([recorded(model, swept(crest=crest))])
-    begun = (Lag(2e-3), Resonance(61.0, 0.05))
-    amplifier, sections, _, _ = dynamics.refine(plant(), fast, begun, 0.0)
-    behind = sum(one.seconds for one in sections if isinstance(one, Lag))
-    assert (amplifier > 0.0) == is_found_before
-    assert amplifier + behind == pytest.approx(2e-3, rel=0.1)
+    begun = Fitted(Form(1), np.log([61.0, 0.05, 2e-3]))
+    refined = dynamics.refine(rows_of(model, crest), begun)
+    assert (refined.amplifier > 0.0) == is_found_before
+    assert refined.amplifier + refined.lag == pytest.approx(2e-3, rel=0.1)
 
 
 def test_resonances_without_a_sweep_are_refused() -> None:
+    log = recorded(plant(), swept()[:4000])
     with pytest.raises(FitError, match="`dynamics` 1"):
-        dynamics.find(plant(), [], 1)
-    assert dynamics.find(plant(), [], "auto") == ((), 0.0, {})
+        identify([log], Options(dynamics=1))
 
 
 def test_fast_memories_act_at_once_and_slow_ones_stay() -> None:
-    widths = np.full(40, 2.5)
-    terms = Relaxation(0.0, (1e-3, 5.0), (0.01, 0.02))
-    gears = Gears(widths, 0.1 * widths, 0.0, 0.0, terms)
-    model = plant().with_stages((gears,))
-    fixed = dynamics.without_fast_lags(model, 0.1)
-    assert fixed.gears.relaxation == Relaxation(0.0, (5.0,), (0.02,))
-    slow = np.linspace(0.0, 100.0, 500)
-    with_memory, _ = model.simulate(slow, dt=0.1)
-    without, _ = fixed.simulate(slow, dt=0.1)
-    assert np.abs(with_memory - without).max() < 1e-9
+    time = np.arange(2000) / 100.0
+    drive = 50.0 - 50.0 * np.cos(2.0 * np.pi * 0.1 * time)
+    log = Recording("log.csv", drive, 0.1 * drive, time)
+    problem = prepare([log], Options(relaxation=(1e-4, 5.0)))
+    structure = Structure(memories="tr")
+    fit = Equations(problem.rows(structure), structure).solve()
+    fit = replace(fit, gains=np.array([0.1, 0.2, 0.3, 0.05]))
+    slower, steeper = without_fast_memories(problem, fit, 0.1)
+    assert slower.taus.tolist() == [5.0]
+    assert steeper.gains.tolist() == [0.2, 0.05]
+    first = model_of(problem, fit, log, Options())
+    second = model_of(slower, steeper, log, Options())
+    with_memory, _ = first.simulate(drive, time=time)
+    without, _ = second.simulate(drive, time=time)
+    assert np.abs(with_memory - without).max() < 1e-3

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dbo_cli.errors import FitError, InputError
+from dbo_cli.errors import FitError, InputError, UsageError
 from dbo_cli.identification import search
 from dbo_cli.identification.averaging import Average
 from dbo_cli.identification.basis import (
@@ -18,7 +18,7 @@ from dbo_cli.identification.basis import (
 from dbo_cli.identification.clean import clean
 from dbo_cli.identification.problem import Problem, prepare
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.identification.solve import Equations, Fit, Rows, minimum, solve
+from dbo_cli.identification.solve import Equations, Fit, Rows, minimum
 from dbo_cli.identification.stages import model_of
 
 TIME = np.arange(4000) / 200.0
@@ -72,7 +72,7 @@ def test_a_gain_is_believed_as_far_as_the_log_shows_it() -> None:
     for size in (1e-4, 1e-2, 1e-1):
         output = drive + 0.5 * slow + size * noise
         rows = Rows(table, output, weights, np.zeros((len(drive), 0)), shares, 2)
-        gains.append(float(solve(rows, Structure(memories="t")).gains[1]))
+        gains.append(float(Equations(rows, Structure(memories="t")).solve().gains[1]))
     assert gains[0] == pytest.approx(0.5, rel=0.05)
     assert gains[0] > gains[1] > gains[2]
     assert gains[2] < 0.1
@@ -116,7 +116,7 @@ def test_model_is_what_was_fitted(slopes: str, memories: str) -> None:
     problem = prepare([log], Options())
     for curve in (np.inf, 1e-3):
         structure = Structure(slopes, memories, 2e-3, curve, delay=0.01, bend=0.1)
-        fit = solve(problem.rows(structure), structure)
+        fit = Equations(problem.rows(structure), structure).solve()
         model = model_of(problem, fit, log, Options())
         every = np.arange(len(TIME))
         whole = replace(problem.logs[0], rows=every, ends=every + 1)
@@ -155,7 +155,7 @@ def test_stuck_and_clipped_sensors_are_left_out() -> None:
 
 
 def test_skip_needs_a_clock() -> None:
-    with pytest.raises(FitError, match="skip"):
+    with pytest.raises(UsageError, match="skip"):
         clean([Recording("log", DRIVE, hysteresis(DRIVE))], Options(skip=1.0))
 
 
