@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import UsageError
@@ -17,8 +16,7 @@ NUMBER_TYPES = {"double": "double", "q31": "int32_t"}
 """The arithmetics, and the type of what goes in and comes out."""
 
 
-@dataclass(frozen=True)
-class Export:
+class Export(NamedTuple):
     """A model as C.
 
     Attributes
@@ -97,8 +95,8 @@ def export_model(
     if arithmetic == "double":
         sources = double_sources(plan, lookup)
     else:
-        sources, bounds = q31_sources(plan)
-        figures["bounds"] = bounds._asdict()
+        sources = q31_sources(plan)
+        figures["bounds"] = sources.bounds
     values = {
         "NAME": name,
         "GUARD": name.upper(),
@@ -106,7 +104,7 @@ def export_model(
         "ARITHMETIC": arithmetic,
         "ORIGIN": f"Written by dbo export from the model {model.digest[:16]}.",
         **_about_model(plan),
-        **_duties(plan, name.upper(), sample_rate, loss),
+        **_duties(plan, sample_rate, loss),
         **_self_test(name, NUMBER_TYPES[arithmetic], sources),
         **sources.values,
     }
@@ -120,12 +118,14 @@ def _files(values: dict[str, str], sources: c.Sources) -> dict[str, str]:
     compiled = [file for file in sources.kernel if file.endswith(".c")]
     values["SOURCES"] = " ".join([f"{name}.c", *compiled])
     values["INCLUDES"] = "".join(f'#include "{header}"\n' for header in headers)
-    values["MEMBERS"] = "\n".join(f"    {member}" for member in sources.members)
+    values["TABLES"] = sources.tables
+    for section in ("members", "init", "reset", "step"):
+        values[section.upper()] = "\n".join(getattr(sources, section))
     values["ABOUT"] = c.fill(f"readme_{arithmetic}.md", values)
     values["DIFFERENCE"] = c.fill(f"same_{arithmetic}.c", values)
-    if arithmetic == "q31":
-        values["CONSTANTS"] += c.fill("counts_q31.h", values)
-    files = {file: c.kernel_file(file) for file in sources.kernel}
+    if sources.bounds:
+        values["COUNTS"] = c.fill("counts_q31.h", values)
+    files = {file: c.template_text(file) for file in sources.kernel}
     files[f"{name}.h"] = c.fill("model.h", values)
     files[f"{name}.c"] = c.fill(f"{arithmetic}.c", values)
     files[f"{name}_test.c"] = c.fill("test.c", values)
@@ -159,50 +159,38 @@ def _range(quantity: Quantity) -> str:
     return f"{quantity.min:.9g} to {quantity.max:.9g}{c.plain(quantity.suffix)}"
 
 
-def _duties(
-    plan: Plan, guard: str, sample_rate: float | None, loss: Loss | None
-) -> dict[str, str]:
-    """Return what a caller must do at a fixed rate and ahead, and what fewer gears lose."""
-    constants = rate = ahead = lost = ""
-    if sample_rate is not None:
-        constants = f"#define {guard}_SAMPLE_RATE_HZ {sample_rate!r} /* call the step so often */\n"
-        rate = (
-            f"Call the step at a fixed {sample_rate:.12g} Hz: what depends on time is in the tables for that"
-            " step; another rate is another export."
-        )
-    if plan.ahead:
-        assert plan.dt is not None
-        constants += f"#define {guard}_AHEAD {plan.ahead} /* samples: give the input so much earlier */\n"
-        ahead = (
-            f"Give the displacement that is wanted {plan.ahead} samples later ({plan.ahead * plan.dt:.9g} s):"
-            " the drive is ahead of the actuator. Before a move, hold its first sample until what moves"
-            " behind the gears has rung out."
-        )
+def _duties(plan: Plan, rate: float | None, loss: Loss | None) -> dict[str, str]:
+    """Return at what rate and how far ahead a caller must call, and what fewer gears lose."""
+    values: dict[str, str] = {}
+    if rate is not None:
+        values |= {"RATE": repr(rate), "RATE_TEXT": f"{rate:.12g}"}
+    if plan.ahead and plan.dt is not None:
+        seconds = f"{plan.ahead * plan.dt:.9g}"
+        values |= {"AHEAD": str(plan.ahead), "AHEAD_SECONDS": seconds}
     if loss is not None:
         span, suffix = plan.forward.output.span, c.plain(plan.forward.output.suffix)
-        lost = (
-            f"{plan.gears.n} gears instead of the model's: {loss['max']:.3g}{suffix}"
-            f" ({100.0 * loss['max'] / span:.2g} % of the range) at most, {loss['rms']:.3g}{suffix} RMS on"
-            " test moves."
-        )
-    return {
-        "CONSTANTS": constants,
-        "RATE_DUTY": rate,
-        "AHEAD_DUTY": ahead,
-        "LOSS": lost,
-    }
+        values |= {
+            "LARGEST_LOSS": f"{loss['max']:.3g}{suffix}",
+            "LOSS_PERCENT": f"{100.0 * loss['max'] / span:.2g}",
+            "RMS_LOSS": f"{loss['rms']:.3g}{suffix}",
+        }
+    return values
 
 
 def _self_test(name: str, number: str, sources: c.Sources) -> dict[str, str]:
     """Return the vectors of NAME_test.c, and the calls that play them."""
-    vectors, runs, count = "", "", 0
-    for index, run in enumerate(sources.runs):
-        vectors += c.array(number, f"inputs_{index}", run.inputs)
-        vectors += c.array(number, f"expected_{index}", run.outputs)
+    vectors, calls, count = "", [], 0
+    for index, (reset, inputs, outputs) in enumerate(sources.runs):
+        vectors += c.array(number, f"inputs_{index}", inputs, sources.input)
+        vectors += c.array(number, f"expected_{index}", outputs, sources.drive)
         label, call = "after init", f"{name}_init(&state);"
-        if run.reset is not None:
-            label, call = "after reset", f"{name}_reset(&state, {run.reset});"
-        arguments = f"inputs_{index}, expected_{index}, {len(run.inputs)}U"
-        runs += f'    {call}\n    wrong += play("{label}", &state, {arguments});\n'
-        count += len(run.inputs)
-    return {"VECTORS": vectors, "RUNS": runs.rstrip("\n"), "COUNT": str(count)}
+        if reset is not None:
+            label = "after reset"
+            call = f"{name}_reset(&state, {sources.drive(reset)});"
+        arguments = f"inputs_{index}, expected_{index}, {len(inputs)}U"
+        calls += [
+            f"    {call}",
+            f'    wrong += play("{label}", &state, {arguments});',
+        ]
+        count += len(inputs)
+    return {"VECTORS": vectors, "RUNS": "\n".join(calls), "COUNT": str(count)}

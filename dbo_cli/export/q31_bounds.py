@@ -17,7 +17,6 @@ and sum c_j a_j e_j <= r A by Cauchy-Schwarz. That takes c_j >= 0.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,8 +26,8 @@ from dbo_cli.export.q31_tables import (
     Axis,
     Folded,
     Memory,
+    Whole,
     beyond_q31,
-    counts_of_range,
     shift_for,
 )
 
@@ -40,58 +39,35 @@ COARSEST_TOLERANCE = 4
 """Where even 2^-4 of a gear drowns in rounding, whole numbers cannot hold the gears."""
 
 
-class Bounds(NamedTuple):
-    """Bounds on the error inside the model's range, in the drive's unit and in percent of its range.
+def bounds_of(whole: Whole) -> dict[str, float]:
+    """Return bounds on the error inside the model's range.
 
-    ``same`` holds while both runs have crossed the same gears; ``close`` always, also
-    after turns within ``fraction`` of a gear's width from its end.
-    """
-
-    same: float
-    same_percent: float
-    close: float
-    close_percent: float
-    fraction: float
-
-
-def bounds_of(
-    plan: Plan,
-    x_axis: Axis,
-    y_axis: Axis,
-    memory: Memory | None,
-    before: Folded,
-    after: Folded,
-) -> Bounds:
-    """Return the bounds.
-
-    Parameters
-    ----------
-    plan
-        What is exported.
-    x_axis, y_axis
-        The gears along the input and the output.
-    memory
-        The relaxation terms.
-    before, after
-        Points and scales, from the input to the gears, and from them to the drive.
+    Returns
+    -------
+    dict
+        ``same`` holds while both runs have crossed the same gears; ``close`` always, also
+        after turns within ``fraction`` of a gear's width from its end. In the drive's
+        unit, and in percent of its range (``same_percent``, ``close_percent``).
 
     Raises
     ------
     ModelError
         The gears are too narrow: rounding is beyond 1/16 of one.
     """
+    plan, x_axis, y_axis, after = whole.plan, whole.x_axis, whole.y_axis, whole.after
     slopes = y_axis.exact / x_axis.exact
     steepest = float(slopes.max())
     run = plan.gears.equal_run
     # what each part rounds: the input, the gears' widths, the memory, and their heights
-    unit = counts_of_range(plan.forward.output)[1]
-    input_error = _function_error(before, plan.forward.output.max, unit, x_axis.unit)
-    if plan.delay_samples[1]:
-        input_error += INTERPOLATED * unit * float(np.abs(before.slope).max())
+    unit, reach = whole.source.unit, plan.forward.output.max
+    input_error = _function_error(whole.before, reach, unit, x_axis.unit)
+    if plan.delay_part:
+        bend = float(np.abs(whole.before.slope).max())
+        input_error += INTERPOLATED * unit * bend
     input_error += _subset_error(x_axis, run)
     gain, growth = 0.0, 1.0
-    if memory is not None:
-        input_error += _memory_error(plan, memory, x_axis, y_axis)
+    if whole.memory is not None:
+        input_error += _memory_error(plan, whole.memory, x_axis, y_axis)
         gain, growth = _loop(plan, steepest)
     height = _height_error(x_axis, y_axis, run)
     inner = (steepest * input_error + height) * growth
@@ -101,14 +77,20 @@ def bounds_of(
     variation = float(np.sum(np.abs(np.diff(slopes))))
     hop = float(x_axis.exact.max()) * variation * growth
     # and from the gears to the drive
-    output_unit = counts_of_range(plan.forward.input)[1]
+    output_unit = whole.drive.unit
     bend = float(np.abs(after.slope).max())
     end = plan.gears.x0 + float(y_axis.exact.sum())
     leaving = _function_error(after, end, y_axis.count, output_unit)
     same = bend * (inner + 0.5 * y_axis.count) + leaving + output_unit
     close = same + bend * hop
     percent = 100.0 / plan.forward.input.span
-    return Bounds(same, percent * same, close, percent * close, fraction)
+    return {
+        "same": same,
+        "same_percent": percent * same,
+        "close": close,
+        "close_percent": percent * close,
+        "fraction": fraction,
+    }
 
 
 def _function_error(folded: Folded, end: float, x_unit: float, y_unit: float) -> float:
