@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import dbo_cli
 
 from .program import (
-    DRIVE, MOVE, compensated, dbo, done, model, refused, rms, simulated, store, table,
+    DRIVE, MOVE, compensated, dbo, done, model, refused, simulated, store, table,
     values_of, write,
 )  # fmt: skip
 
@@ -166,15 +166,6 @@ def test_no_row_leaves_the_limits(case):
         assert np.abs(np.diff(played)).max() <= case["slew"] / 1000.0 * (1.0 + 1e-9)
 
 
-def test_the_state_follows_what_was_really_driven():
-    """A clipped move: what comes behind it is driven from where the actuator is."""
-    wanted = np.concatenate([np.linspace(2.0, 14.0, 50), np.linspace(14.0, 3.0, 50)])
-    write("wish.csv", "displacement_um", wanted)
-    compensated("small", "--on-limit", "clip", "--state", "empty")
-    came = simulated("small", "drive.csv", "--state", "empty")
-    assert rms(came - np.minimum(wanted, 9.0)) < 1e-12
-
-
 def test_the_line_says_which_limits_were_kept_and_where_a_drive_starts():
     words = ("compensate", model("creep"), "wish.csv", "-o", "out.csv")
     line = done(*words).said[1]
@@ -251,19 +242,6 @@ def test_the_drive_of_an_inverse_model_is_said_held_or_refused():
     for outside in ("hold", "error"):
         words = ("simulate", "inverse.json", step(9.0), "--outside", outside)
         assert not done(*words).warnings
-
-
-def test_the_library_judges_an_inverse_model_alike():
-    wanted = np.where(TIME < 0.05, 1.0, 12.0)
-    inverse = dbo_cli.read_model(inverse_of(50, 0.03, 13.0))
-    for actuator in (inverse, dbo_cli.read_model("forward.json").inverse()):
-        with pytest.warns(dbo_cli.DboWarning, match="350 of 400"):
-            actuator.simulate(wanted, time=TIME)
-        with pytest.raises(dbo_cli.LimitError, match="row 51"):
-            actuator.simulate(wanted, time=TIME, outside="error")
-        with pytest.warns(dbo_cli.DboWarning):
-            held = actuator.simulate(wanted, time=TIME, outside="hold")
-        assert held.max() == 100.0
 
 
 def test_a_displacement_that_the_model_does_not_reach_is_refused():

@@ -172,19 +172,6 @@ def test_rows_of_the_way_back_are_none_of_the_move_or_it_is_told():
     assert not any("way back" in note for note in plain["notes"])
 
 
-@pytest.mark.parametrize("early", [0.0, 0.3, 1.0])
-def test_a_recorder_that_began_early_is_aligned(early):
-    error, before = noise(0.001), round(early * 500)
-    moved = np.concatenate([np.full(before, WANTED[0]), WANTED + error])
-    write("measured.csv", MOVE, np.arange(len(moved)) / 500.0, moved)
-    found = merits("measured.csv", "--trajectory", "wish.csv")
-    assert found["rmse"] < 0.02
-    if early:
-        assert abs(found["clock_offset_s"]) == pytest.approx(early, abs=0.002)
-    else:
-        assert found["rmse"] == pytest.approx(rms(error), rel=1e-9)
-
-
 def test_rows_of_two_rates_are_not_matched():
     half = np.arange(300) / 250.0
     write("measured.csv", MOVE, half, np.interp(half, TIME, WANTED))
