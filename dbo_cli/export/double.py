@@ -99,8 +99,11 @@ def _add_operator(plan: Plan, sources: c.Sources, run: int) -> None:
     )
 
 
-def _add_fixed_step(plan: Plan, sources: c.Sources, run: int) -> None:
-    """Add what the time step makes constant, as dbo_prepare_fixed_step computes it."""
+def _drive_gears(plan: Plan, sources: c.Sources) -> None:
+    """Add the gears, run by the package's kernel, and what a time step makes constant."""
+    n, run, terms = plan.gears.n, plan.gears.equal_run, plan.gears.gain.size
+    _add_operator(plan, sources, run)
+    # as dbo_prepare_fixed_step computes it
     rows = kernel_table(plan.gears.exchanged, run)[0][:-1]
     wide = rows[:, 0] + plan.kappa * rows[:, 1]
     begins = rows[:, 4] + plan.kappa * rows[:, 5]
@@ -109,7 +112,7 @@ def _add_fixed_step(plan: Plan, sources: c.Sources, run: int) -> None:
     )
     sources.tables += c.array("dbo_fixed_gear", "fixed_gears", steps, c.real)
     memory = "0, 0"
-    if plan.decay.size:
+    if terms:
         memory = "decay, rest"
         sources.tables += c.array("double", "decay", plan.decay, c.real)
         sources.tables += c.array("double", "rest", 1.0 - plan.decay, c.real)
@@ -117,13 +120,6 @@ def _add_fixed_step(plan: Plan, sources: c.Sources, run: int) -> None:
         f"static const dbo_fixed_step fixed = {{{c.real(plan.kappa)}, {memory},"
         " fixed_gears, 0, 0.0};\n"
     )
-
-
-def _drive_gears(plan: Plan, sources: c.Sources) -> None:
-    """Add the gears, run by the package's kernel."""
-    n, run, terms = plan.gears.n, plan.gears.equal_run, plan.gears.gain.size
-    _add_operator(plan, sources, run)
-    _add_fixed_step(plan, sources, run)
     spare = c.words_of(plan.forward.starts.empty, n, 64)
     if spare:
         sources.tables += c.array("uint64_t", "spare", spare)
@@ -208,16 +204,14 @@ def _limit_amplifier(plan: Plan, sources: c.Sources) -> None:
     amplifier, (low, high) = plan.forward.amplifier, plan.limits.move
     assert amplifier is not None and plan.dt is not None
     largest = plan.limits.largest_step(plan.dt)
-    low_end = _curves(plan.forward.head, "low", sources)
-    high_end = _curves(plan.forward.head, "high", sources)
     sources.add(
         "amplifier_limits.c",
         LEAST=c.real(low),
         MOST=c.real(high),
         SHARE=c.real(float(amplifier.share(plan.dt)[0])),
         STEP="" if largest is None else c.real(float(largest)),
-        LOW_END="\n".join(low_end),
-        HIGH_END="\n".join(high_end),
+        LOW_END="\n".join(_curves(plan.forward.head, "low", sources)),
+        HIGH_END="\n".join(_curves(plan.forward.head, "high", sources)),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, NamedTuple
 
 from dbo_cli.drive.limits import Limits
@@ -10,8 +11,9 @@ from dbo_cli.export import text as c
 from dbo_cli.export.double import double_sources
 from dbo_cli.export.plan import Loss, Plan, plan_of, with_fewer_gears
 from dbo_cli.export.q31 import q31_sources
-from dbo_cli.model import Cascade, Quantity
+from dbo_cli.model import Cascade
 
+IDENTIFIER = re.compile(r"(?!dboq?_)[A-Za-z][A-Za-z0-9_]{0,39}")  # dbo_: the kernel's
 NUMBER_TYPES = {"double": "double", "q31": "int32_t"}
 """The arithmetics, and the type of what goes in and comes out."""
 
@@ -71,10 +73,9 @@ def export_model(
     InputError
         The rate does not resolve the dynamics.
     """
-    c.check_name(name)
-    if arithmetic not in NUMBER_TYPES:
+    if not IDENTIFIER.fullmatch(name):
         raise UsageError(
-            f"`arithmetic` {arithmetic}: give one of {', '.join(NUMBER_TYPES)}"
+            f"`name` {name}: give a C identifier of at most 40 letters, digits and underscores"
         )
     if lookup and arithmetic != "double":
         raise UsageError("`lookup` needs `arithmetic` double")
@@ -103,8 +104,7 @@ def export_model(
         "NUMBER": NUMBER_TYPES[arithmetic],
         "ARITHMETIC": arithmetic,
         "ORIGIN": f"Written by dbo export from the model {model.digest[:16]}.",
-        **_about_model(plan),
-        **_duties(plan, sample_rate, loss),
+        **_about(plan, sample_rate, loss),
         **_self_test(name, NUMBER_TYPES[arithmetic], sources),
         **sources.values,
     }
@@ -133,47 +133,33 @@ def _files(values: dict[str, str], sources: c.Sources) -> dict[str, str]:
     return files
 
 
-def _about_model(plan: Plan) -> dict[str, str]:
-    """Return what goes in and comes out, in words."""
-    displacement, drive = plan.forward.output, plan.forward.input
+def _about(plan: Plan, rate: float | None, loss: Loss | None) -> dict[str, str]:
+    """Return what goes in and comes out, how a caller must call, and what fewer gears lose, in words."""
+    displacement, drive, limits = plan.forward.output, plan.forward.input, plan.limits
     into, out = c.plain(displacement.quantity), c.plain(drive.quantity)
-    low, high = plan.limits.move
-    unit = c.plain(plan.limits.suffix)
-    drive_range = f"{low!r} to {high!r}{unit}"
-    if plan.limits.slew is not None:
-        drive_range += f", changing by at most {plan.limits.slew!r}{unit} a second"
-    return {
+    unit, suffix = c.plain(limits.suffix), c.plain(displacement.suffix)
+    low, high = limits.move
+    values = {
         "TITLE": f"The drive of an actuator, {into} to {out}",
         "INPUT_NAME": into,
-        "INPUT_RANGE": _range(displacement),
+        "INPUT_RANGE": f"{displacement.min:.9g} to {displacement.max:.9g}{suffix}",
         "OUTPUT_NAME": out,
-        "OUTPUT_RANGE": _range(drive),
-        "LOWEST": f"{drive.min!r}{c.plain(drive.suffix)}",
-        "KEPT": drive_range,
+        "OUTPUT_RANGE": f"{drive.min:.9g} to {drive.max:.9g}{unit}",
+        "LOWEST": f"{drive.min!r}{unit}",
+        "KEPT": f"{low!r} to {high!r}{unit}",
         "GEARS": str(plan.gears.n),
     }
-
-
-def _range(quantity: Quantity) -> str:
-    """Return a range with its unit, which ends no comment that it stands in."""
-    return f"{quantity.min:.9g} to {quantity.max:.9g}{c.plain(quantity.suffix)}"
-
-
-def _duties(plan: Plan, rate: float | None, loss: Loss | None) -> dict[str, str]:
-    """Return at what rate and how far ahead a caller must call, and what fewer gears lose."""
-    values: dict[str, str] = {}
+    if limits.slew is not None:
+        values["KEPT"] += f", changing by at most {limits.slew!r}{unit} a second"
     if rate is not None:
         values |= {"RATE": repr(rate), "RATE_TEXT": f"{rate:.12g}"}
     if plan.ahead and plan.dt is not None:
         seconds = f"{plan.ahead * plan.dt:.9g}"
         values |= {"AHEAD": str(plan.ahead), "AHEAD_SECONDS": seconds}
     if loss is not None:
-        span, suffix = plan.forward.output.span, c.plain(plan.forward.output.suffix)
-        values |= {
-            "LARGEST_LOSS": f"{loss['max']:.3g}{suffix}",
-            "LOSS_PERCENT": f"{100.0 * loss['max'] / span:.2g}",
-            "RMS_LOSS": f"{loss['rms']:.3g}{suffix}",
-        }
+        values["LARGEST_LOSS"] = f"{loss['max']:.3g}{suffix}"
+        values["LOSS_PERCENT"] = f"{100.0 * loss['max'] / displacement.span:.2g}"
+        values["RMS_LOSS"] = f"{loss['rms']:.3g}{suffix}"
     return values
 
 
@@ -188,9 +174,7 @@ def _self_test(name: str, number: str, sources: c.Sources) -> dict[str, str]:
             label = "after reset"
             call = f"{name}_reset(&state, {sources.drive(reset)});"
         arguments = f"inputs_{index}, expected_{index}, {len(inputs)}U"
-        calls += [
-            f"    {call}",
-            f'    wrong += play("{label}", &state, {arguments});',
-        ]
+        calls.append(f"    {call}")
+        calls.append(f'    wrong += play("{label}", &state, {arguments});')
         count += len(inputs)
     return {"VECTORS": vectors, "RUNS": "\n".join(calls), "COUNT": str(count)}

@@ -6,17 +6,10 @@ import math
 
 import numpy as np
 
+from dbo_cli.export import q31_tables as tables
 from dbo_cli.export import text as c
 from dbo_cli.export.plan import Plan
 from dbo_cli.export.q31_bounds import bounds_of
-from dbo_cli.export.q31_tables import (
-    Whole,
-    beyond_q31,
-    limits_of,
-    segments_of,
-    shift_for,
-    whole_of,
-)
 
 STEP_PARTS = 2**26  # of a step, as dbo_q31_interpolation.h counts them
 MOST_GEARS = 46_340
@@ -36,7 +29,7 @@ def q31_sources(plan: Plan) -> c.Sources:
     """
     _check(plan)
     gears, terms, starts = plan.gears, plan.gears.gain.size, plan.forward.starts
-    whole = whole_of(plan)
+    whole = tables.whole_of(plan)
     source, drive = whole.source, whole.drive
     bounds = bounds_of(whole)
     kernel = ["dbo_q31.h", "dbo_q31.c"]
@@ -57,7 +50,7 @@ def q31_sources(plan: Plan) -> c.Sources:
         kernel.append("dbo_q31_interpolation.h")
         part = round(plan.delay_part * STEP_PARTS)
         sources.add("delay_q31.c", PART=str(part))
-    low, high, change, positions = limits_of(whole)
+    low, high, change, positions = tables.limits_of(whole)
     tolerance = round(-math.log2(bounds["fraction"]))
     sources.tables = _gear_tables(whole, tolerance)
     sources.values = _functions(whole, sources)
@@ -100,19 +93,20 @@ def q31_sources(plan: Plan) -> c.Sources:
 
 def _check(plan: Plan) -> None:
     """Refuse what q31 has no arithmetic or no bound for."""
-    if plan.forward.amplifier is not None:
-        raise beyond_q31("amplifier")
-    if plan.forward.dynamics is not None:
-        raise beyond_q31("dynamics")
+    for stage in ("amplifier", "dynamics"):
+        if getattr(plan.forward, stage) is not None:
+            raise tables.beyond_q31(stage)
     if np.any(plan.gears.gain < 0.0):  # no bound is proven for them
-        raise beyond_q31(f"{plan.key}.relaxation.gain")
+        raise tables.beyond_q31(f"{plan.key}.relaxation.gain")
     if np.any(1.0 - plan.decay < SLOWEST_REST):
-        raise beyond_q31(f"{plan.key}.relaxation.tau", "lower `sample_rate`, or ")
+        raise tables.beyond_q31(
+            f"{plan.key}.relaxation.tau", "lower `sample_rate`, or "
+        )
     if plan.gears.n > MOST_GEARS:
-        raise beyond_q31(f"{plan.key}.dx", "lower `gears`, or ")
+        raise tables.beyond_q31(f"{plan.key}.dx", "lower `gears`, or ")
 
 
-def _functions(whole: Whole, sources: c.Sources) -> dict[str, str]:
+def _functions(whole: tables.Whole, sources: c.Sources) -> dict[str, str]:
     """Add the curves around the gears as segments; return how many there are, and their shifts."""
     gears, at_drive = whole.plan.gears, whole.y_axis
     # where the gears begin on the input, which the memory widens
@@ -120,24 +114,24 @@ def _functions(whole: Whole, sources: c.Sources) -> dict[str, str]:
     values = {}
     for name, curve, x, y in (
         ("before", whole.before, whole.source, (begin, whole.x_axis.unit)),
-        ("behind", whole.after, (gears.x0, at_drive.count), whole.drive),
+        ("behind", whole.after, (gears.x0, at_drive.count_unit), whole.drive),
         ("drive", whole.start, whole.drive, (gears.x0, at_drive.unit)),
     ):
-        rows, shift = segments_of(curve, x, y)
+        rows, shift = tables.segments_of(curve, x, y)
         sources.tables += c.array("dboq_segment", f"{name}_segments", rows, c.whole)
         values[f"{name.upper()}_ROWS"] = str(len(rows))
         values[f"{name.upper()}_SHIFT"] = str(shift)
     return values
 
 
-def _gear_tables(whole: Whole, tolerance: int) -> str:
+def _gear_tables(whole: tables.Whole, tolerance: int) -> str:
     """Return the tables of the gears and of the memory, and the operator, whose tolerance is 2^-tolerance."""
     plan, memory, x_axis, y_axis = whole.plan, whole.memory, whole.x_axis, whole.y_axis
     n, run = plan.gears.n, plan.gears.equal_run
     slopes = y_axis.widths / x_axis.widths * (x_axis.unit / y_axis.unit)
-    slope_shift = shift_for(float(slopes.max()))
+    slope_shift = tables.shift_for(float(slopes.max()))
     if slope_shift < 16:
-        raise beyond_q31(f"{plan.key}.dy")
+        raise tables.beyond_q31(f"{plan.key}.dy")
     numbers = [x_axis.widths / x_axis.unit, y_axis.widths / y_axis.unit]
     numbers.append(slopes * 2.0**slope_shift)
     rows = np.rint(np.column_stack(numbers)).astype(np.int64)
@@ -146,21 +140,21 @@ def _gear_tables(whole: Whole, tolerance: int) -> str:
     ends = np.cumsum(rows[:, :2] * counts[:, None], axis=0)
     begins = np.vstack([[0, 0], ends])
     part_shift, guide = _guide(begins[:, 0])
-    tables = c.array("dboq_gear", "gears", rows, c.whole)
-    tables += c.array("dboq_begin", "begins", begins, c.whole)
-    tables += c.array("dboq_place", "guide", guide)
+    text = c.array("dboq_gear", "gears", rows, c.whole)
+    text += c.array("dboq_begin", "begins", begins, c.whole)
+    text += c.array("dboq_place", "guide", guide)
     terms, memory_numbers = "0, 0", "0, 0, 0"
     if memory is not None:
         terms = f"terms, {len(memory.terms)}"
         offset = c.whole(round(memory.offset / memory.unit))
         memory_numbers = f"{memory.carried_shift}, {offset}, {memory.shift}"
-        tables += c.array("dboq_term", "terms", memory.terms, c.whole)
+        text += c.array("dboq_term", "terms", memory.terms, c.whole)
     # i * factor >> shift is i // run for all i <= n, in 32 bits
     shift = 0 if run == 1 else (n * run - 1).bit_length()
     factor = (2**shift + run - 1) // run
     half_run = 2 ** (run.bit_length() - 1)
     span = int(begins[-1, 0])
-    return tables + (
+    return text + (
         f"static const dboq_backlash op = {{gears, begins, guide, {part_shift}, {n}, {run}, {half_run},"
         f" {factor}U, {shift}, {tolerance}, {terms},\n    {memory_numbers}, {slope_shift},"
         f" {c.whole(-span)}, {c.whole(2 * span)}}};\n"

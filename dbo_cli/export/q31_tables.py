@@ -6,7 +6,6 @@ Positions along the axes of the gears are finer than counts.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -35,8 +34,7 @@ class Folded(NamedTuple):
     slope: Floats
 
 
-@dataclass(frozen=True)
-class Axis:
+class Axis(NamedTuple):
     """The gears along the input or the output, and how counts hold them.
 
     Attributes
@@ -45,6 +43,8 @@ class Axis:
         The width of each gear; on the input kappa times its height is part of it.
     widths : array of shape (rows,)
         Those of the tables, one a run, in the same unit.
+    errors : array of shape (n,)
+        By how much the tables round each gear.
     unit : float
         Positions are multiples of it.
     fine : int
@@ -53,26 +53,26 @@ class Axis:
 
     exact: Floats
     widths: Floats
+    errors: Floats
     unit: float
     fine: int
 
-    @classmethod
-    def of(cls, exact: Floats, run: int) -> Axis:
-        """Return the axis of widths, ``run`` equal ones side by side."""
-        total, widest = float(exact.sum()), float(exact.max())
-        counts = widest / total * COUNTS
-        fine = min(math.floor(math.log2((2.0**31 - 1024.0) / counts)), MOST_FINE_BITS)
-        unit = total / COUNTS / 2.0**fine
-        return cls(exact, _quantised(exact, run, unit), unit, fine)
-
     @property
-    def count(self) -> float:
+    def count_unit(self) -> float:
         """One count."""
         return self.unit * 2.0**self.fine
 
 
-def _quantised(exact: Floats, run: int, unit: float) -> Floats:
-    """Return one width a run, whole multiples of ``unit``, whose running sums follow the exact ones."""
+def axis_of(exact: Floats, run: int) -> Axis:
+    """Return the axis of widths, ``run`` equal ones side by side.
+
+    Those of the tables are whole multiples of ``unit``, and their running sums follow
+    the exact ones.
+    """
+    sum_of_all, widest = float(exact.sum()), float(exact.max())
+    counts = widest / sum_of_all * COUNTS
+    fine = min(math.floor(math.log2((2.0**31 - 1024.0) / counts)), MOST_FINE_BITS)
+    unit = sum_of_all / COUNTS / 2.0**fine
     widths, total, reached = [], 0.0, 0.0
     for begin in range(0, len(exact), run):
         count = min(run, len(exact) - begin)
@@ -80,7 +80,8 @@ def _quantised(exact: Floats, run: int, unit: float) -> Floats:
         width = max(round((total - reached) / count / unit), 1) * unit
         widths.append(width)
         reached += width * count
-    return np.array(widths)
+    errors = np.repeat(widths, run)[: len(exact)] - exact
+    return Axis(exact, np.array(widths), errors, unit, fine)
 
 
 def fold(curves: Curves, low: float, high: float) -> Folded:
@@ -160,16 +161,14 @@ def memory_of(plan: Plan, x_axis: Axis, y_axis: Axis) -> Memory | None:
     if not plan.gears.gain.size:
         return None
     offset = plan.gears.x0 - plan.gears.reference
-    coarse = max(math.frexp(abs(offset) / y_axis.count / COUNTS)[1], 0)
-    unit = y_axis.count * 2.0**coarse
+    coarse = max(math.frexp(abs(offset) / y_axis.count_unit / COUNTS)[1], 0)
+    unit = y_axis.count_unit * 2.0**coarse
     carried = plan.gears.gain * plan.decay * (unit / x_axis.unit)
     shift = shift_for(float(carried.sum()))
     if shift < 0:
         raise beyond_q31(f"{plan.key}.relaxation.gain")
-    terms = []
-    for factor, follow in zip(
-        carried.tolist(), (1.0 - plan.decay).tolist(), strict=True
-    ):
+    terms, rest = [], 1.0 - plan.decay
+    for factor, follow in zip(carried.tolist(), rest.tolist(), strict=True):
         down = math.floor(math.log2(COUNTS / follow))
         terms.append((round(factor * 2.0**shift), round(follow * 2.0**down), down))
     return Memory(terms, shift, offset, unit, y_axis.fine + coarse)
@@ -208,8 +207,8 @@ def whole_of(plan: Plan) -> Whole:
     """Return a plan in whole numbers."""
     gears, source, drive = plan.gears, plan.forward.output, plan.forward.input
     wide = gears.exchanged[:, 0] + plan.kappa * gears.exchanged[:, 1]
-    x_axis = Axis.of(wide, gears.equal_run)
-    y_axis = Axis.of(gears.exchanged[:, 1].copy(), gears.equal_run)
+    x_axis = axis_of(wide, gears.equal_run)
+    y_axis = axis_of(gears.exchanged[:, 1].copy(), gears.equal_run)
     before = fold(plan.forward.tail.inverse(), source.min, source.max)
     end = gears.x0 + float(y_axis.exact.sum())
     after = fold(plan.forward.head.inverse(), gears.x0, end)

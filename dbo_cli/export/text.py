@@ -10,20 +10,13 @@ from importlib import resources
 from string import Template
 from typing import Any
 
-from dbo_cli.errors import UsageError
 from dbo_cli.export.plan import SelfTestRun
 
-_IDENTIFIER = re.compile(r"(?!dboq?_)[A-Za-z][A-Za-z0-9_]{0,39}")  # dbo_: the kernel's
-_KEYWORDS = frozenset(
-    """
-    auto break case char const continue default do double else enum extern float for goto if inline
-    int long register restrict return short signed sizeof static struct switch typedef union unsigned
-    void volatile while
-    """.split()
-)  # of C99
 Constant = Callable[[Any], str]
 """Writes a number as C."""
-_LINE = 108  # characters of a line of numbers
+_LINES = textwrap.TextWrapper(
+    112, "    ", "    ", break_long_words=False, break_on_hyphens=False
+)  # of numbers
 _VALUE = re.compile(r"\$\{?([A-Z0-9_]+)")  # in a template
 
 
@@ -95,21 +88,6 @@ def plain(text: str) -> str:
     return line.replace("*/", "* /").replace("/*", "/ *").replace("$", " ")
 
 
-def check_name(name: str) -> None:
-    """Refuse a name that cannot begin the names of files, types and functions.
-
-    Raises
-    ------
-    UsageError
-        It is no identifier of C, or begins as the kernel's names do.
-    """
-    if not _IDENTIFIER.fullmatch(name) or name in _KEYWORDS:
-        raise UsageError(
-            f"`name` {name}: give a C identifier of at most 40 letters, digits and underscores, no "
-            "keyword"
-        )
-
-
 def real(value: float) -> str:
     """Return a C99 constant that is this float64 to the bit."""
     return float(value).hex()
@@ -131,14 +109,7 @@ def array(kind: str, name: str, rows: Iterable[Any], constant: Constant = str) -
             items.append("{" + ", ".join(map(constant, row)) + "}")
         else:
             items.append(constant(row))
-    body = textwrap.fill(
-        ", ".join(items),
-        _LINE + 4,
-        initial_indent="    ",
-        subsequent_indent="    ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
+    body = _LINES.fill(", ".join(items))
     return f"static const {kind} {name}[{len(items)}] = {{\n{body}}};\n"
 
 
@@ -148,5 +119,4 @@ def words_of(bits: int, gears: int, width: int) -> list[str]:
         return []
     mask = (1 << width) - 1
     form = "UINT64_C(0x{:x})" if width == 64 else "0x{:x}U"
-    count = -(-gears // width)
-    return [form.format(bits >> width * k & mask) for k in range(count)]
+    return [form.format(bits >> k & mask) for k in range(0, gears, width)]

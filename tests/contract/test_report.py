@@ -134,15 +134,6 @@ def test_a_row_without_a_number_is_refused():
 # --- the wish in a file of its own ---
 
 
-def test_a_drive_serves_as_trajectory_and_rows_before_the_move_do_not_count():
-    words = ("--condition", "-o", "drive.csv", "-q")
-    done("compensate", model("small"), "wish.csv", *words)
-    done("simulate", model("small"), "drive.csv", "-o", "measured.csv", "-q")
-    found = merits("measured.csv", "--trajectory", "drive.csv")
-    assert found["samples"] <= 601
-    assert found["rmse"] < 0.05
-
-
 def test_rows_of_the_way_back_are_none_of_the_move_or_it_is_told():
     words = ("--from", 0, "--approach", "auto", "--return", 0)
     write("wish.csv", MOVE, TIME, 0.5 * WANTED)
