@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from contract.program import dbo, done, table, write
+from contract.program import LOG, MOVE, dbo, done, table, write
 
 from dbo_cli.cli.app import COMMANDS, program
 
@@ -216,8 +216,8 @@ def logs(tmp_path, monkeypatch):
     log = table(SAMPLES / "identification.csv")
     time, volts, moved = (column[:1000] for column in log.values())
     for name in ("recorded.csv", "other.csv"):
-        write(name, "time_s,voltage_V,displacement_um", time, volts, moved)
-    write("sensor.csv", "time_s,displacement_um", time, moved)
+        write(name, LOG, time, volts, moved)
+    write("sensor.csv", MOVE, time, moved)
     write("drive.csv", "time_s,CH1_V", time, volts)
     columns = (time, volts, moved, volts, 0.8 * moved)
     write("axes.csv", "time_s,Vx_V,Dx_um,Vy_V,Dy_um", *columns)

@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parent.parent / "dbo_cli"
@@ -31,47 +32,42 @@ ARRAYS_ONLY = "model identification drive reports export compare moves".split()
 HEAVY = {"numpy", "polars", "pandas", "scipy", "h5py", "matplotlib"}
 
 
-def imported_rooms(path):
-    """Return the rooms that a module imports, at its top or in a function."""
-    names = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            names += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module == "dbo_cli":
-            names += [f"dbo_cli.{alias.name}" for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names.append(node.module)
-    return {name.split(".")[1] for name in names if name.startswith("dbo_cli.")}
+@cache
+def imports():
+    """Return what each module imports, at its top or in a function: modules, and names of them."""
+    found = {}
+    for path in PACKAGE.rglob("*.py"):
+        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+        names = []
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                names += [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                names += [f"{node.module}.{alias.name}" for alias in node.names]
+        found[".".join(parts).removesuffix(".__init__")] = names
+    return found
 
 
 def test_imports_point_downwards():
-    for path in PACKAGE.rglob("*.py"):
-        room = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+    for module, names in imports().items():
+        room = module.split(".")[1] if "." in module else "__init__"
         if room in ("__init__", "__main__"):
             continue
-        rooms = imported_rooms(path)
+        rooms = {name.split(".")[1] for name in names if name.startswith("dbo_cli.")}
         for below in rooms - {room}:
-            assert LEVELS[below] < LEVELS[room], f"{path} imports {below}"
-        assert room not in ARRAYS_ONLY or "logs" not in rooms, path
+            assert LEVELS[below] < LEVELS[room], f"{module} imports {below}"
+        assert room not in ARRAYS_ONLY or "logs" not in rooms, module
 
 
 def test_no_two_files_import_each_other():
     """Types that are imported for a checker alone count, too."""
-    root, modules = PACKAGE.parent, {}
-    for path in PACKAGE.rglob("*.py"):
-        parts = path.relative_to(root).with_suffix("").parts
-        modules[".".join(parts).removesuffix(".__init__")] = path
-    imported = {}
-    for name, path in modules.items():
-        found = set()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                names = [f"{node.module}.{alias.name}" for alias in node.names]
-                found |= {file if file in modules else node.module for file in names}
-        imported[name] = found & set(modules) - {name}
+    modules, imported = imports(), {}
+    for module, names in modules.items():
+        files = {name if name in modules else name.rpartition(".")[0] for name in names}
+        imported[module] = files & set(modules) - {module}
     pairs = set()
-    for name, others in imported.items():
-        pairs |= {f"{name} {other}" for other in others if name in imported[other]}
+    for module, files in imported.items():
+        pairs |= {f"{module} {file}" for file in files if module in imported[file]}
     assert pairs == set()
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from contract.program import LOG, MOVE, write
 
 import dbo_cli as dbo
 
@@ -17,11 +18,6 @@ WORKFLOW = ROOT / "workflow"
 MODEL = ROOT / "tests" / "contract" / "models" / "small.json"
 MANY = int(os.environ.get("DBO_LOGS", "3"))  # make labs: 40
 IDENTIFY = "--gears 32 --points 0 --relaxation 0 --delay 0 --dynamics 0"
-
-
-def write(path, header, *columns):
-    table = np.column_stack(columns)
-    np.savetxt(path, table, "%.9g", ",", header=header, comments="")
 
 
 @pytest.fixture
@@ -39,7 +35,7 @@ def batch(tmp_path):
         if number == 0:
             moved = model.output.min + model.output.max - moved
         path = tmp_path / "logs" / f"a{number:02}.csv"
-        write(path, "time_s,voltage_V,displacement_um", clock, voltage, moved)
+        write(path, LOG, clock, voltage, moved)
     lines = (tmp_path / "logs" / "a01.csv").read_text().splitlines()
     lines[101] = "0.2,OVLD,1"
     (tmp_path / "logs" / "cell.csv").write_text("\n".join(lines))
@@ -48,7 +44,7 @@ def batch(tmp_path):
     part = 0.3 - 0.2 * np.cos(2.0 * np.pi * clock[:200])
     low, high = model.output.min, model.output.max
     wanted = low + part * (high - low)
-    write(tmp_path / "trajectory.csv", "time_s,displacement_um", clock[:200], wanted)
+    write(tmp_path / "trajectory.csv", MOVE, clock[:200], wanted)
     return tmp_path
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+import re
+from typing import Any, NamedTuple
 
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import UsageError
@@ -11,14 +11,14 @@ from dbo_cli.export import text as c
 from dbo_cli.export.double import double_sources
 from dbo_cli.export.plan import Loss, Plan, plan_of, with_fewer_gears
 from dbo_cli.export.q31 import q31_sources
-from dbo_cli.model import Cascade, Quantity
+from dbo_cli.model import Cascade
 
+IDENTIFIER = re.compile(r"(?!dboq?_)[A-Za-z][A-Za-z0-9_]{0,39}")  # dbo_: the kernel's
 NUMBER_TYPES = {"double": "double", "q31": "int32_t"}
 """The arithmetics, and the type of what goes in and comes out."""
 
 
-@dataclass(frozen=True)
-class Export:
+class Export(NamedTuple):
     """A model as C.
 
     Attributes
@@ -73,10 +73,9 @@ def export_model(
     InputError
         The rate does not resolve the dynamics.
     """
-    c.check_name(name)
-    if arithmetic not in NUMBER_TYPES:
+    if not IDENTIFIER.fullmatch(name):
         raise UsageError(
-            f"`arithmetic` {arithmetic}: give one of {', '.join(NUMBER_TYPES)}"
+            f"`name` {name}: give a C identifier of at most 40 letters, digits and underscores"
         )
     if lookup and arithmetic != "double":
         raise UsageError("`lookup` needs `arithmetic` double")
@@ -97,16 +96,15 @@ def export_model(
     if arithmetic == "double":
         sources = double_sources(plan, lookup)
     else:
-        sources, bounds = q31_sources(plan)
-        figures["bounds"] = bounds._asdict()
+        sources = q31_sources(plan)
+        figures["bounds"] = sources.bounds
     values = {
         "NAME": name,
         "GUARD": name.upper(),
         "NUMBER": NUMBER_TYPES[arithmetic],
         "ARITHMETIC": arithmetic,
         "ORIGIN": f"Written by dbo export from the model {model.digest[:16]}.",
-        **_about_model(plan),
-        **_duties(plan, name.upper(), sample_rate, loss),
+        **_about(plan, sample_rate, loss),
         **_self_test(name, NUMBER_TYPES[arithmetic], sources),
         **sources.values,
     }
@@ -120,12 +118,14 @@ def _files(values: dict[str, str], sources: c.Sources) -> dict[str, str]:
     compiled = [file for file in sources.kernel if file.endswith(".c")]
     values["SOURCES"] = " ".join([f"{name}.c", *compiled])
     values["INCLUDES"] = "".join(f'#include "{header}"\n' for header in headers)
-    values["MEMBERS"] = "\n".join(f"    {member}" for member in sources.members)
+    values["TABLES"] = sources.tables
+    for section in ("members", "init", "reset", "step"):
+        values[section.upper()] = "\n".join(getattr(sources, section))
     values["ABOUT"] = c.fill(f"readme_{arithmetic}.md", values)
     values["DIFFERENCE"] = c.fill(f"same_{arithmetic}.c", values)
-    if arithmetic == "q31":
-        values["CONSTANTS"] += c.fill("counts_q31.h", values)
-    files = {file: c.kernel_file(file) for file in sources.kernel}
+    if sources.bounds:
+        values["COUNTS"] = c.fill("counts_q31.h", values)
+    files = {file: c.template_text(file) for file in sources.kernel}
     files[f"{name}.h"] = c.fill("model.h", values)
     files[f"{name}.c"] = c.fill(f"{arithmetic}.c", values)
     files[f"{name}_test.c"] = c.fill("test.c", values)
@@ -133,76 +133,48 @@ def _files(values: dict[str, str], sources: c.Sources) -> dict[str, str]:
     return files
 
 
-def _about_model(plan: Plan) -> dict[str, str]:
-    """Return what goes in and comes out, in words."""
-    displacement, drive = plan.forward.output, plan.forward.input
+def _about(plan: Plan, rate: float | None, loss: Loss | None) -> dict[str, str]:
+    """Return what goes in and comes out, how a caller must call, and what fewer gears lose, in words."""
+    displacement, drive, limits = plan.forward.output, plan.forward.input, plan.limits
     into, out = c.plain(displacement.quantity), c.plain(drive.quantity)
-    low, high = plan.limits.move
-    unit = c.plain(plan.limits.suffix)
-    drive_range = f"{low!r} to {high!r}{unit}"
-    if plan.limits.slew is not None:
-        drive_range += f", changing by at most {plan.limits.slew!r}{unit} a second"
-    return {
+    unit, suffix = c.plain(limits.suffix), c.plain(displacement.suffix)
+    low, high = limits.move
+    values = {
         "TITLE": f"The drive of an actuator, {into} to {out}",
         "INPUT_NAME": into,
-        "INPUT_RANGE": _range(displacement),
+        "INPUT_RANGE": f"{displacement.min:.9g} to {displacement.max:.9g}{suffix}",
         "OUTPUT_NAME": out,
-        "OUTPUT_RANGE": _range(drive),
-        "LOWEST": f"{drive.min!r}{c.plain(drive.suffix)}",
-        "KEPT": drive_range,
+        "OUTPUT_RANGE": f"{drive.min:.9g} to {drive.max:.9g}{unit}",
+        "LOWEST": f"{drive.min!r}{unit}",
+        "KEPT": f"{low!r} to {high!r}{unit}",
         "GEARS": str(plan.gears.n),
     }
-
-
-def _range(quantity: Quantity) -> str:
-    """Return a range with its unit, which ends no comment that it stands in."""
-    return f"{quantity.min:.9g} to {quantity.max:.9g}{c.plain(quantity.suffix)}"
-
-
-def _duties(
-    plan: Plan, guard: str, sample_rate: float | None, loss: Loss | None
-) -> dict[str, str]:
-    """Return what a caller must do at a fixed rate and ahead, and what fewer gears lose."""
-    constants = rate = ahead = lost = ""
-    if sample_rate is not None:
-        constants = f"#define {guard}_SAMPLE_RATE_HZ {sample_rate!r} /* call the step so often */\n"
-        rate = (
-            f"Call the step at a fixed {sample_rate:.12g} Hz: what depends on time is in the tables for that"
-            " step; another rate is another export."
-        )
-    if plan.ahead:
-        assert plan.dt is not None
-        constants += f"#define {guard}_AHEAD {plan.ahead} /* samples: give the input so much earlier */\n"
-        ahead = (
-            f"Give the displacement that is wanted {plan.ahead} samples later ({plan.ahead * plan.dt:.9g} s):"
-            " the drive is ahead of the actuator. Before a move, hold its first sample until what moves"
-            " behind the gears has rung out."
-        )
+    if limits.slew is not None:
+        values["KEPT"] += f", changing by at most {limits.slew!r}{unit} a second"
+    if rate is not None:
+        values |= {"RATE": repr(rate), "RATE_TEXT": f"{rate:.12g}"}
+    if plan.ahead and plan.dt is not None:
+        seconds = f"{plan.ahead * plan.dt:.9g}"
+        values |= {"AHEAD": str(plan.ahead), "AHEAD_SECONDS": seconds}
     if loss is not None:
-        span, suffix = plan.forward.output.span, c.plain(plan.forward.output.suffix)
-        lost = (
-            f"{plan.gears.n} gears instead of the model's: {loss['max']:.3g}{suffix}"
-            f" ({100.0 * loss['max'] / span:.2g} % of the range) at most, {loss['rms']:.3g}{suffix} RMS on"
-            " test moves."
-        )
-    return {
-        "CONSTANTS": constants,
-        "RATE_DUTY": rate,
-        "AHEAD_DUTY": ahead,
-        "LOSS": lost,
-    }
+        values["LARGEST_LOSS"] = f"{loss['max']:.3g}{suffix}"
+        values["LOSS_PERCENT"] = f"{100.0 * loss['max'] / displacement.span:.2g}"
+        values["RMS_LOSS"] = f"{loss['rms']:.3g}{suffix}"
+    return values
 
 
 def _self_test(name: str, number: str, sources: c.Sources) -> dict[str, str]:
     """Return the vectors of NAME_test.c, and the calls that play them."""
-    vectors, runs, count = "", "", 0
-    for index, run in enumerate(sources.runs):
-        vectors += c.array(number, f"inputs_{index}", run.inputs)
-        vectors += c.array(number, f"expected_{index}", run.outputs)
+    vectors, calls, count = "", [], 0
+    for index, (reset, inputs, outputs) in enumerate(sources.runs):
+        vectors += c.array(number, f"inputs_{index}", inputs, sources.input)
+        vectors += c.array(number, f"expected_{index}", outputs, sources.drive)
         label, call = "after init", f"{name}_init(&state);"
-        if run.reset is not None:
-            label, call = "after reset", f"{name}_reset(&state, {run.reset});"
-        arguments = f"inputs_{index}, expected_{index}, {len(run.inputs)}U"
-        runs += f'    {call}\n    wrong += play("{label}", &state, {arguments});\n'
-        count += len(run.inputs)
-    return {"VECTORS": vectors, "RUNS": runs.rstrip("\n"), "COUNT": str(count)}
+        if reset is not None:
+            label = "after reset"
+            call = f"{name}_reset(&state, {sources.drive(reset)});"
+        arguments = f"inputs_{index}, expected_{index}, {len(inputs)}U"
+        calls.append(f"    {call}")
+        calls.append(f'    wrong += play("{label}", &state, {arguments});')
+        count += len(inputs)
+    return {"VECTORS": vectors, "RUNS": "\n".join(calls), "COUNT": str(count)}

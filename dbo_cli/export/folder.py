@@ -38,14 +38,22 @@ def write_folder(
             tempfile.TemporaryDirectory(dir=target.parent, prefix=".") as scratch,
             unfinished(scratch),
         ):
-            fresh = Path(scratch, "made")
+            fresh, old = Path(scratch, "made"), Path(scratch, "old")
             fresh.mkdir()
             for name, content in {**files, MANIFEST: text}.items():
                 (fresh / name).write_text(content, encoding="utf-8", newline="\n")
-            _replace(fresh, target, Path(scratch, "old"))
+            if target.exists():
+                target.rename(old)
+            try:
+                fresh.rename(target)
+            except BaseException:  # the older export stays
+                if old.exists():
+                    old.rename(target)
+                raise
     except OSError as problem:
-        reason = problem.strerror or problem
-        raise OutputError(f"{folder}: cannot be written: {reason}") from None
+        raise OutputError(
+            f"{folder}: cannot be written: {problem.strerror or problem}"
+        ) from None
 
 
 def _require_export(target: Path, names: list[str]) -> None:
@@ -59,15 +67,3 @@ def _require_export(target: Path, names: list[str]) -> None:
             raise OutputError(
                 f"{target}: holds '{name}', which is not of an export: choose another folder"
             )
-
-
-def _replace(fresh: Path, target: Path, old: Path) -> None:
-    """Put a folder in the place of another; where that fails the other one stays."""
-    if target.exists():
-        target.rename(old)
-    try:
-        fresh.rename(target)
-    except BaseException:
-        if old.exists():
-            old.rename(target)
-        raise

@@ -4,24 +4,52 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.limits import Limits
-from dbo_cli.errors import ModelError, UsageError
-from dbo_cli.model import Cascade, Gears, State
+from dbo_cli.errors import UsageError
+from dbo_cli.model import Cascade, Gears, Quantity, State
 from dbo_cli.model.delay import AFTER, whole_and_part
 from dbo_cli.model.dynamics import inverses_of
 from dbo_cli.model.gears import Window, largest_step
 from dbo_cli.model.undoing import SectionInverse
 
+COUNTS = 2.0**30
+"""From the middle of a range to its end; that leaves a factor of two beyond it."""
 SPACING = 64  # turns that share a checkpoint
 Loss = dict[str, float]
 """What fewer gears change, over test moves: the largest (max) and the RMS difference (rms) of the output."""
 TRIALS = 20  # test moves over which the loss of fewer gears is taken: 5,000 samples
 MORE_REST = 5  # samples before a move, from which on a delay knows its past
+TRIMMED = 0.37
+"""Of the drive's range: the self-test resets to a little below the middle, inside of a gear."""
+
+
+SelfTestRun = tuple[float | None, Floats, Floats]
+"""The drive given to reset (None: init), what goes in, and what the library drives for it."""
+
+
+class Grid(NamedTuple):
+    """Whole counts of a quantity: count k is ``offset + k unit``."""
+
+    offset: float
+    unit: float
+
+    @classmethod
+    def of(cls, quantity: Quantity) -> Grid:
+        """Return the counts of a quantity, 2^30 to either side of the middle of its range."""
+        return cls(0.5 * (quantity.min + quantity.max), 0.5 * quantity.span / COUNTS)
+
+    def count(self, value: float) -> int:
+        """Return the nearest count, saturating at 32 bits."""
+        return min(max(round((value - self.offset) / self.unit), -(2**31)), 2**31 - 1)
+
+    def value(self, count: float) -> float:
+        """Return the value of a count."""
+        return count * self.unit + self.offset
 
 
 @dataclass(frozen=True)
@@ -36,11 +64,27 @@ class Plan:
         Seconds between samples; None where nothing depends on them.
     limits : Limits
         Of the drive; the move's range and the slew count.
+    decay : array
+        a_j = exp(-dt/tau_j).
+    delay_samples, delay_part : int, float
+        The delay in whole samples, and the part of one beyond.
+    undone : tuple of SectionInverse
+        The inverse of each section of the dynamics, the last section first.
+    empty : State
+        The library's start ``empty``; no gear of the range is engaged.
+    first_drive : float
+        The drive of an actuator that has been at or below its lower end.
     """
 
     forward: Cascade
     dt: float | None
     limits: Limits
+    decay: Floats
+    delay_samples: int
+    delay_part: float
+    undone: tuple[SectionInverse, ...]
+    empty: State
+    first_drive: float
 
     @property
     def gears(self) -> Gears:
@@ -53,104 +97,69 @@ class Plan:
         return f"stages[{self.forward.stages.index(self.gears)}]"
 
     @property
-    def inner(self) -> Window:
-        """The range of the drive as the gears meet it."""
-        return self.forward.inner_limits(self.limits.move, None)[0]
-
-    @property
-    def inner_step(self) -> float | None:
-        """The largest change of the gears' output in a step."""
-        _, slew = self.forward.inner_limits(self.limits.move, self.limits.slew)
+    def inner(self) -> tuple[Window, float | None]:
+        """The range of the drive as the gears meet it, and the largest change of their output in a step."""
+        window, slew = self.forward.inner_limits(self.limits.move, self.limits.slew)
         step = largest_step(slew, self.dt)
-        return None if step is None else float(step)
+        return window, None if step is None else float(step)
 
     @property
     def checkpoints(self) -> int:
         """How many checkpoints a state keeps of its turns, as dbo_kernel.h and dbo_q31.h have it."""
         return (self.gears.n - 1) // SPACING
 
-    @cached_property
-    def decay(self) -> Floats:
-        """a_j = exp(-dt/tau_j)."""
-        if self.gears.relaxation is None:
-            return np.empty(0)
-        assert self.dt is not None
-        decay: Floats = self.gears.relaxation.decay(self.dt)[0]
-        return decay
-
     @property
     def kappa(self) -> float:
         """The immediate part of the memory, sum c_j (1 - a_j), added term by term as the kernel does."""
         return float(sum((self.gears.gain * (1.0 - self.decay)).tolist()))
 
-    # ---- reading ahead ----
-
-    @cached_property
-    def delay_samples(self) -> tuple[int, float]:
-        """The delay in whole samples, and the part beyond."""
-        if self.forward.delay is None:
-            return 0, 0.0
-        assert self.dt is not None
-        return whole_and_part(self.forward.delay_seconds / self.dt)
-
-    @cached_property
-    def undone(self) -> list[SectionInverse]:
-        """The inverse of each section of the dynamics, the last section first."""
-        if self.forward.dynamics is None:
-            return []
-        assert self.dt is not None
-        inverses = inverses_of(self.forward.dynamics.sections, self.dt)
-        return list(reversed(inverses))
-
     @property
     def ahead(self) -> int:
         """How many samples earlier the input is needed: for the delay, and the dynamics."""
-        samples, fraction = self.delay_samples
-        rows = samples + (AFTER if fraction else 0)
+        rows = self.delay_samples + (AFTER if self.delay_part else 0)
         return rows + sum(inverse.weight.size for inverse in self.undone)
 
     # ---- starts and runs of the library, for the self-test ----
 
-    @cached_property
-    def empty(self) -> State:
-        """The library's start ``empty``; no gear of the range is engaged."""
-        low, high = self.limits.move
-        return self.forward.start_drive(self.forward.output.min, "empty", low, high)
-
-    @property
-    def first_drive(self) -> float:
-        """The drive of an actuator that has been at or below its lower end."""
-        assert self.empty.drive is not None
-        return self.empty.drive
-
     def resting(self, drive: float, bits: int) -> State:
         """Return the state of an actuator that rests at a drive, its gears coming from ``bits``."""
         at_gears = self.forward.head.value(drive)
-        state = self.forward.gears.run([at_gears], State(bits)).state
+        state = self.gears.run([at_gears], State(bits)).state
         amplifier = None if self.forward.amplifier is None else drive
         return replace(state, drive=drive, amplifier=amplifier)
-
-    def settled(self, drive: float) -> State:
-        """Return the state after ``NAME_reset``."""
-        bits = self.forward.starts.bits(self.forward.head.value(drive), "settled")
-        return self.resting(drive, bits)
-
-    @property
-    def trimmed(self) -> float:
-        """The drive that the self-test resets to: a little below the middle, inside of a gear."""
-        low, high = self.limits.move
-        return low + 0.37 * (high - low)
 
     def played(self, moves: Floats, state: State) -> Floats:
         """Return what the library drives for each input, as the exported step does, ahead."""
         before = np.full(self.ahead + MORE_REST, moves[0])
-        rows = self.forward.inverter(self.dt).ahead
-        after = np.full(rows - self.ahead, moves[-1])
-        desired = np.concatenate([before, moves, after])
-        target, _ = self.forward.inverter(self.dt).run(desired)
-        static = self.forward.static
+        inverter = self.forward.inverter(self.dt)
+        after = np.full(inverter.ahead - self.ahead, moves[-1])
+        target, _ = inverter.run(np.concatenate([before, moves, after]))
         move, slew = self.limits.move, self.limits.slew
+        static = self.forward.static
         return static.drive(target[MORE_REST:], state, self.dt, move, slew).y
+
+    def runs(
+        self, first: State, source: Grid | None = None, drive: Grid | None = None
+    ) -> list[SelfTestRun]:
+        """Return the self-test: what the library drives from ``first``, and after ``NAME_reset``.
+
+        Where numbers are counts, what goes in lies on the grids of the displacement
+        (``source``) and of the drive.
+        """
+        low, high = self.limits.move
+        trimmed = low + TRIMMED * (high - low)
+        if drive is not None:
+            trimmed = drive.value(drive.count(trimmed))
+        bits = self.forward.starts.bits(self.forward.head.value(trimmed), "settled")
+        runs: list[SelfTestRun] = []
+        starts = (None, first), (trimmed, self.resting(trimmed, bits))
+        for seed, (reset, state) in enumerate(starts, 1):
+            reach = self.forward.output
+            moves = trial_moves(reach.min, reach.max, seed)
+            if source is not None:
+                moves = np.array([source.value(source.count(x)) for x in moves])
+            runs.append((reset, moves, self.played(moves, state)))
+        return runs
 
 
 def plan_of(forward: Cascade, sample_rate: float | None, limits: Limits) -> Plan:
@@ -160,21 +169,27 @@ def plan_of(forward: Cascade, sample_rate: float | None, limits: Limits) -> Plan
     ------
     UsageError
         The sample rate is missing where something depends on it, or is no rate.
-    ModelError
-        A memory is too slow for the rate.
+    InputError
+        The rate does not resolve the dynamics.
     """
     if sample_rate is not None and not 0.0 < sample_rate < math.inf:
         raise UsageError(f"`sample_rate` {sample_rate:g}: give a number of Hz above 0")
-    timed = forward.needs_time or limits.slew is not None
-    if timed and sample_rate is None:
-        raise UsageError("the drive depends on time: add `sample_rate` HZ")
+    forward = replace(forward, candidates=())
+    decay, delay = np.empty(0), (0, 0.0)
+    undone: tuple[SectionInverse, ...] = ()
     dt = None if sample_rate is None else 1.0 / sample_rate
-    plan = Plan(replace(forward, candidates=()), dt, limits)
-    if np.any(plan.decay >= 1.0):
-        raise ModelError(
-            f"{plan.key}.relaxation.tau: too slow for {sample_rate:g} Hz: lower `sample_rate`"
-        )
-    return plan
+    if dt is None:
+        if forward.needs_time or limits.slew is not None:
+            raise UsageError("the drive depends on time: add `sample_rate` HZ")
+    else:
+        delay = whole_and_part(forward.delay_seconds / dt)
+        if forward.gears.relaxation is not None:
+            decay = forward.gears.relaxation.decay(dt)[0]
+        if forward.dynamics is not None:
+            undone = inverses_of(forward.dynamics.sections, dt)[::-1]
+    empty = forward.start_drive(forward.output.min, "empty", *limits.move)
+    assert empty.drive is not None
+    return Plan(forward, dt, limits, decay, *delay, undone, empty, empty.drive)
 
 
 def trial_moves(low: float, high: float, seed: int = 1) -> Floats:
@@ -223,19 +238,10 @@ def with_fewer_gears(forward: Cascade, gears: int) -> tuple[Cascade, Loss | None
         fewer if isinstance(stage, Gears) else stage for stage in forward.stages
     )
     reduced = forward.with_stages(stages)
-    return reduced, _loss(forward, reduced)
-
-
-def _loss(full: Cascade, fewer: Cascade) -> Loss:
-    """Return the difference of two forward models."""
-    step = None
-    if full.gears.relaxation is not None:
-        step = max(full.gears.relaxation.tau)
-    moves = []
-    for seed in range(TRIALS):
-        moves.append(trial_moves(full.input.min, full.input.max, seed))
-    x = np.concatenate(moves)
-    exact, _ = full.static.simulate(x, dt=step)
-    coarse, _ = fewer.static.simulate(x, dt=step)
-    error = coarse - exact
-    return {"max": float(np.abs(error).max()), "rms": float(np.sqrt(np.mean(error**2)))}
+    ends = forward.input.min, forward.input.max
+    x = np.concatenate([trial_moves(*ends, seed) for seed in range(TRIALS)])
+    step = None if full.relaxation is None else max(full.relaxation.tau)
+    error = reduced.static.simulate(x, dt=step)[0]
+    error -= forward.static.simulate(x, dt=step)[0]
+    rms = float(np.sqrt(np.mean(error**2)))
+    return reduced, {"max": float(np.abs(error).max()), "rms": rms}

@@ -17,20 +17,10 @@ and sum c_j a_j e_j <= r A by Cauchy-Schwarz. That takes c_j >= 0.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.arrays import Floats
-from dbo_cli.export.plan import Plan
-from dbo_cli.export.q31_tables import (
-    Axis,
-    Folded,
-    Memory,
-    beyond_q31,
-    counts_of_range,
-    shift_for,
-)
+from dbo_cli.export import q31_tables as tables
 
 INTERPOLATED = 4.0
 """Counts by which a value between two samples is rounded: dbo_q31_interpolation.h rounds so often."""
@@ -40,134 +30,107 @@ COARSEST_TOLERANCE = 4
 """Where even 2^-4 of a gear drowns in rounding, whole numbers cannot hold the gears."""
 
 
-class Bounds(NamedTuple):
-    """Bounds on the error inside the model's range, in the drive's unit and in percent of its range.
+def bounds_of(whole: tables.Whole) -> dict[str, float]:
+    """Return bounds on the error inside the model's range.
 
-    ``same`` holds while both runs have crossed the same gears; ``close`` always, also
-    after turns within ``fraction`` of a gear's width from its end.
-    """
-
-    same: float
-    same_percent: float
-    close: float
-    close_percent: float
-    fraction: float
-
-
-def bounds_of(
-    plan: Plan,
-    x_axis: Axis,
-    y_axis: Axis,
-    memory: Memory | None,
-    before: Folded,
-    after: Folded,
-) -> Bounds:
-    """Return the bounds.
-
-    Parameters
-    ----------
-    plan
-        What is exported.
-    x_axis, y_axis
-        The gears along the input and the output.
-    memory
-        The relaxation terms.
-    before, after
-        Points and scales, from the input to the gears, and from them to the drive.
+    Returns
+    -------
+    dict
+        ``same`` holds while both runs have crossed the same gears; ``close`` always, also
+        after turns within ``fraction`` of a gear's width from its end. In the drive's
+        unit, and in percent of its range (``same_percent``, ``close_percent``).
 
     Raises
     ------
     ModelError
         The gears are too narrow: rounding is beyond 1/16 of one.
     """
+    plan, x_axis, y_axis, after = whole.plan, whole.x_axis, whole.y_axis, whole.after
     slopes = y_axis.exact / x_axis.exact
     steepest = float(slopes.max())
-    run = plan.gears.equal_run
     # what each part rounds: the input, the gears' widths, the memory, and their heights
-    unit = counts_of_range(plan.forward.output)[1]
-    input_error = _function_error(before, plan.forward.output.max, unit, x_axis.unit)
-    if plan.delay_samples[1]:
-        input_error += INTERPOLATED * unit * float(np.abs(before.slope).max())
-    input_error += _subset_error(x_axis, run)
+    unit, reach = whole.source.unit, plan.forward.output.max
+    input_error = _function_error(whole.before, reach, unit, x_axis.unit)
+    if plan.delay_part:
+        input_error += INTERPOLATED * unit * float(np.abs(whole.before.slope).max())
+    input_error += _subset_error(x_axis)
     gain, growth = 0.0, 1.0
-    if memory is not None:
-        input_error += _memory_error(plan, memory, x_axis, y_axis)
-        gain, growth = _loop(plan, steepest)
-    height = _height_error(x_axis, y_axis, run)
+    if whole.memory is not None:
+        error, gain, growth = _memory_error(whole, whole.memory, steepest)
+        input_error += error
+    height = _height_error(x_axis, y_axis)
     inner = (steepest * input_error + height) * growth
-    shift = input_error + gain * inner
-    fraction = _tolerance(plan.key, shift, height, x_axis, y_axis)
+    # by how much of the smallest gear rounding can shift a turn, and twice that
+    shift = (input_error + gain * inner) / float(x_axis.exact.min())
+    shift = max(shift, height / float(y_axis.exact.min()))
+    power = min(math.floor(-math.log2(2.0 * shift)), FINEST_TOLERANCE)
+    if power < COARSEST_TOLERANCE:
+        raise tables.beyond_q31(f"{plan.key}.dx", "lower `gears`, or ")
     # one gear's width on another branch
     variation = float(np.sum(np.abs(np.diff(slopes))))
     hop = float(x_axis.exact.max()) * variation * growth
     # and from the gears to the drive
-    output_unit = counts_of_range(plan.forward.input)[1]
+    output_unit = whole.drive.unit
     bend = float(np.abs(after.slope).max())
     end = plan.gears.x0 + float(y_axis.exact.sum())
-    leaving = _function_error(after, end, y_axis.count, output_unit)
-    same = bend * (inner + 0.5 * y_axis.count) + leaving + output_unit
+    leaving = _function_error(after, end, y_axis.count_unit, output_unit)
+    same = bend * (inner + 0.5 * y_axis.count_unit) + leaving + output_unit
     close = same + bend * hop
     percent = 100.0 / plan.forward.input.span
-    return Bounds(same, percent * same, close, percent * close, fraction)
+    return {
+        "same": same,
+        "same_percent": percent * same,
+        "close": close,
+        "close_percent": percent * close,
+        "fraction": 2.0**-power,
+    }
 
 
-def _function_error(folded: Folded, end: float, x_unit: float, y_unit: float) -> float:
+def _function_error(
+    folded: tables.Folded, end: float, x_unit: float, y_unit: float
+) -> float:
     """Bound the rounding in one piecewise linear function, up to ``end`` on its input."""
     longest = float(np.diff(folded.x, append=max(end, folded.x[-1])).max())
     steepest = float(np.abs(folded.slope).max())
-    shift = shift_for(steepest * x_unit / y_unit)
+    shift = tables.shift_for(steepest * x_unit / y_unit)
     nodes = 0.5 * steepest * x_unit + 0.5 * y_unit
     return nodes + y_unit * (0.5 + longest / x_unit * 2.0 ** -(shift + 1))
 
 
-def _errors(axis: Axis, run: int) -> Floats:
-    """Return by how much the table rounds each gear."""
-    return np.repeat(axis.widths, run)[: len(axis.exact)] - axis.exact
-
-
-def _subset_error(axis: Axis, run: int) -> float:
+def _subset_error(axis: tables.Axis) -> float:
     """Bound what the roundings of any set of gears add up to."""
-    errors = _errors(axis, run)
+    errors = axis.errors
     return float(max(errors[errors > 0.0].sum(), -errors[errors < 0.0].sum()))
 
 
-def _height_error(x_axis: Axis, y_axis: Axis, run: int) -> float:
+def _height_error(x_axis: tables.Axis, y_axis: tables.Axis) -> float:
     """Bound the rounding of the heights, and of the way inside a gear."""
     slopes = y_axis.exact / x_axis.exact
-    inside = np.abs(_errors(y_axis, run)) + slopes * np.abs(_errors(x_axis, run))
-    shift = shift_for(float(slopes.max()) * x_axis.unit / y_axis.unit)
+    inside = np.abs(y_axis.errors) + slopes * np.abs(x_axis.errors)
+    shift = tables.shift_for(float(slopes.max()) * x_axis.unit / y_axis.unit)
     widest = float(x_axis.exact.max()) / x_axis.unit
     rounded = y_axis.unit * (1.0 + widest * 2.0 ** -(shift + 1))
-    return _subset_error(y_axis, run) + float(inside.max()) + rounded
+    return _subset_error(y_axis) + float(inside.max()) + rounded
 
 
-def _memory_error(plan: Plan, memory: Memory, x_axis: Axis, y_axis: Axis) -> float:
-    """Bound what the memories round, as the input meets it."""
-    carried = plan.gears.gain * plan.decay
-    counts = (float(y_axis.exact.sum()) + abs(memory.offset)) / memory.unit
-    followed = 2.0 + 2.0 * counts * 2.0**-30 + 2.0**-24 / (1.0 - plan.decay)
+def _memory_error(
+    whole: tables.Whole, memory: tables.Memory, steepest: float
+) -> tuple[float, float, float]:
+    """Bound what the memories round, as the input meets it.
+
+    Also return the gain of the loop through the memory, and how much a disturbance grows
+    in it.
+    """
+    plan, a = whole.plan, whole.plan.decay
+    b, c = 1.0 - a, plan.gears.gain
+    carried = c * a
+    counts = (float(whole.y_axis.exact.sum()) + abs(memory.offset)) / memory.unit
+    followed = 2.0 + 2.0 * counts * 2.0**-30 + 2.0**-24 / b
     recalled = 0.5 + carried.size * counts * 2.0 ** -(memory.carried_shift + 1)
-    return float(np.sum(carried * followed)) * memory.unit + x_axis.unit * recalled
-
-
-def _loop(plan: Plan, steepest: float) -> tuple[float, float]:
-    """Return the gain of the loop through the memory, and how much a disturbance grows in it."""
-    c, a = plan.gears.gain, plan.decay
-    b = 1.0 - a
+    error = float(np.sum(carried * followed)) * memory.unit
+    error += whole.x_axis.unit * recalled
     stiff = max(1.0 / steepest - plan.kappa, 0.0) + 0.5 * plan.kappa
     rho = float(np.min(2.0 * b * (1.0 - 0.5 * b)))
     energy = float(np.sum(2.0 * b * c * a**2))
-    return float(np.sum(c * a)), 1.0 + math.sqrt(energy / (4.0 * stiff * rho))
-
-
-def _tolerance(
-    key: str, input_error: float, height: float, x_axis: Axis, y_axis: Axis
-) -> float:
-    """Return a power of two, twice what rounding can shift a turn by, as a part of the smallest gear."""
-    shift = max(
-        input_error / float(x_axis.exact.min()), height / float(y_axis.exact.min())
-    )
-    power = min(math.floor(-math.log2(2.0 * shift)), FINEST_TOLERANCE)
-    if power < COARSEST_TOLERANCE:
-        raise beyond_q31(f"{key}.dx", "lower `gears`, or ")
-    return 2.0**-power
+    growth = 1.0 + math.sqrt(energy / (4.0 * stiff * rho))
+    return error, float(np.sum(carried)), growth

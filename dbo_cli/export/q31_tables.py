@@ -1,24 +1,21 @@
 """Numbers of a model in whole counts: piecewise linear functions, axes, memories and limits.
 
-A range is 2^30 counts to either side of its middle, which leaves a factor of two beyond
-it. Positions along the axes of the gears are finer than counts.
+Positions along the axes of the gears are finer than counts.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import ModelError
-from dbo_cli.export.plan import Plan
-from dbo_cli.model import Quantity, Scale
+from dbo_cli.export.plan import COUNTS, Grid, Plan
+from dbo_cli.model import Scale
 from dbo_cli.model.points import Curves
 
-COUNTS = 2.0**30
 MOST_FINE_BITS = 12
 """Positions are finer than counts by so many bits at most: slopes keep the 16 bits that far inputs lose."""
 SAME_NODE = 1e-9  # of a range: nodes that are closer are one
@@ -29,13 +26,6 @@ def beyond_q31(key: str, remedy: str = "") -> ModelError:
     return ModelError(f"{key}: beyond q31: {remedy}use `arithmetic` double")
 
 
-class Segments(NamedTuple):
-    """A piecewise linear function: rows (x, y, slope), the slope times 2^shift."""
-
-    rows: list[tuple[int, int, int]]
-    shift: int
-
-
 class Folded(NamedTuple):
     """Points and scales as one piecewise linear function in float64: its nodes, and the slope of each."""
 
@@ -44,8 +34,7 @@ class Folded(NamedTuple):
     slope: Floats
 
 
-@dataclass(frozen=True)
-class Axis:
+class Axis(NamedTuple):
     """The gears along the input or the output, and how counts hold them.
 
     Attributes
@@ -54,6 +43,8 @@ class Axis:
         The width of each gear; on the input kappa times its height is part of it.
     widths : array of shape (rows,)
         Those of the tables, one a run, in the same unit.
+    errors : array of shape (n,)
+        By how much the tables round each gear.
     unit : float
         Positions are multiples of it.
     fine : int
@@ -62,26 +53,26 @@ class Axis:
 
     exact: Floats
     widths: Floats
+    errors: Floats
     unit: float
     fine: int
 
-    @classmethod
-    def of(cls, exact: Floats, run: int) -> Axis:
-        """Return the axis of widths, ``run`` equal ones side by side."""
-        total, widest = float(exact.sum()), float(exact.max())
-        counts = widest / total * COUNTS
-        fine = min(math.floor(math.log2((2.0**31 - 1024.0) / counts)), MOST_FINE_BITS)
-        unit = total / COUNTS / 2.0**fine
-        return cls(exact, _quantised(exact, run, unit), unit, fine)
-
     @property
-    def count(self) -> float:
+    def count_unit(self) -> float:
         """One count."""
         return self.unit * 2.0**self.fine
 
 
-def _quantised(exact: Floats, run: int, unit: float) -> Floats:
-    """Return one width a run, whole multiples of ``unit``, whose running sums follow the exact ones."""
+def axis_of(exact: Floats, run: int) -> Axis:
+    """Return the axis of widths, ``run`` equal ones side by side.
+
+    Those of the tables are whole multiples of ``unit``, and their running sums follow
+    the exact ones.
+    """
+    sum_of_all, widest = float(exact.sum()), float(exact.max())
+    counts = widest / sum_of_all * COUNTS
+    fine = min(math.floor(math.log2((2.0**31 - 1024.0) / counts)), MOST_FINE_BITS)
+    unit = sum_of_all / COUNTS / 2.0**fine
     widths, total, reached = [], 0.0, 0.0
     for begin in range(0, len(exact), run):
         count = min(run, len(exact) - begin)
@@ -89,7 +80,8 @@ def _quantised(exact: Floats, run: int, unit: float) -> Floats:
         width = max(round((total - reached) / count / unit), 1) * unit
         widths.append(width)
         reached += width * count
-    return np.array(widths)
+    errors = np.repeat(widths, run)[: len(exact)] - exact
+    return Axis(exact, np.array(widths), errors, unit, fine)
 
 
 def fold(curves: Curves, low: float, high: float) -> Folded:
@@ -122,8 +114,11 @@ def shift_for(largest: float) -> int:
 
 def segments_of(
     folded: Folded, x: tuple[float, float], y: tuple[float, float]
-) -> Segments:
-    """Return a folded function in whole numbers; ``x`` and ``y`` are (offset, unit) of either axis."""
+) -> tuple[list[list[int]], int]:
+    """Return a folded function in whole numbers: rows (x, y, slope), the slope times 2^shift, and the shift.
+
+    ``x`` and ``y`` are (offset, unit) of either axis.
+    """
     at = np.rint((folded.x - x[0]) / x[1])
     up = np.rint((folded.y - y[0]) / y[1])
     slopes = folded.slope * x[1] / y[1]
@@ -131,21 +126,8 @@ def segments_of(
     shift = shift_for(float(np.abs(slopes).max()))
     if shift < 16 or float(np.abs(at).max()) >= 2.0**31:
         raise beyond_q31("points or scales")
-    rows = []
-    for a, b, slope in zip(at.tolist(), up.tolist(), slopes.tolist(), strict=True):
-        rows.append((int(a), int(b), round(slope * 2.0**shift)))
-    return Segments(rows, shift)
-
-
-def counts_of_range(quantity: Quantity) -> tuple[float, float]:
-    """Return where a range has its count 0, and how much one count is."""
-    return 0.5 * (quantity.min + quantity.max), 0.5 * quantity.span / COUNTS
-
-
-def to_counts(value: float, quantity: Quantity) -> int:
-    """Return a value in counts, saturating."""
-    middle, unit = counts_of_range(quantity)
-    return min(max(round((value - middle) / unit), -(2**31)), 2**31 - 1)
+    rows = np.column_stack([at, up, np.rint(slopes * 2.0**shift)])
+    return rows.astype(np.int64).tolist(), shift
 
 
 class Memory(NamedTuple):
@@ -179,63 +161,100 @@ def memory_of(plan: Plan, x_axis: Axis, y_axis: Axis) -> Memory | None:
     if not plan.gears.gain.size:
         return None
     offset = plan.gears.x0 - plan.gears.reference
-    coarse = max(math.frexp(abs(offset) / y_axis.count / COUNTS)[1], 0)
-    unit = y_axis.count * 2.0**coarse
+    coarse = max(math.frexp(abs(offset) / y_axis.count_unit / COUNTS)[1], 0)
+    unit = y_axis.count_unit * 2.0**coarse
     carried = plan.gears.gain * plan.decay * (unit / x_axis.unit)
     shift = shift_for(float(carried.sum()))
     if shift < 0:
         raise beyond_q31(f"{plan.key}.relaxation.gain")
-    terms = []
-    for factor, follow in zip(
-        carried.tolist(), (1.0 - plan.decay).tolist(), strict=True
-    ):
+    terms, rest = [], 1.0 - plan.decay
+    for factor, follow in zip(carried.tolist(), rest.tolist(), strict=True):
         down = math.floor(math.log2(COUNTS / follow))
         terms.append((round(factor * 2.0**shift), round(follow * 2.0**down), down))
     return Memory(terms, shift, offset, unit, y_axis.fine + coarse)
 
 
-class CountLimits(NamedTuple):
-    """What the drive may do, rounded inwards: as it comes out, in counts, and at the gears, in positions.
+class Whole(NamedTuple):
+    """A plan as whole numbers hold it.
 
-    ``change`` is the largest in a step, None without a slew limit; ``positions`` are
-    low, high and step (-1: no limit).
+    Attributes
+    ----------
+    plan : Plan
+        What is exported.
+    source, drive : Grid
+        Counts of the displacement that goes in, and of the drive that comes out.
+    x_axis, y_axis : Axis
+        The gears along the input and the output.
+    memory : Memory, or None
+        The relaxation terms.
+    before, after, start : Folded
+        Points and scales: from the input to the gears, from them to the drive, and from
+        the drive to them.
     """
 
-    low: int
-    high: int
-    change: int | None
-    positions: tuple[int, int, int]
+    plan: Plan
+    source: Grid
+    drive: Grid
+    x_axis: Axis
+    y_axis: Axis
+    memory: Memory | None
+    before: Folded
+    after: Folded
+    start: Folded
 
 
-def limits_of(plan: Plan, y_axis: Axis) -> CountLimits:
-    """Return the limits of the drive.
+def whole_of(plan: Plan) -> Whole:
+    """Return a plan in whole numbers."""
+    gears, source, drive = plan.gears, plan.forward.output, plan.forward.input
+    wide = gears.exchanged[:, 0] + plan.kappa * gears.exchanged[:, 1]
+    x_axis = axis_of(wide, gears.equal_run)
+    y_axis = axis_of(gears.exchanged[:, 1].copy(), gears.equal_run)
+    before = fold(plan.forward.tail.inverse(), source.min, source.max)
+    end = gears.x0 + float(y_axis.exact.sum())
+    after = fold(plan.forward.head.inverse(), gears.x0, end)
+    start = fold(plan.forward.head, drive.min, drive.max)
+    memory = memory_of(plan, x_axis, y_axis)
+    grids = Grid.of(source), Grid.of(drive)
+    return Whole(plan, *grids, x_axis, y_axis, memory, before, after, start)
+
+
+def limits_of(whole: Whole) -> tuple[int, int, int | None, tuple[int, int, int]]:
+    """Return the limits of the drive, rounded inwards.
+
+    Returns
+    -------
+    low, high : int
+        As it comes out, in counts.
+    change : int, or None
+        The largest in a step, in counts; None without a slew limit.
+    positions : (int, int, int)
+        Low, high and step (-1: no limit) at the gears, in positions.
 
     Raises
     ------
     ModelError
         They are beyond what counts hold, or finer than they resolve.
     """
-    middle, unit = counts_of_range(plan.forward.input)
+    plan, drive, position = whole.plan, whole.drive, whole.y_axis.unit
     lowest, highest = plan.limits.move
-    low, high = round((lowest - middle) / unit), round((highest - middle) / unit)
+    low = round((lowest - drive.offset) / drive.unit)
+    high = round((highest - drive.offset) / drive.unit)
     # within the limits as NAME_OUT converts them
-    while low * unit + middle < lowest:
+    while drive.value(low) < lowest:
         low += 1
-    while high * unit + middle > highest:
+    while drive.value(high) > highest:
         high -= 1
-    y0 = plan.gears.x0
-    inner_low, inner_high = ((end - y0) / y_axis.unit for end in plan.inner)
+    window, inner_largest = plan.inner
+    inner_low, inner_high = ((end - plan.gears.x0) / position for end in window)
     if not low < high or max(abs(inner_low), abs(inner_high)) >= 2.0**59:
         raise beyond_q31("`v_min`, `v_max`")
     step, change = -1, None
-    largest, inner_largest = plan.limits.largest_step(plan.dt), plan.inner_step
+    largest = plan.limits.largest_step(plan.dt)
     if largest is not None and inner_largest is not None:
         # 2^32: more than from one end to the other
-        change = min(math.floor(float(largest) / unit), 2**32)
-        share = min(change * unit / float(largest), 1.0)
-        step = math.floor(min(inner_largest * share / y_axis.unit, 2.0**59))
+        change = min(math.floor(float(largest) / drive.unit), 2**32)
+        share = min(change * drive.unit / float(largest), 1.0)
+        step = math.floor(min(inner_largest * share / position, 2.0**59))
         if step < 4:
             raise beyond_q31("`max_slew`", "lower `sample_rate`, or ")
-    return CountLimits(
-        low, high, change, (math.ceil(inner_low), math.floor(inner_high), step)
-    )
+    return low, high, change, (math.ceil(inner_low), math.floor(inner_high), step)

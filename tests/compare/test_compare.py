@@ -1,7 +1,6 @@
 """The table of operators: what is counted, and what is said of a refusal."""
 
 import dbo_cli.model as dm
-from dbo_cli.compare import OperatorTable, Row
 from dbo_cli.compare.compare import DboModel
 
 
@@ -15,8 +14,3 @@ def test_the_numbers_of_the_dbo_are_counted():
     model = DboModel(dm.Cascade("forward", voltage, reach, stages))
     # slopes, offset, delay, memories, knots, a lag and two modes
     assert model.parameters == 2 + 1 + 1 + 2 + 2 + 1 + 4
-
-
-def test_a_table_of_refusals_is_a_table():
-    text = OperatorTable((Row("pi", "plays", refused="no"),), None, ("a",)).text()
-    assert "note: pi: no" in text

@@ -105,12 +105,6 @@ def test_inverse_after_forward(name):
     assert np.sqrt(np.mean(off**2)) < (0.01 if name == "rate" else 1e-10)
 
 
-def test_rate_needs_a_clock_and_a_drive_that_moves():
-    log = recording()
-    with pytest.raises(FitError, match="clock"):
-        fitted("rate", Recording("log.csv", log.voltage, log.displacement))
-
-
 def test_an_operator_without_an_inverse_is_refused():
     weights = np.append(-1.0, np.full(11, 0.05))
     with pytest.raises(FitError, match="no inverse"):

@@ -272,14 +272,6 @@ def test_a_loop_keeps_the_slew_over_its_seam(name, slew, code):
         assert steps.max() <= slew / 1000.0 * (1.0 + 1e-9)
 
 
-def test_passes_come_before_the_settled_one():
-    move(2.5 + np.sin(PHASE))
-    once = compensated("creep", "--periodic")["time_s"].size
-    more = compensated("creep", "--periodic", "--passes", 2)["time_s"].size
-    assert more - once in (400, 800)
-    assert rms(simulated("creep", "drive.csv")[-400:] - (2.5 + np.sin(PHASE))) < 0.01
-
-
 @pytest.mark.parametrize("phase", [0.0, 0.25])
 def test_a_run_in_ends_on_the_loop_to_the_last_digit(phase):
     """From 7 of 60 voltages it ended 7e-15 V off, and was refused for that."""

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import dbo_cli
 
 from .program import (
     DRIVE, GOLDENS, MOVE, compensated, done, load, model, simulated, table, values_of, write,
@@ -58,30 +57,6 @@ def test_compensate(name):
     highest, slew = limits_of(name)
     words = ("--v-max", highest, "--max-slew", slew, "--on-limit", "clip")
     close(compensated(name, *words)["voltage_V"], stored["limited_V"])
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_the_library_gives_the_stored_numbers(name):
-    stored = golden(name)
-    actuator = dbo_cli.read_model(model(name))
-    time = stored["time_s"]
-    close(actuator.simulate(stored["voltage_V"], time=time), stored["displacement_um"])
-    close(actuator.compensate(stored["desired_um"], time=time), stored["drive_V"])
-    highest, slew = limits_of(name)
-    limits = {"v_max": highest, "max_slew": slew, "on_limit": "clip"}
-    limited = actuator.compensate(stored["desired_um"], time=time, **limits)
-    close(limited, stored["limited_V"])
-
-
-@pytest.mark.parametrize("name", ["small", "creep", "bent"])
-def test_the_drive_brings_the_wish(name):
-    """Forward after inverse is exact to rounding, where nothing is read ahead."""
-    stored = golden(name)
-    write("wish.csv", MOVE, stored["time_s"], stored["desired_um"])
-    start = ("--state", "full" if name == "bent" else "empty")
-    compensated(name, *start)
-    error = simulated(name, "drive.csv", *start) - stored["desired_um"]
-    assert np.abs(error).max() < 1e-12 * values_of(name)["output"]["max"]
 
 
 REPORTS = {

@@ -197,7 +197,7 @@ def test_a_loop_is_learned_from_wherever_its_recorder_counts_from(lead, start, l
     np.testing.assert_allclose(found, known, atol=1e-9)
 
 
-@pytest.mark.parametrize("start", [None, 0.0, 1.7e9])
+@pytest.mark.parametrize("start", [None, 0.0])
 def test_what_was_learned_moves_the_first_value_and_no_row(start):
     """The way behind the sweep lasts as long as it is far: the third pass was laid over some rows off."""
     time = TIME[:3000]
@@ -366,8 +366,10 @@ def test_clocks_of_two_recorders_are_found(both):
     assert any(stage["type"] == "delay" for stage in stages) == both
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.03, -0.03])
-@pytest.mark.parametrize("swings", ["many", "one"])
+@pytest.mark.parametrize(
+    ("offset", "swings"),
+    [(0.0, "many"), (0.03, "many"), (-0.03, "many"), (0.03, "one")],
+)
 def test_a_recorder_that_began_a_little_late_is_told_of_where_it_shows(offset, swings):
     """Up to 50 ms were taken in silence; one swing that repeats is as well a wider loop."""
     done("excite", "--v-max", 100, "--sample-rate", 500, "-o", "drive.csv")

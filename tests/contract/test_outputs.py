@@ -12,17 +12,8 @@ import numpy as np
 import pytest
 
 from .program import (
-    PAIR,
-    PASS,
-    PROGRAM,
-    dbo,
-    done,
-    listing,
-    model,
-    refused,
-    table,
-    write,
-)
+    PAIR, PASS, PROGRAM, dbo, done, listing, model, refused, table, write
+)  # fmt: skip
 
 SMALL = model("small")
 posix = pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals and pipes")

@@ -33,17 +33,6 @@ def test_the_module_is_the_program_between_pipes():
     assert ended.stderr.count(b"\n") == 1
 
 
-def test_three_commands_in_one_pipe():
-    """``invert`` into ``simulate`` by stdin, and its output into a report."""
-    Path("wished.csv").write_text("displacement_um\n1\n4.2\n9\n4\n")
-    words = " ".join(f"'{word}'" for word in PROGRAM)
-    line = f"{words} invert {SMALL} -q | {words} simulate - wished.csv -q"
-    ended = subprocess.run(["sh", "-c", line], capture_output=True, check=True)
-    assert ended.stderr == b""
-    drive = np.loadtxt(ended.stdout.decode().splitlines(), delimiter=",", skiprows=1)
-    np.testing.assert_allclose(drive[:, 1], [0.0, 5.0, 10.0, 3.0], atol=1e-12)
-
-
 @posix
 def test_a_reader_that_leaves_early_is_success():
     Path("long.csv").write_text("voltage_V\n" + "1\n2\n3\n" * 200_000)

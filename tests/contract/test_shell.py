@@ -244,17 +244,6 @@ def test_a_dash_is_stdin_and_stdout(drive):
     assert inverse.raw == done("invert", model("small")).raw
 
 
-def test_an_output_replaces_what_was_there_or_leaves_it(drive):
-    Path("out.csv").write_text("old\n")
-    good = drive.read_text()
-    drive.write_text(good + "0.5,broken\n")
-    refused(1, "simulate", model("small"), drive, "-o", "out.csv")
-    assert Path("out.csv").read_text() == "old\n"
-    drive.write_text(good)
-    done("simulate", model("small"), drive, "-o", "out.csv")
-    assert len(table("out.csv")["time_s"]) == 500
-
-
 @pytest.mark.parametrize("suffix", [".csv", ".tsv", ".csv.gz", ".h5", ".txt"])
 def test_what_is_written_can_be_read_again(drive, suffix):
     done("simulate", model("small"), drive, "-o", f"first{suffix}")

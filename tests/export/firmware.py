@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 
 import dbo_cli.model as dm
-from dbo_cli.drive import Driver, Lead, Limits
+from dbo_cli.drive import Driver, Lead
+from dbo_cli.export.plan import Grid
 
 CC = os.environ.get("CC", "cc")
 NO_COMPILER = shutil.which(CC) is None
@@ -25,14 +26,14 @@ NUMBERS = itertools.count()
 MORE_REST = 8  # rows before a move, from which on a delay knows its past
 
 
-def gears(n, seed=1, relaxation=None, low=LOW, high=HIGH, run=1):
+def gears(n, seed=1, relaxation=None, run=1):
     """Return n uneven gears, in runs of equal ones, whose slopes grow."""
     rng = np.random.default_rng(seed)
     parts = -(-n // run)
     dx = np.repeat(rng.uniform(0.5, 1.5, parts), run)[:n]
     slope = np.repeat(np.linspace(0.04, 0.09, parts), run)[:n]
-    dx *= (high - low) / dx.sum()
-    return dm.Gears(dx, dx * slope, low, 0.3, relaxation)
+    dx *= (HIGH - LOW) / dx.sum()
+    return dm.Gears(dx, dx * slope, LOW, 0.3, relaxation)
 
 
 def curve(low, high, bend):
@@ -42,15 +43,23 @@ def curve(low, high, bend):
     return dm.Points(np.diff(x) * (high - low), np.diff(y) * (high - low), low, low)
 
 
-def model_of(*stages, low=LOW, high=HIGH):
+def model_of(*stages):
     """Return a forward model whose displacement range is what it reaches slowly."""
-    voltage = dm.Quantity("voltage", "V", low, high)
+    voltage = dm.Quantity("voltage", "V", LOW, HIGH)
     guess = dm.Quantity("displacement", "um", -1e3, 1e3)
     wide = dm.Cascade("forward", voltage, guess, stages)
-    y, _ = wide.static.simulate([low, high], dt=1e9)
+    y, _ = wide.static.simulate([LOW, HIGH], dt=1e9)
     ends = sorted(y.tolist())
     reached = dm.Quantity("displacement", "um", *ends)
     return dm.Cascade("forward", voltage, reached, stages)
+
+
+def beyond(relaxation=None):
+    """Return gears that go on beyond both ends of the range: those come last in the table."""
+    inside = gears(30, relaxation=relaxation)
+    dx = np.concatenate([inside.dx, np.full(6, 2.5)])
+    dy = np.concatenate([inside.dy, np.full(6, 0.2)])
+    return dm.Gears(dx, dy, LOW - 3 * 2.5, 0.3 - 3 * 0.2, relaxation)
 
 
 CREEP = dm.Relaxation(0.0, (0.01, 0.3), (0.004, 0.006))
@@ -69,6 +78,9 @@ MODELS = {
     "many": model_of(gears(1280)),
     "bent, falling": model_of(curve(LOW, HIGH, 0.3), gears(40), dm.Scale(-2.0, 5.0)),
     "points behind": model_of(gears(40), curve(0.3, 7.0, -0.2), dm.Scale(3.0, 0.0)),
+    "few": model_of(curve(LOW, HIGH, 0.3), gears(12), dm.Delay(0.0007)),
+    "beyond": model_of(beyond()),
+    "beyond, soft": model_of(beyond(SOFT)),
     "creep": model_of(gears(64, relaxation=CREEP)),
     "negative gains": model_of(gears(64, relaxation=SOFT), dm.Scale(2.0, 0.0)),
     "delay": model_of(gears(40, relaxation=CREEP), dm.Delay(0.0043)),
@@ -76,15 +88,6 @@ MODELS = {
     "whole delay": model_of(gears(40), dm.Delay(0.003)),
     "dynamics": model_of(gears(40, relaxation=SOFT), SWINGING, dm.Delay(0.0012)),
 }  # fmt: skip
-
-
-def wide_model(relaxation=None):
-    """Return a model whose gears go on beyond both ends of its range: those come last in the table."""
-    inside = gears(30, relaxation=relaxation)
-    dx = np.concatenate([inside.dx, np.full(6, 2.5)])
-    dy = np.concatenate([inside.dy, np.full(6, 0.2)])
-    below = 7.5  # three of them
-    return model_of(dm.Gears(dx, dy, LOW - below, 0.3 - 0.6, relaxation))
 
 
 def wish(model, rows=1500, seed=3):
@@ -102,16 +105,28 @@ def wish(model, rows=1500, seed=3):
     return low + (high - low) * part
 
 
-def limits_of(model, **options):
-    return Limits.within(model.input, **options)
-
-
-def driven(model, wanted, limits, state="empty"):
-    """Return the drive of the library."""
+def played(model, limits, firmware, seed=3, state="empty"):
+    """Return what an export and the library drive for one move, from ``empty`` or after a reset."""
+    figures, wanted = firmware.export.figures, wish(model, seed=seed)
+    ahead, is_whole = figures["ahead"], figures["arithmetic"] == "q31"
+    wanted = np.concatenate([np.full(ahead + MORE_REST, wanted[0]), wanted])
+    source, drive = Grid.of(model.output), Grid.of(model.input)
+    if is_whole:
+        wanted = np.clip(wanted, model.output.min, model.output.max)
+        wanted = np.array([source.value(source.count(x)) for x in wanted])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         driver = Driver(Lead(model, limits, state), on_limit="clip")
-        return driver.whole(np.asarray(wanted), 1.0 / RATE).voltage
+        expected = driver.whole(wanted, 1.0 / RATE).voltage
+    if state != "empty":  # the first row is where it rests
+        found = firmware.play(wanted[1 + ahead :], reset=expected[0])
+        return found, expected[1 : 1 + found.size]
+    if is_whole:
+        found = firmware.play([source.count(x) for x in wanted[ahead:]])
+        found = np.array([drive.value(count) for count in found])
+    else:
+        found = firmware.play(wanted[ahead:])
+    return found, expected[: found.size]
 
 
 class Firmware:
@@ -182,21 +197,3 @@ class Firmware:
         self._compile([*self._objects("play.c"), "-o", program])
         done = subprocess.run([str(program)], capture_output=True, text=True)
         return done.returncode, done.stdout
-
-
-def counts_of(values, quantity):
-    """Return values as counts of q31."""
-    middle, unit = 0.5 * (quantity.min + quantity.max), quantity.span / 2.0**31
-    return [round((value - middle) / unit) for value in values]
-
-
-def values_of(counts, quantity):
-    """Return counts of q31 as values."""
-    middle, unit = 0.5 * (quantity.min + quantity.max), quantity.span / 2.0**31
-    return np.array(counts, dtype=np.float64) * unit + middle
-
-
-def with_rest(export, wanted):
-    """Return a move behind a rest at its first value, as long as the export reads ahead and a little more."""
-    rest = np.full(export.figures["ahead"] + MORE_REST, wanted[0])
-    return np.concatenate([rest, wanted])

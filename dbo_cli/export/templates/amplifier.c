@@ -1,3 +1,4 @@
+@step
     state->amplifier = x;
     x = before + (x - before) / share;
     x = x < low ? low : x > high ? high : x;

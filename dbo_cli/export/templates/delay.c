@@ -1,3 +1,9 @@
+@members
+    double wanted[DBO_WINDOW];
+    int waiting;
+@init
+    state->waiting = 1;
+@step
     for (int k = 0; k < DBO_WINDOW; k++) /* at rest before the first sample */
         state->wanted[k] = state->waiting || k == DBO_WINDOW - 1 ? x : state->wanted[k + 1];
     state->waiting = 0;

@@ -9,7 +9,10 @@ $INCLUDES
 extern "C" {
 #endif
 
-$CONSTANTS
+#define ${GUARD}_SAMPLE_RATE_HZ $RATE /* call the step so often */
+#define ${GUARD}_AHEAD $AHEAD /* samples: give the input so much earlier */
+$COUNTS
+
 /* All that one sample leaves behind for the next; may be copied. */
 typedef struct {
 $MEMBERS

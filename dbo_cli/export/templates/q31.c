@@ -34,7 +34,8 @@ $STEP
     y = dboq_backlash_step(&op, &state->gears, u, &limits);
     u = dboq_segments_step(behind_segments, ${BEHIND_ROWS}U, ${BEHIND_SHIFT}U, &state->segments[1], dboq_counts_of(y, ${Y_SHIFT}U));
     x = dboq_counts_of(u, 0U);
-$SLEW
+    if ((int64_t)x - state->output < -$MOST_CHANGE) x = (int32_t)(state->output - $MOST_CHANGE);
+    if ((int64_t)x - state->output > $MOST_CHANGE) x = (int32_t)(state->output + $MOST_CHANGE);
     x = x < $LEAST ? $LEAST : x > $MOST ? $MOST : x;
     state->output = x;
     return x;

@@ -1,3 +1,6 @@
+@members
+    double window_${PLACE}[$WINDOW];
+@step
     if (!state->moving) { /* at rest before the first sample */
         for (size_t k = 0; k <= $AHEAD; k++) state->window_${PLACE}[k] = x;
         state->sections[${PLACE}].y = x;
