@@ -1009,7 +1009,6 @@ def reported(
         expected=None if expected is None else expected_in(expected, unit),
         max_rmse=_figure("max_rmse", max_rmse, unit),
         voltage_unit=units.get("voltage"),
-        labels=("desired" if model is None else "model", "measured"),
         model=model,
         **options,
     )

@@ -76,7 +76,7 @@ def identify(
     from dbo_cli.identification import Options, describe, describe_validation, leads
     from dbo_cli.model import dumps_model, dumps_set
     from dbo_cli.recordings import model_of, recordings_of
-    from dbo_cli.reports import ShownModel
+    from dbo_cli.reports import shown_text
 
     check_outputs(output, summary)
     options = Options(
@@ -129,7 +129,7 @@ def identify(
     else:
         sense = f"{model.sign}, leads the drive" if leads(recordings) else model.sign
         say_logs(read, rows, f" ({sense})")
-        detail(*ShownModel(model).text().splitlines()[1:])
+        detail(*shown_text(model, "").splitlines()[1:])
         say_output(output, lines.pop(0))
     for line in lines:
         say(line)
