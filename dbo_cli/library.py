@@ -976,7 +976,7 @@ def matched(
         matched_pair = match(pair, values, table.time, by, trajectory, drive)
         if drive is not None and not has_summary:
             matched_pair = matched_pair.noted(
-                "rows of a way back count as the move: the drive's summary (--expected) leaves them out"
+                "rows of a way back count as the move: the drive's summary (`expected`) leaves them out"
             )
         matches.append(matched_pair)
     return matches, units, logs

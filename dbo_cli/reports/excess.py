@@ -70,6 +70,9 @@ def _cause(
     causes.append((_left(error[most], white), text, "look there for a gap or a limit"))
     residual, text, remedy = min(causes)
     if residual > HALVED * _left(error, white):
+        if pair.drive_error is not None:
+            percent = f"{100.0 * pair.drive_error:.2g} % of its range"
+            return f": another drive was played, up to {percent} apart: dbo check `against` tells more"
         return f": {sweep}or identify again" if sweep else ": identify again"
     return f": {text}, without which {residual:.2g} is left: {remedy}"
 

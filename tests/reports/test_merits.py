@@ -27,7 +27,9 @@ def test_values_by_hand():
 def test_no_move_no_percentage():
     figures = figures_of(np.ones(5), np.zeros(5))
     assert figures["rmse"] == 1.0
-    undefined = "nrmse_percent loop_width loop_width_percent lag_left_samples lag_left_s"
+    undefined = (
+        "nrmse_percent loop_width loop_width_percent lag_left_samples lag_left_s"
+    )
     for key in undefined.split():
         assert figures[key] is None
 
