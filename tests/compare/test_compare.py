@@ -1,8 +1,8 @@
 """The table of operators: what is counted, and what is said of a refusal."""
 
 import dbo_cli.model as dm
-from dbo_cli.compare import OperatorTable, Row
-from dbo_cli.compare.compare import DboModel
+from dbo_cli.compare import compared_text
+from dbo_cli.compare.compare import KEYS, DboModel
 
 
 def test_the_numbers_of_the_dbo_are_counted():
@@ -18,5 +18,7 @@ def test_the_numbers_of_the_dbo_are_counted():
 
 
 def test_a_table_of_refusals_is_a_table():
-    text = OperatorTable((Row("pi", "plays", refused="no"),), None, ("a",)).text()
+    row = dict.fromkeys(KEYS) | {"name": "pi", "words": "plays", "refused": "no"}
+    content = {"logs": ["a"], "validation": [], "unit": None, "models": [row]}
+    text = compared_text(content)
     assert "note: pi: no" in text
