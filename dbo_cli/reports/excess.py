@@ -64,16 +64,12 @@ def _cause(
             remedy = "match the clocks, or take the delay out of the model"
         text = f"it is {1e3 * abs(seconds):.3g} ms {side}"
         causes.append((_left(shifted - offset, white), text, remedy))
-    most = np.argsort(np.abs(error))[: math.floor(0.99 * len(error))]
-    row = figures["max_abs_row"]
-    text = f"one row in a hundred holds most of it, the largest at row {row:,}"
-    causes.append((_left(error[most], white), text, "look there for a gap or a limit"))
     residual, text, remedy = min(causes)
     if residual > HALVED * _left(error, white):
         if pair.drive_error is not None:
             percent = f"{100.0 * pair.drive_error:.2g} % of its range"
             return f": another drive was played, up to {percent} apart: dbo check `against` tells more"
-        return f": {sweep}or identify again" if sweep else ": identify again"
+        return f": {sweep}look at row {figures['max_abs_row']:,}, or identify again"
     return f": {text}, without which {residual:.2g} is left: {remedy}"
 
 

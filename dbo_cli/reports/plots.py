@@ -13,7 +13,7 @@ import math
 import os
 import re
 from base64 import b64encode
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -30,7 +30,7 @@ from dbo_cli.reports.words import digits, shown_unit
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from dbo_cli.model import Cascade, Quantity
+    from dbo_cli.model import Cascade
 
 INK, MUTED, RULE = "#1b1d22", "#5d646f", "#d5d9df"
 FIRST, SECOND, FILL = "#00508f", "#e0751a", "#7fa8cc"
@@ -155,14 +155,11 @@ def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:
         with Outputs() as outputs:
             for plot in plots:
                 for kind in ("png", "svg"):
-                    path = target / f"{plot.key}.{kind}"
-                    outputs.write_bytes(path, draw(plot, kind))
-                    written.append(path)
-    except BaseException:
-        if is_new:
-            with contextlib.suppress(OSError):
-                target.rmdir()
-        raise
+                    written.append(target / f"{plot.key}.{kind}")
+                    outputs.write_bytes(written[-1], draw(plot, kind))
+    finally:
+        if is_new and not any(target.iterdir()):
+            target.rmdir()
     return written
 
 
@@ -171,28 +168,26 @@ def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:
 
 def plots_of_log(
     pair: Pair,
+    log: Mapping[str, Any],
     first: str,
     units: tuple[str | None, str | None],
-    offset: float,
-    rmse: float,
     stem: str,
 ) -> list[Plot]:
     """Return the figures of one log: both signals, the error, the loop and the spectrum.
 
     Parameters
     ----------
-    pair
-        The rows that were compared.
+    pair, log
+        The rows that were compared, and the figures of ``merits``.
     first
         What measured is compared with.
     units
         Of the displacements and of the drive.
-    offset, rmse
-        What is taken off the error, and the RMS of what is left.
     stem
         Of the names of their files.
     """
     unit, voltage_unit = units
+    offset, rmse = log["offset_removed"], log["rmse"]
     desired, measured, drive = pair.desired, pair.measured - offset, pair.voltage
     error = pair.measured - desired - offset
     time, clock = pair.time, "Time (s)"
@@ -305,7 +300,8 @@ def model_plots(model: Cascade) -> list[Plot]:
     into, out = forward.input, forward.output
     drive, rising, falling = slow_loop(forward)
     line = np.polyval(np.polyfit(drive, 0.5 * (rising + falling), 1), drive)
-    loop = f"The model's loop, {quantity_range(into)}"
+    ends = f"{into.min:.4g} to {into.max:.4g} {shown_unit(into.unit)}".rstrip()
+    loop = f"The model's loop, {ends}"
     deviation = "Deviation from a straight line"
     kinds = [
         ("model-loop", loop, TALL, out.quantity.capitalize(), 0.0 * line),
@@ -323,12 +319,6 @@ def model_plots(model: Cascade) -> list[Plot]:
         )
         plots.append(Plot(key, title, labels, curves, size))
     return plots
-
-
-def quantity_range(quantity: Quantity) -> str:
-    """Return a range with its unit."""
-    unit = f" {shown_unit(quantity.unit)}" if quantity.unit else ""
-    return f"{quantity.min:.4g} to {quantity.max:.4g}{unit}"
 
 
 def slow_loop(model: Cascade) -> tuple[Floats, Floats, Floats]:

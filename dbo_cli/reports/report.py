@@ -129,8 +129,18 @@ class Report:
         limits = []
         for log in logs:
             for figure, bound in bounds.items():
-                if bound is not None:
-                    limits.append(_judged(log, figure, bound))
+                if bound is None:
+                    continue
+                value = log[figure]
+                limits.append(
+                    {
+                        "name": log["name"],
+                        "figure": figure,
+                        "limit": bound,
+                        "value": value,
+                        "passed": value is not None and value <= bound,
+                    }
+                )
         return cls(
             tuple(compared),
             tuple(logs),
@@ -206,13 +216,8 @@ class Report:
 
     def render(self, form: str) -> str:
         """Return the report as ``text``, ``json``, ``csv`` or ``html``."""
-        forms = {
-            "text": self.to_text,
-            "json": self.to_json,
-            "csv": self.to_csv,
-            "html": self.to_html,
-        }
-        return forms[form]()
+        text: str = getattr(self, f"to_{form}")()
+        return text
 
     def to_json(self) -> str:
         """Return the report as JSON text, ``dbo-report`` version 1; numbers read back exactly.
@@ -346,23 +351,8 @@ class Report:
         stems = plots.file_stems([pair.name for pair in self.pairs])
         for pair, log, stem in zip(self.pairs, self.logs, stems, strict=True):
             units = self.unit, self.voltage_unit
-            drawn = plots.plots_of_log(
-                pair, self.first, units, log["offset_removed"], log["rmse"], stem
-            )
+            drawn = plots.plots_of_log(pair, log, self.first, units, stem)
             sections.append((pair.name, drawn))
         if self.model is not None:
             sections.append(("The model", plots.model_plots(self.model)))
         return sections
-
-
-def _judged(log: Mapping[str, Any], figure: str, limit: float) -> dict[str, Any]:
-    """Return whether a log keeps a limit, under the keys of the JSON form."""
-    value = log[figure]
-    passed = value is not None and value <= limit
-    return {
-        "name": log["name"],
-        "figure": figure,
-        "limit": limit,
-        "value": value,
-        "passed": passed,
-    }
