@@ -89,7 +89,7 @@ def fit_of(table: Floats, model: Cascade) -> Report:
     pair = Pair("identification", predicted, rows_of(table, rows, MEASURED),
                 time=np.arange(len(voltage)) / RATE, voltage=voltage, rows=(201, 400))  # fmt: skip
     return Report.of([pair], unit="um", voltage_unit="V", remove_offset=True,
-                     labels=("model", "measured"), model=model)  # fmt: skip
+                     model=model)  # fmt: skip
 
 
 def tracking_of(table: Floats) -> Report:
@@ -117,7 +117,7 @@ def reproduce(folder: Path, out: Path) -> bool:
     [scale] = [stage for stage in model.stages if isinstance(stage, Scale)]
     drive = rows_of(first, (CYCLE[0], CYCLE[1] + 600), VOLTAGE)
     fit, tracking = fit_of(first, model), tracking_of(second)
-    errors = [log.merits.rmse for log in tracking.logs]
+    errors = [log["rmse"] for log in tracking.logs]
     compensated = errors[1] if len(errors) > 1 else None
     lines = [
         Line("Drive, peak to peak (Fig. 5)", 3.6, float(np.ptp(drive)), 5e-4, "V"),

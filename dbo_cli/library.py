@@ -968,7 +968,7 @@ def matched(
         matched_pair = match(pair, values, table.time, by, trajectory, drive)
         if drive is not None and not has_summary:
             matched_pair = matched_pair.noted(
-                "rows of a way back count as the move: the drive's summary (--expected) leaves them out"
+                "rows of a way back count as the move: the drive's summary (`expected`) leaves them out"
             )
         matches.append(matched_pair)
     return matches, units, logs
@@ -1001,7 +1001,6 @@ def reported(
         expected=None if expected is None else expected_in(expected, unit),
         max_rmse=_figure("max_rmse", max_rmse, unit),
         voltage_unit=units.get("voltage"),
-        labels=("desired" if model is None else "model", "measured"),
         model=model,
         **options,
     )

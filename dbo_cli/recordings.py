@@ -222,6 +222,7 @@ def pair_of(
     optional = ("time",) if needs_drive else ("time", "voltage")
     log, table = read_table(source, columns, reading, units, optional)
     stated = {role: column.unit for role, column in log.columns.items() if column.unit}
+    warn_of_assumed(log)
     measured, drive = table["measured"], table.values.get("voltage")
     if "desired" not in columns:
         return Pair(log.name, measured, measured, table.time, drive), stated, log
@@ -238,6 +239,12 @@ def pair_of(
     if unit is not None:
         stated["measured"] = unit
     return Pair(log.name, table["desired"], measured, table.time, drive), stated, log
+
+
+def warn_of_assumed(log: Log) -> None:
+    """Warn of columns whose unit is assumed, where no line says what was read."""
+    for label in log.assumed:
+        warn(f"{log.name}: {label}: state its unit in its name, or by `scale`")
 
 
 def tracked_of(
@@ -258,6 +265,7 @@ def tracked_of(
     recordings = []
     for source in sources:
         log, table = read_table(source, columns, reading, units)
+        warn_of_assumed(log)
         recordings.append(
             Tracked(log.name, table["voltage"], table["measured"], table.time)
         )

@@ -27,9 +27,7 @@ def check(
     loop: bool = flag("--loop", "Also check the step from the last row to the first."),
     against: Text = option("FILE", "DRIVE is a recording; was this file played?"),
     gain: float = rare("FACTOR", "With --against: amplifier gain.", default=1.0),
-    tolerance: Text = option(
-        "VOLT", "With --against: largest difference; 0.1 % of the range."
-    ),
+    tolerance: Text = option("VOLT", "Largest difference; 0.1 % of the range."),
     time: Text = opt.TIME,
     voltage: Text = column("The drive voltage: name or number."),
 ) -> None:

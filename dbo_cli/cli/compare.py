@@ -26,8 +26,10 @@ def compare(
     Example: dbo compare recorded.csv --validate other.csv
     """
     from dbo_cli.compare import compare as compare_operators
+    from dbo_cli.compare import compared_text
     from dbo_cli.files import check_outputs, write_text
     from dbo_cli.recordings import recordings_of
+    from dbo_cli.reports.words import json_text
 
     check_outputs(output)
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
@@ -38,4 +40,4 @@ def compare(
     seconds = opt.quantity("skip", skip, "s")
     result = compare_operators(recordings, tests, seconds)
     is_json = opt.form_of(form, output) == "json"
-    write_text(output, result.json() if is_json else result.text())
+    write_text(output, json_text(result) if is_json else compared_text(result))

@@ -45,10 +45,7 @@ def compensate(
         "--extrapolate", "Use the range beyond the logs' range.", LIMITS, hidden=True
     ),
     on_limit: Literal["auto", "clip", "error"] = option(
-        None,
-        "auto: clip if the tracking error stays under 1 % of the move, otherwise exit 3.",
-        LIMITS,
-        default="auto",
+        None, "auto: clip up to 1 % of the move, else exit 3.", LIMITS, default="auto"
     ),
     start: Texts = opt.FROM,
     approach: Text = option("SECONDS|auto", "Time of a ramp to row 1.", MOVE),
@@ -79,10 +76,9 @@ def compensate(
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.logs import open_log
 
-    learning = {"tracked": tracked, "history": history, "absolute": absolute}
-    opt.require(
-        "tracked", tracked, {**learning, "voltage": voltage, "measured": measured}
-    )
+    learning = {"history": history, "absolute": absolute}
+    recorded = {"voltage": voltage, "measured": measured}
+    opt.require("tracked", tracked, learning | recorded)
     opt.require("periodic", periodic, {"passes": passes})
     check_outputs(output, summary, state=save_state, history=history)
     columns = {"time": time, "displacement": displacement}
@@ -119,7 +115,7 @@ def compensate(
         return
     from dbo_cli.recordings import read_table, tracked_of
 
-    recorded = {"time": time, "voltage": voltage, "measured": measured}
+    recorded["time"] = time
     reading, reading_of_pass = scales_apart(reading, recorded if tracked else {})
     histories = channels.histories_of(history, names)
     cutoff = opt.quantity("bandwidth", bandwidth, "Hz")

@@ -8,22 +8,14 @@ from dbo_cli.cli.say import say_output
 
 
 def excite(
-    v_max: str = option(
-        "VOLT", "Highest voltage, or another drive: 4bar.", default=...
-    ),
-    v_min: str = option(
-        "VOLT", "Lowest voltage of the amplifier.", LIMITS, default="0"
-    ),
+    v_max: str = option("VOLT", "Highest voltage, or such as 4bar.", default=...),
+    v_min: str = option("VOLT", "Lowest voltage; default 0.", LIMITS, default="0"),
     max_slew: Text = opt.MAX_SLEW,
     sample_rate: str = option("HZ", "Rows per second; default 1000.", default="1000"),
-    duration: Text = option(
-        "SECONDS", "Of the swings; 30 s, longer where slew is limited."
-    ),
+    duration: Text = option("SECONDS", "Of the swings; default 30, or longer."),
     rest: Text = option("SECONDS", "At rest behind the swings: as long as moves hold."),
     sweep_to: Text = option("HZ", "Append a small sweep up to this frequency."),
-    sweep_amplitude: Text = option(
-        "VOLT", "Amplitude of the sweep; default 1 % of the range."
-    ),
+    sweep_amplitude: Text = option("VOLT", "Of the sweep; default 1 % of the range."),
     output: str = opt.OUTPUT_FILE,
 ) -> None:
     """Write a drive from which a model is identified well.

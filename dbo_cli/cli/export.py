@@ -13,9 +13,7 @@ from dbo_cli.errors import ModelError, UsageError
 def export(
     model: str = opt.MODEL,
     output: str = option("DIR", "Output folder.", None, "-o", "--output", default=...),
-    name: str = option(
-        None, "First word of file, type and function names.", default="actuator"
-    ),
+    name: str = option(None, "First word of all names in C.", default="actuator"),
     arithmetic: Literal["double", "q31"] = option(
         None, "double: exact (default); q31: integers, bounded error.", default="double"
     ),

@@ -14,7 +14,10 @@ from dbo_cli.errors import UsageError
 if TYPE_CHECKING:
     from dbo_cli.model import Cascade
 
-STRUCTURE = "Structure of the model"
+
+def structure(metavar: str | None, text: str, default: str = "auto") -> Any:
+    """Return an option of the model's structure."""
+    return rare(metavar, text, "Structure of the model", default=default)
 
 
 def identify(
@@ -31,36 +34,18 @@ def identify(
         None, "Expected direction; exit 3 if the log differs."
     ),
     skip: str = opt.SKIP,
-    zero: str = rare(
-        "none|mean|first|VALUE", "Displacement to call 0.", default="none"
+    zero: str = rare("none|mean|first|VALUE", "What to call 0.", default="none"),
+    sensor_delay: str = rare("SECONDS", "Delay of the sensor.", READING, default="0"),
+    gears: str = structure("N|auto", "Number of gears."),
+    points: str = structure("M|auto", "Segments of the asymmetry; 0 for none."),
+    relaxation: str = structure("auto|0|T1,T2,...", "Time constants of creep in s."),
+    delay: str = structure("SECONDS|auto", "Delay behind the drive."),
+    dynamics: str = structure("auto|0|1|2", "Resonances; needs a sweep in the log."),
+    slopes: Literal["auto", "growing", "falling", "free"] = structure(
+        None, "Slopes of the gears."
     ),
-    sensor_delay: str = rare(
-        "SECONDS", "Delay of the sensor, taken off.", READING, default="0"
-    ),
-    gears: str = rare("N|auto", "Number of gears.", STRUCTURE, default="auto"),
-    points: str = rare(
-        "M|auto", "Segments of the asymmetry; 0 for none.", STRUCTURE, default="auto"
-    ),
-    relaxation: str = rare(
-        "auto|0|T1,T2,...",
-        "Creep's time constants in s; 0: none.",
-        STRUCTURE,
-        default="auto",
-    ),
-    delay: str = rare(
-        "SECONDS|auto", "Delay behind the drive.", STRUCTURE, default="auto"
-    ),
-    dynamics: str = rare(
-        "auto|0|1|2", "Resonances; needs a sweep in the log.", STRUCTURE, default="auto"
-    ),
-    slopes: Literal["auto", "growing", "falling", "free"] = rare(
-        None, "Slopes of the gears.", STRUCTURE, default="auto"
-    ),
-    method: Literal["least-squares", "paper"] = rare(
-        None,
-        "paper: the procedure of the 2018 paper.",
-        STRUCTURE,
-        default="least-squares",
+    method: Literal["least-squares", "paper"] = structure(
+        None, "paper: the procedure of the 2018 paper.", "least-squares"
     ),
     force: bool = flag("--force", "Keep a model no better than a straight line."),
 ) -> None:
@@ -76,7 +61,7 @@ def identify(
     from dbo_cli.identification import Options, describe, describe_validation, leads
     from dbo_cli.model import dumps_model, dumps_set
     from dbo_cli.recordings import model_of, recordings_of
-    from dbo_cli.reports import ShownModel
+    from dbo_cli.reports import shown_text
 
     check_outputs(output, summary)
     options = Options(
@@ -129,7 +114,7 @@ def identify(
     else:
         sense = f"{model.sign}, leads the drive" if leads(recordings) else model.sign
         say_logs(read, rows, f" ({sense})")
-        detail(*ShownModel(model).text().splitlines()[1:])
+        detail(*shown_text(model, "").splitlines()[1:])
         say_output(output, lines.pop(0))
     for line in lines:
         say(line)

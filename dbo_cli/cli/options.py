@@ -109,9 +109,7 @@ SKIP = option("SECONDS", "Skip the beginning of every log.", READING, default="0
 def read_as(
     *,
     sample_rate: Text = option("HZ", "Rate of a log without a time column.", READING),
-    scale: Texts = option(
-        "ROLE=FACTOR", "Factor: voltage=20, displacement=10um/V.", READING
-    ),
+    scale: Texts = option("ROLE=FACTOR", "voltage=20, displacement=10um/V.", READING),
     rows: Text = rare("A:B", "Data rows A to B, counted from 1.", READING),
     time_unit: Text = rare("UNIT", "Unit of the time: s, ms, us, min, h.", READING),
     skip_bad: bool = flag(
@@ -122,11 +120,7 @@ def read_as(
     decimal: Text = rare("point|comma", "Decimal sign.", READING),
     skip_lines: int | None = rare("N", "Lines before the header.", READING, min=0),
     encoding: Text = rare("NAME", "Text encoding, if not UTF-8.", READING),
-    clock_offset: Text = rare(
-        "SECONDS|auto",
-        "Added to the clock of the drive's file; auto finds it.",
-        READING,
-    ),
+    clock_offset: Text = rare("SECONDS|auto", "Added to the drive's clock.", READING),
 ) -> Reading:
     """Return how a log is to be read."""
     from dbo_cli.logs import Reading
@@ -163,9 +157,7 @@ def speak(
         None, "Print errors only.", OUTPUT, "-q", "--quiet", default=False
     ),
     verbose: bool = flag("--verbose", "Print details.", OUTPUT),
-    debug: bool = flag(
-        "--debug", "Print the traceback of an error.", OUTPUT, hidden=True
-    ),
+    debug: bool = flag("--debug", "Print a traceback, too.", OUTPUT, hidden=True),
 ) -> None:
     """Set how much a command says."""
     Level.quiet, Level.verbose, Level.debug = quiet, verbose, debug

@@ -31,28 +31,19 @@ def report(
     measured: Text = column("Measured displacement."),
     voltage: Text = column("The drive, for --model and the figures."),
     time: Text = opt.TIME,
-    trajectory: Text = option(
-        "FILE", "The desired displacement, if in a file.", COMPARED
-    ),
+    trajectory: Text = option("FILE", "The file of the desired values.", COMPARED),
     match: Literal["auto", "time", "rows"] = rare(
         None, "How rows of log and --trajectory match.", COMPARED, default="auto"
     ),
     model: Text = option("MODEL", "Compare with the prediction of a model.", COMPARED),
     state: str = option(
-        "NAME|FILE",
-        "With --model: auto, empty, full, settled.",
-        COMPARED,
-        default="auto",
+        "NAME|FILE", "Start, as of simulate.", COMPARED, default="auto"
     ),
-    expected: Text = option(
-        "SUMMARY", "Expected error: a --summary, or a model.", COMPARED
-    ),
+    expected: Text = option("SUMMARY", "Expected error: summary or model.", COMPARED),
     lag: int = rare("N", "Rows by which measured is taken later.", COMPARED, default=0),
     remove_offset: bool = flag("--remove-offset", "Subtract the mean error.", COMPARED),
     max_rmse: Text = option("VALUE", "Largest RMS error, such as 10nm.", BOUNDS),
-    max_nrmse_percent: Text = option(
-        "PERCENT", "Largest RMS error, in % of the move.", BOUNDS
-    ),
+    max_nrmse_percent: Text = option("PERCENT", "The same in % of the move.", BOUNDS),
 ) -> None:
     """Report how well a displacement follows the desired one.
 
@@ -89,25 +80,20 @@ def report(
         with channels.naming(channel):
             if trajectory is not None:
                 column = channels.columns_for({"desired": desired}, channel)["desired"]
+                is_told = expected is not None
                 found = matched(
-                    logs,
-                    roles,
-                    reading,
-                    trajectory,
-                    column,
-                    match,
-                    expected is not None,
+                    logs, roles, reading, trajectory, column, match, is_told
                 )
             else:
                 name = f"{model}::{channel}" if channel else model or ""
                 start = starts.get(channel, "auto")
                 found = pairs_of(logs, roles, reading, actuator, start, name)
             pairs, units, opened = found
+            counted = []
+            for pair, name in zip(pairs, short_names(logs), strict=True):
+                counted.append(dataclasses.replace(pair, rows=rows, name=name))
             results[channel] = reported(
-                [
-                    dataclasses.replace(pair, rows=rows, name=name)
-                    for pair, name in zip(pairs, short_names(logs), strict=True)
-                ],
+                counted,
                 units,
                 actuator,
                 summaries[channel],
@@ -133,10 +119,11 @@ def publish(
     from dbo_cli.files import check_outputs, write_text
 
     check_outputs(output)
+    texts = {}
     for name, result in results.items():
         if figures is not None:
             detail(*map(str, result.figures(os.path.join(figures, name))))
-    texts = {name: rendered(result, form) for name, result in results.items()}
+        texts[name] = rendered(result, form)
     if form == "json":
         write_text(output, channels.dumps_files("report", texts))
     elif form == "text":
@@ -151,8 +138,9 @@ def publish(
         detail(*result.notes)
         for text in result.warnings:
             warn(f"channel {name}: {text}" if name else text)
-    for result in results.values():
-        result.require_passed()
+    for name, result in results.items():
+        with channels.naming(name):
+            result.require_passed()
 
 
 def rendered(result: Report, form: str) -> str:

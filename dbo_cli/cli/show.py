@@ -20,18 +20,23 @@ def show(
     """
     from dbo_cli.files import check_outputs, write_text
     from dbo_cli.model import is_set, read_model, read_models
-    from dbo_cli.reports import ShownModel
+    from dbo_cli.reports import shown_text, shown_values
+    from dbo_cli.reports.plots import model_plots, save
+    from dbo_cli.reports.words import json_text
 
+    models = {}
     if is_set(model):
-        pages = []
         for name, channel in read_models(model).items():
-            pages.append(ShownModel(channel, f"{model}::{name}"))
+            models[f"{model}::{name}"] = channel
     else:
-        pages = [ShownModel(read_model(model), model)]
-    is_json = opt.form_of(form, output) == "json"
-    texts = [page.json() if is_json else page.text() for page in pages]
+        models[model] = read_model(model)
     check_outputs(output)
-    if figures is not None:
-        for page in pages:
-            detail(*map(str, page.figures(figures)))
+    texts = []
+    for name, shown in models.items():
+        if opt.form_of(form, output) == "json":
+            texts.append(json_text(shown_values(shown)))
+        else:
+            texts.append(shown_text(shown, name))
+        if figures is not None:
+            detail(*map(str, save(model_plots(shown), figures)))
     write_text(output, "\n".join(texts))

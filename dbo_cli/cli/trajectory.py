@@ -29,14 +29,10 @@ def trajectory(
     lines: int | None = option("N", "Lines of a raster.", min=0),
     steps: int | None = option("N", "Steps of a staircase: up, then down.", min=0),
     dwell: Text = option("SECONDS", "Time at each level of a staircase."),
-    duration: Text = option(
-        "SECONDS", "Of a spiral, sine or triangle; default one cycle."
-    ),
+    duration: Text = option("SECONDS", "Of other shapes; default one cycle."),
     loop: bool = flag("--loop", "One closed period, for compensate --periodic."),
     bandwidth: Text = option("HZ", "Round corners, start and stop to this bandwidth."),
-    model: Texts = option(
-        "MODEL", "Require its range, round to its bandwidth; twice: x, y."
-    ),
+    model: Texts = option("MODEL", "Keep its range and bandwidth; twice: x, y."),
 ) -> None:
     """Write a move: raster, spiral, staircase, sine or triangle.
 

@@ -23,7 +23,7 @@ def waveform(
     codes: Text = option("LOW:HIGH", "Range of codes; default: the format's."),
     volts: Text = option("LOW:HIGH", "Voltage of the codes; default: the drive's."),
     max_rounding: float = option(
-        "PERCENT", "Allowed rounding, % of range.", default=1.0
+        "PERCENT", "Largest rounding, of the range.", default=1.0
     ),
     v_min: Texts = opt.V_MIN,
     v_max: Texts = opt.V_MAX,

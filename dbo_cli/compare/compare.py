@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.compare.fitting import (
     RIVALS,
     Design,
-    PlayModel,
+    Rival,
     RivalProblem,
     counted,
     fit,
@@ -21,42 +22,17 @@ from dbo_cli.compare.fitting import (
 from dbo_cli.errors import DboError
 from dbo_cli.identification import Options, Recording, identify
 from dbo_cli.model import Cascade, Points
-from dbo_cli.reports.words import digits, json_text, text_table
+from dbo_cli.reports.words import digits, text_table
 
 JSON_VERSION = 1  # of the form dbo-compare
+KEYS = (
+    "name words rmse expected_rmse validation_rmse parameters forward_ns inverse_ns "
+    "refused"
+).split()
+"""Of an operator in the JSON form."""
 HEADINGS = "operator,fit,expected,validated,numbers,ns forward,ns inverse".split(",")
 TIMED_SAMPLES = 100_000  # milliseconds, which a clock resolves
 TIMED_RUNS = 5  # the fastest counts: what else the machine does can only add
-
-
-@dataclass(frozen=True)
-class Row:
-    """The figures of one operator; lengths in the displacement's unit, None where there is none.
-
-    Attributes
-    ----------
-    name, words
-        What it is called, and what it is.
-    rmse, expected_rmse, validation_rmse
-        On its own logs (offset and drift off), expected on new moves, and on the logs
-        that took no part (offset off).
-    parameters
-        Numbers that were fitted.
-    forward_ns, inverse_ns
-        CPU time of a sample, without delay and dynamics.
-    refused
-        Why it could not be fitted.
-    """
-
-    name: str
-    words: str
-    rmse: float | None = None
-    expected_rmse: float | None = None
-    validation_rmse: float | None = None
-    parameters: int | None = None
-    forward_ns: float | None = None
-    inverse_ns: float | None = None
-    refused: str | None = None
 
 
 @dataclass(frozen=True)
@@ -111,52 +87,9 @@ class DboModel:
         return count
 
 
-@dataclass(frozen=True)
-class OperatorTable:
-    """Several operators, a row each, and what they were fitted to."""
-
-    rows: tuple[Row, ...]
-    unit: str | None
-    logs: tuple[str, ...]
-    validation: tuple[str, ...] = ()
-
-    def json(self) -> str:
-        """Return the JSON form, ``dbo-compare`` version 1."""
-        content = {
-            "format": "dbo-compare",
-            "version": JSON_VERSION,
-            "unit": self.unit,
-            "logs": list(self.logs),
-            "validation": list(self.validation),
-            "models": [asdict(row) for row in self.rows],
-        }
-        return json_text(content)
-
-    def text(self) -> str:
-        """Return the table, and a line for each operator that could not be fitted."""
-        heading = f"fitted to {', '.join(self.logs)}"
-        if self.validation:
-            heading += f"; validated on {', '.join(self.validation)}"
-        if self.unit:
-            heading += f"; errors (RMS) in {self.unit}"
-        cells, about, notes = [], [], []
-        for row in self.rows:
-            if row.refused is not None:
-                notes.append(f"note: {row.name}: {row.refused}")
-                continue
-            errors = [row.rmse, row.expected_rmse, row.validation_rmse]
-            costs = [row.forward_ns, row.inverse_ns]
-            numbers = [*map(digits, errors), str(row.parameters)]
-            numbers += [digits(cost, 3) for cost in costs]
-            cells.append([row.name, *numbers])
-            about.append(f"{row.name}: {row.words}")
-        lines = [heading, "", text_table(HEADINGS, cells), "", *about, *notes]
-        return "\n".join(lines) + "\n"
-
-
 def compare(
     logs: Sequence[Recording], validation: Sequence[Recording] = (), skip: float = 0.0
-) -> OperatorTable:
+) -> dict[str, Any]:
     """Fit the DBO and its relatives to the same logs, and judge them alike.
 
     Parameters
@@ -166,6 +99,15 @@ def compare(
     skip
         Seconds at the beginning of each log that do not count.
 
+    Returns
+    -------
+    dict
+        The JSON form, ``dbo-compare`` version 1. Of each operator: what it is called,
+        and what it is; the error (RMS, in the unit) on its own logs, offset and drift
+        off, the one expected on new moves, and the one on the logs that took no part,
+        offset off; the numbers that were fitted; CPU time of a sample, without delay and
+        dynamics; why it could not be fitted. None where there is none.
+
     Raises
     ------
     FitError
@@ -173,36 +115,56 @@ def compare(
     """
     problem = prepare_logs(logs, skip)
     rows = []
-    for rival in (Design("dbo", "Discrete Backlash Operator"), *RIVALS):
-        model: PlayModel | DboModel
+    for design in (Design("dbo", "Discrete Backlash Operator"), *RIVALS):
+        row: dict[str, Any] = dict.fromkeys(KEYS)
+        row |= {"name": design.name, "words": design.words}
+        rows.append(row)
+        model: Rival | DboModel
         try:
-            if rival.name == "dbo":  # also where it is no better than a line
+            if design.name == "dbo":  # also where it is no better than a line
                 model = DboModel(identify(logs, Options(skip=skip, force=True)))
             else:
-                model = fit(rival, problem)
+                model = fit(design, problem)
+            row["rmse"] = rmse = fitted_error(model, problem)
         except DboError as reason:
-            rows.append(Row(rival.name, rival.words, refused=str(reason)))
+            row["refused"] = str(reason)
             continue
-        rmse = fitted_error(model, problem)
-        forward, inverse = costs_of(model, logs[0])
-        rows.append(
-            Row(
-                rival.name,
-                rival.words,
-                rmse=rmse,
-                expected_rmse=model.expected(rmse),
-                validation_rmse=validation_error(model, validation, skip),
-                parameters=model.parameters,
-                forward_ns=forward,
-                inverse_ns=inverse,
-            )
-        )
-    names = tuple(log.name for log in logs)
-    tests = tuple(log.name for log in validation)
-    return OperatorTable(tuple(rows), logs[0].output[1] or None, names, tests)
+        row["expected_rmse"] = model.expected(rmse)
+        row["validation_rmse"] = validation_error(model, validation, skip)
+        row["parameters"] = model.parameters
+        row["forward_ns"], row["inverse_ns"] = costs_of(model, logs[0])
+    return {
+        "format": "dbo-compare",
+        "version": JSON_VERSION,
+        "unit": logs[0].output[1] or None,
+        "logs": [log.name for log in logs],
+        "validation": [log.name for log in validation],
+        "models": rows,
+    }
 
 
-def fitted_error(model: PlayModel | DboModel, problem: RivalProblem) -> float:
+def compared_text(content: Mapping[str, Any]) -> str:
+    """Return the JSON form as a table, and a line for each operator that could not be fitted."""
+    heading = f"fitted to {', '.join(content['logs'])}"
+    if content["validation"]:
+        heading += f"; validated on {', '.join(content['validation'])}"
+    if content["unit"]:
+        heading += f"; errors (RMS) in {content['unit']}"
+    cells, about, notes = [], [], []
+    for row in content["models"]:
+        name = row["name"]
+        if row["refused"] is not None:
+            notes.append(f"note: {name}: {row['refused']}")
+            continue
+        errors = [digits(row[key]) for key in KEYS[2:5]]
+        costs = [digits(row[key], 3) for key in KEYS[6:8]]
+        cells.append([name, *errors, str(row["parameters"]), *costs])
+        about.append(f"{name}: {row['words']}")
+    lines = [heading, "", text_table(HEADINGS, cells), "", *about, *notes]
+    return "\n".join(lines) + "\n"
+
+
+def fitted_error(model: Rival | DboModel, problem: RivalProblem) -> float:
     """Return the error on the fitted rows, each log's offset and drift taken off."""
     errors = []
     for log, rows in zip(problem.logs, problem.rows, strict=True):
@@ -213,7 +175,7 @@ def fitted_error(model: PlayModel | DboModel, problem: RivalProblem) -> float:
 
 
 def validation_error(
-    model: PlayModel | DboModel, logs: Sequence[Recording], skip: float
+    model: Rival | DboModel, logs: Sequence[Recording], skip: float
 ) -> float | None:
     """Return the error on other logs, each one's mean taken off; None without any."""
     errors = []
@@ -225,7 +187,7 @@ def validation_error(
     return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
 
 
-def costs_of(model: PlayModel | DboModel, log: Recording) -> tuple[float, float]:
+def costs_of(model: Rival | DboModel, log: Recording) -> tuple[float, float]:
     """Return nanoseconds a sample, forward and inverse, on a log's own drive."""
     voltage = np.resize(log.voltage, TIMED_SAMPLES)
     clock = None

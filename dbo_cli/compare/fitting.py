@@ -20,7 +20,7 @@ from scipy.optimize import nnls
 from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.compare.plays import EMPTY, Plays, places
 from dbo_cli.errors import FitError
-from dbo_cli.identification.recording import Recording, Swings
+from dbo_cli.identification.recording import Recording, Swings, falling
 from dbo_cli.model import Points, Scale
 from dbo_cli.model.points import Curves
 
@@ -74,12 +74,6 @@ class Design:
         """The radii, spread evenly: below half of the range, or of one-sided plays the whole."""
         even = np.arange(self.plays) / self.plays
         return even if self.one_sided else 0.5 * even
-
-    @property
-    def parameters(self) -> int:
-        """How many numbers are fitted, the offset and the delay among them."""
-        weights = self.plays * (1 + self.by_rate) + self.one_sided
-        return weights + self.segments - 1 + 1 + (self.delay > 0.0)
 
 
 RIVALS = (
@@ -162,34 +156,25 @@ def prepare_logs(logs: Sequence[Recording], skip: float = 0.0) -> RivalProblem:
     high = max(float(log.voltage.max()) for log in logs)
     bottom = min(float(log.displacement.min()) for log in logs)
     top = max(float(log.displacement.max()) for log in logs)
+    scale = Scale(top - bottom, bottom)
+    if falling(logs):
+        scale = Scale(bottom - top, top)
     stride = -(-sum(len(log.voltage) for log in logs) // FIT_ROWS)
-    together, longest = 0.0, math.inf
-    rows, drifts, rates = [], [], [np.zeros(1)]
+    longest, rows, outputs, drifts, folds = math.inf, [], [], [], []
     for log in logs:
-        covariance = np.cov(log.voltage, log.displacement)[0, 1]
-        together += float(covariance) * len(log.voltage)
         swings = Swings.of(log.voltage)
         longest = min(longest, DELAY_OF_SWING * swings.usual_rows)
         fitted = np.flatnonzero(counted(log, skip))[::stride]
         if len(fitted) < FOLDS:
             raise FitError(f"{log.name}: only {len(fitted)} rows left: reduce `skip`")
         rows.append(fitted)
-        drifts.append(np.ones((len(fitted), 1)))
-        if len(swings.sizes) >= SWINGS_FOR_DRIFT:
-            line = np.linspace(-1.0, 1.0, len(fitted))
-            drifts[-1] = np.column_stack([drifts[-1], line])
-        if log.time is not None:
-            rates.append(rates_of(log.voltage, log.time) / (high - low))
-    scale = Scale(top - bottom, bottom)
-    if together < 0.0:
-        scale = Scale(bottom - top, top)
-    outputs, folds = [], []
-    for log, fitted in zip(logs, rows, strict=True):
         outputs.append(scale.inverse()(log.displacement[fitted]))
         folds.append(np.arange(len(fitted)) * FOLDS // len(fitted))
-    fastest = 0.0
-    if all(log.time is not None for log in logs):
-        fastest = float(np.quantile(np.concatenate(rates), FASTEST_SHARE))
+        drift = np.ones((len(fitted), 1))
+        if len(swings.sizes) >= SWINGS_FOR_DRIFT:
+            line = np.linspace(-1.0, 1.0, len(fitted))
+            drift = np.column_stack([drift, line])
+        drifts.append(drift)
     return RivalProblem(
         logs,
         rows,
@@ -200,13 +185,23 @@ def prepare_logs(logs: Sequence[Recording], skip: float = 0.0) -> RivalProblem:
         high,
         scale,
         longest,
-        fastest,
+        fastest_rate(logs, high - low),
     )
 
 
+def fastest_rate(logs: Sequence[Recording], span: float) -> float:
+    """Return the rate (1/s, scaled drive) that few rows exceed; 0 where a log has no clock."""
+    rates = [np.zeros(1)]
+    for log in logs:
+        if log.time is None:
+            return 0.0
+        rates.append(rates_of(log.voltage, log.time) / span)
+    return float(np.quantile(np.concatenate(rates), FASTEST_SHARE))
+
+
 @dataclass(frozen=True)
-class RivalEquations:
-    """The least-squares problem of one design.
+class Rival:
+    """A design with its least-squares problem, its solution and what is made of that.
 
     Attributes
     ----------
@@ -221,7 +216,7 @@ class RivalEquations:
     columns: Floats
 
     @classmethod
-    def of(cls, design: Design, problem: RivalProblem) -> RivalEquations:
+    def of(cls, design: Design, problem: RivalProblem) -> Rival:
         """Return the rows of all logs."""
         tables = []
         for log, rows in zip(problem.logs, problem.rows, strict=True):
@@ -252,8 +247,10 @@ class RivalEquations:
             lower[0] = -np.inf
         return lower
 
-    def solve(self, rows: Booleans | slice = slice(None)) -> Solution:
-        """Return the bounded least-squares solution for some of the rows."""
+    def solve(
+        self, rows: Booleans | slice = slice(None)
+    ) -> tuple[Floats, Points, Floats]:
+        """Return weights, the curve of the dead zones, and drift, which fit some of the rows best."""
         columns, output = self.columns[rows], self.problem.output[rows]
         drift, segments = self.problem.drift[rows], self.design.segments
         begins = np.arange(segments) / segments
@@ -268,18 +265,22 @@ class RivalEquations:
         lower = np.append(self.lower, np.full(segments, 1.0 / STEEPEST))
         bounded, free = bounded_minimum(matrix, drift, right, lower)
         weights, slopes = np.split(bounded, [columns.shape[1]])
-        curve = Points(slopes / segments, np.full(segments, 1.0 / segments))
-        return Solution(weights, curve, free)
+        return (
+            weights,
+            Points(slopes / segments, np.full(segments, 1.0 / segments)),
+            free,
+        )
 
-    def error(self, solution: Solution) -> Floats:
-        """Return the error of the output in each row."""
-        bare = self.columns @ solution.weights + self.problem.drift @ solution.drift
-        return solution.curve(bare) - self.problem.output
+    def errors(self, rows: Booleans | slice = slice(None)) -> Floats:
+        """Return the error of the output in each row, of the solution for some of them."""
+        weights, curve, drift = self.solve(rows)
+        bare = self.columns @ weights + self.problem.drift @ drift
+        return curve(bare) - self.problem.output
 
     @functools.cached_property
     def fit_error(self) -> float:
         """The RMS error on all rows."""
-        return float(np.sqrt(np.mean(self.error(self.solve()) ** 2)))
+        return float(np.sqrt(np.mean(self.errors() ** 2)))
 
     @functools.cached_property
     def left_out_error(self) -> float:
@@ -287,18 +288,61 @@ class RivalEquations:
         squares = 0.0
         for fold in range(FOLDS):
             left_out = self.problem.fold == fold
-            error = self.error(self.solve(~left_out))
-            squares += float(np.sum(error[left_out] ** 2))
+            squares += float(np.sum(self.errors(~left_out)[left_out] ** 2))
         return math.sqrt(squares / len(self.problem.output))
 
+    @functools.cached_property
+    def operator(self) -> tuple[Plays, float, Curves]:
+        """The plays, the first log's offset behind them, and from there to the displacement."""
+        weights, curve, drift = self.solve()
+        curves = Curves([self.problem.scale])
+        if self.design.segments > 1:
+            curves = Curves([curve, *curves])
+        return plays_of(self.design, weights), float(drift[0]), curves
 
-@dataclass(frozen=True)
-class Solution:
-    """The unknowns: weights, the curve S of the dead zones, and drift."""
+    def shares(self, drive: Floats, time: Floats | None) -> Floats:
+        """Return how much of the second set of weights counts, a sample; of [7] alone."""
+        if not self.design.by_rate:
+            return EMPTY
+        return shares(drive, time, self.problem.fastest)
 
-    weights: Floats
-    curve: Points
-    drift: Floats
+    def simulate(self, voltage: Floats, time: Floats | None = None) -> Floats:
+        """Return the displacement for a voltage, without the delay."""
+        plays, offset, curves = self.operator
+        x = self.problem.scaled(voltage)
+        return curves(plays.run(x, self.shares(x, time)) + offset)
+
+    def invert(
+        self, desired: Floats, first: float, time: Floats | None = None
+    ) -> Floats:
+        """Return the voltage for a displacement; it stands at ``first`` (V) before.
+
+        Of [7] the drive's rate is taken from what is wanted, whose range is the drive's.
+        """
+        plays, offset, curves = self.operator
+        problem, design = self.problem, self.design
+        begin = float(problem.scaled(np.array([first]))[0])
+        u = curves.inverse()(desired) - offset
+        if design.by_rate or design.free_first or design.one_sided:
+            x = plays.solve(u, begin, self.shares(u, time))
+        else:
+            x = plays.closed_inverse(u, begin)
+        return problem.low + (problem.high - problem.low) * x
+
+    def predict(self, log: Recording) -> Floats:
+        """Return the displacement that a log's drive leads to, the delay included."""
+        return self.simulate(late(log.voltage, self.design.delay), log.time)
+
+    def expected(self, rmse: float) -> float:
+        """Return the error on new moves: what left-out parts add to that of the fit."""
+        return rmse * max(self.left_out_error / max(self.fit_error, 1e-12), 1.0)
+
+    @property
+    def parameters(self) -> int:
+        """How many numbers were fitted, the offset and the delay among them."""
+        design = self.design
+        weights = design.plays * (1 + design.by_rate) + design.one_sided
+        return weights + design.segments - 1 + 1 + (design.delay > 0.0)
 
 
 def shares(drive: Floats, time: Floats | None, fastest: float) -> Floats:
@@ -333,85 +377,7 @@ def bounded_minimum(
     return x, unbounded[alone:]
 
 
-@dataclass(frozen=True)
-class PlayModel:
-    """A rival with its numbers.
-
-    Attributes
-    ----------
-    equations
-        What it was fitted as, and to.
-    plays, offset
-        The operator, and what is added to its output.
-    curves
-        Dead zones and scale, from there to the displacement.
-    """
-
-    equations: RivalEquations
-    plays: Plays
-    offset: float
-    curves: Curves
-
-    @classmethod
-    def of(cls, equations: RivalEquations) -> PlayModel:
-        """Return the fitted model; its offset is the first log's."""
-        design, solution = equations.design, equations.solve()
-        curves = Curves([equations.problem.scale])
-        if design.segments > 1:
-            curves = Curves([solution.curve, *curves])
-        plays = operator_of(design, solution.weights)
-        return cls(equations, plays, float(solution.drift[0]), curves)
-
-    def shares(self, drive: Floats, time: Floats | None) -> Floats:
-        """Return how much of the second set of weights counts, a sample; of [7] alone."""
-        if not self.plays.by_rate.size:
-            return EMPTY
-        return shares(drive, time, self.equations.problem.fastest)
-
-    def simulate(self, voltage: Floats, time: Floats | None = None) -> Floats:
-        """Return the displacement for a voltage, without the delay."""
-        x = self.equations.problem.scaled(voltage)
-        bare = self.plays.run(x, self.shares(x, time)) + self.offset
-        return self.curves(bare)
-
-    def invert(
-        self, desired: Floats, first: float, time: Floats | None = None
-    ) -> Floats:
-        """Return the voltage for a displacement; it stands at ``first`` (V) before.
-
-        Of [7] the drive's rate is taken from what is wanted, whose range is the drive's.
-        """
-        problem = self.equations.problem
-        begin = float(problem.scaled(np.array([first]))[0])
-        u = self.curves.inverse()(desired) - self.offset
-        design = self.design
-        if design.by_rate or design.free_first or design.one_sided:
-            x = self.plays.solve(u, begin, self.shares(u, time))
-        else:
-            x = self.plays.closed_inverse(u, begin)
-        return problem.low + (problem.high - problem.low) * x
-
-    def predict(self, log: Recording) -> Floats:
-        """Return the displacement that a log's drive leads to, the delay included."""
-        return self.simulate(late(log.voltage, self.design.delay), log.time)
-
-    def expected(self, rmse: float) -> float:
-        """Return the error on new moves: what left-out parts add to that of the fit."""
-        left_out = self.equations.left_out_error
-        return rmse * max(left_out / max(self.equations.fit_error, 1e-12), 1.0)
-
-    @property
-    def design(self) -> Design:
-        """Which operator it is."""
-        return self.equations.design
-
-    @property
-    def parameters(self) -> int:
-        """How many numbers were fitted."""
-        return self.design.parameters
-
-
-def operator_of(design: Design, weights: Floats) -> Plays:
+def plays_of(design: Design, weights: Floats) -> Plays:
     """Return the plays with the weights that were fitted.
 
     Raises
@@ -435,35 +401,33 @@ def operator_of(design: Design, weights: Floats) -> Plays:
     return Plays(design.radii, sets[0], by_rate=by_rate)
 
 
-def fit(rival: Design, problem: RivalProblem) -> PlayModel:
-    """Return the model of a rival with the best delay, and with no more plays and dead zones than help.
+def fit(design: Design, problem: RivalProblem) -> Rival:
+    """Return a rival with the best delay, and with no more plays and dead zones than help.
 
     Raises
     ------
     FitError
-        The rival cannot be fitted to these logs; the message says why.
+        It cannot be fitted to these logs; the message says why.
     """
-    rows = with_delay(rival, problem)
-    if rival.plays > 1 and not (rival.free_first or rival.one_sided):
-        falling = with_delay(replace(rival, falling=True), problem)
-        if falling.fit_error < rows.fit_error:
-            rows = falling
-    design = rows.design
-    if rival.segments > 1:
-        design = simplest(
-            [replace(design, segments=m) for m in SEGMENT_COUNTS], problem
-        )
-    if rival.plays > 1:
-        design = simplest([replace(design, plays=n) for n in PLAY_COUNTS], problem)
-    return PlayModel.of(RivalEquations.of(design, problem))
+    rival = with_delay(design, problem)
+    if design.plays > 1 and not (design.free_first or design.one_sided):
+        softening = with_delay(replace(design, falling=True), problem)
+        rival = min(rival, softening, key=lambda each: each.fit_error)
+    if design.segments > 1:
+        designs = [replace(rival.design, segments=m) for m in SEGMENT_COUNTS]
+        rival = simplest(designs, problem)
+    if design.plays > 1:
+        designs = [replace(rival.design, plays=n) for n in PLAY_COUNTS]
+        rival = simplest(designs, problem)
+    return rival
 
 
-def with_delay(design: Design, problem: RivalProblem) -> RivalEquations:
-    """Return the equations of a design with the delay of least error."""
+def with_delay(design: Design, problem: RivalProblem) -> Rival:
+    """Return a rival with the delay of least error."""
 
     @functools.cache
-    def delayed(delay: float) -> RivalEquations:
-        return RivalEquations.of(replace(design, delay=delay), problem)
+    def delayed(delay: float) -> Rival:
+        return Rival.of(replace(design, delay=delay), problem)
 
     def error(delay: float) -> float:
         return delayed(delay).fit_error
@@ -478,8 +442,8 @@ def with_delay(design: Design, problem: RivalProblem) -> RivalEquations:
     return delayed(best)
 
 
-def simplest(designs: Sequence[Design], problem: RivalProblem) -> Design:
-    """Return the first design, simplest first, that none of the later ones betters by much."""
-    errors = [RivalEquations.of(design, problem).left_out_error for design in designs]
-    worth = [error <= (1.0 + WORTH) * min(errors) for error in errors]
-    return designs[worth.index(True)]
+def simplest(designs: Sequence[Design], problem: RivalProblem) -> Rival:
+    """Return the rival of the first design, simplest first, that no later one betters by much."""
+    rivals = [Rival.of(design, problem) for design in designs]
+    least = min(rival.left_out_error for rival in rivals)
+    return next(r for r in rivals if r.left_out_error <= (1.0 + WORTH) * least)

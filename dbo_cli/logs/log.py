@@ -118,6 +118,12 @@ class Log:
         return role in self.columns
 
     @property
+    def assumed(self) -> list[str]:
+        """The columns whose unit nothing states, each with the unit that is assumed."""
+        labels = [signal.label for signal in self._signals.values()]
+        return [label for label in labels if label.endswith(" assumed)")]
+
+    @property
     def has_found_offset(self) -> bool:
         """Whether a clock offset was found from the signals, so that the actuator's delay is in it."""
         return self.clock.holds_delay or self._source.has_found_offset

@@ -17,6 +17,7 @@ from dbo_cli.alignment import (
     on_whole_rows,
 )
 from dbo_cli.arrays import Floats
+from dbo_cli.drive.check import tolerance_of
 from dbo_cli.errors import InputError
 from dbo_cli.reports.pair import Pair, clock_step, rows_text, stretch
 
@@ -121,7 +122,8 @@ def _on_one_clock(
     if drive is not None and recording.voltage is not None:
         found = align_drives(recording.time, recording.voltage, clock, drive)
         if found is not None:
-            return _shifted(recording, found, f"that of {name}, by the drive")
+            shifted = _shifted(recording, found, f"that of {name}, by the drive")
+            return replace(shifted, drive_error=_drive_error(shifted, clock, drive))
         recording = recording.warned(f"its drive is not that of {name}")
     found = _by_displacement(recording, desired, clock)
     if found is None or -0.5 * (recording.step() or 0.0) <= found.ahead <= USUAL_LAG:
@@ -146,6 +148,22 @@ def _on_one_clock(
         f"its clock may be {found.ahead:.4g} s ahead of that of {name}, which is not sure: its stamps are"
         " taken; record the drive, too, or try `match` rows"
     )
+
+
+def _drive_error(recording: Pair, clock: Floats, drive: Floats) -> float | None:
+    """Return how far the recorded drive is from the one to be played, of its range, if ``check`` refuses it.
+
+    One that is off by more than half of the range is behind another gain.
+    """
+    assert recording.time is not None and recording.voltage is not None
+    shared = (recording.time >= clock[0]) & (recording.time <= clock[-1])
+    recorded = recording.voltage[shared]
+    played = np.interp(recording.time[shared], clock, drive)
+    error = float(np.abs(recorded - played).max(initial=0.0))
+    span = float(np.ptp(drive))
+    if tolerance_of(drive, recorded, None) < error < 0.5 * span:
+        return error / span
+    return None
 
 
 def _rival_holds(found: Alignment, recording: Pair, clock: Floats) -> bool:

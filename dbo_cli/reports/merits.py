@@ -1,18 +1,20 @@
 """Figures of merit: how well one signal follows another.
 
-The error is *measured - desired* throughout, in the unit of the two signals.
+The error is *measured - desired* throughout, in the unit of the two signals. A positive
+``loop_width`` lags behind; ``p95_abs`` is the magnitude that 95 % of the errors stay below.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
+from dbo_cli.reports.pair import Pair
 from dbo_cli.signals import lag, noise, turns
 
 LOOP_BINS = 32
@@ -29,89 +31,66 @@ LARGEST_UNEXPLAINED = 0.5
 """Part of the measured signal's variance that a lag may leave unexplained at most."""
 
 
-@dataclass(frozen=True)
-class Merits:
-    """How well the measured signal follows the desired one; lengths in the signals' unit.
+def merits(pair: Pair, lag: int = 0, remove_offset: bool = False) -> dict[str, Any]:
+    """Return how well measured follows desired, under the keys of the JSON form of a report.
 
-    Attributes
-    ----------
-    samples
-        Pairs that were compared.
-    rmse, max_abs, p95_abs
-        Root mean square, largest magnitude, and the magnitude that 95 % stay below.
-    max_abs_index
-        Index of the largest error.
-    nrmse_percent
-        RMSE in percent of the move, ``desired_max - desired_min``; None where it is 0.
-    mean
-        Mean error; 0 where it was removed.
-    offset
-        What was subtracted from the error beforehand.
-    loop_width
-        See ``loop_width``; None where no value was passed in both directions.
-    lag
-        See ``lag_left``, in samples; None where nothing moves back and forth.
-    """
-
-    samples: int
-    rmse: float
-    nrmse_percent: float | None
-    max_abs: float
-    max_abs_index: int
-    mean: float
-    p95_abs: float
-    loop_width: float | None
-    lag: float | None
-    desired_min: float
-    desired_max: float
-    offset: float
-
-    @property
-    def loop_width_percent(self) -> float | None:
-        """The loop's width in percent of the move."""
-        if self.loop_width is None:
-            return None
-        return percent_of(self.loop_width, self.desired_max - self.desired_min)
-
-
-def merits(desired: Floats, measured: Floats, remove_offset: bool = False) -> Merits:
-    """Return the figures of merit of two signals.
+    Lengths are in the signals' unit, rows are counted from 1 in the file. None: not
+    defined (no move, no clock), or not known.
 
     Parameters
     ----------
-    desired, measured : array of shape (samples,)
-        At least one sample, all finite.
-    remove_offset : bool
+    pair
+        At least one row, all finite.
+    lag
+        Rows by which measured was taken later.
+    remove_offset
         Take the mean error off before anything is said about it.
     """
-    error = measured - desired
+    desired, time, step = pair.desired, pair.time, pair.step()
+    error = pair.measured - desired
     offset = 0.0
     if remove_offset:
         offset = float(np.mean(error))
         error = error - offset
     magnitude = np.abs(error)
-    index = int(np.argmax(magnitude))
+    largest = int(np.argmax(magnitude))
     low, high = float(desired.min()), float(desired.max())
     rmse = math.sqrt(float(np.mean(np.square(error))))
-    return Merits(
-        samples=len(error),
-        rmse=rmse,
-        nrmse_percent=percent_of(rmse, high - low),
-        max_abs=float(magnitude[index]),
-        max_abs_index=index,
-        mean=0.0 if remove_offset else float(np.mean(error)),
-        p95_abs=float(np.quantile(magnitude, 0.95, method="inverted_cdf")),
-        loop_width=loop_width(desired, error),
-        lag=lag_left(desired, measured),
-        desired_min=low,
-        desired_max=high,
-        offset=offset,
-    )
+    width, lag_left = loop_width(desired, error), lag_of(desired, pair.measured)
+    return {
+        "name": pair.name,
+        "samples": len(error),
+        "rmse": rmse,
+        "nrmse_percent": percent_of(rmse, high - low),
+        "max_abs": float(magnitude[largest]),
+        "max_abs_row": pair.first_row + largest,
+        "max_abs_time_s": None if time is None else float(time[largest]),
+        "mean": 0.0 if remove_offset else float(np.mean(error)),
+        "p95_abs": float(np.quantile(magnitude, 0.95, method="inverted_cdf")),
+        "loop_width": width,
+        "loop_width_percent": percent_of(width, high - low),
+        "lag_left_samples": lag_left,
+        "lag_left_s": _product(lag_left, step),
+        "desired_min": low,
+        "desired_max": high,
+        "lag_samples": lag,
+        "lag_s": _product(lag, step),
+        "offset_removed": offset,
+        "sample_period_s": step,
+        "clock_offset_s": pair.clock_offset,
+        "ratio_to_first": None,
+        "expected_rmse": None if pair.expected is None else pair.expected.rmse,
+    }
 
 
-def percent_of(value: float, span: float) -> float | None:
+def percent_of(value: float | None, span: float) -> float | None:
     """Return a value in percent of a range; None where the range is 0."""
-    return 100.0 * value / span if span > 0.0 else None
+    return None if value is None or not span > 0.0 else 100.0 * value / span
+
+
+def _product(samples: float | None, step: float | None) -> float | None:
+    """Return a number of samples in seconds; None where no clock is known."""
+    return None if samples is None or step is None else samples * step
 
 
 def directions(values: Floats) -> NDArray[np.int8]:
@@ -159,7 +138,7 @@ def loop_width(desired: Floats, error: Floats) -> float | None:
     return float(widths[np.argmax(np.abs(widths))])
 
 
-def lag_left(desired: Floats, measured: Floats) -> float | None:
+def lag_of(desired: Floats, measured: Floats) -> float | None:
     """Return by how many samples the measured signal follows the desired one, to a fraction.
 
     Hysteresis is a phase, too. None where the desired signal does not move back and

@@ -13,26 +13,24 @@ import math
 import os
 import re
 from base64 import b64encode
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import OutputError
 from dbo_cli.files import Outputs
+from dbo_cli.reports.pair import Pair
 from dbo_cli.reports.words import digits, shown_unit
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from dbo_cli.model import Cascade, Quantity
-    from dbo_cli.reports.comparison import LogReport, Scores
+    from dbo_cli.model import Cascade
 
 INK, MUTED, RULE = "#1b1d22", "#5d646f", "#d5d9df"
 FIRST, SECOND, FILL = "#00508f", "#e0751a", "#7fa8cc"
@@ -50,7 +48,8 @@ FIGURE_COLUMNS = 1000  # a curve keeps the least and the greatest value in each
 MOST_POINTS = 20_000  # of a loop that stays lines in an SVG; more become a picture
 LOOP_POINTS = 501  # each way of a model's loop
 
-ImageKind = Literal["png", "svg"]
+Curve = tuple[Floats, Floats, str | None, dict[str, Any]]
+"""Values along both axes, the name in the legend, and how the line looks."""
 
 
 @dataclass(frozen=True)
@@ -63,16 +62,25 @@ class Plot:
         Stem of its file name.
     title
         What it shows, in words.
+    labels
+        Of both axes.
+    curves
+        What is drawn.
     size
         Width and height in inches.
-    paint
-        Draws into axes.
+    band
+        Half height of a band about 0, and its name.
+    logarithmic
+        Whether both axes are.
     """
 
     key: str
     title: str
-    size: tuple[float, float]
-    paint: Callable[[Axes], None]
+    labels: tuple[str, str]
+    curves: tuple[Curve, ...]
+    size: tuple[float, float] = WIDE
+    band: tuple[float, str] | None = None
+    logarithmic: bool = False
 
 
 @contextlib.contextmanager
@@ -85,7 +93,7 @@ def style() -> Iterator[None]:
         yield
 
 
-def draw(plot: Plot, kind: ImageKind) -> bytes:
+def draw(plot: Plot, kind: str) -> bytes:
     """Return a figure as PNG or as SVG."""
     metadata = {"Software": None} if kind == "png" else {"Date": None, "Creator": None}
     out = io.BytesIO()
@@ -108,7 +116,17 @@ def figure_of(plot: Plot) -> Figure:
     figure = Figure(figsize=plot.size, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    plot.paint(axes)
+    if plot.band is not None:
+        half, name = plot.band
+        axes.axhspan(-half, half, color=FILL, alpha=0.35, linewidth=0.0, label=name)
+    for x, y, label, look in plot.curves:
+        axes.plot(x, y, label=label, **look)
+    if plot.logarithmic:
+        axes.set(xscale="log", yscale="log")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter("")
+    axes.set(xlabel=plot.labels[0], ylabel=plot.labels[1])
     handles, labels = axes.get_legend_handles_labels()
     if handles:
         legend = {"loc": "outside upper left", "columnspacing": 1.6}
@@ -132,62 +150,99 @@ def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:
         raise OutputError(
             f"{folder}: {problem.strerror}: `figures` needs a folder"
         ) from None
-    kinds: tuple[ImageKind, ...] = ("png", "svg")
     written = []
     try:
         with Outputs() as outputs:
             for plot in plots:
-                for kind in kinds:
-                    path = target / f"{plot.key}.{kind}"
-                    outputs.write_bytes(path, draw(plot, kind))
-                    written.append(path)
-    except BaseException:
-        if is_new:
-            with contextlib.suppress(OSError):
-                target.rmdir()
-        raise
+                for kind in ("png", "svg"):
+                    written.append(target / f"{plot.key}.{kind}")
+                    outputs.write_bytes(written[-1], draw(plot, kind))
+    finally:
+        if is_new and not any(target.iterdir()):
+            target.rmdir()
     return written
 
 
-# --- a report ---
+# --- a log ---
 
 
-def sections_of_report(report: Scores) -> list[tuple[str, list[Plot]]]:
-    """Return the figures of a report with their headings: each log's, then the model's."""
-    sections = []
-    stems = file_stems([log.name for log in report.logs])
-    for log, stem in zip(report.logs, stems, strict=True):
-        sections.append((log.name, plots_of_log(report, log, stem)))
-    if report.model is not None:
-        sections.append(("The model", model_plots(report.model)))
-    return sections
+def plots_of_log(
+    pair: Pair,
+    log: Mapping[str, Any],
+    first: str,
+    units: tuple[str | None, str | None],
+    stem: str,
+) -> list[Plot]:
+    """Return the figures of one log: both signals, the error, the loop and the spectrum.
 
-
-def plots_of_report(report: Scores) -> list[Plot]:
-    """Return all figures of a report."""
-    plots = []
-    for _, section in sections_of_report(report):
-        plots += section
-    return plots
-
-
-def plots_of_log(report: Scores, log: LogReport, stem: str) -> list[Plot]:
-    """Return the figures of one log: both signals, the error, the loop and the spectrum."""
-    first, second = report.labels
-    error = "Residual of the model" if first == "model" else "Error"
-    loop = "Hysteresis loop"
-    if log.pair.voltage is None:
-        loop = f"{second.capitalize()} against {first}"
-    painted = [
-        ("follow", f"{first.capitalize()} and {second}", WIDE, _paint_follow),
-        ("error", error, WIDE, _paint_error),
-        ("loop", loop, TALL, _paint_loop),
+    Parameters
+    ----------
+    pair, log
+        The rows that were compared, and the figures of ``merits``.
+    first
+        What measured is compared with.
+    units
+        Of the displacements and of the drive.
+    stem
+        Of the names of their files.
+    """
+    unit, voltage_unit = units
+    offset, rmse = log["offset_removed"], log["rmse"]
+    desired, measured, drive = pair.desired, pair.measured - offset, pair.voltage
+    error = pair.measured - desired - offset
+    time, clock = pair.time, "Time (s)"
+    if time is None:
+        time, clock = pair.first_row + np.arange(float(len(pair))), "Row"
+    residual, error_title = "Error", "Error"
+    if first == "model":
+        residual, error_title = "Residual", "Residual of the model"
+    height = axis_label("Displacement", unit)
+    band = f"± RMSE, {digits(rmse, 3)} {shown_unit(unit)}".rstrip()
+    plots = [
+        Plot(
+            f"{stem}-follow",
+            f"{first.capitalize()} and measured",
+            (clock, height),
+            (
+                (*envelope(time, desired), first, SOLID),
+                (*envelope(time, measured), "measured", DASHED),
+            ),
+        ),
+        Plot(
+            f"{stem}-error",
+            error_title,
+            (clock, axis_label(residual, unit)),
+            ((*envelope(time, error), None, THIN),),
+            band=(rmse, band),
+        ),
     ]
-    if spectrum_of(log) is not None:
-        painted.append(("spectrum", "Spectrum of the error", WIDE, _paint_spectrum))
-    plots = []
-    for key, title, size, paint in painted:
-        plots.append(Plot(f"{stem}-{key}", title, size, partial(paint, report, log)))
+    # measured over the drive; over the desired signal, its own line, where no drive is known
+    x, title = drive, "Hysteresis loop"
+    name = axis_label("Drive voltage", voltage_unit)
+    if x is None:
+        x, title = desired, f"Measured against {first}"
+        name = axis_label(f"{first.capitalize()} displacement", unit)
+    # many points become a picture inside the SVG, or the file takes megabytes
+    picture = {"rasterized": len(measured) > MOST_POINTS}
+    curves: tuple[Curve, ...] = ((x, measured, None, SOLID | picture),)
+    if first == "model" or drive is None:
+        curves = (
+            (x, desired, first, SOLID | picture),
+            (x, measured, "measured", DASHED | picture),
+        )
+    plots.append(Plot(f"{stem}-loop", title, (name, height), curves, TALL))
+    spectrum = spectrum_of(error, pair)
+    if spectrum is not None:
+        density = f"{shown_unit(unit)}/√Hz" if unit else "1/√Hz"
+        plots.append(
+            Plot(
+                f"{stem}-spectrum",
+                "Spectrum of the error",
+                ("Frequency (Hz)", f"Error density ({density})"),
+                ((*spectrum, None, THIN),),
+                logarithmic=True,
+            )
+        )
     return plots
 
 
@@ -208,14 +263,6 @@ def axis_label(quantity: str, unit: str | None) -> str:
     return f"{quantity} ({shown_unit(unit)})"
 
 
-def _clock_of(log: LogReport) -> tuple[Floats, str]:
-    """Return the places of the rows along the axis, and its name."""
-    pair = log.pair
-    if pair.time is not None:
-        return pair.time, "Time (s)"
-    return pair.first_row + np.arange(float(len(pair))), "Row"
-
-
 def envelope(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Return a curve as its least and greatest value in each of many columns; a short one as it is."""
     if len(x) <= 4 * FIGURE_COLUMNS:
@@ -226,60 +273,16 @@ def envelope(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return np.repeat(x[edges], 2), heights
 
 
-def _paint_follow(report: Scores, log: LogReport, axes: Axes) -> None:
-    first, second = report.labels
-    time, clock = _clock_of(log)
-    measured = log.pair.measured - log.merits.offset
-    axes.plot(*envelope(time, log.pair.desired), label=first, **SOLID)
-    axes.plot(*envelope(time, measured), label=second, **DASHED)
-    axes.set(xlabel=clock, ylabel=axis_label("Displacement", report.unit))
-
-
-def _error_of(log: LogReport) -> Floats:
-    """Return measured less desired, the mean taken off where that was asked for."""
-    return log.pair.measured - log.pair.desired - log.merits.offset
-
-
-def _paint_error(report: Scores, log: LogReport, axes: Axes) -> None:
-    time, clock = _clock_of(log)
-    rmse = log.merits.rmse
-    band = f"± RMSE, {digits(rmse, 3)} {shown_unit(report.unit)}".rstrip()
-    axes.axhspan(-rmse, rmse, color=FILL, alpha=0.35, linewidth=0.0, label=band)
-    axes.plot(*envelope(time, _error_of(log)), **THIN)
-    name = "Residual" if report.labels[0] == "model" else "Error"
-    axes.set(xlabel=clock, ylabel=axis_label(name, report.unit))
-
-
-def _paint_loop(report: Scores, log: LogReport, axes: Axes) -> None:
-    """Paint measured over the drive; over the desired signal, its own line, where no drive is known."""
-    first, second = report.labels
-    measured = log.pair.measured - log.merits.offset
-    x, name = log.pair.voltage, axis_label("Drive voltage", report.voltage_unit)
-    compared = first == "model" or x is None
-    if x is None:
-        x = log.pair.desired
-        name = axis_label(f"{first.capitalize()} displacement", report.unit)
-    # many points become a picture inside the SVG, or the file takes megabytes
-    as_picture = len(measured) > MOST_POINTS
-    if compared:
-        axes.plot(x, log.pair.desired, rasterized=as_picture, label=first, **SOLID)
-        axes.plot(x, measured, rasterized=as_picture, label=second, **DASHED)
-    else:
-        axes.plot(x, measured, rasterized=as_picture, **SOLID)
-    axes.set(xlabel=name, ylabel=axis_label("Displacement", report.unit))
-
-
-def spectrum_of(log: LogReport) -> tuple[Floats, Floats] | None:
+def spectrum_of(error: Floats, pair: Pair) -> tuple[Floats, Floats] | None:
     """Return frequencies (Hz) and the amplitude density of the error (unit/sqrt(Hz)).
 
     By Welch's method, the mean of each piece taken off. None without an even clock, with
     fewer than 64 rows, or where the error is constant.
     """
-    step, error = log.pair.step(), _error_of(log)
-    if step is None or len(error) < 64 or not np.ptp(error):
+    step, time = pair.step(), pair.time
+    if step is None or time is None or len(error) < 64 or not np.ptp(error):
         return None
-    time = log.pair.time
-    if time is not None and np.ptp(np.diff(time)) > 0.01 * step:
+    if np.ptp(np.diff(time)) > 0.01 * step:
         return None
     from scipy.signal import welch
 
@@ -288,70 +291,50 @@ def spectrum_of(log: LogReport) -> tuple[Floats, Floats] | None:
     return frequency[1:], np.sqrt(power[1:])
 
 
-def _paint_spectrum(report: Scores, log: LogReport, axes: Axes) -> None:
-    curve = spectrum_of(log)
-    assert curve is not None
-    axes.loglog(*curve, **THIN)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter("")
-    unit = f"{shown_unit(report.unit)}/√Hz" if report.unit else "1/√Hz"
-    axes.set(xlabel="Frequency (Hz)", ylabel=f"Error density ({unit})")
-
-
 # --- a model ---
 
 
 def model_plots(model: Cascade) -> list[Plot]:
-    """Return the figures of a model: its loop, and what is bent and wide in it."""
-    drive = model.input if model.is_forward else model.output
-    title = f"The model's loop, {quantity_range(drive)}"
-    straight = "Deviation from a straight line"
-    return [
-        Plot("model-loop", title, TALL, partial(_paint_model, model, False)),
-        Plot("model-hysteresis", straight, WIDE, partial(_paint_model, model, True)),
+    """Return the figures of a model: its loop, and by how much that deviates from a straight line."""
+    forward = model.forward()
+    into, out = forward.input, forward.output
+    drive, rising, falling = slow_loop(forward)
+    line = np.polyval(np.polyfit(drive, 0.5 * (rising + falling), 1), drive)
+    ends = f"{into.min:.4g} to {into.max:.4g} {shown_unit(into.unit)}".rstrip()
+    loop = f"The model's loop, {ends}"
+    deviation = "Deviation from a straight line"
+    kinds = [
+        ("model-loop", loop, TALL, out.quantity.capitalize(), 0.0 * line),
+        ("model-hysteresis", deviation, WIDE, "Deviation", line),
     ]
-
-
-def quantity_range(quantity: Quantity) -> str:
-    """Return a range with its unit."""
-    unit = f" {shown_unit(quantity.unit)}" if quantity.unit else ""
-    return f"{quantity.min:.4g} to {quantity.max:.4g}{unit}"
+    plots = []
+    for key, title, size, name, base in kinds:
+        labels = (
+            axis_label(into.quantity.capitalize(), into.unit),
+            axis_label(name, out.unit),
+        )
+        curves = (
+            (drive, rising - base, "rising", SOLID),
+            (drive, falling - base, "falling", DASHED),
+        )
+        plots.append(Plot(key, title, labels, curves, size))
+    return plots
 
 
 def slow_loop(model: Cascade) -> tuple[Floats, Floats, Floats]:
     """Return the drive on the way up, and the displacement there and on the way down.
 
-    Slowly: creep has come to rest; dynamics and delay take no part. Of an inverse model
-    the loop of the actuator that it undoes.
+    Slowly: creep has come to rest; dynamics and delay take no part.
     """
-    forward = model.forward().static
-    drive = forward.input
+    static = model.static
+    drive = static.input
     up = np.linspace(drive.min, drive.max, LOOP_POINTS)
     walk = np.concatenate([up, up[::-1], up])
-    dt = 1e9 if forward.needs_time else None
-    y, _ = forward.simulate(walk, dt=dt, state="empty")
+    dt = 1e9 if static.needs_time else None
+    y, _ = static.simulate(walk, dt=dt, state="empty")
     rising = y[2 * LOOP_POINTS :]
     falling = y[LOOP_POINTS : 2 * LOOP_POINTS][::-1]
     return up, rising, falling
-
-
-def _paint_model(model: Cascade, deviation: bool, axes: Axes) -> None:
-    """Paint both ways of the loop, or by how much they deviate from a straight line."""
-    forward = model.forward()
-    drive, rising, falling = slow_loop(model)
-    name = forward.output.quantity.capitalize()
-    if deviation:
-        line = np.polyfit(drive, 0.5 * (rising + falling), 1)
-        rising = rising - np.polyval(line, drive)
-        falling = falling - np.polyval(line, drive)
-        name = "Deviation"
-    axes.plot(drive, rising, label="rising", **SOLID)
-    axes.plot(drive, falling, label="falling", **DASHED)
-    axes.set(
-        xlabel=axis_label(forward.input.quantity.capitalize(), forward.input.unit),
-        ylabel=axis_label(name, forward.output.unit),
-    )
 
 
 def plot_model(model: Cascade) -> Figure:

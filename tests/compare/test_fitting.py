@@ -67,7 +67,7 @@ def test_operators_find_their_own_kind(name, plant, scale):
     assert model.design.falling == (plant is FALLING)
     assert model.design.delay == 0.0 and model.design.plays == N
     assert model.expected(1.0) >= 1.0
-    slopes = [np.cumsum(plays.weights) for plays in (model.plays, plant)]
+    slopes = [np.cumsum(plays.weights) for plays in (model.operator[0], plant)]
     scale = slopes[0][-1] / slopes[1][-1]
     np.testing.assert_allclose(slopes[0], scale * slopes[1], atol=0.05 * scale)
 
@@ -108,14 +108,14 @@ def test_inverse_after_forward(name):
 def test_an_operator_without_an_inverse_is_refused():
     weights = np.append(-1.0, np.full(11, 0.05))
     with pytest.raises(FitError, match="no inverse"):
-        fitting.operator_of(RIVAL["extended"], weights)
+        fitting.plays_of(RIVAL["extended"], weights)
 
 
 def test_rows_that_are_skipped_do_not_count():
     log = recording()
     wrong = np.where(log.time < 1.0, 90.0, log.displacement)
     spoilt = Recording("log.csv", log.voltage, wrong, log.time)
-    assert fitted("pi", spoilt, skip=1.0).equations.fit_error < 1e-3
+    assert fitted("pi", spoilt, skip=1.0).fit_error < 1e-3
     with pytest.raises(FitError, match="`skip`"):
         fitting.prepare_logs([log], 7.995)
 

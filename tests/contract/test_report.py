@@ -147,7 +147,7 @@ def test_rows_of_the_way_back_are_none_of_the_move_or_it_is_told():
     assert not any("way back" in note for note in known["notes"])
     told = done(*words, "--format", "json").json
     assert told["logs"][0]["samples"] > len(TIME)
-    assert any("--expected" in note for note in told["notes"])
+    assert any("`expected`" in note for note in told["notes"])
     words = ("report", "log.csv", "--trajectory", "wish.csv", "--format", "json")
     plain = done(*words).json
     assert plain["logs"][0]["samples"] == len(TIME)
@@ -181,6 +181,41 @@ def test_a_model_s_prediction_runs_from_the_first_row():
     assert "log.csv" in refused(1, "report", *columns)  # V beside um
     for option, value in (("--state", "full"), ("--match", "rows")):
         assert option in refused(2, "report", *columns, option, value)
+
+
+def test_a_column_without_a_unit_is_told_of_beside_a_model_or_a_trajectory():
+    drive = 5.0 - 5.0 * np.cos(2.0 * np.pi * 2.0 * TIME)
+    moved = simulated("small", write("drive.csv", DRIVE, TIME, drive))
+    write("bare.csv", "time_s,voltage_V,displacement", TIME, drive, 1000.0 * moved)
+    write("wish.csv", MOVE, TIME, moved)
+    for option, value in (("--model", model("small")), ("--trajectory", "wish.csv")):
+        words = ("report", "bare.csv", option, value)
+        [warning] = done(*words, "--measured", "displacement").warnings
+        assert "displacement (um assumed)" in warning and "--scale" in warning
+        said = done(*words, "--scale", "measured=1nm/nm", "--measured", "displacement")
+        assert not said.warnings
+
+
+def test_a_recording_of_another_drive_points_to_check():
+    time = np.arange(6000) / 1000.0
+    swing = np.sin(np.pi * time) * np.linspace(1.0, 0.3, len(time))
+    volts, moved = 50.0 + 40.0 * swing, 5.0 + 3.0 * swing
+    off = np.sin(23.0 * time)
+    write("d.csv", "time_s,desired_um,voltage_V", time, moved, volts)
+    write(
+        "log.csv",
+        "time_s,voltage_V,measured_um",
+        time,
+        volts + 1.1 * off,
+        moved + 0.1 * off,
+    )
+    write(
+        "s.json",
+        '{"format": "dbo-summary", "version": 1, "unit": "um", "expected_rmse": 0.01}',
+    )
+    words = ("report", "log.csv", "--trajectory", "d.csv", "--expected", "s.json")
+    [warning] = done(*words).warnings
+    assert "dbo check --against" in warning and "identify again" not in warning
 
 
 REFUSED = {

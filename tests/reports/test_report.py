@@ -7,7 +7,7 @@ import pytest
 
 from dbo_cli.errors import InputError
 from dbo_cli.reports import Pair, Report, expected_in
-from dbo_cli.reports.plots import draw, envelope, figure_of, file_stems, plots_of_report
+from dbo_cli.reports.plots import draw, envelope, figure_of, file_stems
 from dbo_cli.reports.words import digits, shortened
 
 
@@ -30,6 +30,11 @@ def two_logs(**options):
     return Report.of(pairs, unit="um", voltage_unit="V", **options)
 
 
+def plots_of(report):
+    """Return all figures of a report."""
+    return [plot for _, section in report._sections() for plot in section]
+
+
 def test_digits():
     cases = {1.679: "1.679", 0.0: "0", 12345.678: "12346", 0.012343: "0.01234",
              1.2e-5: "1.200e-05", 3e9: "3.000e+09", -2.5: "-2.500"}  # fmt: skip
@@ -40,7 +45,7 @@ def test_digits():
 
 def test_a_limit_at_the_value_is_kept_and_an_undefined_one_is_missed():
     at = two_logs()
-    assert two_logs(max_rmse=at.rmse).verdicts[0].passed
+    assert two_logs(max_rmse=at.rmse).limits[0]["passed"]
     still = Report.of([Pair("run", np.ones(5), np.ones(5))], max_nrmse_percent=1.0)
     assert still.passed is False
 
@@ -82,7 +87,7 @@ def test_expected_in_files(tmp_path):
 def test_a_user_s_own_style_changes_nothing():
     import matplotlib
 
-    plot = plots_of_report(two_logs())[1]
+    plot = plots_of(two_logs())[1]
     before = draw(plot, "png")
     with matplotlib.rc_context({"lines.linewidth": 9.0, "font.size": 20.0}):
         assert draw(plot, "png") == before
@@ -92,11 +97,11 @@ def test_a_user_s_own_style_changes_nothing():
 def test_without_a_clock_rows_are_shown():
     found = Report.of([Pair("run", np.sin(np.arange(200.0) / 9.0), np.zeros(200))])
     alike = Report.of([Pair("run", *[np.arange(200.0)] * 3)])
-    assert len(plots_of_report(alike)) == 3  # no error, no spectrum
-    keys = [plot.key for plot in plots_of_report(found)]
+    assert len(plots_of(alike)) == 3  # no error, no spectrum
+    keys = [plot.key for plot in plots_of(found)]
     assert keys == ["run-follow", "run-error", "run-loop"]
-    assert figure_of(plots_of_report(found)[0]).axes[0].get_xlabel() == "Row"
-    assert found.logs[0].record()["max_abs_time_s"] is None
+    assert figure_of(plots_of(found)[0]).axes[0].get_xlabel() == "Row"
+    assert found.logs[0]["max_abs_time_s"] is None
 
 
 def test_envelope_keeps_every_spike():
