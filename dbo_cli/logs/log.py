@@ -118,7 +118,7 @@ class Log:
     @property
     def assumed(self) -> list[str]:
         """The columns whose unit nothing states, each with the unit that is assumed."""
-        labels = [signal.label for signal in self._signals.values()]
+        labels = [column.label for column in self.columns.values()]
         return [label for label in labels if label.endswith(" assumed)")]
 
     @property
