@@ -9,7 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.identification.basis import PreparedLog, Structure, columns_of, sums_of
+from dbo_cli.identification.basis import (
+    FINER_GROUPS,
+    PreparedLog,
+    Structure,
+    columns_of,
+    sums_of,
+)
 from dbo_cli.identification.cross_validation import error_left_out
 from dbo_cli.identification.problem import GOLDEN, Problem
 from dbo_cli.identification.search import CURVES, likelihood
@@ -70,10 +76,27 @@ class Average:
         return [heaviest, (round(delay / dt) * dt, bend)]
 
 
+def with_finer_past(problem: Problem, average: Average) -> list[tuple[float, Fit]]:
+    """Return the fits of an average, and the best one's structure with a past of more groups of cells.
+
+    What a coarse past leaves, memories take, and the zero moves. More groups would make
+    short logs' models worse: they follow these, too, where it is not the past.
+    """
+    best = average.fits[0]
+    weights = average.weights
+    if not problem.past.size:
+        return list(zip(weights.tolist(), average.fits, strict=True))
+    structure = replace(best.structure, past=True)
+    finer = Equations(problem.rows(structure, FINER_GROUPS), structure).solve()
+    likely = likelihood(finer, best.rmse, problem.different_swings)
+    weights = np.append(weights, likely) / (1.0 + likely)
+    return list(zip(weights.tolist(), (*average.fits, finer), strict=True))
+
+
 def with_levels(
-    average: Average, fits: Sequence[Fit], swings: int
+    weighted: Sequence[tuple[float, Fit]], fits: Sequence[Fit], swings: int
 ) -> list[tuple[float, Fit]]:
-    """Return the fits of an average and, as heavy together, where memories may have stood before the logs.
+    """Return weighted fits and, as heavy together, where memories may have stood before the logs.
 
     The level moves the zero. It shows in the first part, which the others do not predict
     when it is left out; so levels are weighed by how all rows are followed: the likelihood
@@ -81,23 +104,22 @@ def with_levels(
 
     Parameters
     ----------
-    average
-        The best one's kind is taken at all levels.
+    weighted
+        The first one's kind is taken at all levels.
     fits
         All there are.
     swings
         How many differ.
     """
-    best = average.fits[0].structure
+    best = weighted[0][1].structure
     levels: dict[float | None, Fit] = {}
     for fit in sorted(fits, key=lambda fit: fit.rmse):
         structure = fit.structure
         same = structure.memories == best.memories and structure.past == best.past
         if same and not structure.drift:
             levels.setdefault(structure.level, fit)
-    weighted = list(zip(average.weights.tolist(), average.fits, strict=True))
     if len(levels) < 2:
-        return weighted
+        return list(weighted)
     least = min(fit.rmse for fit in levels.values())
     likely = [(likelihood(fit, least, swings), fit) for fit in levels.values()]
     total = sum(weight for weight, _ in likely)

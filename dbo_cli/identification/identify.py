@@ -9,6 +9,7 @@ from dbo_cli.identification.averaging import (
     Average,
     average_model,
     candidates,
+    with_finer_past,
     with_levels,
 )
 from dbo_cli.identification.clean import clean
@@ -79,7 +80,8 @@ def _searched(logs: Sequence[Recording], options: Options) -> Cascade:
         problem, fits = dynamic.problem, dynamic.fits
     average = Average.of(fits)
     fit = average_model(problem, average)
-    others = with_levels(average, fits, problem.different_swings)
+    weighted = with_finer_past(problem, average)
+    others = with_levels(weighted, fits, problem.different_swings)
     few = problem.one_amplitude or problem.different_swings < FEWEST_SWINGS
     if few and dynamic is None:
         others = search.unjudged(average.fits[0])
