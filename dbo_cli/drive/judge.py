@@ -280,7 +280,8 @@ class Judge:
             expected = expect.expected_error(self.model, voltage, steps, lead_rows)
         past_known = self.lead.past_known
         if expected is not None:
-            missed = math.hypot(self._lost_rms, self.unsettled or 0.0)
+            unsettled = self.unsettled or 0.0
+            missed = math.hypot(self._lost_rms, unsettled, self.rounding)
             if self.lead.condition:
                 missed = math.hypot(missed, expected.unswept)
                 unrested = math.hypot(expected.rms(past_known=True), missed)
@@ -308,9 +309,9 @@ class Judge:
             first_clipped=self._first_clipped,
             lost_rms=self._lost_rms,
             lost_most=self._largest,
-            expected_error=self._rounded(error),
-            expected_known=self._rounded(known_error),
-            expected_unrested=self._rounded(unrested),
+            expected_error=error,
+            expected_known=known_error,
+            expected_unrested=unrested,
             starts_at=self._first if asks_start else None,
             past_known=past_known,
             is_loop=self.unsettled is not None,
@@ -318,10 +319,6 @@ class Judge:
             notes=self._notes(),
             warnings=(*self.warned, *warnings),
         )
-
-    def _rounded(self, error: float | None) -> float | None:
-        """Return an error to expect with what a low-pass took of the move."""
-        return None if error is None else math.hypot(error, self.rounding)
 
     def _notes(self) -> tuple[str, ...]:
         """Return what a user should know of a low-pass and of a loop."""
@@ -369,7 +366,7 @@ class Judge:
         texts, unit = [], self.model.output.suffix
         line = self.model.fit.get("line_rmse")
         if isinstance(line, float) and error is not None:
-            if error >= math.hypot(line, self._lost_rms):
+            if error >= math.hypot(line, self._lost_rms, self.rounding):
                 texts.append(
                     f"expected error {error:.3g}{unit}, a straight line's is {line:.3g}: identify with a log "
                     "of such moves"
