@@ -22,7 +22,6 @@ ALLOWED_PART = 0.01
 BEYOND_REACH = 0.01
 OFF_AT_FIRST = 1e-3  # of the range: so far off its first value may a drive begin unsaid
 JUMP = 0.01  # of the range: a first step that is said
-PARTS = ("lead", "move", "return")  # of a drive
 LONG_HOLD = 100.0  # times the longest time constant: what creeps has come to rest
 
 
@@ -37,6 +36,15 @@ class Judge:
         What happens where limits cut rows off.
     name : str
         Of the trajectory, in messages.
+
+    Attributes
+    ----------
+    rounding : float
+        What a low-pass took of the move (RMS), in the displacement's unit.
+    unsettled : float or None
+        Likewise, by how much a loop's first pass is off the settled one; None: no loop.
+    warned : tuple of str
+        What was warned of before.
     """
 
     def __init__(self, lead: Lead, on_limit: str, name: str) -> None:
@@ -46,7 +54,7 @@ class Judge:
         # stands, and by how much dynamics and delay are in motion there
         self._missed = 0.0
         self._transient: float | None = None
-        # by part of the drive: rows, least and greatest voltage; of the move, too
+        # rows, least and greatest voltage by part of the drive; and the displacement's
         self._rows: Counter[str] = Counter()
         self._ranges: dict[str, list[float]] = {}
         self._first = math.nan
@@ -57,8 +65,6 @@ class Judge:
         self._voltages: list[Floats] = []
         self._steps: list[Floats] = []
         self._needed_slew = 0.0
-        # RMS that a low-pass took of the move, and by which a loop's first pass is off the
-        # settled one; what was warned of before
         self.rounding = 0.0
         self.unsettled: float | None = None
         self.warned: tuple[str, ...] = ()
@@ -72,8 +78,15 @@ class Judge:
         ----------
         due
             The rows, and what the static part was to reach for them.
-        run, state, dt
-            As of ``clip``, which see.
+        run, state
+            The drive of them, and the state before it.
+        dt
+            Seconds since the row before.
+
+        Raises
+        ------
+        LimitError
+            As of ``clip``.
         """
         model, target = self.model, due.target
         if self._transient is None:
@@ -265,7 +278,7 @@ class Judge:
         """Return the figures of a drive of which all rows were seen, and warn of what is unusual."""
         voltage, steps = self._played()
         lead_rows, move_rows = self._rows["lead"], self._rows["move"]
-        voltages = [self._ranges[part] for part in PARTS if part in self._ranges]
+        voltages = [span for part, span in self._ranges.items() if part != "desired"]
         low = min(span[0] for span in voltages)
         high = max(span[1] for span in voltages)
         lowest, highest = self.limits.identified
