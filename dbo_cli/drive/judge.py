@@ -97,8 +97,8 @@ class Judge:
         if due.phase == "move":
             self.clip(due.desired, target, run, state, dt)
         is_clipped = run.clipped and run.first_clipped == 0
-        if state.first is None or is_clipped or model.inverse().outside(target[:1])[0]:
-            return  # the start was not chosen, or a limit or the reach moved it
+        if state.first is None or is_clipped:
+            return  # the start was not chosen, or a limit moved it
         reached = model.static.run(run.y[:1], state, 0.0).y
         self._missed = float(target[0] - reached[0])
 
