@@ -21,7 +21,7 @@ import random
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.smooth import MOST_ROWS, swing_rows, swings
+from dbo_cli.drive.smooth import MOST_SIGNAL_ROWS, swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError, require_positive
 
 # a turning point as a part of the range, and the rows on the way there
@@ -134,9 +134,9 @@ def _rows(duration: float, frequency: float, sample_rate: float) -> int:
             f"`duration` {duration:g}: too short for {FEWEST_CYCLES} swings over the range; give "
             f"{shortest} or more"
         )
-    if duration * sample_rate > MOST_ROWS:
+    if duration * sample_rate > MOST_SIGNAL_ROWS:
         raise UsageError(
-            f"`duration` {duration:g} at `sample_rate` {sample_rate:g}: more than {MOST_ROWS:,} rows"
+            f"`duration` {duration:g} at `sample_rate` {sample_rate:g}: more than {MOST_SIGNAL_ROWS:,} rows"
         )
     return round(duration * sample_rate) - 1
 

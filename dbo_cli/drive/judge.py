@@ -22,7 +22,6 @@ ALLOWED_PART = 0.01
 BEYOND_REACH = 0.01
 OFF_AT_FIRST = 1e-3  # of the range: so far off its first value may a drive begin unsaid
 JUMP = 0.01  # of the range: a first step that is said
-PARTS = ("lead", "move", "return")  # of a drive
 LONG_HOLD = 100.0  # times the longest time constant: what creeps has come to rest
 
 
@@ -37,6 +36,15 @@ class Judge:
         What happens where limits cut rows off.
     name : str
         Of the trajectory, in messages.
+
+    Attributes
+    ----------
+    rounding : float
+        What a low-pass took of the move (RMS), in the displacement's unit.
+    unsettled : float or None
+        Likewise, by how much a loop's first pass is off the settled one; None: no loop.
+    warned : tuple of str
+        What was warned of before.
     """
 
     def __init__(self, lead: Lead, on_limit: str, name: str) -> None:
@@ -46,7 +54,7 @@ class Judge:
         # stands, and by how much dynamics and delay are in motion there
         self._missed = 0.0
         self._transient: float | None = None
-        # by part of the drive: rows, least and greatest voltage; of the move, too
+        # rows, least and greatest voltage by part of the drive; and the displacement's
         self._rows: Counter[str] = Counter()
         self._ranges: dict[str, list[float]] = {}
         self._first = math.nan
@@ -57,8 +65,6 @@ class Judge:
         self._voltages: list[Floats] = []
         self._steps: list[Floats] = []
         self._needed_slew = 0.0
-        # RMS that a low-pass took of the move, and by which a loop's first pass is off the
-        # settled one; what was warned of before
         self.rounding = 0.0
         self.unsettled: float | None = None
         self.warned: tuple[str, ...] = ()
@@ -72,8 +78,15 @@ class Judge:
         ----------
         due
             The rows, and what the static part was to reach for them.
-        run, state, dt
-            As of ``clip``, which see.
+        run, state
+            The drive of them, and the state before it.
+        dt
+            Seconds since the row before.
+
+        Raises
+        ------
+        LimitError
+            As of ``clip``.
         """
         model, target = self.model, due.target
         if self._transient is None:
@@ -84,8 +97,8 @@ class Judge:
         if due.phase == "move":
             self.clip(due.desired, target, run, state, dt)
         is_clipped = run.clipped and run.first_clipped == 0
-        if state.first is None or is_clipped or model.inverse().outside(target[:1])[0]:
-            return  # the start was not chosen, or a limit or the reach moved it
+        if state.first is None or is_clipped:
+            return  # the start was not chosen, or a limit moved it
         reached = model.static.run(run.y[:1], state, 0.0).y
         self._missed = float(target[0] - reached[0])
 
@@ -265,7 +278,7 @@ class Judge:
         """Return the figures of a drive of which all rows were seen, and warn of what is unusual."""
         voltage, steps = self._played()
         lead_rows, move_rows = self._rows["lead"], self._rows["move"]
-        voltages = [self._ranges[part] for part in PARTS if part in self._ranges]
+        voltages = [span for part, span in self._ranges.items() if part != "desired"]
         low = min(span[0] for span in voltages)
         high = max(span[1] for span in voltages)
         lowest, highest = self.limits.identified
@@ -280,7 +293,8 @@ class Judge:
             expected = expect.expected_error(self.model, voltage, steps, lead_rows)
         past_known = self.lead.past_known
         if expected is not None:
-            missed = math.hypot(self._lost_rms, self.unsettled or 0.0)
+            unsettled = self.unsettled or 0.0
+            missed = math.hypot(self._lost_rms, unsettled, self.rounding)
             if self.lead.condition:
                 missed = math.hypot(missed, expected.unswept)
                 unrested = math.hypot(expected.rms(past_known=True), missed)
@@ -308,9 +322,9 @@ class Judge:
             first_clipped=self._first_clipped,
             lost_rms=self._lost_rms,
             lost_most=self._largest,
-            expected_error=self._rounded(error),
-            expected_known=self._rounded(known_error),
-            expected_unrested=self._rounded(unrested),
+            expected_error=error,
+            expected_known=known_error,
+            expected_unrested=unrested,
             starts_at=self._first if asks_start else None,
             past_known=past_known,
             is_loop=self.unsettled is not None,
@@ -318,10 +332,6 @@ class Judge:
             notes=self._notes(),
             warnings=(*self.warned, *warnings),
         )
-
-    def _rounded(self, error: float | None) -> float | None:
-        """Return an error to expect with what a low-pass took of the move."""
-        return None if error is None else math.hypot(error, self.rounding)
 
     def _notes(self) -> tuple[str, ...]:
         """Return what a user should know of a low-pass and of a loop."""
@@ -369,7 +379,7 @@ class Judge:
         texts, unit = [], self.model.output.suffix
         line = self.model.fit.get("line_rmse")
         if isinstance(line, float) and error is not None:
-            if error >= math.hypot(line, self._lost_rms):
+            if error >= math.hypot(line, self._lost_rms, self.rounding):
                 texts.append(
                     f"expected error {error:.3g}{unit}, a straight line's is {line:.3g}: identify with a log "
                     "of such moves"

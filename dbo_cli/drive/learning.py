@@ -265,7 +265,8 @@ class RepeatedMove:
             explained = enough <= float(misfit[row])
         # what was learned may be as early
         is_near = difference * self.step <= ACTUATOR_LAG
-        return by_stamps if is_whole and (is_near or explained) else row
+        is_stamped = recording.time is not None and is_whole
+        return by_stamps if is_stamped and (is_near or explained) else row
 
     def _row_by_stamps(self, recording: Tracked) -> int:
         """Return the row at the time of the trajectory's first; the first where there is no clock.

@@ -19,7 +19,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.judge import ALLOWED_PART
 from dbo_cli.drive.lead import Lead, ramp
-from dbo_cli.drive.smooth import MOST_ROWS, open_seam, soft_rise
+from dbo_cli.drive.smooth import MOST_SIGNAL_ROWS, open_seam, soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 from dbo_cli.model import Cascade, Run, State
 
@@ -83,8 +83,10 @@ class Loop:
     ) -> None:
         if not isinstance(passes, int | np.integer) or passes < 0:
             raise UsageError(f"`passes` {passes}: give a whole number of passes")
-        if passes * period.size > MOST_ROWS:
-            raise UsageError(f"`passes` {passes}: at most {MOST_ROWS:,} rows in all")
+        if passes * period.size > MOST_SIGNAL_ROWS:
+            raise UsageError(
+                f"`passes` {passes}: at most {MOST_SIGNAL_ROWS:,} rows in all"
+            )
         if period.size < FEWEST_PERIOD_ROWS:
             raise InputError(
                 f"{name}: {period.size} rows are too few for a loop; give {FEWEST_PERIOD_ROWS} or more"

@@ -12,7 +12,7 @@ from dbo_cli.errors import UsageError
 
 REACH = 10.0
 """Periods of the cut-off, over which what a sample does to others dies away."""
-MOST_ROWS = 100_000_000  # of a swing, or that the ends of a signal are held for
+MOST_SIGNAL_ROWS = 100_000_000  # of a swing, or that the ends of a signal are held for
 
 OPEN_SEAM = 3.0  # times the largest step inside, from which on a loop does not close
 ROUNDED = 1e-9  # of a row: what rounding may add to a number of rows
@@ -48,9 +48,9 @@ def swing_rows(
     if slew is not None:
         seconds = max(seconds, 0.5 * math.pi * abs(distance) / slew)
     rows = max(math.ceil(seconds / dt - ROUNDED), 1)
-    if rows > MOST_ROWS:
+    if rows > MOST_SIGNAL_ROWS:
         raise UsageError(
-            f"a swing of {rows:.4g} rows, at most {MOST_ROWS:,}: raise `max_slew`, or lower `sample_rate`"
+            f"a swing of {rows:.4g} rows, at most {MOST_SIGNAL_ROWS:,}: raise `max_slew` or lower the rate"
         )
     return rows
 
@@ -101,7 +101,7 @@ def low_pass(
             f"`bandwidth` {cutoff:g}: must be above 0 and at most half the sample rate, {0.5 * rate:.6g}"
         )
     reach = 0 if loop else math.ceil(REACH * rate / cutoff)
-    if reach > MOST_ROWS:
+    if reach > MOST_SIGNAL_ROWS:
         raise UsageError(
             f"`bandwidth` {cutoff:g}: too low for a sample rate of {rate:.6g} Hz"
         )

@@ -93,3 +93,18 @@ def test_recordings_that_do_not_belong():
         plan(model, np.full(y.size, 5.0), DT, limits, tracked=[good])
     with pytest.raises(UsageError):
         plan(model, wanted, DT, limits, history=[PassRecord("", 1.0)])
+
+
+def test_a_recording_without_a_clock_begins_where_its_drive_does():
+    """However few rows stand before the move: no stamp says that there are none."""
+    model, plant = actuator(growth=1.5), actuator(growth=1.7)
+    wanted, limits = move(), Limits.within(model.input)
+    first = plan(model, wanted, DT, limits, state="empty").voltage
+    before = np.full(30, first[0])
+    learned = []
+    for voltage in (first, np.concatenate([before, first, before])):
+        y = plant.run(voltage, plant.start(0.0, "empty"), DT).y
+        tracked = [Tracked("pass.csv", voltage, y)]
+        drive = plan(model, wanted, DT, limits, state="empty", tracked=tracked)
+        learned.append(drive.voltage)
+    np.testing.assert_allclose(learned[1], learned[0], rtol=0, atol=1e-9)
