@@ -96,7 +96,7 @@ def identify(
             asked, own = replace(options, prior=shape), opened[: len(logs)]
             models[name] = model_of(recordings, own, asked, tests)
         read += own
-        texts = [describe(models[name]), *describe_validation(models[name])]
+        texts = [describe(models[name], recordings), *describe_validation(models[name])]
         lines += [f"{name}: {text}" if name else text for text in texts]
     is_set = tuple(names) != channels.ALONE
     with Outputs() as outputs:

@@ -13,6 +13,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError, LimitError
 from dbo_cli.identification.averaging import Average, invented_log
+from dbo_cli.identification.clean import spiked_rows
 from dbo_cli.identification.cross_validation import (
     error_left_out,
     line_left_out,
@@ -293,13 +294,17 @@ def line_rmse(logs: Sequence[Recording]) -> float:
     return math.sqrt(float(np.mean((y - gain * v) ** 2)))
 
 
-def describe(model: Cascade) -> str:
-    """Return in one line what to expect of a model, as a part of what it moves."""
+def describe(model: Cascade, logs: Sequence[Recording]) -> str:
+    """Return in one line what to expect of a model, as a part of what its logs moved."""
     fit, unit = model.fit, model.output.suffix
     expected = fit.get("expected_rmse")
     if expected is None:
         return f"fit RMSE {fit['rmse']:.3g}{unit}; error on new moves unknown"
-    percent = 100.0 * expected / model.output.span
+    spans = []
+    for log in logs:
+        measured_rows = log.usable & ~spiked_rows(log.displacement)
+        spans.append(float(np.ptp(log.displacement[measured_rows])))
+    percent = 100.0 * expected / max(spans)
     return (
         f"expected error {expected:.3g}{unit} ({percent:.2g} % of range);"
         f" a straight line would leave {fit['line_rmse']:.3g}{unit}"

@@ -38,6 +38,7 @@ BLOCKS = 6  # of time, each left out in turn
 SMALL = 0.75  # of the largest swing: swings below are left out together
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 BOTH_WAYS = 2  # swings, up and down: less shows no loop
+ROUNDING = 1e-9  # of the range: smaller noise of a drive is that of numbers
 ROWS_WITH_NOISE = 20  # of a swing: with fewer, the drive's motion looks like noise
 MOST_DEVIATIONS = 4.0  # of the noise that a drive's range is drawn in by
 KNOWN = 0.005  # of the range: an unknown past that adds more lessens the row's weight
@@ -263,10 +264,8 @@ def drive_range(voltage: Floats) -> tuple[float, float]:
     low, high = float(voltage.min()), float(voltage.max())
     deviation = noise(voltage)
     steps = np.diff(np.unique(voltage))
-    if (
-        deviation <= float(steps.min())
-        or Swings.of(voltage).usual_rows < ROWS_WITH_NOISE
-    ):
+    resolution = max(float(steps.min()), ROUNDING * (high - low))
+    if deviation <= resolution or Swings.of(voltage).usual_rows < ROWS_WITH_NOISE:
         return low, high
     ends = []
     for distance in (voltage - low, high - voltage):
