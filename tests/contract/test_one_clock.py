@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from .program import (
-    DRIVE, LOG, MOVE, PAIR, PASS, dbo, done, load, model, refused, rms, simulated, store, store_set,
+    DRIVE, LOG, MOVE, PAIR, PASS, QUICK, dbo, done, load, model, refused, rms, simulated, store, store_set,
     table, values_of, write,
 )  # fmt: skip
 
-QUICK = "--gears 20 --points 0 --delay 0 --relaxation 0 --dynamics 0".split()
 STEP = 1e-3
 SUMMARY = {"format": "dbo-summary", "version": 1, "unit": "um", "model": "0" * 64}
 TIME = STEP * np.arange(6000)

@@ -7,8 +7,6 @@ from dbo_cli.errors import InputError
 from dbo_cli.reports import Expected, Pair, Report
 from dbo_cli.reports import match as matched
 
-RATE = 1000.0
-
 
 def move(time):
     """A move of 10 s at 50 um; before it two seconds of way in."""
