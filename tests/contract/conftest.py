@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from .program import DRIVE, LOG, MOVE, SAMPLES, done, simulated, write
+import dbo_cli
+
+from .program import DRIVE, LOG, MOVE, SAMPLES, done, model, simulated, write
 
 RATE = 1000.0
 
@@ -23,6 +25,12 @@ def sample_model(tmp_path_factory):
     path = tmp_path_factory.mktemp("sample") / "model.json"
     done("identify", SAMPLES / "identification.csv", "-o", path, "-q")
     return path
+
+
+@pytest.fixture
+def creep():
+    """Return the stored model ``creep`` as the library has it."""
+    return dbo_cli.read_model(model("creep"))
 
 
 @pytest.fixture

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from .program import (
-    DRIVE, dbo, done, load, refused, simulated, store, store_set, table,
+    DRIVE, QUICK, dbo, done, load, refused, simulated, store, store_set, table,
     values_of, write,
 )  # fmt: skip
 
 TIME = np.arange(600) / 500.0
 NAMES = ("a", "b", "c")
-QUICK = "--gears 20 --points 0 --delay 0 --relaxation 0 --dynamics 0 --force".split()
+FORCED = (*QUICK, "--force")
 SIDES = ("--voltage", "V{}", "--displacement", "D{}")
 KINDS = (("voltage", "V"), ("displacement", "um"))
 
@@ -50,7 +50,7 @@ def of_channel(written, name, quantity):
 
 
 def test_identify_makes_the_model_of_each_channel(channels):
-    words = (*SIDES, *QUICK, "-o", "models.json", "--summary", "s.json")
+    words = (*SIDES, *FORCED, "-o", "models.json", "--summary", "s.json")
     outcome = done("identify", channels, *words)
     held = load("models.json")
     assert (held["format"], held["version"]) == ("dbo-model-set", 1)
@@ -59,7 +59,7 @@ def test_identify_makes_the_model_of_each_channel(channels):
     assert list(summaries) == list(NAMES) and summaries["a"]["rmse"] >= 0.0
     assert all(any(f" {n}: " in f" {line}" for line in outcome.said) for n in NAMES)
     alone = ("--voltage", "Vc_V", "--displacement", "Dc_um")
-    done("identify", channels, *alone, *QUICK, "-o", "alone.json", "-q")
+    done("identify", channels, *alone, *FORCED, "-o", "alone.json", "-q")
     assert held["models"]["c"]["stages"] == load("alone.json")["stages"]
     words = (*SIDES, "--prior", "models.json", "--force", "-o", "again.json")
     done("identify", channels, *words)
@@ -92,7 +92,7 @@ def test_identify_says_what_was_read_of_each_channel(channels):
     log = table(channels)
     columns = {name: log[name] for name in log if name[1:2] != "c"}
     write("two.csv", ",".join(columns), *columns.values())
-    said = done("identify", "two.csv", *SIDES, *QUICK, "-o", "models.json").said
+    said = done("identify", "two.csv", *SIDES, *FORCED, "-o", "models.json").said
     for name in "ab":
         assert any("500 Hz" in line and f"V{name}_V" in line for line in said)
 

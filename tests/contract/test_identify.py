@@ -17,13 +17,11 @@ from dbo_cli.library import Fit
 
 from .conftest import creep_log
 from .program import (
-    DRIVE, LOG, SAMPLES, dbo, done, load, model, refused, rms, simulated, store, table,
+    DRIVE, LOG, QUICK, SAMPLES, dbo, done, load, model, refused, rms, simulated, store, table,
     values_of, write,
 )  # fmt: skip
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
-QUICK = "--gears 20 --points 0 --delay 0 --relaxation 0 --dynamics 0".split()
-"""A structure that is fitted in a moment."""
 ROOT = SAMPLES.parent
 FITTED = Path("model.json")
 

@@ -31,11 +31,6 @@ def small():
     return dbo.read_model(model("small"))
 
 
-@pytest.fixture
-def creep():
-    return dbo.read_model(model("creep"))
-
-
 def test_every_public_name_is_there(creep):
     for name in dbo.__all__:
         assert getattr(dbo, name) is not None
@@ -155,7 +150,6 @@ def test_frames_and_arrays_give_the_model_of_the_shell(log):
     columns = {"voltage": volts, "displacement": moved}
     drive = 50.0 + 50.0 * np.sin(np.arange(500) / 30.0)
     for found in (
-        dbo.identify(dbo.read_log(log), **QUICK),
         dbo.identify(volts, moved, time=time, **QUICK),
         *(
             dbo.identify(pd.DataFrame(columns, pd.Index(index, name="time")), **QUICK)

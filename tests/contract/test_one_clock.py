@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from .program import (
-    DRIVE, LOG, MOVE, PAIR, PASS, dbo, done, load, model, refused, rms, simulated, store, store_set,
+    DRIVE, LOG, MOVE, PAIR, PASS, QUICK, dbo, done, load, model, refused, rms, simulated, store, store_set,
     table, values_of, write,
 )  # fmt: skip
 
-QUICK = "--gears 20 --points 0 --delay 0 --relaxation 0 --dynamics 0".split()
 STEP = 1e-3
 SUMMARY = {"format": "dbo-summary", "version": 1, "unit": "um", "model": "0" * 64}
 TIME = STEP * np.arange(6000)
@@ -270,25 +269,6 @@ def test_both_axes_of_a_raster_are_laid_over_by_their_drives():
             rmse = found[axis]["logs"][0]["rmse"]
             assert rmse == pytest.approx(off, rel=0.01), (file, axis)
     done("compensate", *words, "--from", 0, "--tracked", "pass.csv", *recorded_as)
-
-
-def test_a_raster_recorded_without_its_drive_repeats_only_as_far_as_the_recording_reaches():
-    """Late by a line it looks alike, but then lines would be missing: .1 s were left in, 1.8 um."""
-    words = ("--rate", 1000, "--range", "1:5", "--lines", 32, "--frequency", 5)
-    done("trajectory", "raster", *words, "--bandwidth", 50, "-o", "raster.csv")
-    for axis in "xy":
-        words = ("raster.csv", "--displacement", f"{axis}_um", "--from", 0)
-        done("compensate", model("creep"), *words, "--approach", 0.1, "-o", "d.csv")
-        drive = table("d.csv")
-        moved = 1.004 * simulated("creep", "d.csv")
-        moved += 0.003 * np.random.default_rng(1).standard_normal(len(moved))
-        write("pass.csv", "time_s,measured_um", STEP * np.arange(len(moved)), moved)
-        asked = ("--trajectory", "raster.csv", "--desired", f"{axis}_um")
-        outcome = done("report", "pass.csv", *asked, "--format", "json")
-        (log,) = outcome.json["logs"]
-        off = rms((moved - drive["desired_um"])[drive["time_s"] > -0.5 * STEP])
-        assert log["rmse"] == pytest.approx(off, rel=0.01), axis
-        assert outcome.warnings == []
 
 
 def test_what_was_learned_between_harmonics_ends_no_learning():

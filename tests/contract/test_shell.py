@@ -13,10 +13,8 @@ from dbo_cli import __version__
 
 from .conftest import creep_log
 from .program import (
-    LOG, PAIR, SAMPLES, dbo, done, listing, model, process, refused, simulated, table, write,
+    LOG, PAIR, QUICK, SAMPLES, dbo, done, listing, model, process, refused, simulated, table, write,
 )  # fmt: skip
-
-QUICK = "--relaxation 0 --gears 20 --points 0 --delay 0".split()
 
 OPTIONS = {
     "excite": "--v-min --v-max --max-slew --sample-rate --duration --rest --sweep-to --sweep-amplitude",

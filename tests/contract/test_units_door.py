@@ -16,7 +16,16 @@ from dbo_cli.recordings import RECORDING_ROLES
 from dbo_cli.units import spell
 
 from .program import MOVE as MOVED
-from .program import compensated, model, refused, simulated, store, values_of, write
+from .program import (
+    QUICK,
+    compensated,
+    model,
+    refused,
+    simulated,
+    store,
+    values_of,
+    write,
+)
 from .program import dbo as shell
 
 TIME = np.arange(400) / 1000.0
@@ -90,11 +99,6 @@ def test_a_pressure_is_converted_to_ten_digits(unit, pascal):
 
 MOVE = 2.5 - np.cos(30.0 * TIME)
 WRONG = 'displacement is in nm, the model in um: pass `unit="nm"`, or `.to_numpy()` for numbers in um'
-
-
-@pytest.fixture
-def creep():
-    return dbo.read_model(model("creep"))
 
 
 @pytest.fixture
@@ -236,12 +240,11 @@ def test_truth_is_no_rate_and_no_limit(creep):
 
 # --- recordings: files, frames and arrays are one way ---
 
-QUICK = {"gears": 20, "points": 0, "delay": 0.0, "relaxation": ()}
-TYPED = "--gears 20 --points 0 --delay 0 --relaxation 0 --dynamics 0".split()
+PLAIN_GEARS = {"gears": 20, "points": 0, "delay": 0.0, "relaxation": ()}
 
 
 def quick(*data, **more):
-    return dbo.identify(*data, **QUICK, dynamics=0, **more)
+    return dbo.identify(*data, **PLAIN_GEARS, dynamics=0, **more)
 
 
 @pytest.fixture
@@ -260,7 +263,7 @@ HEADERS = ["t (ms),U (mV),x [nm]", "time,voltage,displacement", "t_s,U_V,x_um"]
 @pytest.mark.parametrize("header", HEADERS)
 def test_a_frame_and_a_file_give_the_same_bytes(header, played):
     write("run.csv", header, *played)
-    shell("identify", "run.csv", *TYPED, "-o", "shell.json", "-q")
+    shell("identify", "run.csv", *QUICK, "-o", "shell.json", "-q")
     frame = pd.read_csv("run.csv")
     file, nameless = Path("shell.json").read_text(), "the frame"
     for data, expected in (
@@ -534,7 +537,7 @@ def test_logs_of_one_actuator_have_units_alike(played):
     time, volts, moved = played
     write("a.csv", "time,voltage,displacement", time, volts, moved)
     write("b.csv", "t_s,U_V,x_nm", time, volts, 1e3 * moved)
-    error = refused(1, "identify", "a.csv", "b.csv", *TYPED, "-o", "m.json")
+    error = refused(1, "identify", "a.csv", "b.csv", *QUICK, "-o", "m.json")
     assert "b.csv: voltage is in V, a.csv states no unit" in error
     with pytest.raises(dbo.InputError, match="states no unit"):
         quick(["a.csv", dbo.read_log("b.csv")])
@@ -542,7 +545,7 @@ def test_logs_of_one_actuator_have_units_alike(played):
 
 def test_typed_figures_of_python(played):
     time, volts, moved = played
-    plain = {**QUICK, "dynamics": 0, "relaxation": (0.02, 0.3)}
+    plain = {**PLAIN_GEARS, "dynamics": 0, "relaxation": (0.02, 0.3)}
     expected = dbo.identify(volts, moved, time=time, **plain, skip=0.1)
     typed = {**plain, "relaxation": ("20ms", 0.3), "skip": "100ms"}
     assert dbo.identify(volts, moved, time=time, **typed) == expected

@@ -16,9 +16,6 @@ def test_extrapolation_needs_an_end():
 
 
 def test_units_of_limits():
-    limits = Limits.within(RANGE, "500mV", "3V", "2V/ms")
-    assert limits.rating == (0.5, 3.0)
-    assert limits.slew == pytest.approx(2000.0)
     kilo = Quantity("voltage", "kV", 0.0, 1.0)
     assert Limits.within(kilo, v_max="800V").rating[1] == pytest.approx(0.8)
     with pytest.raises(UsageError, match="800kV"):

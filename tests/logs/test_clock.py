@@ -76,15 +76,6 @@ def test_stamps(stamps, tmp_path):
     assert log.clock.kind == "stamps"
 
 
-def test_clock_times_that_pass_midnight_are_refused(tmp_path):
-    path = write(tmp_path, ["23:59:59.8", "23:59:59.9", "00:00:00.0"], "time")
-    with pytest.raises(InputError, match=r"goes back in row 3.*`sample_rate`"):
-        read(path)
-    table, log = read(path, rows=":2")
-    assert table.time.tolist() == pytest.approx([0.0, 0.1])
-    assert log.clock.origin is None
-
-
 def test_polars_reads_stamps_as_the_cells_are_read(tmp_path):
     stamps = np.datetime64("2026-01-02T23:59:30", "us") + np.arange(20_000) * 3000
     path = write(tmp_path, [str(stamp) + "+01:00" for stamp in stamps], "time")

@@ -9,13 +9,6 @@ from dbo_cli.moves import check_reach, trajectory
 
 RATE = 1000.0
 ENDS = (2.0, 8.0)
-MOVES = {
-    "raster": {"frequency": 5.0, "lines": 6},
-    "spiral": {"frequency": 5.0, "duration": 2.0},
-    "staircase": {"steps": 4, "dwell": 0.1},
-    "sine": {"frequency": 5.0, "duration": 1.0},
-    "triangle": {"frequency": 5.0, "duration": 1.0},
-}
 
 
 def actuator(low=0.0, high=10.0, dynamics=()):

@@ -7,8 +7,6 @@ from dbo_cli.errors import InputError
 from dbo_cli.reports import Expected, Pair, Report
 from dbo_cli.reports import match as matched
 
-RATE = 1000.0
-
 
 def move(time):
     """A move of 10 s at 50 um; before it two seconds of way in."""
@@ -38,13 +36,9 @@ def test_rows_before_time_0_take_no_part():
     pair = Pair("run", np.zeros(150), error, time=time)
     assert rmse(pair) == 1.0
     assert rmse(Pair("run", np.zeros(150), error, time=time, rows=(1, 50))) == 9.0
-    # nor do those after the move, where a summary tells its end
     late = np.where((time < 0.0) | (time > 0.5), 9.0, 1.0)
     expected = Expected(1.0, move_time=(0.0, 0.5))
-    pair = match("run", late, np.zeros(150), measured_time=time, desired_time=time)
-    assert rmse(pair, expected=expected) == 1.0
-    assert rmse(pair) > 1.0
-    # another recorder may count from elsewhere
+    # a summary tells the end of the move by the drive's clock; another recorder may count from elsewhere
     shifted = Pair("run", np.zeros(150), late, time=time + 1.0)
     assert rmse(shifted, expected=expected) == rmse(shifted)
     # where all are before 0, they are the move
