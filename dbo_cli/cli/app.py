@@ -86,14 +86,6 @@ class Commands(TyperGroup):
             return None
         return _built(cmd_name, function)
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Find the command that the first word names."""
-        if args[0] not in COMMANDS and not args[0].startswith("-"):
-            names = self.list_commands(ctx)
-            if args[0] not in names:
-                ctx.fail(f"no such command: {args[0]}: type one of {', '.join(names)}")
-        return super().resolve_command(ctx, args)
-
 
 def _foreign() -> dict[str, Any]:
     """Return the commands of other packages: entry points of ``dbo_cli.commands``."""
@@ -142,7 +134,9 @@ def program() -> Any:
     """Return the group ``dbo``, ready to parse a command line."""
     app = _typer(completion=True)
     app.callback(cls=Commands, invoke_without_command=True)(_root)
-    return typer.main.get_command(app)
+    group: Any = typer.main.get_command(app)
+    group.commands = dict.fromkeys(COMMANDS)  # typer names those that are meant
+    return group
 
 
 def main(words: Sequence[str]) -> int:

@@ -159,10 +159,9 @@ def scales_apart(
     reading: opt.Reading, recorded: Collection[str]
 ) -> tuple[opt.Reading, opt.Reading]:
     """Return how a trajectory is read, and how recordings with other roles are, each with its own scales."""
-    own, passes = dict(reading.scale), {}
-    for role in recorded:
-        if role in own:
-            passes[role] = own.pop(role)
+    scale = reading.scale
+    passes = {role: scale[role] for role in scale if role in recorded}
+    own = {role: scale[role] for role in scale if role not in recorded}
     return replace(reading, scale=own), replace(reading, scale=passes)
 
 

@@ -61,7 +61,7 @@ def identify(
     from dbo_cli.identification import Options, describe, describe_validation, leads
     from dbo_cli.model import dumps_model, dumps_set
     from dbo_cli.recordings import model_of, recordings_of
-    from dbo_cli.reports import shown_text
+    from dbo_cli.reports.show import shown_text
 
     check_outputs(output, summary)
     options = Options(

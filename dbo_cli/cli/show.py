@@ -20,8 +20,8 @@ def show(
     """
     from dbo_cli.files import check_outputs, write_text
     from dbo_cli.model import is_set, read_model, read_models
-    from dbo_cli.reports import shown_text, shown_values
     from dbo_cli.reports.plots import model_plots, save
+    from dbo_cli.reports.show import shown_text, shown_values
     from dbo_cli.reports.words import json_text
 
     models = {}

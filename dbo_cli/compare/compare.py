@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import timeit
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,7 +25,6 @@ from dbo_cli.identification import Options, Recording, identify
 from dbo_cli.model import Cascade, Points
 from dbo_cli.reports.words import digits, text_table
 
-JSON_VERSION = 1  # of the form dbo-compare
 KEYS = (
     "name words rmse expected_rmse validation_rmse parameters forward_ns inverse_ns "
     "refused"
@@ -135,7 +135,7 @@ def compare(
         row["forward_ns"], row["inverse_ns"] = costs_of(model, logs[0])
     return {
         "format": "dbo-compare",
-        "version": JSON_VERSION,
+        "version": 1,
         "unit": logs[0].output[1] or None,
         "logs": [log.name for log in logs],
         "validation": [log.name for log in validation],
@@ -195,16 +195,12 @@ def costs_of(model: Rival | DboModel, log: Recording) -> tuple[float, float]:
         clock = log.dt * np.arange(float(TIMED_SAMPLES))
     desired = model.simulate(voltage, clock)
     first = float(voltage[0])
-    forward = fastest(lambda: model.simulate(voltage, clock))
-    inverse = fastest(lambda: model.invert(desired, first, clock))
-    return forward / TIMED_SAMPLES, inverse / TIMED_SAMPLES
+    forward = cost_of(lambda: model.simulate(voltage, clock))
+    inverse = cost_of(lambda: model.invert(desired, first, clock))
+    return forward, inverse
 
 
-def fastest(run: Callable[[], object]) -> float:
-    """Return the processor's time (ns) of the fastest of several runs."""
-    times = []
-    for _ in range(TIMED_RUNS):
-        start = time.thread_time_ns()
-        run()
-        times.append(time.thread_time_ns() - start)
-    return float(min(times))
+def cost_of(run: Callable[[], object]) -> float:
+    """Return the processor's time (ns) of a sample, of the fastest of several runs."""
+    timer = timeit.Timer(run, timer=time.thread_time_ns)
+    return min(timer.repeat(TIMED_RUNS, number=1)) / TIMED_SAMPLES

@@ -4,7 +4,6 @@ from dbo_cli.reports.expected import Expected, expected_in
 from dbo_cli.reports.matching import match
 from dbo_cli.reports.pair import Pair, predict
 from dbo_cli.reports.report import Report
-from dbo_cli.reports.show import shown_text, shown_values
 
 __all__ = [
     "Expected",
@@ -13,6 +12,4 @@ __all__ = [
     "expected_in",
     "match",
     "predict",
-    "shown_text",
-    "shown_values",
 ]

@@ -13,6 +13,8 @@ from dbo_cli.reports.expected import Expected
 from dbo_cli.reports.pair import Pair
 from dbo_cli.signals import between, noise
 
+SAME_MOVE = 0.01
+"""Part of the move by which the ends of a summary's move may differ from the log's."""
 HALVED = 0.5
 """Part of the error that a cause must leave at most to be named."""
 BEYOND_EXPECTED = 2.0
@@ -26,10 +28,11 @@ def excess(pair: Pair, expected: Expected, figures: Mapping[str, Any]) -> str:
     are those of ``merits``.
     """
     low, high = figures["desired_min"], figures["desired_max"]
-    if expected.move is not None and not expected.is_of(low, high):
+    first, last = expected.move or (low, high)
+    if max(abs(first - low), abs(last - high)) > SAME_MOVE * (high - low):
         return (
             f"the move is {low:.4g} to {high:.4g}, the expected error is for"
-            f" {expected.move[0]:.4g} to {expected.move[1]:.4g}: use the summary of this move"
+            f" {first:.4g} to {last:.4g}: use the summary of this move"
         )
     white = noise(pair.measured)
     error = math.sqrt(max(figures["rmse"] ** 2 - white**2, 0.0))
@@ -64,12 +67,16 @@ def _cause(
             remedy = "match the clocks, or take the delay out of the model"
         text = f"it is {1e3 * abs(seconds):.3g} ms {side}"
         causes.append((_left(shifted - offset, white), text, remedy))
+    most = np.argsort(np.abs(error))[: math.floor(0.99 * len(error))]
+    row = figures["max_abs_row"]
+    text = f"one row in a hundred holds most of it, the largest at row {row:,}"
+    causes.append((_left(error[most], white), text, "look there for a gap or a limit"))
     residual, text, remedy = min(causes)
     if residual > HALVED * _left(error, white):
         if pair.drive_error is not None:
             percent = f"{100.0 * pair.drive_error:.2g} % of its range"
             return f": another drive was played, up to {percent} apart: dbo check `against` tells more"
-        return f": {sweep}look at row {figures['max_abs_row']:,}, or identify again"
+        return f": {sweep}or identify again" if sweep else ": identify again"
     return f": {text}, without which {residual:.2g} is left: {remedy}"
 
 

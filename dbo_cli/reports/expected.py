@@ -9,8 +9,6 @@ from typing import Any
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import fields
 
-SAME_MOVE = 0.01
-"""Part of the move by which the ends of a summary's move may differ from the log's."""
 Ends = tuple[float, float]
 
 
@@ -37,13 +35,6 @@ class Expected:
     move_time: Ends | None = None
     sensor_delay: float = 0.0
     past_known: bool = False
-
-    def is_of(self, low: float, high: float) -> bool:
-        """Return whether it is stated for a move of this range."""
-        if self.move is None:
-            return True
-        slack = SAME_MOVE * (high - low)
-        return abs(self.move[0] - low) <= slack and abs(self.move[1] - high) <= slack
 
 
 def expected_in(source: str | Mapping[str, Any], unit: str | None = None) -> Expected:

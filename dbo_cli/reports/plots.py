@@ -129,15 +129,9 @@ def figure_of(plot: Plot) -> Figure:
     axes.set(xlabel=plot.labels[0], ylabel=plot.labels[1])
     handles, labels = axes.get_legend_handles_labels()
     if handles:
-        legend = {"loc": "outside upper left", "columnspacing": 1.6}
-        figure.legend(handles, labels, ncols=_legend_columns(labels), **legend)
+        place = {"loc": "outside upper left", "columnspacing": 1.6}
+        figure.legend(handles, labels, ncols=len(labels), **place)
     return figure
-
-
-def _legend_columns(labels: Sequence[str]) -> int:
-    """Return how many names fit side by side."""
-    longest = max(len(label) for label in labels)
-    return max(1, min(len(labels), 56 // (longest + 7)))
 
 
 def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:
@@ -307,12 +301,10 @@ def model_plots(model: Cascade) -> list[Plot]:
         ("model-loop", loop, TALL, out.quantity.capitalize(), 0.0 * line),
         ("model-hysteresis", deviation, WIDE, "Deviation", line),
     ]
+    along = axis_label(into.quantity.capitalize(), into.unit)
     plots = []
     for key, title, size, name, base in kinds:
-        labels = (
-            axis_label(into.quantity.capitalize(), into.unit),
-            axis_label(name, out.unit),
-        )
+        labels = along, axis_label(name, out.unit)
         curves = (
             (drive, rising - base, "rising", SOLID),
             (drive, falling - base, "falling", DASHED),

@@ -141,16 +141,8 @@ class Report:
                         "passed": value is not None and value <= bound,
                     }
                 )
-        return cls(
-            tuple(compared),
-            tuple(logs),
-            tuple(limits),
-            unit or None,
-            voltage_unit,
-            remove_offset,
-            model,
-            command,
-        )
+        about = unit or None, voltage_unit, remove_offset, model, command
+        return cls(tuple(compared), tuple(logs), tuple(limits), *about)
 
     @property
     def rmse(self) -> float:

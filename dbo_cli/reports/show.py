@@ -130,14 +130,9 @@ def _log(log: Mapping[str, Any], unit: str) -> str:
 def _aligned(rows: list[tuple[str, str]]) -> str:
     """Return two columns, the second wrapped."""
     width = max(len(name) for name, _ in rows) + 2
-    lines = []
+    next_line = "\n" + " " * width
+    page = ""
     for name, text in rows:
-        wrapped = textwrap.fill(
-            text,
-            LINE_WIDTH,
-            initial_indent=name.ljust(width),
-            subsequent_indent=" " * width,
-            break_long_words=False,
-        )
-        lines.append(wrapped + "\n")
-    return "".join(lines)
+        wrapped = textwrap.wrap(text, LINE_WIDTH - width, break_long_words=False)
+        page += name.ljust(width) + next_line.join(wrapped) + "\n"
+    return page
