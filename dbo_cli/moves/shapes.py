@@ -197,13 +197,13 @@ def _steps(count: int) -> Floats:
 
 
 def _turned(center: float, speed: float, count: int) -> Floats:
-    """Return a turn at ``place`` from ``speed`` (a row) to its opposite, count speed/pi beyond."""
+    """Return a turn at ``center`` from ``speed`` (a row) to its opposite, count speed/pi beyond."""
     angle = math.pi * _steps(count) / max(count, 1)
     return center + speed * count / math.pi * np.sin(angle)
 
 
 def _started(end: float, speed: float, count: int) -> Floats:
-    """Return a start from rest that arrives at ``place`` with ``speed``, the row at rest included."""
+    """Return a start from rest that arrives at ``end`` with ``speed``, the row at rest included."""
     row = np.arange(count + 1.0)
     bend = np.sin(math.pi * row / max(count, 1))
     distance: Floats = 0.5 * row - 0.5 * count / math.pi * bend
