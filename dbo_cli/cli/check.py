@@ -113,6 +113,7 @@ def read_drive(
         The drive is in another file than its time: interpolated, it is not the drive.
     """
     from dbo_cli.logs import open_log
+    from dbo_cli.recordings import warn_of_assumed
 
     if "::" in (columns["voltage"] or ""):
         raise UsageError(f"`voltage` {columns['voltage']}: name that file as DRIVE")
@@ -122,6 +123,7 @@ def read_drive(
             table = log.read()
         except InputError as problem:
             raise LimitError(str(problem)) from problem
+        warn_of_assumed(log)
     return table, log
 
 

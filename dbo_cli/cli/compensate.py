@@ -113,7 +113,7 @@ def compensate(
             write_figures({"": drive}, {"": log}, outputs, summary, save_state, history)
         say_one(log, output, drive)
         return
-    from dbo_cli.recordings import read_table, tracked_of
+    from dbo_cli.recordings import read_table, tracked_of, warn_of_assumed
 
     recorded["time"] = time
     reading, reading_of_pass = scales_apart(reading, recorded if tracked else {})
@@ -124,6 +124,8 @@ def compensate(
         units = {"displacement": actuator.output.unit}
         roles = channels.columns_for(columns, name)
         logs[name], tables[name] = read_table(trajectory, roles, reading, units)
+        if name:
+            warn_of_assumed(logs[name])
         roles = channels.columns_for(recorded, name)
         with channels.naming(name):
             passes_of[name] = tracked_of(

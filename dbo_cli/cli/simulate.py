@@ -111,14 +111,15 @@ def simulate_set(
     from dbo_cli import channels
     from dbo_cli.drive.simulate import stacked
     from dbo_cli.logs import add_table
-    from dbo_cli.recordings import read_table
+    from dbo_cli.recordings import read_table, warn_of_assumed
 
     names: list[tuple[str, str | None]] = []
     values = []
     for name, simulator in simulators.items():
         into, out = simulator.model.input, simulator.model.output
         roles = channels.columns_for(columns, name)
-        _, table = read_table(log, roles, reading, {"input": into.unit})
+        signal, table = read_table(log, roles, reading, {"input": into.unit})
+        warn_of_assumed(signal)
         with channels.naming(name):
             ready = simulator.rows(table["input"], table.dt, table.time)
             rows = stacked([ready, simulator.finish()])

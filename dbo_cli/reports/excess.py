@@ -67,10 +67,12 @@ def _cause(
             remedy = "match the clocks, or take the delay out of the model"
         text = f"it is {1e3 * abs(seconds):.3g} ms {side}"
         causes.append((_left(shifted - offset, white), text, remedy))
-    most = np.argsort(np.abs(error))[: math.floor(0.99 * len(error))]
+    smallest = np.argsort(np.abs(error))[: math.floor(0.99 * len(error))]
     row = figures["max_abs_row"]
     text = f"one row in a hundred holds most of it, the largest at row {row:,}"
-    causes.append((_left(error[most], white), text, "look there for a gap or a limit"))
+    causes.append(
+        (_left(error[smallest], white), text, "look there for a gap or a limit")
+    )
     residual, text, remedy = min(causes)
     if residual > HALVED * _left(error, white):
         if pair.drive_error is not None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from .program import (
-    DRIVE, QUICK, dbo, done, load, refused, simulated, store, store_set, table,
+    DRIVE, QUICK, dbo, done, load, model, refused, simulated, store, store_set, table,
     values_of, write,
 )  # fmt: skip
 
@@ -95,6 +95,20 @@ def test_identify_says_what_was_read_of_each_channel(channels):
     said = done("identify", "two.csv", *SIDES, *FORCED, "-o", "models.json").said
     for name in "ab":
         assert any("500 Hz" in line and f"V{name}_V" in line for line in said)
+
+
+def test_a_unit_that_is_assumed_is_told_of_a_channel_and_of_what_was_to_be_played():
+    time = np.arange(200) / 100.0
+    volts = 5.0 + 2.0 * np.sin(time)
+    write("bare.csv", "time_s,Vx,Vy,Dx,Dy", time, volts, volts, volts, volts)
+    write("milli.csv", "time_s,voltage_mV", time, 1000.0 * volts)
+    write("one.csv", "time_s,voltage", time, 1000.0 * volts)
+    simulate = ("simulate", model("set"), "bare.csv", "--input", "V{}")
+    compensate = ("compensate", model("set"), "bare.csv", "--displacement", "D{}")
+    check = ("check", "milli.csv", "--against", "one.csv")
+    for words, held in ((simulate, "Vy"), (compensate, "Dy"), (check, "voltage")):
+        warnings = [text for text in dbo(*words).warnings if "assumed" in text]
+        assert held in warnings[-1] and "--scale" in warnings[-1]
 
 
 def test_a_model_in_another_case_is_offered(channels):
