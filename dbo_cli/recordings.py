@@ -17,13 +17,14 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs import (
-    FrameTable,
     Reading,
+    Table,
     as_numbers,
     frame_table,
     is_frame,
     open_log,
     stated_unit,
+    table_of,
 )
 from dbo_cli.logs.frame import cells_of, dtype_kind
 from dbo_cli.logs.table import OVERLOAD, Block
@@ -66,7 +67,7 @@ def read_table(
 
     Parameters
     ----------
-    source : str, Path, FrameTable, or pandas or polars frame
+    source : str, Path, Table, or pandas or polars frame
         The log.
     columns : mapping
         The roles that are needed.
@@ -82,18 +83,19 @@ def read_table(
     InputError
         It cannot be read, or it is not clear which column is which.
     """
+    titles: Mapping[str, str] = {}  # in the file that a frame was read from
     if is_frame(source):
+        titles = getattr(source, "attrs", {}).get("columns", {})
         source = frame_table(source)
-    elif isinstance(source, Path):
-        source = str(source)
-    elif not isinstance(source, (str, FrameTable)):
+    elif not isinstance(source, (str, Path, Table)):
         raise InputError("give a file, or a frame of pandas or polars")
     with open_log(source, columns, reading, units, optional) as log:
         table = log.read()
     for doubt in log.doubtful:
         warn(f"{log.name}: {doubt}")
-    if isinstance(source, FrameTable):
-        log.columns = source.as_stated(log.columns)
+    for role, column in log.columns.items():
+        name = titles.get(column.name, column.name)
+        log.columns[role] = replace(column, name=name)
     return log, table
 
 
@@ -164,7 +166,7 @@ def arrays_table(
     units: Units,
     time: Any = None,
     sample_rate: float | None = None,
-) -> tuple[FrameTable, dict[str, str | None]]:
+) -> tuple[Table, dict[str, str | None]]:
     """Return arrays as a table, and which of its columns has which role.
 
     Parameters
@@ -190,7 +192,7 @@ def arrays_table(
     if isinstance(clock, np.ndarray):
         entries.append(("time", clock, "s"))
         columns["time"] = f"number={len(entries)}"
-    return FrameTable("the arrays", entries), columns
+    return table_of("the arrays", entries), columns
 
 
 def pair_of(

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dbo_cli.logs.frame import (
-    FrameTable,
     as_numbers,
     frame_table,
     is_frame,
     stated_unit,
+    table_of,
 )
 from dbo_cli.logs.log import Log, columns_of, open_log
-from dbo_cli.logs.table import Block, Column, Reading, parse_rows
+from dbo_cli.logs.table import Block, Column, Reading, Table, parse_rows
 from dbo_cli.logs.write import add_table, create
 
 __all__ = [
-    "Block", "Column", "FrameTable", "Log", "Reading", "add_table", "as_numbers", "columns_of",
+    "Block", "Column", "Log", "Reading", "Table", "add_table", "as_numbers", "columns_of",
     "create", "frame_table", "is_frame", "open_log", "parse_rows", "stated_unit",
+    "table_of",
 ]  # fmt: skip

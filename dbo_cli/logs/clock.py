@@ -377,6 +377,8 @@ def _clock_of(source: Table, column: Column, spelled: str | None) -> Clock:
         return Clock(name, "stamps", column, unit="s")
     if spelled is not None:
         return Clock(name, "column", column, parse_time_unit(spelled), unit="")
+    if column.doubt:
+        raise InputError(f"{name}: {column.label} {column.doubt}")
     unit = _stated_unit(name, column)
     clock = Clock(name, "column", column, ratio(unit, "s"), unit)
     with contextlib.suppress(InputError):

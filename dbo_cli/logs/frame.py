@@ -8,7 +8,7 @@ a missing row.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -19,15 +19,14 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import TIME_NAMES, words
 from dbo_cli.logs.formats.stored import StoredTable, columns_in
-from dbo_cli.logs.table import Column
 from dbo_cli.units import spell, split_header, time_unit
 
 Entry = tuple[str, Any, str | None]
 """A column: its name, its values, and its unit."""
 
 
-class FrameTable(StoredTable):
-    """Columns in memory, read as one block.
+def table_of(name: str, entries: Iterable[Entry]) -> StoredTable:
+    """Return columns in memory as a table, which is read as one block.
 
     Parameters
     ----------
@@ -35,57 +34,19 @@ class FrameTable(StoredTable):
         How messages call the table.
     entries
         Its columns.
-    names
-        By column, what it is called in the file that the frame was read from.
-    has_found_offset
-        Whether a clock offset was found in that file.
-    unstated
-        Columns whose unit is lost: ``attrs`` state those of others.
     """
-
-    cure = "leave such rows out"
-    block_rows = sys.maxsize
-
-    def __init__(
-        self,
-        name: str,
-        entries: Iterable[Entry],
-        names: Mapping[str, str] | None = None,
-        has_found_offset: bool = False,
-        unstated: Sequence[str] = (),
-    ) -> None:
-        super().__init__(name)
-        self.has_found_offset = has_found_offset
-        self._names = names or {}
-        self._unstated = unstated
-        for title, values, unit in entries:
-            cells = cells_of(values)
-            if cells.ndim != 1:
-                raise InputError(
-                    f"{name}: column '{title}': give one row of numbers, shape (n,)"
-                )
-            unit = "s" if dtype_kind(values) == "m" else unit or split_header(title)[1]
-            for column in columns_in(title, cells):
-                self.add(column._replace(unit=unit))
-
-    def as_stated(self, columns: Mapping[str, Column]) -> dict[str, Column]:
-        """Return columns by role with the names that they have in their file.
-
-        Raises
-        ------
-        InputError
-            The unit of one is lost, as that of a renamed one is.
-        """
-        renamed = {}
-        for role, column in columns.items():
-            if column.name in self._unstated:
-                raise InputError(
-                    f"{self.name}: {column.label} has no unit, others have one in `attrs`: "
-                    f"call it '{column.name} (UNIT)', or keep its name"
-                )
-            name = self._names.get(column.name, column.name)
-            renamed[role] = replace(column, name=name)
-        return renamed
+    table = StoredTable(name)
+    table.cure, table.block_rows = "leave such rows out", sys.maxsize
+    for title, values, unit in entries:
+        cells = cells_of(values)
+        if cells.ndim != 1:
+            raise InputError(
+                f"{name}: column '{title}': give one row of numbers, shape (n,)"
+            )
+        unit = "s" if dtype_kind(values) == "m" else unit
+        for column in columns_in(title, cells):
+            table.add(replace(column, unit=unit))
+    return table
 
 
 def is_frame(data: object) -> bool:
@@ -94,7 +55,7 @@ def is_frame(data: object) -> bool:
     return hasattr(data, "columns") and has_series
 
 
-def frame_table(frame: Any, time: Any = None) -> FrameTable:
+def frame_table(frame: Any, time: Any = None) -> StoredTable:
     """Return a frame as a table; its time index is a column where it has no other time.
 
     Parameters
@@ -120,13 +81,16 @@ def frame_table(frame: Any, time: Any = None) -> FrameTable:
     elif not has_clock and index is not None and dtype_kind(index) in "fmM":
         title = str(index.name or "time")
         entries.insert(0, (title, index, split_header(title)[1] or "s"))
-    name = str(attrs.get("name", "the frame"))
-    has_found_offset = bool(attrs.get("holds_delay"))
-    unstated = []
-    for title, _, _ in entries:
-        if units and title not in units and split_header(title)[1] is None:
-            unstated.append(title)
-    return FrameTable(name, entries, attrs.get("columns"), has_found_offset, unstated)
+    table = table_of(str(attrs.get("name", "the frame")), entries)
+    table.has_found_offset = bool(attrs.get("holds_delay"))
+    for index, column in enumerate(table.columns):
+        if units and column.name not in units and column.unit is None:
+            doubt = (
+                "has no unit, others have one in `attrs`: call it "
+                f"'{column.name} (UNIT)', or keep its name"
+            )
+            table.columns[index] = replace(column, doubt=doubt)
+    return table
 
 
 def _is_clock(entry: Entry) -> bool:

@@ -8,21 +8,16 @@ from __future__ import annotations
 
 import posixpath
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import h5py
 import numpy as np
 
-from dbo_cli.errors import InputError, warn
-from dbo_cli.logs.formats.stored import (
-    Fetch,
-    StoredColumn,
-    StoredTable,
-    columns_in,
-    fenced,
-)
+from dbo_cli.errors import InputError
+from dbo_cli.logs.formats.stored import StoredTable, columns_in, fenced
 from dbo_cli.logs.settings import is_clock_setting, plain_key
-from dbo_cli.logs.table import Column, Reading, Table
+from dbo_cli.logs.table import Column, Fetch, Reading, Table
 
 # bytes a dataset: a compressed chunk is unpacked once, not once a block
 _CHUNK_CACHE = 1 << 22
@@ -52,29 +47,24 @@ def open_hdf5(path: str, inner: str, reading: Reading) -> Table:
         file = h5py.File(path, "r", rdcc_nbytes=_CHUNK_CACHE)
     try:
         with fenced(path, "HDF5"):
-            return Hdf5Table(path, inner.strip("/"), file, bool(reading.scale))
+            return Hdf5Table(path, inner.strip("/"), file)
     except BaseException:
         file.close()
         raise
 
 
 class Hdf5Table(StoredTable):
-    """The columns of an HDF5 file.
+    """The columns of an HDF5 file."""
 
-    A column whose attributes may belong to its values (``scale_factor``) is refused where
-    it is read, or warned of where the user types a scale (``is_scaled``).
-    """
-
-    def __init__(self, path: str, inner: str, file: Any, is_scaled: bool) -> None:
+    def __init__(self, path: str, inner: str, file: Any) -> None:
         super().__init__(path, file.close)
-        self._is_scaled = is_scaled
         self._inner = inner
         self._nodes = _nodes_of(file)
         if inner not in self._nodes:
             raise InputError(
                 f"{path}::{inner}: no such part, or a link; the file has {self._listing()}"
             )
-        by_group: dict[str, list[StoredColumn]] = {}
+        by_group: dict[str, list[Column]] = {}
         for name, node in self._nodes.items():
             if inner in ("", name) or name.startswith(f"{inner}/"):
                 is_single = getattr(node, "size", 0) == 1 and name != inner
@@ -85,7 +75,7 @@ class Hdf5Table(StoredTable):
         parents = [_group(column.name) for column in columns]
         top = posixpath.commonpath(parents) if parents else ""
         for column in columns:
-            self.add(column._replace(name=column.name[len(top) :].lstrip("/")))
+            self.add(replace(column, name=column.name[len(top) :].lstrip("/")))
         self.require_numbers([self._listing()])
         self._state_clock(groups)
         if not self.settings:
@@ -117,12 +107,14 @@ class Hdf5Table(StoredTable):
                 path.strip("/"), self._nodes.get(path.strip("/"))
             )
             if len(columns) == 1:
-                return self.add(columns[0]._replace(name=name))
+                return self.add(replace(columns[0], name=name))
         return None
 
-    def _columns_of(self, path: str, dataset: Any) -> list[StoredColumn]:
-        """Take a dataset apart into columns; none where it holds no numbers."""
+    def _columns_of(self, path: str, dataset: Any) -> list[Column]:
+        """Take a dataset apart into columns; none where it holds no numbers, or leads to other files."""
         if not isinstance(dataset, h5py.Dataset) or not dataset.size:
+            return []
+        if dataset.is_virtual or dataset.external:
             return []
         matlab = _texts(dataset, "MATLAB_class") or ["double"]
         if matlab[0] not in _MATLAB_NUMBERS or "MATLAB_empty" in dataset.attrs:
@@ -141,32 +133,13 @@ class Hdf5Table(StoredTable):
             elif len(labels) == len(stored) > 1:
                 label = labels[number]
             unit = units[0] if len(units) == 1 else "".join(units[number : number + 1])
-            fetch = self._checked(dataset, column.name, column.fetch)
+            fetch = _with_missing(dataset, column.fetch)
+            doubt = _not_applied(dataset)
             label = posixpath.join(group, label)
-            columns.append(column._replace(name=label, fetch=fetch, unit=unit))
-        return columns
-
-    def _checked(self, dataset: Any, label: str, fetch: Fetch) -> Fetch:
-        """Make NaN of what stands for a missing number; refuse what may not be what it is taken for."""
-        missing = _attribute(dataset, "_FillValue")
-        missing += _attribute(dataset, "missing_value")
-        factor = _not_applied(dataset)
-        called = f"{self.name}: column '{label}'"
-
-        def checked(start: int, stop: int) -> Any:
-            if dataset.is_virtual or dataset.external:
-                raise InputError(f"{called} is stored in other files: h5repack first")
-            text = (
-                f"{called} has {factor}, which is not applied: type `scale` ROLE=FACTOR"
+            columns.append(
+                replace(column, name=label, unit=unit, fetch=fetch, doubt=doubt)
             )
-            if factor and not self._is_scaled:
-                raise InputError(text)
-            if factor and start == 0:  # the scale may be another column's
-                warn(text)
-            rows = fetch(start, stop)
-            return np.where(np.isin(rows, missing), np.nan, rows) if missing else rows
-
-        return checked
+        return columns
 
     def _listing(self) -> str:
         """Return the datasets of the file for a message."""
@@ -198,7 +171,7 @@ def _depth(group: str) -> int:
     return group.count("/") + bool(group)
 
 
-def _shallowest(by_group: Mapping[str, Sequence[StoredColumn]]) -> list[str]:
+def _shallowest(by_group: Mapping[str, Sequence[Column]]) -> list[str]:
     """Return the shallowest groups with numbers; of several the only one with more than one such column."""
     numbers: dict[str, int] = {}
     for group, columns in by_group.items():
@@ -209,18 +182,32 @@ def _shallowest(by_group: Mapping[str, Sequence[StoredColumn]]) -> list[str]:
     return wide if len(wide) == 1 else groups
 
 
+def _with_missing(dataset: Any, fetch: Fetch) -> Fetch:
+    """Return what fetches rows with NaN in the place of what stands for a missing number."""
+    missing = _attribute(dataset, "_FillValue") + _attribute(dataset, "missing_value")
+
+    def fetch_numbers(start: int, stop: int) -> Any:
+        rows = fetch(start, stop)
+        return np.where(np.isin(rows, missing), np.nan, rows)
+
+    return fetch_numbers if missing else fetch
+
+
 def _not_applied(dataset: Any) -> str:
     """Say which factor or offset in or beside a dataset may belong to its values (Keysight, NeXus)."""
     factors = {key: _attribute(dataset, key) for key in dataset.attrs}
     factors["YInc"] = _attribute(dataset.parent, "YInc")
+    stated = ""
     for key, values in factors.items():
         neutral = _NOT_APPLIED.get(plain_key(key))
         if neutral is not None and len(values) == 1 and values[0] != neutral:
-            return f"{key} {values[0]} beside it"
+            stated = f"{key} {values[0]}"
     for sibling in (f"{dataset.name}_scaling_factor", f"{dataset.name}_offset"):
         if sibling in dataset.file:
-            return f"{sibling} beside it"
-    return ""
+            stated = sibling
+    if not stated:
+        return ""
+    return f"has {stated} beside it, which is not applied: type `scale` ROLE=FACTOR"
 
 
 # --- what a node says ---

@@ -22,7 +22,7 @@ from dbo_cli.logs.columns import ROLES, choose, named
 from dbo_cli.logs.formats import reader_of
 from dbo_cli.logs.formats.stored import refuse_part
 from dbo_cli.logs.join import SENSORS, joined, resampled
-from dbo_cli.logs.scale import ScaledColumn, scaled_column
+from dbo_cli.logs.scale import scaled_column
 from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import (
     ROWS_A_BLOCK,
@@ -64,16 +64,15 @@ class Log:
         self,
         source: Table,
         clock: Clock,
-        signals: Mapping[str, ScaledColumn],
+        columns: dict[str, Column],
         reading: Reading,
     ) -> None:
         self.name = source.name
-        self.columns = {role: signal.column for role, signal in signals.items()}
+        self.columns = columns
         self.clock = clock
         self.remarks = source.remarks
         self.doubtful: list[str] = []
         self._source = source
-        self._signals = dict(signals)
         self._first, self._last = parse_rows(reading.rows)
         self._skip_bad = reading.skip_bad
         self._dropped = 0
@@ -100,9 +99,8 @@ class Log:
         noted = len(base.clock.remarks)
         self._rows = joined(rows, base.clock, others, guest.clock, taken, clock_offset)
         self.clock = base.clock
-        kept = {r: base._signals[r] for r in base._signals if r not in taken}
-        self._signals = kept | {role: guest._signals[role] for role in taken}
-        self.columns = {role: s.column for role, s in self._signals.items()}
+        kept = {r: column for r, column in base.columns.items() if r not in taken}
+        self.columns = kept | {role: guest.columns[role] for role in taken}
         self.remarks = [*base.remarks, *guest.remarks, *self.clock.remarks[noted:]]
         self.doubtful = [*base.doubtful, *guest.doubtful]
 
@@ -150,12 +148,12 @@ class Log:
             self._count = len(self._rows)
             yield self._rows
             return
-        columns = [signal.stored for signal in self._signals.values()]
+        columns = list(self.columns.values())
         if self.clock.is_read and self.clock.column is not None:
             columns.append(self.clock.column)
-        time_place = len(columns) - 1
-        if self._source.guard is not None and self._source.guard not in columns:
-            columns.append(self._source.guard)
+        time_place, guard = len(columns) - 1, self._source.guard
+        if guard and guard.number not in [column.number for column in columns]:
+            columns.append(guard)
         noted, row = len(self.remarks), 1
         for arrays in self._source.blocks(columns):
             numbers = np.arange(row, row + len(arrays[0]))
@@ -167,10 +165,8 @@ class Log:
                 self._count += len(numbers)
                 time, dt = self.clock.read(numbers, arrays[time_place])
                 values = {}
-                for (role, signal), array in zip(
-                    self._signals.items(), arrays, strict=False
-                ):
-                    values[role] = multiplied(array, signal.factor)
+                for index, (role, column) in enumerate(self.columns.items()):
+                    values[role] = multiplied(arrays[index], column.factor)
                 yield Block(time, values, dt)
             if self._last is not None and row > self._last:
                 break
@@ -210,7 +206,7 @@ class Log:
         self._dropped += count
         good = numbers[~is_bad]
         lost = list(self._source.torn)
-        is_guarded = len(columns) > len(self._signals) + self.clock.is_read
+        is_guarded = len(columns) > len(self.columns) + self.clock.is_read
         if is_guarded and columns[-1].kind == "number":
             lost += numbers[bad[-1]].tolist()  # the guard alone shows these
         for row in lost:
@@ -248,7 +244,7 @@ class Log:
 
     def line(self) -> str:
         """Return one line on what was read; complete after the last block."""
-        names = [signal.label for signal in self._signals.values()]
+        names = [column.title for column in self.columns.values()]
         s = "" if self._count == 1 else "s"
         line = f"{self.name}: {self._count:,} row{s}, {self.clock.describe()}"
         return f"{line}; {', '.join(names)}"
@@ -387,12 +383,12 @@ def _open_file(
         clock = find_clock(source, reading, roles.get("time"), used)
         clock_columns = [] if clock.column is None else [clock.column]
         picks = choose(source, selectors, clock_columns, units, optional)
-        signals = {}
+        columns = {}
         for role, column in picks.items():
-            signals[role] = scaled_column(
+            columns[role] = scaled_column(
                 source.name, role, column, reading.scale, units
             )
-        return Log(source, clock, signals, reading)
+        return Log(source, clock, columns, reading)
     except BaseException:
         source.close()
         raise

@@ -22,7 +22,7 @@ from dbo_cli.logs.settings import (
     plain_key,
     read_settings,
 )
-from dbo_cli.logs.table import LONGEST_CELL, Settings, Table
+from dbo_cli.logs.table import LONGEST_CELL, Column, Settings, Table
 from dbo_cli.units import is_unit, kind_of, parse_unit, spell, split_header, time_unit
 
 _LINES = 3  # names, units and a remark stand above the rows at most
@@ -299,4 +299,4 @@ def describe_columns(table: Table, layout: Layout) -> None:
                 f"{table.name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
                 f"{layout.first}"
             )
-        table.add_column(header, unit, kind, sample)
+        table.add(Column(0, header, unit, kind, sample))

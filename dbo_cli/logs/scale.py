@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 
 from dbo_cli.errors import InputError, UsageError
@@ -21,33 +21,13 @@ from dbo_cli.units import (
 )
 
 
-@dataclass(frozen=True)
-class ScaledColumn:
-    """A column with a role.
-
-    Attributes
-    ----------
-    stored, column
-        As it is in the file, and with the unit behind the factor.
-    factor
-        By what its figures are multiplied.
-    label
-        Its name with its unit, and with what is assumed where nothing states one.
-    """
-
-    stored: Column
-    column: Column
-    factor: Fraction
-    label: str
-
-
 def scaled_column(
     name: str,
     role: str,
     column: Column,
     scale: Mapping[str, str | float],
     units: Mapping[str, str | None],
-) -> ScaledColumn:
+) -> Column:
     """Scale a column of a file by what the user types for its role, then to the unit that is wanted.
 
     Raises
@@ -60,6 +40,8 @@ def scaled_column(
     factor, unit = Fraction(1), column.unit
     if role in scale:
         factor, unit = _typed_scale(name, role, column, str(scale[role]))
+    elif column.doubt:
+        raise InputError(f"{name}: {column.label} {column.doubt}")
     else:
         _refuse_unclear_unit(name, role, column)
     target = units.get(role)
@@ -74,12 +56,12 @@ def scaled_column(
                 f"{role}=FACTOR{target}/{unit}"
             ) from None
         unit = spell(target)
-    label = column.name or f"column {column.number} ({role})"
-    if column.unit and split_header(label)[1] is None:
-        label += f" ({column.unit})"
+    title = column.name or f"column {column.number} ({role})"
+    if column.unit and split_header(title)[1] is None:
+        title += f" ({column.unit})"
     elif unit and column.unit is None and role not in scale:
-        label += f" ({unit} assumed)"
-    return ScaledColumn(column, replace(column, unit=unit), factor, label)
+        title += f" ({unit} assumed)"
+    return replace(column, unit=unit, factor=factor, title=title)
 
 
 def _typed_scale(

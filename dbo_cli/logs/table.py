@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -26,14 +27,33 @@ TOO_LONG = f"(more than {LONGEST_CELL} characters)"
 
 Settings = dict[str, list[str]]
 """What a file states beside its rows, by key: values with their units."""
+Fetch = Callable[[int, int], Any]
+"""Returns rows from a start to a stop, counted from 0."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its number (from 1), and the name and the unit that the file gives it.
+    """A column of a file or of a log.
 
-    ``kind`` is ``number``, ``stamp`` (a date or a clock time), or ``text`` or ``empty``,
-    which cannot be read; ``sample`` is the format of a text's stamps, or a cell of text.
+    Attributes
+    ----------
+    number
+        Counted from 1; 0 until it is in a table.
+    name, unit
+        As the file gives them; in a log the unit is that behind ``factor``.
+    kind
+        ``number``, ``stamp`` (a date or a clock time), or ``text`` or ``empty``, which
+        cannot be read.
+    sample
+        The format of a text's stamps, or a cell of text.
+    length, fetch
+        How many rows it has and what fetches them, where it is no text.
+    doubt
+        Why its numbers may not be what they are taken for, and what to do.
+    factor
+        By what its figures are multiplied.
+    title
+        Its name with its unit, and with what is assumed where nothing states one.
     """
 
     number: int
@@ -41,6 +61,11 @@ class Column:
     unit: str | None = None
     kind: str = "number"
     sample: str = ""
+    length: int = 0
+    fetch: Fetch = lambda start, stop: ()
+    doubt: str = ""
+    factor: Fraction = Fraction(1)
+    title: str = ""
 
     @property
     def label(self) -> str:
@@ -207,17 +232,15 @@ class Table:
         self.remarks: list[str] = []
         self.torn: list[int] = []
 
-    def add_column(
-        self, header: str, unit: str | None, kind: str, sample: str = ""
-    ) -> Column:
-        """Append a column; its header holds its unit where none is stated beside it."""
-        number = len(self.columns) + 1
-        if len(header) > LONGEST_CELL or header == TOO_LONG:
+    def add(self, column: Column) -> Column:
+        """Append a column; its name holds its unit where none is stated beside it."""
+        number, name, unit = len(self.columns) + 1, column.name, column.unit
+        if len(name) > LONGEST_CELL or name == TOO_LONG:
             self.remarks.append(f"column {number}: {TOO_LONG[1:-1]} are no name")
-            header = ""
+            name = ""
         unit = spell(unit) if unit and len(unit) <= LONGEST_CELL else None
-        unit = unit or split_header(header)[1]
-        column = Column(number, header, unit, kind, sample)
+        unit = unit or split_header(name)[1]
+        column = replace(column, number=number, name=name, unit=unit)
         self.columns.append(column)
         return column
 

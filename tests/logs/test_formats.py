@@ -253,3 +253,9 @@ def test_damaged_files_end_in_one_line(name, tmp_path, capfd):
         except InputError as problem:
             assert "\n" not in str(problem)
     assert capfd.readouterr().err == ""
+
+
+def test_a_parquet_file_without_columns_is_refused(tmp_path):
+    pl.DataFrame().write_parquet(tmp_path / "a.parquet")
+    with pytest.raises(InputError, match="no columns of numbers"):
+        opened(tmp_path / "a.parquet")

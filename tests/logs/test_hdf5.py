@@ -6,7 +6,8 @@ import h5py
 import numpy as np
 import pytest
 
-from dbo_cli.errors import DboWarning, InputError
+from dbo_cli.errors import InputError
+from dbo_cli.logs import open_log
 from dbo_cli.logs.columns import named
 from dbo_cli.logs.hdf5 import open_hdf5
 from dbo_cli.logs.settings import stated_rate
@@ -183,17 +184,18 @@ def test_a_scale_beside_a_dataset_is_not_passed_over(tmp_path):
 
     keys = ("scale_factor", "Scale", "Scale Factor", "GAIN")
     source = opened(tmp_path, fill)
+    np.testing.assert_array_equal(values(source, "y"), [0.0, np.nan, 2.0])
+    source.close()
+    path = str(tmp_path / "run.h5")
     pairs = {"x": "x_scaling_factor", "z": "conversion"} | {key: key for key in keys}
     for name, key in pairs.items():
         with pytest.raises(InputError, match=f"{key}.*`scale`"):
-            values(source, name)
-    np.testing.assert_array_equal(values(source, "y"), [0.0, np.nan, 2.0])
-    source.close()
-    scaled = Reading(scale={"voltage": "0.125"})
-    source = open_hdf5(str(tmp_path / "run.h5"), "", scaled)
-    with pytest.warns(DboWarning, match="`scale`"):
-        np.testing.assert_array_equal(values(source, "z"), [0.0, 100.0, np.nan])
-    source.close()
+            open_log(path, {"voltage": name})
+        with pytest.raises(InputError, match=key):
+            open_log(path, {"voltage": "y", "time": name})
+    scaled = Reading(scale={"voltage": "0.125"}, skip_bad=True)
+    with open_log(path, {"voltage": "z"}, scaled) as log:
+        np.testing.assert_array_equal(log.read()["voltage"], [0.0, 12.5])
 
 
 @pytest.mark.parametrize(

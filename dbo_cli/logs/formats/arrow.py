@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.logs.formats.stored import (
-    Fetch,
     FileFormat,
-    StoredColumn,
     StoredTable,
     fenced,
     quiet,
     refuse_part,
 )
-from dbo_cli.logs.table import NOT_A_TIME, Reading, Table
+from dbo_cli.logs.table import NOT_A_TIME, Column, Fetch, Reading, Table
 
 _STRETCH = 1 << 19  # rows that polars hands out at once
 _KIND = "Parquet or Feather"
@@ -41,8 +39,9 @@ def _read(path: str, inner: str, reading: Reading) -> Table:
                 kind = "stamp"
             elif stored.is_numeric() or stored == pl.Boolean:
                 kind = "number"
-            table.add(StoredColumn(name, rows, _fetch_of(scan, name), kind))
-    return table
+            fetch = _fetch_of(scan, name)
+            table.add(Column(0, name, kind=kind, length=rows, fetch=fetch))
+    return table.require_numbers([f"{rows} rows"])
 
 
 def _fetch_of(scan: Any, name: str) -> Fetch:

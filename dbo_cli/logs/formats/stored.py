@@ -8,34 +8,21 @@ import os
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, InputError
 from dbo_cli.logs.settings import is_clock_setting
-from dbo_cli.logs.table import ROWS_A_BLOCK, Column, Reading, Table
-from dbo_cli.units import split_header
+from dbo_cli.logs.table import ROWS_A_BLOCK, Column, Fetch, Reading, Table
 
 TableReader = Callable[[str, str, Reading], Table]
 """Takes a path, the part behind ``::`` and how to read."""
-Fetch = Callable[[int, int], Any]
-"""Returns rows from a start to a stop, counted from 0."""
 _KINDS = defaultdict(
     lambda: "text", f="number", i="number", u="number", b="number", M="stamp"
 )
 """The kind of a column by NumPy's letter of its type."""
-
-
-class StoredColumn(NamedTuple):
-    """A stored column: its name or path, its rows, what fetches them, and what is known of it."""
-
-    name: str
-    length: int
-    fetch: Fetch
-    kind: str = "number"
-    unit: str | None = None
 
 
 @dataclass(frozen=True)
@@ -132,14 +119,7 @@ class StoredTable(Table):
 
     def __init__(self, path: str, close: Callable[[], object] = lambda: None) -> None:
         super().__init__(path)
-        self._stored: list[StoredColumn] = []
         self._close = close
-
-    def add(self, stored: StoredColumn) -> Column:
-        """Add a column; the last step of its path holds its unit where none is stated."""
-        self._stored.append(stored)
-        unit = stored.unit or split_header(stored.name.rsplit("/", 1)[-1])[1]
-        return self.add_column(stored.name, unit, stored.kind)
 
     def add_arrays(self, arrays: Mapping[str, Any]) -> None:
         """Add arrays by name; a single value is no column, but may state the clock."""
@@ -167,7 +147,7 @@ class StoredTable(Table):
         InputError
             The columns are of unequal length, or the library fails.
         """
-        lengths = [self._stored[column.number - 1].length for column in columns]
+        lengths = [column.length for column in columns]
         if len(set(lengths)) > 1:
             pairs = zip(columns, lengths, strict=True)
             text = ", ".join(f"{column.label} {rows:,} rows" for column, rows in pairs)
@@ -181,7 +161,7 @@ class StoredTable(Table):
     def _rows(self, column: Column, start: int, stop: int) -> NDArray[Any]:
         """Read rows of one column as float64, or dates as int64 nanoseconds."""
         with fenced(self.name, column.label):
-            stored = np.asarray(self._stored[column.number - 1].fetch(start, stop))
+            stored = np.asarray(column.fetch(start, stop))
             if stored.dtype.kind == "M":
                 stored = stored.astype("datetime64[ns]").astype(np.int64)
             elif column.kind == "number":
@@ -195,7 +175,7 @@ class StoredTable(Table):
         self._close()
 
 
-def columns_in(name: str, stored: Any) -> Iterator[StoredColumn]:
+def columns_in(name: str, stored: Any) -> Iterator[Column]:
     """Take an array or a dataset apart: a vector, a matrix whose longer axis is time, or records.
 
     There are no parts of what holds neither numbers, nor dates, nor a row of texts.
@@ -204,17 +184,21 @@ def columns_in(name: str, stored: Any) -> Iterator[StoredColumn]:
     if kind.names is not None and len(shape) == 1:
         for label in kind.names:
             if not kind[label].shape:
-                fetch = _field_of(stored, label)
-                yield StoredColumn(label, shape[0], fetch, _KINDS[kind[label].kind])
+                yield column_of(label, kind[label], shape[0], _field_of(stored, label))
     elif len(shape) == 1:
-        yield StoredColumn(name, shape[0], rows_of(stored), _KINDS[kind.kind])
+        yield column_of(name, kind, shape[0], rows_of(stored))
     elif len(shape) == 2 and _KINDS[kind.kind] != "text":
         along = 0 if shape[0] >= shape[1] else 1
         width = shape[1 - along]
         for number in range(width):
             label = f"{name}[{number + 1}]" if name and width > 1 else name
             fetch = _column_of(stored, along, number)
-            yield StoredColumn(label, shape[along], fetch, _KINDS[kind.kind])
+            yield column_of(label, kind, shape[along], fetch)
+
+
+def column_of(name: str, kind: Any, rows: int, fetch: Fetch) -> Column:
+    """Return a column of so many rows of a type of NumPy's."""
+    return Column(0, name, kind=_KINDS[kind.kind], length=rows, fetch=fetch)
 
 
 def rows_of(stored: Any) -> Fetch:

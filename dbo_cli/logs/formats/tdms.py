@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from dbo_cli.logs.formats.stored import (
     FileFormat,
-    StoredColumn,
     StoredTable,
+    column_of,
     fenced,
     import_extra,
     quiet,
@@ -64,9 +65,8 @@ def _add_channels(table: StoredTable, groups: Sequence[Any]) -> None:
             properties = channel.properties
             unit = properties.get("unit_string") or properties.get("NI_UnitDescription")
             name = channel.name if len(groups) == 1 else f"{group.name}/{channel.name}"
-            kind = "stamp" if channel.dtype.kind == "M" else "number"
-            fetch = rows_of(channel)
-            table.add(StoredColumn(name, len(channel), fetch, kind, unit))
+            column = column_of(name, channel.dtype, len(channel), rows_of(channel))
+            table.add(replace(column, unit=unit))
             _state_clock(table, properties)
 
 
