@@ -280,7 +280,7 @@ def short_name(name: str) -> str:
     return os.path.basename(file) + mark + inside
 
 
-def model_of(
+def identified(
     recordings: Sequence[Recording],
     logs: Sequence[Log],
     options: Options,
@@ -299,7 +299,7 @@ def model_of(
     """
     from dbo_cli.identification import identify
 
-    if options.delay == "auto" and any(log.has_found_offset for log in logs):
+    if options.delay == "auto" and any(log.clock.holds_delay for log in logs):
         options = replace(options, delay=0.0)
     model = identify(recordings, options, tests)
     sources = []  # and no time of day: the same logs give the same file

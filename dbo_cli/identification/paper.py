@@ -18,7 +18,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import Structure
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.identification.solve import Equations, Fit, Rows
+from dbo_cli.identification.solve import Equations, Fit, FittedRows
 from dbo_cli.identification.stages import with_reach, zero_of
 from dbo_cli.model import Cascade, Gears, Points, Quantity, Scale
 
@@ -94,7 +94,7 @@ def _fine_fit(drive: Floats, output: Floats, segments: int) -> Fit:
     engaged = _engaged(FINE_WIDTHS, np.tile(drive, 2), GROUP)[drive.size :]
     count, cells = engaged.shape
     weights, shares = np.full(count, 1.0 / count), np.full(cells, 1.0 / cells)
-    rows = Rows(engaged / cells, output, weights, np.zeros((count, 0)), shares, 0)
+    rows = FittedRows(engaged / cells, output, weights, np.zeros((count, 0)), shares, 0)
     smooth = 0.0 if segments > 1 else np.inf
     structure = Structure("growing", "", 0.0, smooth, segments=segments)
     return Equations(rows, structure).solve()

@@ -28,7 +28,7 @@ from dbo_cli.identification.recording import (
     falling,
     runs_of,
 )
-from dbo_cli.identification.solve import Rows
+from dbo_cli.identification.solve import FittedRows
 from dbo_cli.signals import noise
 
 SEARCH_ROWS = 900  # of all logs: means of more
@@ -201,13 +201,13 @@ class Problem:
             tables.append(table[:, int(index == 0) : 1 + straight])
         return np.asarray(block_diag(*tables))
 
-    def rows(self, structure: Structure, groups: int = PAST_GROUPS) -> Rows:
+    def rows(self, structure: Structure, groups: int = PAST_GROUPS) -> FittedRows:
         """Return the rows that a structure is fitted to, with a past of so many groups of cells."""
         drift = self.drift(structure.drift)
         past = np.zeros((len(drift), 0))
         if structure.past:
             past = self.past if groups == PAST_GROUPS else self.past_of(groups)
-        return Rows(
+        return FittedRows(
             self.columns(structure),
             self.output,
             np.full(len(self.output), 1.0 / len(self.output)),

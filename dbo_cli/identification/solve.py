@@ -35,7 +35,7 @@ DAMPED = 1e-13
 
 
 @dataclass(frozen=True)
-class Rows:
+class FittedRows:
     """The rows that are fitted: columns, output and drift.
 
     Attributes
@@ -203,7 +203,7 @@ class Equations:
     Unknowns in order: slopes (steps where they grow or fall), gains, curve, u0, drift.
     """
 
-    def __init__(self, rows: Rows, structure: Structure) -> None:
+    def __init__(self, rows: FittedRows, structure: Structure) -> None:
         self.rows, self.structure = rows, structure
         self.inner = rows.cells + rows.terms * len(structure.memories)
         self.segments = structure.segments if np.isfinite(structure.smooth_curve) else 1

@@ -109,22 +109,11 @@ class Log:
         self._rows, self.clock = resampled(self.read(), self.clock, rate)
         self.remarks += self.clock.remarks
 
-    def provided(self, role: str) -> bool:
-        """Return whether the log has a column for a role, or a clock for ``time``."""
-        if role == "time":
-            return self.clock.kind != "none"
-        return role in self.columns
-
     @property
     def assumed(self) -> list[str]:
         """The columns whose unit nothing states, each with the unit that is assumed."""
         labels = [column.label for column in self.columns.values()]
         return [label for label in labels if label.endswith(" assumed)")]
-
-    @property
-    def has_found_offset(self) -> bool:
-        """Whether a clock offset was found from the signals, so that the actuator's delay is in it."""
-        return self.clock.holds_delay or self._source.has_found_offset
 
     def blocks(self, rows: int = ROWS_A_BLOCK) -> Iterator[Block]:
         """Return the log once, in blocks of at most so many rows.
@@ -164,7 +153,12 @@ class Log:
         for arrays in self._source.blocks(columns):
             numbers = np.arange(row, row + len(arrays[0]))
             row += len(numbers)
-            numbers, arrays = self._inside(numbers, arrays)
+            inside = numbers >= self._first
+            if self._last is not None:
+                inside &= numbers <= self._last
+            if not inside.all():
+                numbers = numbers[inside]
+                arrays = [array[inside] for array in arrays]
             numbers, arrays = self._good(numbers, arrays, columns)
             if len(numbers):
                 self._refuse_lost(numbers)
@@ -178,14 +172,6 @@ class Log:
                 break
         self.doubtful += self.remarks[noted:]
         self._finish(row - 1)
-
-    def _inside(self, numbers: _Numbers, arrays: _Arrays) -> tuple[_Numbers, _Arrays]:
-        """Return the rows inside ``rows``."""
-        first, stop = int(numbers[0]), len(numbers)
-        if self._last is not None:
-            stop = max(0, self._last - first + 1)
-        inside = slice(max(0, self._first - first), stop)
-        return numbers[inside], [array[inside] for array in arrays]
 
     def _good(
         self, numbers: _Numbers, arrays: _Arrays, columns: Sequence[Column]
@@ -309,6 +295,8 @@ def open_log(
         raise UsageError(
             f"`time` {elsewhere['time']}: the time must be in the log itself"
         )
+    if reading.clock_offset is not None and not elsewhere:
+        raise UsageError("`clock_offset` needs a column of a second file: FILE::COLUMN")
     roles = {role: text for role, text in roles.items() if role not in elsewhere}
     twins: list[str] = []
     if elsewhere and reading.clock_offset == "auto":  # a drive that both may hold
@@ -387,6 +375,7 @@ def _open_file(
         selectors = {role: text for role, text in roles.items() if role != "time"}
         used = [named(source, text, role) for role, text in selectors.items() if text]
         clock = find_clock(source, reading, roles.get("time"), used)
+        clock.holds_delay = source.has_found_offset
         clock_columns = [] if clock.column is None else [clock.column]
         picks = choose(source, selectors, clock_columns, units, optional)
         columns = {}
@@ -412,18 +401,3 @@ def open_table(name: str, reading: Reading) -> Table:
         return reader(path, inner, reading)
     refuse_part(path, inner)
     return TextTable(TextStream(path, reading.encoding), reading)
-
-
-def columns_of(
-    path: str | os.PathLike[str], reading: Reading | None = None
-) -> list[Column]:
-    """Return all columns of a log.
-
-    Raises
-    ------
-    InputError
-        It cannot be read.
-    """
-    source = open_table(os.fspath(path), reading or Reading())
-    source.close()
-    return source.columns

@@ -181,6 +181,35 @@ def pair():
     return text("log.csv", "time_s,voltage_V\n", "{:.4f},{:.4f}", TIME, VOLTS)
 
 
+def test_an_offset_needs_columns_of_two_files():
+    words = (pair(), "--clock-offset", "0.1")
+    for command in ("simulate", "compensate"):
+        error = refused(2, command, model("small"), *words)
+        assert "--clock-offset" in error and "FILE::COLUMN" in error
+    assert "FILE::COLUMN" in refused(2, "identify", *words)
+
+
+def test_an_offset_of_recordings_is_none_of_the_trajectory():
+    write("sensor.csv", "time_s,measured_um", TIME, VOLTS / 10.0)
+    write("move.csv", "time_s,displacement_um", TIME, VOLTS / 10.0)
+    words = ("compensate", model("small"), "move.csv", "--tracked", "sensor.csv")
+    joined = ("--voltage", f"{pair()}::voltage_V", "--clock-offset", "0")
+    outcome = dbo(*words, *joined, "-o", "out.csv")
+    assert "FILE::COLUMN" not in outcome.err and outcome.code != 2
+    assert "FILE::COLUMN" in refused(2, *words, "--clock-offset", "0")
+
+
+@pytest.mark.parametrize(
+    ("words", "instead"),
+    [(("--sample-rate", "50"), "column 'time_s'"), (("--time-unit", "ms"), "s")],
+)
+def test_what_stands_in_the_place_of_stamps_is_said(words, instead):
+    first = done("simulate", model("small"), pair(), *words, "-o", "out.csv").lines[0]
+    assert f"({words[0]}" in first and f"in place of {instead})" in first
+    same = ("--time-unit", "s", "-o", "out.csv")
+    assert "--time-unit" not in done("simulate", model("small"), pair(), *same).err
+
+
 def test_rows():
     kept = {"11:20": slice(10, 20), "51:": slice(50, 60), ":5": slice(0, 5)}
     for rows, part in kept.items():
