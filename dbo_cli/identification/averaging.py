@@ -59,21 +59,14 @@ class Average:
             residuals.append(np.einsum("k,kr->r", self.weights, np.stack(parts)))
         return residuals
 
-    def frames(self, dt: float) -> list[tuple[float, float]]:
-        """Return delay and bend of the fits that have most of the weight, and the mean ones.
-
-        The mean delay is a whole number of steps ``dt``: between jumps of a drive a part
-        of a step has no meaning.
-        """
+    @property
+    def frame(self) -> tuple[float, float]:
+        """Delay (s) and bend that have most of the weight."""
         frames = [fit.structure.frame for fit in self.fits]
         total = dict.fromkeys(frames, 0.0)
         for frame, weight in zip(frames, self.weights.tolist(), strict=True):
             total[frame] += weight
-        heaviest = max(total, key=lambda key: total[key])
-        delay, bend = (self.weights @ np.asarray(frames)).tolist()
-        if len({delay for delay, _ in frames}) == 1:
-            return [heaviest, (heaviest[0], bend)]
-        return [heaviest, (round(delay / dt) * dt, bend)]
+        return max(total, key=lambda key: total[key])
 
 
 def with_finer_past(problem: Problem, average: Average) -> list[tuple[float, Fit]]:
@@ -165,23 +158,19 @@ def average_model(problem: Problem, average: Average) -> Fit:
     weights = np.full(len(mean), INVENTED_WEIGHT)
     weights[: len(problem.output)] = 1.0
     weights /= weights.sum()
-    lowest, nearest = math.inf, best
-    for delay, bend in dict.fromkeys(average.frames(problem.dt)):
-        structure = replace(_widest(average), delay=delay, bend=bend)
-        table = _table(problem, invented, delay, bend)
-        free = np.zeros((len(mean), 0))
-        rows = FittedRows(
-            table, mean, weights, free, problem.cells.shares, len(problem.taus)
-        )
-        fit: Fit | None = None
-        for smooth in CURVES:
-            curved = replace(structure, smooth_curve=smooth)
-            fit = Equations(rows, curved).solve(fit)
-        assert fit is not None
-        misfit = math.sqrt(float(weights @ fit.error**2))
-        if misfit < lowest:
-            lowest, nearest = misfit, fit
-    return best if lowest > MOST_MISFIT * error_left_out(best.residuals) else nearest
+    structure = _widest(average)
+    table = _table(problem, invented, *structure.frame)
+    free = np.zeros((len(mean), 0))
+    rows = FittedRows(
+        table, mean, weights, free, problem.cells.shares, len(problem.taus)
+    )
+    nearest: Fit | None = None
+    for smooth in CURVES:
+        curved = replace(structure, smooth_curve=smooth)
+        nearest = Equations(rows, curved).solve(nearest)
+    assert nearest is not None
+    misfit = math.sqrt(float(weights @ nearest.error**2))
+    return best if misfit > MOST_MISFIT * error_left_out(best.residuals) else nearest
 
 
 def _predictions(
@@ -209,13 +198,16 @@ def _table(
 
 
 def _widest(average: Average) -> Structure:
-    """Return a structure that holds all fits but for their delays and bends."""
+    """Return a structure that holds all fits but for their delays and bends: those of most weight."""
     slopes = {fit.structure.slopes for fit in average.fits}
     memories = [fit.structure.memories for fit in average.fits]
+    delay, bend = average.frame
     return Structure(
         slopes=slopes.pop() if len(slopes) == 1 else "free",
         memories=max(memories, key=len),
         smooth_slopes=SMOOTH_SLOPES,
+        delay=delay,
+        bend=bend,
         segments=average.fits[0].structure.segments,
     )
 
