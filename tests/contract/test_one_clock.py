@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from .program import (
-    DRIVE, LOG, MOVE, PAIR, PASS, QUICK, dbo, done, load, model, refused, rms, simulated, store, table, values_of, write,
+    DRIVE, LOG, MOVE, PAIR, PASS, QUICK, dbo, done, load, model, refused, rms, simulated, store,
+    table, values_of, write,
 )  # fmt: skip
 
 STEP = 1e-3
