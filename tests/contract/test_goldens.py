@@ -13,7 +13,7 @@ import pytest
 
 
 from .program import (
-    DRIVE, GOLDENS, MOVE, compensated, done, load, model, simulated, table, values_of, write,
+    DRIVE, GOLDENS, MOVE, compensated, done, model, simulated, table, values_of, write,
 )  # fmt: skip
 
 NAMES = ("small", "creep", "bent", "moving", "late")
@@ -101,19 +101,3 @@ def test_report(options):
     merits = written["logs"][0]
     for key, value in REPORTS[options].items():
         assert merits[key] == pytest.approx(value, rel=1e-9, abs=1e-9), key
-
-
-def test_an_inverse_has_its_ranges_exchanged_and_inverted_again_is_the_model():
-    done("invert", model("bent"), "-o", "inverse.json")
-    inverse, forward = load("inverse.json"), values_of("bent")
-    assert inverse["direction"] == "inverse"
-    ranges = inverse["output"], inverse["input"]
-    assert ranges == (forward["input"], forward["output"])
-    kinds = [stage["type"] for stage in inverse["stages"]]
-    assert kinds == [stage["type"] for stage in reversed(forward["stages"])]
-    done("invert", "inverse.json", "-o", "twice.json")
-    twice = load("twice.json")
-    assert twice["direction"] == "forward"
-    assert kinds[::-1] == [stage["type"] for stage in twice["stages"]]
-    write("drive.csv", "voltage_V", [-20.0, 30.0, 111.0, 7.0, 60.0])
-    close(simulated(Path("twice.json"), "drive.csv"), simulated("bent", "drive.csv"))

@@ -108,11 +108,6 @@ def test_the_sample_s_model_fits_the_schema_and_holds_what_a_model_does(sample_m
 # --- small logs ---
 
 
-def test_a_log_of_gears_is_followed_to_its_noise():
-    fit = identified(moved_log(), "--relaxation", 0, "--delay", 0)["fit"]
-    assert fit["rmse"] < 0.03 and fit["line_rmse"] > 0.2
-
-
 @pytest.mark.parametrize(
     ("sign", "words", "ends"),
     [

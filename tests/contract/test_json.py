@@ -72,11 +72,6 @@ def with_value(kind, path, value):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_good_files_are_read(files, kind):
-    done(*READ[kind].split())
-
-
-@pytest.mark.parametrize("kind", KINDS)
 def test_what_is_wrong_is_named_by_its_key(files, kind):
     """A version is the whole number 1, a number a number, and no key is unknown."""
     for value in (True, "1", 2, 1.0, None, HUGE):

@@ -29,25 +29,6 @@ def files(folder):
 # --- no file starts outside the rating ---
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "--from 1000 --approach 1 --v-min -20 --v-max 120 --max-slew 2000",
-        "--from 101 --approach 1",
-        "--from -0.5 --approach auto --max-slew 2000",
-        "--from 1000",
-        "--from 1000 --condition --v-min 0 --v-max 110",
-        "--from 1kV --approach 1 --v-min -20 --v-max 120",
-    ],
-)
-def test_a_start_outside_the_rating_is_refused(words):
-    typed = words.split()[1].replace("1kV", "1000")
-    for on_limit in ("auto", "clip", "error"):
-        line = (*words.split(), "--on-limit", on_limit, "-o", "out.csv")
-        error = refused(3, "compensate", model("creep"), "wish.csv", *line)
-        assert typed in error.replace("1,000", "1000")
-
-
 def test_a_state_outside_the_rating_is_refused():
     write("high.csv", DRIVE, TIME[:3], [0.0, 50.0, 95.0])
     simulated("creep", "high.csv", "--save-state", "s.json")
@@ -392,14 +373,6 @@ def test_a_loop_behind_its_run_in_asks_for_the_rows_of_the_period():
     assert "--rows" in dbo(*words).lines[-1]
     done("check", "loop.csv", "--loop", "--rows", "401:")
     done(*words, "--rows", "401:")
-
-
-def test_a_loop_that_does_not_close_names_no_step_that_is_allowed():
-    wish = 3.0 + 2.0 * np.sin(2.0 * np.pi * np.arange(200) / 200.0)
-    write("loop.csv", MOVE, TIME[:200], wish)
-    words = ("compensate", model("creep"), "loop.csv", "--periodic", "--max-slew")
-    assert "does not close within --max-slew 1000 V/s" in refused(3, *words, 1000)
-    done(*words, 1500)
 
 
 # --- ``check``: is it what was played ---

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from .program import (
-    DRIVE, LOG, MOVE, PAIR, PASS, QUICK, dbo, done, load, model, refused, rms, simulated, store, store_set,
+    DRIVE, LOG, MOVE, PAIR, PASS, QUICK, dbo, done, load, model, refused, rms, simulated, store,
     table, values_of, write,
 )  # fmt: skip
 
@@ -239,36 +239,6 @@ def test_rows_at_rest_behind_a_sweep_are_none_of_the_move(name):
     outcome = done(*words, "next.csv", "--tracked", "pass.csv", "--bandwidth", 20)
     told = next(line for line in outcome.lines if "expected error" in line)
     assert float(told.split()[3]) == pytest.approx(np.std(error), rel=0.05)
-
-
-def test_both_axes_of_a_raster_are_laid_over_by_their_drives():
-    """A slow axis is a ramp, and a ramp that is late looks like one that is lower: 65 % off."""
-    store_set("xy.json", x=values_of("creep"), y=values_of("creep"))
-    words = ("--rate", 1000, "--range", "1:5", "--lines", 16, "--frequency", 5)
-    done("trajectory", "raster", *words, "--bandwidth", 50, "-o", "raster.csv")
-    words = ("xy.json", "raster.csv", "--displacement", "{}_um", "--condition")
-    done("compensate", *words, "--from", 0, "-o", "scan.csv")
-    scan = table("scan.csv")
-    columns, truth = {}, {}
-    rng = np.random.default_rng(1)
-    for axis in "xy":
-        column = f"voltage_{axis}"
-        moved = 1.004 * simulated("creep", "scan.csv", "--input", column)
-        moved += 0.003 * rng.standard_normal(len(moved))
-        columns[f"V{axis}_V"] = scan[f"{column}_V"]
-        columns[f"D{axis}_um"] = moved
-        error = (moved - scan[f"desired_{axis}_um"])[scan["time_s"] > -0.5 * STEP]
-        truth[axis] = rms(error)
-    stamps = STEP * np.arange(len(scan["time_s"]))
-    write("pass.csv", ",".join(["time_s", *columns]), stamps, *columns.values())
-    recorded_as = ("--voltage", "V{}", "--measured", "D{}")
-    for file, desired in (("scan.csv", "desired_{}"), ("raster.csv", "{}_um")):
-        asked = ("--trajectory", file, "--desired", desired, "--format", "json")
-        found = done("report", "pass.csv", *recorded_as, *asked).json["reports"]
-        for axis, off in truth.items():
-            rmse = found[axis]["logs"][0]["rmse"]
-            assert rmse == pytest.approx(off, rel=0.01), (file, axis)
-    done("compensate", *words, "--from", 0, "--tracked", "pass.csv", *recorded_as)
 
 
 def test_what_was_learned_between_harmonics_ends_no_learning():

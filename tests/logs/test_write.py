@@ -4,9 +4,7 @@ import os
 import sys
 from pathlib import Path
 
-import h5py
 import numpy as np
-import polars as pl
 import pytest
 
 from dbo_cli.errors import OutputError, UsageError
@@ -27,29 +25,6 @@ def rows(count=1000):
 
 def only(folder):
     return sorted(path.name for path in folder.iterdir())
-
-
-@pytest.mark.parametrize(
-    "name", ["a.csv", "a.tsv", "a.csv.gz", "a", "a.dat", "a.h5", "a.hdf5"]
-)
-def test_numbers_read_back_to_the_bit_from_any_blocks(tmp_path, name):
-    arrays = rows(150_000)
-    path = tmp_path / name
-    with create(path, COLUMNS) as out:
-        for start, stop in [(0, 1), (1, 70_000), (70_000, 70_000), (70_000, 150_000)]:
-            out.write(*[array[start:stop] for array in arrays])
-        assert out.rows == 150_000
-    if "h" in path.suffix:
-        with h5py.File(path) as store:
-            for (column, unit), array in zip(COLUMNS, arrays, strict=True):
-                assert store[column].attrs["units"] == unit
-                np.testing.assert_array_equal(store[column][:], array)
-    else:
-        frame = pl.read_csv(path, separator="\t" if "tsv" in name else ",")
-        assert frame.columns == ["time_s", "desired_um", "voltage_V"]
-        for column, array in zip(frame.columns, arrays, strict=True):
-            np.testing.assert_array_equal(frame[column].to_numpy(), array)
-    assert only(tmp_path) == [name]
 
 
 def test_a_few_rows_read_back_without_polars(tmp_path, monkeypatch):
