@@ -112,8 +112,8 @@ class Log:
     @property
     def assumed(self) -> list[str]:
         """The columns whose unit nothing states, each with the unit that is assumed."""
-        labels = [column.label for column in self.columns.values()]
-        return [label for label in labels if label.endswith(" assumed)")]
+        titles = [column.title for column in self.columns.values()]
+        return [title for title in titles if title.endswith(" assumed)")]
 
     def blocks(self, rows: int = ROWS_A_BLOCK) -> Iterator[Block]:
         """Return the log once, in blocks of at most so many rows.
