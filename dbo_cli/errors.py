@@ -9,6 +9,8 @@ option (`` `skip_bad` `` becomes ``--skip-bad``).
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
 class DboError(Exception):
@@ -47,6 +49,16 @@ class LimitError(DboError):
 
 class DboWarning(UserWarning):
     """Something that may spoil the result; the text says what to do about it."""
+
+
+@contextmanager
+def naming(name: str) -> Iterator[None]:
+    """Put a name, if there is one, before the message of an error: of a file, or of a channel."""
+    prefix = f"{name}: " if name else ""
+    try:
+        yield
+    except DboError as problem:
+        raise type(problem)(prefix + str(problem).removeprefix(prefix)) from problem
 
 
 def warn(text: str) -> None:

@@ -19,15 +19,12 @@ def show(
     dbo show model.json --format json | jq .fit.expected_rmse
     """
     from dbo_cli.files import check_outputs, write_text
-    from dbo_cli.model import is_set, read_model, read_models
+    from dbo_cli.model import read_models
     from dbo_cli.reports import ShownModel
 
-    if is_set(model):
-        pages = []
-        for name, channel in read_models(model).items():
-            pages.append(ShownModel(channel, f"{model}::{name}"))
-    else:
-        pages = [ShownModel(read_model(model), model)]
+    pages = []
+    for name, channel in read_models(model).items():
+        pages.append(ShownModel(channel, f"{model}::{name}" if name else model))
     is_json = opt.form_of(form, output) == "json"
     texts = [page.json() if is_json else page.text() for page in pages]
     check_outputs(output)
