@@ -243,7 +243,7 @@ def together(
 
 def naming(channel: str) -> AbstractContextManager[None]:
     """Name the channel in an error, if it has a name."""
-    return errors.naming(f"channel {channel}" if channel else "")
+    return errors.prefixed(f"channel {channel}" if channel else "")
 
 
 # --- files of all channels ---
@@ -290,7 +290,7 @@ def members_of(
     if tuple(channels) == ALONE:
         return {"": (name, values)}
     key = plural(kind)
-    with errors.naming(name):
+    with errors.prefixed(name):
         members = fields.members(values, f"dbo-{kind}-set", key, f"a set of {key}")
         for channel in channels:
             if channel not in members:

@@ -52,7 +52,7 @@ class DboWarning(UserWarning):
 
 
 @contextmanager
-def naming(name: str) -> Iterator[None]:
+def prefixed(name: str) -> Iterator[None]:
     """Put a name, if there is one, before the message of an error: of a file, or of a channel."""
     prefix = f"{name}: " if name else ""
     try:

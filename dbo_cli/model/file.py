@@ -14,7 +14,7 @@ from itertools import chain, groupby, pairwise
 from pathlib import Path
 from typing import Any
 
-from dbo_cli.errors import ModelError, naming
+from dbo_cli.errors import ModelError, prefixed
 from dbo_cli.model import fields
 from dbo_cli.model.amplifier import Amplifier
 from dbo_cli.model.cascade import Candidate, Cascade, Direction, Stage
@@ -78,7 +78,7 @@ def read_models(path: str) -> dict[str, Cascade]:
     if not separator or os.path.exists(path):
         file, channel = path, ""
     name, values = fields.load(file, "model")
-    with naming(name):
+    with prefixed(name):
         contents = {"": values}
         is_set = isinstance(values, dict) and values.get("format") == SET_FORMAT
         if channel or is_set:
@@ -120,7 +120,7 @@ def parse_model(values: object, name: str = "the model") -> Cascade:
     ModelError
         They do not; the message begins with ``name`` and the key.
     """
-    with naming(name):
+    with prefixed(name):
         return _model(values, "")
 
 
@@ -305,7 +305,7 @@ def read_state(path: str, model: Cascade) -> State:
 
 def parse_state(values: object, model: Cascade, name: str = "the state") -> State:
     """Return the state that JSON values describe (ModelError: they do not, or it is another model's)."""
-    with naming(name):
+    with prefixed(name):
         return _state(fields.contents(values, "", STATE_FORMAT, "a state"), model)
 
 
