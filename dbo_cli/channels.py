@@ -13,12 +13,12 @@ import json
 import os
 import re
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
+from dbo_cli import errors
 from dbo_cli.errors import (
-    DboError,
     DboWarning,
     InputError,
     LimitError,
@@ -129,28 +129,19 @@ def models_of(
 
     Raises
     ------
-    InputError
-        A set lacks one; the message names the columns that are patterns.
     ModelError
-        A file is no model, or a set where no column is a pattern.
+        A file is no model, or a set that lacks one; the message names the columns that
+        are patterns, or could be.
     """
-    from dbo_cli.model import is_set, read_model, read_models
+    from dbo_cli.model import member, read_models
 
+    models = read_models(path)
+    roles = [f"`{role}` COLUMN" for role, name in columns.items() if name]
+    hint = f" with {' '.join(roles)}"
     if tuple(channels) == ALONE:
-        try:
-            return {"": read_model(path)}
-        except ModelError as problem:
-            if not is_set(path):
-                raise
-            role = next(role for role in columns if role != "time")
-            raise ModelError(f"{problem}, or `{role}` '{{}}' for all of it") from None
-    if not is_set(path):
-        return dict.fromkeys(channels, read_model(path))
-    try:
-        return read_models(path, list(channels))
-    except InputError as problem:
-        roles = [f"`{role}` COLUMN" for role, name in columns.items() if name]
-        raise InputError(f"{problem} with {' '.join(roles)}") from None
+        role = next(role for role in columns if role != "time")
+        hint = f", or `{role}` '{{}}' for all of it"
+    return {channel: member(models, path, channel, hint) for channel in channels}
 
 
 # --- what is typed for a channel, or for all ---
@@ -251,14 +242,9 @@ def together(
     return {name: drives[name] for name in holds}
 
 
-@contextmanager
-def naming(channel: str) -> Iterator[None]:
+def naming(channel: str) -> AbstractContextManager[None]:
     """Name the channel in an error, if it has a name."""
-    prefix = f"channel {channel}: " if channel else ""
-    try:
-        yield
-    except DboError as problem:
-        raise type(problem)(prefix + str(problem).removeprefix(prefix)) from problem
+    return errors.prefixed(f"channel {channel}" if channel else "")
 
 
 # --- files of all channels ---
@@ -305,13 +291,11 @@ def members_of(
     if tuple(channels) == ALONE:
         return {"": (name, values)}
     key = plural(kind)
-    try:
+    with errors.prefixed(name):
         members = fields.members(values, f"dbo-{kind}-set", key, f"a set of {key}")
         for channel in channels:
             if channel not in members:
                 raise ModelError(f'{key}: has no channel "{channel}"')
-    except ModelError as problem:
-        raise ModelError(f"{name}: {problem}") from None
     return {channel: (f"{name}: {channel}", members[channel]) for channel in channels}
 
 

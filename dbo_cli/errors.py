@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 
 class DboError(Exception):
@@ -48,6 +50,16 @@ class LimitError(DboError):
 
 class DboWarning(UserWarning):
     """Something that may spoil the result; the text says what to do about it."""
+
+
+@contextmanager
+def prefixed(name: str) -> Iterator[None]:
+    """Put a name, if there is one, before the message of an error: of a file, or of a channel."""
+    prefix = f"{name}: " if name else ""
+    try:
+        yield
+    except DboError as problem:
+        raise type(problem)(prefix + str(problem).removeprefix(prefix)) from problem
 
 
 def warn(text: str) -> None:

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike
 
 from dbo_cli import model as room
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.files import write_text
 from dbo_cli.logs import (
     Reading,
@@ -513,6 +513,11 @@ class Model:
 class ModelSet(dict[str, Model]):
     """Models by the name of their channel."""
 
+    @classmethod
+    def of(cls, models: Mapping[str, room.Cascade]) -> ModelSet:
+        """Return the models of cascades."""
+        return cls({name: Model(actuator) for name, actuator in models.items()})
+
     def save(self, path: str | Path) -> None:
         """Write all models into one file."""
         actuators = {name: model.actuator for name, model in self.items()}
@@ -529,10 +534,10 @@ def read_model(path: str | Path) -> Model:
     ModelError
         The file is no model of version 1; the message names the key.
     """
-    name = str(path)
-    if "::" not in name and room.is_set(name):
-        return cast(Model, read_models(name))
-    return Model(room.read_model(name))
+    models = room.read_models(str(path))
+    if "" in models:
+        return Model(models[""])
+    return cast(Model, ModelSet.of(models))
 
 
 def read_models(path: str | Path) -> ModelSet:
@@ -544,7 +549,9 @@ def read_models(path: str | Path) -> ModelSet:
         The file is no set of models.
     """
     models = room.read_models(str(path))
-    return ModelSet({name: Model(actuator) for name, actuator in models.items()})
+    if "" in models:
+        raise ModelError(f"{path}: is one model and no set: `read_model` reads it")
+    return ModelSet.of(models)
 
 
 # --- logs ---

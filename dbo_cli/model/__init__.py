@@ -10,7 +10,7 @@ from dbo_cli.model.dynamics import Dynamics as Dynamics
 from dbo_cli.model.file import dumps_model as dumps_model
 from dbo_cli.model.file import dumps_set as dumps_set
 from dbo_cli.model.file import dumps_state as dumps_state
-from dbo_cli.model.file import is_set as is_set
+from dbo_cli.model.file import member as member
 from dbo_cli.model.file import model_values as model_values
 from dbo_cli.model.file import read_model as read_model
 from dbo_cli.model.file import read_models as read_models

@@ -153,10 +153,8 @@ class Dynamics(Keyed):
 
 def _step_rows(sections: tuple[Section, ...], steps: Floats) -> Floats:
     """Return the kernel's numbers, six for each section, in a row for each time step (s)."""
-    columns: list[Floats] = []
-    for section in sections:
-        columns += section.step(steps)
-    return np.column_stack(columns)
+    rows = np.vstack([section.step(steps) for section in sections])
+    return np.ascontiguousarray(rows.T)
 
 
 @lru_cache(maxsize=32)

@@ -93,6 +93,8 @@ def members(values: Any, form: str, key: str, noun: str) -> Json:
     """Return what a set of ``form`` holds for each channel, under ``key``."""
     content = contents(values, "", form, noun)
     channels: Json = build(dict, content, "", **{key: notes})[key]
+    if not channels:
+        raise ModelError(f"{key}: is empty")
     return channels
 
 

@@ -8,13 +8,13 @@ an actuator was left, so that the next run goes on from there.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from itertools import chain, groupby, pairwise
 from pathlib import Path
 from typing import Any
 
-from dbo_cli.errors import InputError, ModelError
+from dbo_cli.errors import ModelError, prefixed
 from dbo_cli.model import fields
 from dbo_cli.model.amplifier import Amplifier
 from dbo_cli.model.cascade import Candidate, Cascade, Direction, Stage
@@ -23,8 +23,8 @@ from dbo_cli.model.dynamics import Dynamics
 from dbo_cli.model.fields import VERSION, Json, build, number, number_list
 from dbo_cli.model.gears import Gears
 from dbo_cli.model.points import Points, Scale
-from dbo_cli.model.relaxation import Relaxation
 from dbo_cli.model.state import START_NAMES, Held, Quantity, State
+from dbo_cli.model.widths import TABLE
 
 MODEL_FORMAT = "dbo-model"
 SET_FORMAT = "dbo-model-set"
@@ -38,6 +38,9 @@ KINDS: dict[str, type[Stage]] = {
     "delay": Delay,
 }
 TYPES = {stage: name for name, stage in KINDS.items()}
+_EXCHANGED = {"x0": "y0", "y0": "x0", "dx": "dy", "dy": "dx"}
+_SIDES: dict[Direction, str] = {"forward": "input", "inverse": "output"}
+"""On which side of the gears the voltage is, by the direction of a file."""
 # equal widths in a row are written once from this many on: two are shorter as they are
 SHORTEST_RUN = 3
 
@@ -57,60 +60,56 @@ def read_model(path: str) -> Cascade:
     Raises
     ------
     InputError
-        The file cannot be read, or the set has no such channel.
+        The file cannot be read.
     ModelError
         It is not a model, of another version, or contradicts itself; the message names
-        file and key.
+        file and key. Or it is a set of models, or one without that channel.
+    """
+    model: Cascade = member(read_models(path), path)
+    return model
+
+
+def read_models(path: str) -> dict[str, Cascade]:
+    """Read the models of a set by channel; a single model, and ``FILE::CHANNEL``, have the name ``""``.
+
+    Errors are as of ``read_model``.
     """
     file, separator, channel = path.rpartition("::")
-    if separator and not os.path.exists(path):
-        return read_models(file, [channel])[channel]
-    name, values = fields.load(path, "model")
-    return parse_model(values, name)
+    if not separator or os.path.exists(path):
+        file, channel = path, ""
+    name, values = fields.load(file, "model")
+    with prefixed(name):
+        contents = {"": values}
+        is_set = isinstance(values, dict) and values.get("format") == SET_FORMAT
+        if channel or is_set:
+            contents = fields.members(values, SET_FORMAT, "models", "a set of models")
+        paths = {key: f'models["{key}"]' if key or is_set else "" for key in contents}
+        if channel:
+            contents = {channel: member(contents, file, channel)}
+        models = {key: _model(each, paths[key]) for key, each in contents.items()}
+        return {"": models[channel]} if channel else models
 
 
-def read_models(path: str, only: list[str] | None = None) -> dict[str, Cascade]:
-    """Read a set of models, or those of some channels: by channel (errors as of ``read_model``)."""
-    name, values = fields.load(path, "model")
-    models = {}
-    try:
-        channels = _channels(values)
-        for channel in channels if only is None else only:
-            if channel not in channels:
-                names = ", ".join(channels)
-                alike = [key for key in channels if key.lower() == channel.lower()]
-                near = [*alike, *channels][0]
-                raise InputError(
-                    f"{name}: no model {channel}; models: {names}: type {name}::{near}"
-                )
-            models[channel] = _model(channels[channel], f'models["{channel}"]')
-    except ModelError as problem:
-        raise ModelError(f"{name}: {problem}") from None
-    return models
+def member(
+    models: Mapping[str, Any], path: str, channel: str = "", hint: str = ""
+) -> Any:
+    """Return what a file has for a channel; the model of a file that is no set serves every one.
 
-
-def _channels(values: Any) -> Json:
-    """Return what stands in a set for the model of each channel."""
-    channels = fields.members(values, SET_FORMAT, "models", "a set of models")
-    if not channels:
-        raise ModelError("models: is empty")
-    return channels
-
-
-def is_set(path: str) -> bool:
-    """Tell whether a file is a set of models; a pipe is not read."""
-    if not os.path.isfile(path):
-        return False
-    try:
-        values = fields.load(path, "model")[1]
-    except (InputError, ModelError):
-        return False
-    return _is_set(values)
-
-
-def _is_set(values: object) -> bool:
-    """Tell whether values of a file are those of a set of models."""
-    return isinstance(values, dict) and values.get("format") == SET_FORMAT
+    Raises
+    ------
+    ModelError
+        The set has none; the message says what to type, and ends with ``hint``.
+    """
+    for name in ("", channel):
+        if name in models:
+            return models[name]
+    names = ", ".join(models)
+    alike = [name for name in models if name.lower() == channel.lower()]
+    nearest = [*alike, *models][0]
+    lacking = f"is a set of models, {names}"
+    if channel:
+        lacking = f"no model {channel}; models: {names}"
+    raise ModelError(f"{path}: {lacking}: type {path}::{nearest}{hint}")
 
 
 def parse_model(values: object, name: str = "the model") -> Cascade:
@@ -121,16 +120,8 @@ def parse_model(values: object, name: str = "the model") -> Cascade:
     ModelError
         They do not; the message begins with ``name`` and the key.
     """
-    try:
-        if _is_set(values):
-            names = list(_channels(values))
-            file = "-" if name == fields.STANDARD_INPUT else name
-            raise ModelError(
-                f"is a set of models, {', '.join(names)}: type {file}::{names[0]}"
-            )
+    with prefixed(name):
         return _model(values, "")
-    except ModelError as problem:
-        raise ModelError(f"{name}: {problem}") from None
 
 
 def _model(values: Any, path: str) -> Cascade:
@@ -157,11 +148,10 @@ def _model(values: Any, path: str) -> Cascade:
 
 def _fit(values: Any, path: str) -> Json:
     """Return the figures of a fit; refuse what cannot be one where commands take it for one."""
+    figures = fields.notes(values, path)
     for key in FIGURES:
-        value = fields.notes(values, path).get(key)
-        if value is not None:
-            fields.magnitude(value, f"{path}.{key}")
-    return fields.notes(values, path)
+        fields.unless_null(fields.magnitude)(figures.get(key), f"{path}.{key}")
+    return figures
 
 
 def _candidate(values: Any, path: str) -> Any:
@@ -183,37 +173,29 @@ def _stage(values: Any, path: str, direction: Direction) -> Any:
     stage, is_inverse = KINDS[kind], direction == "inverse"
     if "relaxation" in content:
         terms = dict(fields.notes(content["relaxation"], f"{path}.relaxation"))
-        if terms.pop("on", None) != ("output" if is_inverse else "input"):
+        if terms.pop("on", None) != _SIDES[direction]:
             raise ModelError(f"{path}.relaxation.on: is not the side of the voltage")
         content["relaxation"] = terms
-    if is_inverse and stage in _UNDOING:
-        make = _UNDOING[stage]
-        return build(make, content, path, stage.OPTIONAL, **stage.KEYS)
-    return stage.read(content, path)
+
+    def undone(**keys: Any) -> Stage:
+        if "dx" in keys:  # refuses what is wrong by the keys of the file
+            stage(**{key: keys[key] for key in TABLE})
+        return stage(**_mirrored(stage, keys))
+
+    make = undone if is_inverse else stage
+    return build(make, content, path, stage.OPTIONAL, **stage.KEYS)
 
 
-def _inverse_gears(
-    dx: Any, dy: Any, x0: float, y0: float, relaxation: Relaxation | None = None
-) -> Gears:
-    """Return the gears that exchanged axes describe (17)-(18)."""
-    Gears(dx, dy, x0, y0)  # refuses what is wrong by the keys of the file
-    return Gears(dy, dx, y0, x0, relaxation)
+def _mirrored(stage: type[Stage], keys: Json) -> Json:
+    """Return the keys of what undoes a stage: exchanged axes (17)-(18), or the opposite number.
 
-
-def _negative_delay(seconds: float) -> Delay:
-    """Return the delay that an inverse model reads ahead by."""
-    if seconds > 0.0:
-        raise ModelError(f"seconds: {seconds!r} has the wrong sign in this direction")
-    return Delay(-seconds)
-
-
-_UNDOING: dict[type[Stage], Callable[..., Stage]] = {
-    Gears: _inverse_gears,
-    Points: lambda **table: Points(**table).inverse(),
-    Scale: lambda gain, offset: Scale(gain, offset).inverse(),
-    Delay: _negative_delay,
-}
-"""What makes a stage of the keys of what undoes it, where these are other ones."""
+    Mirrored twice, they are those of the stage.
+    """
+    if stage is Scale:
+        return Scale(**keys).inverse().keys()
+    if stage is Delay:
+        return {"seconds": -keys["seconds"]}
+    return {key: keys[_EXCHANGED.get(key, key)] for key in keys}
 
 
 def dumps_model(model: Cascade) -> str:
@@ -255,29 +237,17 @@ def _stage_values(
 ) -> list[Json]:
     """Return stages as plain values, their types first; those of an inverse model mirrored."""
     values = []
-    for stage in stages:
-        keys = {"type": TYPES[type(stage)], **stage.keys()}
+    for stage in stages if direction == "forward" else stages[::-1]:
+        kind = type(stage)
+        keys: Json = stage.keys()
+        if direction == "inverse":
+            keys = _mirrored(kind, keys)
         if "relaxation" in keys:
-            keys["relaxation"] = {"on": "input", **keys["relaxation"]}
-        values.append(keys)
-    if direction == "inverse":
-        values = [_mirrored(keys) for keys in reversed(values)]
-    for keys in values:
-        keys |= {axis: _runs(keys[axis]) for axis in ("dx", "dy") if axis in keys}
+            keys["relaxation"] = {"on": _SIDES[direction], **keys["relaxation"]}
+        for axis in {"dx", "dy"} & set(keys):
+            keys[axis] = _runs(keys[axis])
+        values.append({"type": TYPES[kind], **keys})
     return values
-
-
-def _mirrored(keys: Json) -> Json:
-    """Return the keys of what undoes a stage: exchanged axes (17)-(18), or the opposite number."""
-    if keys["type"] == "scale":
-        return {**keys, **Scale(keys["gain"], keys["offset"]).inverse().keys()}
-    if keys["type"] == "delay":
-        return {**keys, "seconds": -keys["seconds"]}
-    exchange = {"x0": "y0", "y0": "x0", "dx": "dy", "dy": "dx"}
-    mirrored = {key: keys[exchange.get(key, key)] for key in keys}
-    if "relaxation" in mirrored:
-        mirrored["relaxation"] = {**mirrored["relaxation"], "on": "output"}
-    return mirrored
 
 
 def _runs(widths: list[float]) -> list[float | Json]:
@@ -335,10 +305,8 @@ def read_state(path: str, model: Cascade) -> State:
 
 def parse_state(values: object, model: Cascade, name: str = "the state") -> State:
     """Return the state that JSON values describe (ModelError: they do not, or it is another model's)."""
-    try:
+    with prefixed(name):
         return _state(fields.contents(values, "", STATE_FORMAT, "a state"), model)
-    except ModelError as problem:
-        raise ModelError(f"{name}: {problem}") from None
 
 
 def state_of(state: State | str | Path, model: Cascade) -> State | str:
@@ -385,7 +353,7 @@ def _state(values: Json, model: Cascade) -> State:
             "model: the state belongs to another model: save it again with this one"
         )
     gears, digits = model.gears.n, parts["bits"]
-    if parts["gears"] != gears:
+    if parts.pop("gears") != gears:
         raise ModelError(f"gears: is not {gears}, the number of gears of the model")
     hexadecimal = digits and not set(digits) - set("0123456789abcdef")
     if not hexadecimal or int(digits, 16) >> gears:
@@ -398,20 +366,11 @@ def _state(values: Json, model: Cascade) -> State:
             raise ModelError(f"{key}: has {len(parts[key])} entries, not {count}")
     if parts["delay"] is not None and model.delay is None:
         raise ModelError("delay: the model has no delay")
+    parts["bits"] = int(digits, 16)
     flat = parts["sections"]
-    sections = None
     if flat is not None:
-        sections = tuple(zip(flat[::3], flat[1::3], flat[2::3], strict=True))
-    return State(
-        int(digits, 16),
-        parts["memory"],
-        parts["drive"],
-        parts["time"],
-        sections,
-        parts["delay"],
-        parts.get("amplifier"),
-        model=parts["model"],
-    )
+        parts["sections"] = tuple(zip(flat[::3], flat[1::3], flat[2::3], strict=True))
+    return State(**parts)
 
 
 def _held(values: Any, path: str) -> Held:

@@ -37,21 +37,6 @@ _SERIES = 1.0
 _TERMS = 24  # of the series; the last is below 1e-20 of the first at one radian
 
 
-class SectionStep(NamedTuple):
-    """How p and q of a section change in a time step: one number for each of several steps.
-
-    By q itself, by the lead u - p of the input, and by the change of the input
-    (``dbo_section_step``).
-    """
-
-    p_by_q: Floats
-    p_by_lead: Floats
-    p_by_change: Floats
-    q_by_q: Floats
-    q_by_lead: Floats
-    q_by_change: Floats
-
-
 class SectionOutput(NamedTuple):
     """What a section's output has besides p: parts of the lead u - p and of q (``dbo_section_output``)."""
 
@@ -111,8 +96,12 @@ class Resonance(Mode):
         damping = self.antiresonance.damping - ratio * self.damping
         return SectionOutput(ratio * ratio, 2.0 * ratio * damping)
 
-    def step(self, dt: Floats) -> SectionStep:
-        """Return how p and q change in each time step (s)."""
+    def step(self, dt: Floats) -> Floats:
+        """Return how p and q change in each time step (s), shape (6, steps).
+
+        p by q, by the lead u - p of the input, and by the change of the input; then q by
+        the same (``dbo_section_step``).
+        """
         angle = 2.0 * math.pi * self.frequency * dt
         zeta = self.damping
         root = math.sqrt(1.0 - zeta * zeta)
@@ -125,14 +114,7 @@ class Resonance(Mode):
             lag_steps = 1.0 - (2.0 * zeta * step + sine) / angle
             ramp = np.where(slow, _series(angle, zeta, 1), lag_steps)
             rate = np.where(angle > 0.0, step / angle, 0.0)
-        return SectionStep(
-            p_by_q=sine,
-            p_by_lead=step,
-            p_by_change=ramp,
-            q_by_q=cosine - zeta * sine,
-            q_by_lead=sine,
-            q_by_change=rate,
-        )
+        return np.array([sine, step, ramp, cosine - zeta * sine, sine, rate])
 
     def response(self, frequency: Floats) -> Complexes:
         """Return G(2 pi i f) for frequencies in Hz."""
@@ -194,21 +176,14 @@ class Lag(Keyed):
         """The time constant, as a model file calls it."""
         return self.seconds
 
-    def step(self, dt: Floats) -> SectionStep:
-        """Return how p changes in each time step (s); a lag has no q."""
+    def step(self, dt: Floats) -> Floats:
+        """Return how p changes in each time step (s), as of ``Resonance``; a lag has no q."""
         none = np.zeros_like(dt)
         with np.errstate(divide="ignore", invalid="ignore"):
             lag_steps = np.where(dt > 0.0, self.seconds / dt, np.inf)
             beta = np.minimum(LAG_ZERO, lag_steps)
             share = 1.0 / (1.0 + (lag_steps - beta))
-        return SectionStep(
-            p_by_q=none,
-            p_by_lead=share,
-            p_by_change=share * (1.0 - beta),
-            q_by_q=none,
-            q_by_lead=none,
-            q_by_change=none,
-        )
+        return np.array([none, share, share * (1.0 - beta), none, none, none])
 
 
 Section = Resonance | Lag

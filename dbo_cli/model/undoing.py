@@ -16,7 +16,7 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
-from dbo_cli.model.sections import Lag, Resonance, Section, SectionStep
+from dbo_cli.model.sections import Lag, Resonance, Section
 
 HIGHEST_PART = 0.3
 """Of the sample rate: a resonance above it is not undone; its inverse would ring."""
@@ -61,20 +61,19 @@ class Recursion(NamedTuple):
 
 def _recursion(section: Section, dt: float) -> Recursion:
     """Return how u - p and q follow a given output of a section."""
-    rows = section.step(np.array([dt]))
-    step = SectionStep(*(column[0] for column in rows))
+    by_step = section.step(np.array([dt]))[:, 0]
+    p_by_q, p_by_lead, p_by_change, q_by_q, q_by_lead, q_by_change = by_step
     by_lead, by_q = section.output
-    by_drive = (1.0 - by_lead) * step.p_by_change + by_lead + by_q * step.q_by_change
+    by_drive = (1.0 - by_lead) * p_by_change + by_lead + by_q * q_by_change
     # the change of the input that gives a change of the output, by u - p and q
-    from_lead = -((1.0 - by_lead) * step.p_by_lead + by_q * step.q_by_lead) / by_drive
-    from_q = -((1.0 - by_lead) * step.p_by_q + by_q * (step.q_by_q - 1.0)) / by_drive
-    left = 1.0 - step.p_by_change
-    lead_row = [1.0 - step.p_by_lead + left * from_lead, -step.p_by_q + left * from_q]
-    rate_row = [step.q_by_lead + step.q_by_change * from_lead]
-    rate_row.append(step.q_by_q + step.q_by_change * from_q)
+    from_lead = -((1.0 - by_lead) * p_by_lead + by_q * q_by_lead) / by_drive
+    from_q = -((1.0 - by_lead) * p_by_q + by_q * (q_by_q - 1.0)) / by_drive
+    left = 1.0 - p_by_change
+    lead_row = [1.0 - p_by_lead + left * from_lead, -p_by_q + left * from_q]
+    rate_row = [q_by_lead + q_by_change * from_lead, q_by_q + q_by_change * from_q]
     return Recursion(
         matrix=np.array([lead_row, rate_row]),
-        drive=np.array([left / by_drive, step.q_by_change / by_drive]),
+        drive=np.array([left / by_drive, q_by_change / by_drive]),
         out=np.array([1.0 - by_lead, -by_q]),
     )
 
