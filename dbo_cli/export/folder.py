@@ -51,9 +51,8 @@ def write_folder(
                     old.rename(target)
                 raise
     except OSError as problem:
-        raise OutputError(
-            f"{folder}: cannot be written: {problem.strerror or problem}"
-        ) from None
+        reason = problem.strerror or problem
+        raise OutputError(f"{folder}: cannot be written: {reason}") from None
 
 
 def _require_export(target: Path, names: list[str]) -> None:

@@ -99,9 +99,8 @@ def _check(plan: Plan) -> None:
     if np.any(plan.gears.gain < 0.0):  # no bound is proven for them
         raise tables.beyond_q31(f"{plan.key}.relaxation.gain")
     if np.any(1.0 - plan.decay < SLOWEST_REST):
-        raise tables.beyond_q31(
-            f"{plan.key}.relaxation.tau", "lower `sample_rate`, or "
-        )
+        slow = f"{plan.key}.relaxation.tau"
+        raise tables.beyond_q31(slow, "lower `sample_rate`, or ")
     if plan.gears.n > MOST_GEARS:
         raise tables.beyond_q31(f"{plan.key}.dx", "lower `gears`, or ")
 

@@ -152,14 +152,6 @@ def test_a_structure_that_is_typed_is_taken():
     assert relaxation["tau"] == pytest.approx([0.01, 0.3])
 
 
-def test_a_sensor_s_delay_is_no_delay_of_the_actuator():
-    time, drive = swings()
-    late = np.interp(time - 0.004, time, played(drive))
-    write("log.csv", LOG, time, drive, late)
-    with_it = identified("log.csv", *QUICK, "--sensor-delay", 0.004)["fit"]["rmse"]
-    assert with_it < identified("log.csv", *QUICK, "--force")["fit"]["rmse"]
-
-
 def test_a_model_with_memory_is_better_where_there_is_creep():
     log, other = creep_log("log.csv"), creep_log("other.csv", seed=2)
     plain = identified(log, *QUICK, "--force")["fit"]["rmse"]

@@ -149,7 +149,6 @@ def test_wrong_command_lines():
         ("simulate m.json drive.csv --input 7", 1, "drive.csv 7"),
         ("simulate drive.csv m.json", 1, "drive.csv"),
         ("compensate inverse.json wish.csv -o x.csv", 1, "inverse.json inver"),
-        ("compensate m.json wish.csv --from 11 -o x.csv", 3, "11 --from"),
         ("compensate m.json wish.csv --v-min 5 --v-max 5 -o x.csv", 2, "--v-m"),
         ("compensate m.json wish.csv -o o --summary o", 1, "o"),
         ("simulate m.json drive.csv -o out.xlsx", 2, "out.xlsx"),
