@@ -71,7 +71,7 @@ def names(
     UsageError
         The log is a stream, which cannot be read once for every channel.
     """
-    from dbo_cli.logs import columns_of
+    from dbo_cli.logs import open_table
     from dbo_cli.logs.columns import fitting
 
     if not is_pattern(columns):
@@ -79,7 +79,8 @@ def names(
     path = paths[0]
     if path == "-":
         raise UsageError("-: channels need a file, not a pipe")
-    table = columns_of(path, reading)
+    with open_table(path, reading) as source:
+        table = source.columns
     headers = [column.name for column in table]
     channels: list[str] = []
     for role, pattern in columns.items():

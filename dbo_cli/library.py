@@ -34,10 +34,10 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.files import write_text
 from dbo_cli.logs import (
     Reading,
-    columns_of,
     frame_table,
     is_frame,
     open_log,
+    open_table,
     stated_unit,
 )
 from dbo_cli.model import Quantity
@@ -48,8 +48,8 @@ from dbo_cli.recordings import (
     arrays_table,
     clock_of,
     floats,
+    identified,
     in_unit,
-    model_of,
     pair_of,
     read_table,
     recordings_of,
@@ -633,11 +633,9 @@ def read_log(
     roles: dict[str, str | None] = {}
     for role, name in columns.items():
         roles[role] = None if name is None else str(name)
-    if clock_offset is not None and not any("::" in (n or "") for n in roles.values()):
-        raise UsageError("`clock_offset` needs a column of a second file: FILE::COLUMN")
     absent = tuple(role for role, name in roles.items() if name is None)
     with open_log(str(path), roles, reading, None, absent) as log:
-        present = [role for role in ("voltage", "displacement") if log.provided(role)]
+        present = [role for role in ("voltage", "displacement") if role in log.columns]
         if not present:
             raise InputError(
                 f"{path}: no column is named voltage or displacement: give `voltage` NAME"
@@ -763,7 +761,7 @@ def identify(
     )
     units = {"voltage": recordings[0].input[1], "displacement": recordings[0].output[1]}
     tests, _ = recordings_of(_listed(validate), RECORDING_COLUMNS, Reading(), units)
-    return Model(model_of(recordings, logs, options, tests))
+    return Model(identified(recordings, logs, options, tests))
 
 
 def _listed(data: Logs | None) -> list[Any]:
@@ -987,7 +985,8 @@ def _drive_beside(trajectory: str, desired: str | None) -> str | None:
     if desired is None or "desired" not in desired:
         return None
     name = desired.replace("desired", "voltage", 1)
-    quantities = [column.quantity for column in columns_of(trajectory)]
+    with open_table(trajectory, Reading()) as table:
+        quantities = [column.quantity for column in table.columns]
     return next((each for each in quantities if name.startswith(each)), None)
 
 

@@ -272,7 +272,7 @@ def short_name(name: str) -> str:
     return os.path.basename(file) + mark + inside
 
 
-def model_of(
+def identified(
     recordings: Sequence[Recording],
     logs: Sequence[Log],
     options: Options,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import chain
 from typing import TYPE_CHECKING, Literal
@@ -133,7 +133,10 @@ def compensate(
     from dbo_cli.recordings import read_table, tracked_of
 
     recorded = {"time": time, "voltage": voltage, "measured": measured}
-    reading, reading_of_pass = scales_apart(reading, recorded if tracked else {})
+    is_joined = "::" in (displacement or "")
+    reading, reading_of_pass = readings_apart(
+        reading, is_joined, recorded if tracked else {}
+    )
     histories = channels.histories_of(history, names)
     cutoff = opt.quantity("bandwidth", bandwidth, "Hz")
     logs, tables, passes_of = {}, {}, {}
@@ -172,15 +175,23 @@ def compensate(
         say_set(output, drives)
 
 
-def scales_apart(
-    reading: opt.Reading, recorded: Collection[str]
+def readings_apart(
+    reading: opt.Reading, is_joined: bool, recorded: Mapping[str, str | None]
 ) -> tuple[opt.Reading, opt.Reading]:
-    """Return how a trajectory is read, and how recordings with other roles are, each with its own scales."""
+    """Return how a trajectory is read, and how recordings with other columns are.
+
+    Each has the scales of its roles; the offset between clocks is that of what is joined of two files.
+    """
     own, passes = dict(reading.scale), {}
     for role in recorded:
         if role in own:
             passes[role] = own.pop(role)
-    return replace(reading, scale=own), replace(reading, scale=passes)
+    of_pass = replace(reading, scale=passes)
+    if not any("::" in (text or "") for text in recorded.values()):
+        of_pass = replace(of_pass, clock_offset=None)
+    elif not is_joined:
+        reading = replace(reading, clock_offset=None)
+    return replace(reading, scale=own), of_pass
 
 
 def write_stream(driver: Driver, log: Log, outputs: Outputs, output: str) -> Drive:
@@ -231,7 +242,7 @@ def write_figures(
 def drive_summary(drive: Drive, log: Log) -> str:
     """Return the figures of a drive and its trajectory as JSON."""
     figures = {**drive.summary(), "trajectory": log.name}
-    if log.provided("time"):
+    if log.clock.kind != "none":
         figures["move_time"] = [log.clock.first, log.clock.last]
     return json.dumps(figures, indent=2) + "\n"
 

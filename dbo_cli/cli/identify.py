@@ -75,7 +75,7 @@ def identify(
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.identification import Options, describe, describe_validation, leads
     from dbo_cli.model import dumps_model, dumps_set
-    from dbo_cli.recordings import model_of, recordings_of
+    from dbo_cli.recordings import identified, recordings_of
     from dbo_cli.reports import ShownModel
 
     check_outputs(output, summary)
@@ -109,7 +109,7 @@ def identify(
             recordings, tests = every[: len(logs)], every[len(logs) :]
             working("identifying")
             asked, own = replace(options, prior=shape), opened[: len(logs)]
-            models[name] = model_of(recordings, own, asked, tests)
+            models[name] = identified(recordings, own, asked, tests)
         read += own
         texts = [describe(models[name], recordings), *describe_validation(models[name])]
         lines += [f"{name}: {text}" if name else text for text in texts]

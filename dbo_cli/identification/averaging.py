@@ -13,7 +13,7 @@ from dbo_cli.identification.basis import PreparedLog, Structure, columns_of, sum
 from dbo_cli.identification.cross_validation import error_left_out
 from dbo_cli.identification.problem import GOLDEN, Problem
 from dbo_cli.identification.search import CURVES
-from dbo_cli.identification.solve import Fit, Rows, solve
+from dbo_cli.identification.solve import Fit, FittedRows, solve
 from dbo_cli.model.cascade import MOST_CANDIDATES
 
 WIDTH = 0.15  # of the score: a fit that is worse by so much weighs exp(-1)
@@ -167,7 +167,9 @@ def average_model(problem: Problem, average: Average) -> Fit:
         structure = replace(_widest(average), delay=delay, bend=bend)
         table = _table(problem, invented, structure)
         free = np.zeros((len(mean), 0))
-        rows = Rows(table, mean, weights, free, problem.cells.shares, len(problem.taus))
+        rows = FittedRows(
+            table, mean, weights, free, problem.cells.shares, len(problem.taus)
+        )
         fit: Fit | None = None
         for smooth in CURVES:
             fit = solve(rows, replace(structure, smooth_curve=smooth), fit)

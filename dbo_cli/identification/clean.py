@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dbo_cli.arrays import Booleans, Floats
-from dbo_cli.errors import FitError, UsageError
+from dbo_cli.errors import FitError, UsageError, warn
 from dbo_cli.identification.recording import (
     FEWEST_ROWS,
     SMALLEST_SWING,
@@ -110,10 +110,12 @@ def faulty_rows(log: Recording, notes: list[str]) -> Booleans:
     for words, rows in kinds.items():
         new = rows & log.usable & ~faulty
         if new.any():
-            notes.append(
+            note = (
                 f"{log.name}: {int(new.sum())} rows left out (first: row {int(np.argmax(new)) + 1}): "
                 f"{words}"
             )
+            notes.append(note)
+            warn(note)
         faulty |= rows
     return faulty
 

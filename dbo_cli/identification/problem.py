@@ -26,7 +26,7 @@ from dbo_cli.identification.recording import (
     falling,
     runs_of,
 )
-from dbo_cli.identification.solve import Rows
+from dbo_cli.identification.solve import FittedRows
 from dbo_cli.signals import noise
 
 SEARCH_ROWS = 900  # of all logs: means of more
@@ -208,11 +208,11 @@ class Problem:
                 columns.append(column)
         return np.array(columns).reshape(-1, len(owner)).T
 
-    def rows(self, structure: Structure) -> Rows:
+    def rows(self, structure: Structure) -> FittedRows:
         """Return the rows that a structure is fitted to."""
         drift = self.drift(structure.drift)
         past = self.past if structure.past else self.past[:, :0]
-        return Rows(
+        return FittedRows(
             self.columns(structure),
             self.output,
             np.full(len(self.output), 1.0 / len(self.output)),

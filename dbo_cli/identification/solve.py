@@ -35,7 +35,7 @@ DAMPED = 1e-13
 
 
 @dataclass(frozen=True)
-class Rows:
+class FittedRows:
     """The rows that are fitted: columns, output and drift.
 
     Attributes
@@ -207,7 +207,7 @@ class Equations:
     Unknowns in order: slopes (steps where they grow or fall), gains, curve, u0, drift.
     """
 
-    def __init__(self, rows: Rows, structure: Structure) -> None:
+    def __init__(self, rows: FittedRows, structure: Structure) -> None:
         self.rows, self.structure = rows, structure
         self.inner = rows.cells + rows.terms * len(structure.memories)
         self.segments = structure.segments if np.isfinite(structure.smooth_curve) else 1
@@ -422,6 +422,6 @@ def _bent(values: Floats) -> float:
     return float(np.sum(np.diff(values, 2) ** 2))
 
 
-def solve(rows: Rows, structure: Structure, first: Fit | None = None) -> Fit:
+def solve(rows: FittedRows, structure: Structure, first: Fit | None = None) -> Fit:
     """Fit one structure; ``first`` is a fit of the same slopes and memories to begin at."""
     return Equations(rows, structure).solve(first)

@@ -9,12 +9,12 @@ from dbo_cli.logs.frame import (
     stated_unit,
     table_of,
 )
-from dbo_cli.logs.log import Log, columns_of, open_log
+from dbo_cli.logs.log import Log, open_log, open_table
 from dbo_cli.logs.table import Block, Column, Reading, Table, parse_rows
 from dbo_cli.logs.write import add_table, create
 
 __all__ = [
-    "Block", "Column", "Log", "Reading", "Table", "add_table", "as_numbers", "columns_of",
-    "create", "frame_table", "is_frame", "open_log", "parse_rows", "stated_unit",
+    "Block", "Column", "Log", "Reading", "Table", "add_table", "as_numbers", "create",
+    "frame_table", "is_frame", "open_log", "open_table", "parse_rows", "stated_unit",
     "table_of",
 ]  # fmt: skip

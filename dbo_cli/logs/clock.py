@@ -42,7 +42,6 @@ _LONG_STEP = 1.0
 # s; without a unit, figures closer together than this are hardly seconds: days are
 _SHORT_STEP = 1e-5
 _SAME = 0.01  # of a step
-_LONG_LOG = 3600.0  # s
 _LATEST = 1e8  # s, three years; a clock that counts a run never gets there
 _EPOCH = (1e9, 4.1e9)  # s since 1970: the years 2001 to 2100
 _GAP = 1.5  # usual steps
@@ -76,6 +75,8 @@ class Clock:
         Seconds added to the clock of a second file, and how messages tell of that.
     holds_delay
         Whether a delay of the actuator is part of the offset.
+    typed
+        What the user typed in the place of what the file states.
     """
 
     name: str
@@ -92,6 +93,7 @@ class Clock:
     offset: float | None = None
     joined: str = ""
     holds_delay: bool = False
+    typed: str = ""
     remarks: list[str] = field(default_factory=list)
     rows: int = 0
     first: float = 0.0
@@ -235,13 +237,6 @@ class Clock:
             warn(
                 f"{self.name}: {', '.join(uneven)}: `sample_rate` HZ replaces the stamps"
             )
-        span = self.last - self.first
-        is_slow = self.usual_step >= _LONG_STEP and span >= _LONG_LOG
-        if self.kind == "column" and self.unit == "s" and is_slow:
-            warn(
-                f"{self.name}: the time in s makes steps of {self.usual_step:.6g} s and a log of "
-                f"{span / 3600.0:.3g} h: confirm with `time_unit` s, or type ms or us"
-            )
 
     def describe(self) -> str:
         """Return how long a log lasts and at which rate: ``12 s at 2 kHz``."""
@@ -257,7 +252,7 @@ class Clock:
         about = "" if self.step else "about "
         text = f"{self.last - self.first + step:.4g} s at {about}{hertz(1.0 / step)}"
         text += " (no unit stated)" if self.assumption else ""
-        return text + self.joined
+        return text + self.joined + self.typed
 
 
 def hertz(rate: float) -> str:
@@ -308,7 +303,7 @@ def find_clock(
         clock = Clock(name, "rate", rate=rate)
         if len(matches) == 1:
             clock.column = matches[0]
-            clock.remarks.append(f"`sample_rate` replaces {matches[0].label}")
+            clock.typed = f" (`sample_rate`, in place of {matches[0].label})"
         return clock
     if len(matches) > 1:
         which = " or ".join(f"{column.number} ('{column.name}')" for column in matches)
@@ -376,7 +371,11 @@ def _clock_of(source: Table, column: Column, spelled: str | None) -> Clock:
     if column.kind == "stamp":
         return Clock(name, "stamps", column, unit="s")
     if spelled is not None:
-        return Clock(name, "column", column, parse_time_unit(spelled), unit="")
+        factor, stated = parse_time_unit(spelled), time_unit(column.unit)
+        typed = f" (`time_unit` {spelled}, in place of {stated})"
+        if stated is None or ratio(stated, "s") == factor:
+            typed = ""
+        return Clock(name, "column", column, factor, unit="", typed=typed)
     if column.doubt:
         raise InputError(f"{name}: {column.label} {column.doubt}")
     unit = _stated_unit(name, column)

@@ -84,7 +84,8 @@ def frame_table(frame: Any, time: Any = None) -> StoredTable:
     table = table_of(str(attrs.get("name", "the frame")), entries)
     table.has_found_offset = bool(attrs.get("holds_delay"))
     for index, column in enumerate(table.columns):
-        if units and column.name not in units and column.unit is None:
+        is_clock = _is_clock((column.name, None, column.unit))
+        if units and column.name not in units and not column.unit and not is_clock:
             doubt = (
                 "has no unit, others have one in `attrs`: call it "
                 f"'{column.name} (UNIT)', or keep its name"

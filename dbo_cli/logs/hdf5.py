@@ -69,10 +69,12 @@ class Hdf5Table(StoredTable):
             if inner in ("", name) or name.startswith(f"{inner}/"):
                 is_single = getattr(node, "size", 0) == 1 and name != inner
                 columns = [] if is_single else self._columns_of(name, node)
-                by_group[_group(name)] = by_group.get(_group(name), []) + columns
+                by_group[posixpath.dirname(name)] = (
+                    by_group.get(posixpath.dirname(name), []) + columns
+                )
         groups = _shallowest(by_group)
         columns = [column for group in groups for column in by_group[group]]
-        parents = [_group(column.name) for column in columns]
+        parents = [posixpath.dirname(column.name) for column in columns]
         top = posixpath.commonpath(parents) if parents else ""
         for column in columns:
             self.add(replace(column, name=column.name[len(top) :].lstrip("/")))
@@ -161,10 +163,6 @@ def _nodes_of(file: Any) -> dict[str, Any]:
 
     file.visititems(visit)
     return nodes
-
-
-def _group(path: str) -> str:
-    return path.rpartition("/")[0]
 
 
 def _depth(group: str) -> int:

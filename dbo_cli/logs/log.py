@@ -109,12 +109,6 @@ class Log:
         self._rows, self.clock = resampled(self.read(), self.clock, rate)
         self.remarks += self.clock.remarks
 
-    def provided(self, role: str) -> bool:
-        """Return whether the log has a column for a role, or a clock for ``time``."""
-        if role == "time":
-            return self.clock.kind != "none"
-        return role in self.columns
-
     @property
     def has_found_offset(self) -> bool:
         """Whether a clock offset was found from the signals, so that the actuator's delay is in it."""
@@ -158,7 +152,12 @@ class Log:
         for arrays in self._source.blocks(columns):
             numbers = np.arange(row, row + len(arrays[0]))
             row += len(numbers)
-            numbers, arrays = self._inside(numbers, arrays)
+            inside = numbers >= self._first
+            if self._last is not None:
+                inside &= numbers <= self._last
+            if not inside.all():
+                numbers = numbers[inside]
+                arrays = [array[inside] for array in arrays]
             numbers, arrays = self._good(numbers, arrays, columns)
             if len(numbers):
                 self._refuse_lost(numbers)
@@ -172,14 +171,6 @@ class Log:
                 break
         self.doubtful += self.remarks[noted:]
         self._finish(row - 1)
-
-    def _inside(self, numbers: _Numbers, arrays: _Arrays) -> tuple[_Numbers, _Arrays]:
-        """Return the rows inside ``rows``."""
-        first, stop = int(numbers[0]), len(numbers)
-        if self._last is not None:
-            stop = max(0, self._last - first + 1)
-        inside = slice(max(0, self._first - first), stop)
-        return numbers[inside], [array[inside] for array in arrays]
 
     def _good(
         self, numbers: _Numbers, arrays: _Arrays, columns: Sequence[Column]
@@ -303,6 +294,8 @@ def open_log(
         raise UsageError(
             f"`time` {elsewhere['time']}: the time must be in the log itself"
         )
+    if reading.clock_offset is not None and not elsewhere:
+        raise UsageError("`clock_offset` needs a column of a second file: FILE::COLUMN")
     roles = {role: text for role, text in roles.items() if role not in elsewhere}
     twins: list[str] = []
     if elsewhere and reading.clock_offset == "auto":  # a drive that both may hold
@@ -406,18 +399,3 @@ def open_table(name: str, reading: Reading) -> Table:
         return reader(path, inner, reading)
     refuse_part(path, inner)
     return TextTable(TextStream(path, reading.encoding), reading)
-
-
-def columns_of(
-    path: str | os.PathLike[str], reading: Reading | None = None
-) -> list[Column]:
-    """Return all columns of a log.
-
-    Raises
-    ------
-    InputError
-        It cannot be read.
-    """
-    source = open_table(os.fspath(path), reading or Reading())
-    source.close()
-    return source.columns

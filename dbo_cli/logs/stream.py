@@ -133,13 +133,7 @@ class TextStream:
         try:
             if self.is_pipe:
                 return self._arrived(size)
-            if isinstance(self._file, gzip.GzipFile):
-                return self._file.read(size)
-            begin = self._file.tell()
-            self._file.seek(begin + size)
-            size += len(self._file.readline(size))
-            self._file.seek(begin)
-            return self._file.read(size)
+            return self._file.read(size) + self._file.readline(size)
         except (EOFError, zlib.error, gzip.BadGzipFile):
             raise InputError(
                 f"{self.name}: the gzip data are damaged or end early"

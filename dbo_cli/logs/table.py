@@ -266,3 +266,11 @@ class Table:
 
     def close(self) -> None:
         """Close the file."""
+
+    def __enter__(self) -> Table:
+        """Use the table as a context manager."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the file."""
+        self.close()

@@ -225,6 +225,8 @@ def test_spikes_do_not_spoil_a_model():
     columns["displacement_um"][[300, 555, 901]] += 30.0
     write("log.csv", LOG, *columns.values())
     assert identified("log.csv", *QUICK)["fit"]["rmse"] < 1.3 * clean
+    told = done("identify", "log.csv", "-o", FITTED, *QUICK).err
+    assert "warning: log.csv: 3 rows left out (first: row 301)" in told
 
 
 def test_a_prior_is_rescaled_from_a_short_log():

@@ -181,6 +181,25 @@ def pair():
     return text("log.csv", "time_s,voltage_V\n", "{:.4f},{:.4f}", TIME, VOLTS)
 
 
+def test_an_offset_needs_columns_of_two_files():
+    words = (pair(), "--clock-offset", "0.1")
+    for command in ("simulate", "compensate"):
+        error = refused(2, command, model("small"), *words)
+        assert "--clock-offset" in error and "FILE::COLUMN" in error
+    assert "FILE::COLUMN" in refused(2, "identify", *words)
+
+
+@pytest.mark.parametrize(
+    ("words", "instead"),
+    [(("--sample-rate", "50"), "column 'time_s'"), (("--time-unit", "ms"), "s")],
+)
+def test_what_stands_in_the_place_of_stamps_is_said(words, instead):
+    first = done("simulate", model("small"), pair(), *words, "-o", "out.csv").lines[0]
+    assert f"({words[0]}" in first and f"in place of {instead})" in first
+    same = ("--time-unit", "s", "-o", "out.csv")
+    assert "--time-unit" not in done("simulate", model("small"), pair(), *same).err
+
+
 def test_rows():
     kept = {"11:20": slice(10, 20), "51:": slice(50, 60), ":5": slice(0, 5)}
     for rows, part in kept.items():

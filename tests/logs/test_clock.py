@@ -54,12 +54,6 @@ def test_the_unit_is_given(tmp_path):
         read(path, time_unit="furlongs")
 
 
-def test_time_s_that_may_count_milliseconds_is_asked_about(tmp_path):
-    with pytest.warns(DboWarning, match="`time_unit` s"):
-        read(write(tmp_path, [str(n) for n in range(7200)]))
-    read(write(tmp_path, [str(n) for n in range(7200)]), time_unit="s")
-
-
 @pytest.mark.parametrize(
     "stamps",
     [
