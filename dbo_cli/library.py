@@ -649,7 +649,7 @@ def read_log(
         frame[role], units[role] = table[role], log.columns[role].unit
     names = {role: log.columns[role].name for role in present}
     frame.attrs.update(name=str(path), units=units, columns=names)
-    frame.attrs.update(notes=list(log.remarks), holds_delay=log.has_found_offset)
+    frame.attrs.update(notes=list(log.remarks), holds_delay=log.clock.holds_delay)
     return frame
 
 

@@ -291,7 +291,7 @@ def identified(
     """
     from dbo_cli.identification import identify
 
-    if options.delay == "auto" and any(log.has_found_offset for log in logs):
+    if options.delay == "auto" and any(log.clock.holds_delay for log in logs):
         options = replace(options, delay=0.0)
     model = identify(recordings, options, tests)
     sources = []  # and no time of day: the same logs give the same file

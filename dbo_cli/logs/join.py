@@ -66,7 +66,8 @@ def joined(
         _warn_if_apart(names, rows, time, guest)
     elif clock_offset == "auto":
         alignment, by_drive = _found(names, rows, time, guest)
-        clock.offset, clock.holds_delay = alignment.ahead, not by_drive
+        clock.offset = alignment.ahead
+        clock.holds_delay |= not by_drive
         how = ", by the drive" if by_drive else ", delay included"
         time = alignment.recorded_time(time)
         clock.remarks.append(

@@ -109,11 +109,6 @@ class Log:
         self._rows, self.clock = resampled(self.read(), self.clock, rate)
         self.remarks += self.clock.remarks
 
-    @property
-    def has_found_offset(self) -> bool:
-        """Whether a clock offset was found from the signals, so that the actuator's delay is in it."""
-        return self.clock.holds_delay or self._source.has_found_offset
-
     def blocks(self, rows: int = ROWS_A_BLOCK) -> Iterator[Block]:
         """Return the log once, in blocks of at most so many rows.
 
@@ -374,6 +369,7 @@ def _open_file(
         selectors = {role: text for role, text in roles.items() if role != "time"}
         used = [named(source, text, role) for role, text in selectors.items() if text]
         clock = find_clock(source, reading, roles.get("time"), used)
+        clock.holds_delay = source.has_found_offset
         clock_columns = [] if clock.column is None else [clock.column]
         picks = choose(source, selectors, clock_columns, units, optional)
         columns = {}
