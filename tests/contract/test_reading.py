@@ -189,6 +189,16 @@ def test_an_offset_needs_columns_of_two_files():
     assert "FILE::COLUMN" in refused(2, "identify", *words)
 
 
+def test_an_offset_of_recordings_is_none_of_the_trajectory():
+    write("sensor.csv", "time_s,measured_um", TIME, VOLTS / 10.0)
+    write("move.csv", "time_s,displacement_um", TIME, VOLTS / 10.0)
+    words = ("compensate", model("small"), "move.csv", "--tracked", "sensor.csv")
+    joined = ("--voltage", f"{pair()}::voltage_V", "--clock-offset", "0")
+    outcome = dbo(*words, *joined, "-o", "out.csv")
+    assert "FILE::COLUMN" not in outcome.err and outcome.code != 2
+    assert "FILE::COLUMN" in refused(2, *words, "--clock-offset", "0")
+
+
 @pytest.mark.parametrize(
     ("words", "instead"),
     [(("--sample-rate", "50"), "column 'time_s'"), (("--time-unit", "ms"), "s")],
