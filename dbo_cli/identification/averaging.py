@@ -79,7 +79,7 @@ def with_finer_past(problem: Problem, average: Average) -> list[tuple[float, Fit
     weights = average.weights
     if not problem.past.size:
         return list(zip(weights.tolist(), average.fits, strict=True))
-    structure = replace(best.structure, past=True)
+    structure = replace(best.structure, past=True, start="settled")
     finer = Equations(problem.rows(structure, FINER_GROUPS), structure).solve()
     likely = likelihood(finer, best.rmse, problem.different_swings)
     weights = np.append(weights, likely) / (1.0 + likely)
@@ -109,6 +109,7 @@ def with_levels(
     for fit in sorted(fits, key=lambda fit: fit.rmse):
         structure = fit.structure
         same = structure.memories == best.memories and structure.past == best.past
+        same &= structure.start == best.start
         if same and not structure.drift:
             levels.setdefault(structure.level, fit)
     if len(levels) < 2:

@@ -51,6 +51,8 @@ class Structure:
     segments : of the curve
     drift : whether a straight drift in time is fitted beside the model
     past : whether the unknown past of the gears is fitted beside it
+    start : of the gears before the logs: "settled", "empty" (the drive came up from the lower
+        end) or "full" (down from the upper)
     level : of the drive, where memories stood before the logs; None: at the first value
     """
 
@@ -63,6 +65,7 @@ class Structure:
     segments: int = SEGMENTS
     drift: bool = False
     past: bool = False
+    start: str = "settled"
     level: float | None = None
 
     @property
@@ -167,16 +170,22 @@ class Cells:
         return reach
 
 
-def plays_at_start(first: float, reach: Floats) -> Floats:
+def plays_at_start(first: float, reach: Floats, start: str = "settled") -> Floats:
     """Return where plays of these reaches stand before the first drive value.
 
-    It is what an oscillation leaves that decays from the whole range to ``first``; at
-    the ends of the range no other past differs from it. No drive inside the range moves
-    the last play.
+    Settled is what an oscillation leaves that decays from the whole range to ``first``;
+    at the ends of the range no past within it differs from that. A drive that came from the
+    lower end at once is "empty" at the start, from the upper end "full". No drive inside the
+    range moves the last play.
     """
-    plays = np.minimum(1.0 - reach, first)
-    if first <= 0.5:
+    if start == "empty":
+        plays = np.maximum(reach, first - reach)
+    elif start == "full":
+        plays = np.minimum(1.0 - reach, first + reach)
+    elif first <= 0.5:
         plays = np.maximum(reach, first)
+    else:
+        plays = np.minimum(1.0 - reach, first)
     plays[-1] = 0.5
     return plays
 
@@ -254,7 +263,9 @@ def _unswept(log: PreparedLog, reach: Floats, start: Floats) -> Floats:
     return np.where(unknown, plays, 0.0)
 
 
-def sums_of(log: PreparedLog, cells: Cells, taus: Floats, bend: float) -> Floats:
+def sums_of(
+    log: PreparedLog, cells: Cells, taus: Floats, bend: float, start: str = "settled"
+) -> Floats:
     """Return the sums of plays, lags and what is beyond the gears over the rows before each row."""
     compiled = kernel.extension
     drive, reach = log.drive, cells.reach
@@ -265,7 +276,7 @@ def sums_of(log: PreparedLog, cells: Cells, taus: Floats, bend: float) -> Floats
     table, state = np.zeros((3, padded)), np.zeros(padded)
     table[:2] = np.inf
     table[:2, : len(reach)] = reach
-    state[: len(reach)] = plays_at_start(float(inside[0]), reach)
+    state[: len(reach)] = plays_at_start(float(inside[0]), reach, start)
     seconds = tuple(taus.tolist()) or (1.0,)  # the kernel wants one at least
     lag = Relaxation(0.0, seconds, (0.0,) * len(seconds))
     memory: Sequence[float] | None = None

@@ -79,6 +79,7 @@ def score(problem: Problem, fit: Fit, residuals: Sequence[Floats]) -> float:
         errors.append(math.sqrt(square))
     structure = fit.structure
     families = len(structure.memories) + structure.past
+    families += structure.start != "settled"
     unlike_moves = structure.drift + (structure.level is not None)
     price = PRICE * families + DRIFT_PRICE * unlike_moves
     return math.log(max(float(np.mean(errors)), floor)) + price

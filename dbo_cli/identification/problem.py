@@ -67,7 +67,7 @@ class Problem:
     taus: Floats
     clock: bool
     _columns: dict[object, Floats] = field(default_factory=dict, init=False)
-    _sums: tuple[float, list[Floats]] = field(default=(np.nan, []), init=False)
+    _sums: tuple[object, list[Floats]] = field(default=(None, []), init=False)
 
     @property
     def dt(self) -> float:
@@ -166,14 +166,15 @@ class Problem:
         return few and self.swing_count >= BOTH_WAYS
 
     def columns(self, structure: Structure) -> Floats:
-        """Return the columns of the fitted rows; stored for each delay, bend and level.
+        """Return the columns of the fitted rows; stored for each delay, bend, start and level.
 
         Lags begin with what they still hold of a level, the drive less its lags without.
         """
-        key = (*structure.frame, structure.level)
+        key = (*structure.frame, structure.start, structure.level)
         if key not in self._columns:
             tables = []
-            for log, sums in zip(self.logs, self._sums_of(structure.bend), strict=True):
+            all_sums = self._sums_of(structure.bend, structure.start)
+            for log, sums in zip(self.logs, all_sums, strict=True):
                 table = columns_of(log, sums, self.cells, structure.delay)
                 if structure.level is not None:
                     time = log.time[log.rows] - log.time[0]
@@ -184,11 +185,12 @@ class Problem:
             self._columns[key] = np.vstack(tables)
         return self._columns[key]
 
-    def _sums_of(self, bend: float) -> list[Floats]:
-        """Return the sums that columns of all delays are made of, the last bend's stored."""
-        if bend != self._sums[0]:
-            sums = [sums_of(log, self.cells, self.taus, bend) for log in self.logs]
-            self._sums = bend, sums
+    def _sums_of(self, bend: float, start: str) -> list[Floats]:
+        """Return the sums that columns of all delays are made of, the last ones stored."""
+        if (bend, start) != self._sums[0]:
+            cells, taus = self.cells, self.taus
+            sums = [sums_of(log, cells, taus, bend, start) for log in self.logs]
+            self._sums = (bend, start), sums
         return self._sums[1]
 
     def drift(self, straight: bool) -> Floats:

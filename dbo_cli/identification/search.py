@@ -28,6 +28,9 @@ REFINED = (0.6, 0.8, 1.25, 1.6)
 """Times the best delay, tried in turn."""
 LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the range: where memories may have stood before the logs, beside the first value."""
+STARTS = ("settled", "empty", "full")
+"""Of the gears: what a decay left, or a drive that came from the lower or the upper end at once."""
+ROUGHEST = Structure(smooth_slopes=2e-4, smooth_curve=1e-4)  # tells starts apart
 FINER_LEVEL = 0.125  # beside the best one, tried below and above
 ROUNDS = (2, 1)  # of neighbours: of how many kinds of structures
 HOPELESS = 1.0  # of the score: a fit that is worse at best weighs nothing
@@ -135,7 +138,9 @@ class Search:
             No structure can be fitted.
         """
         choices = self.choices
-        base = Structure(delay=choices.delay or 0.0, segments=choices.segments)
+        base = Structure(
+            delay=choices.delay or 0.0, segments=choices.segments, start=self.start()
+        )
         for memories in choices.memories:
             for slopes in choices.slopes:
                 for smooth in choices.smoothness:
@@ -153,6 +158,17 @@ class Search:
             for step in (-FINER_LEVEL, FINER_LEVEL):
                 self._finer_level(step)
         return sorted(self.fits, key=lambda fit: fit.score)
+
+    def start(self) -> str:
+        """Return the start of the gears from which the logs, all rows, are followed best: none has more unknowns."""
+        if not self.problem.past.size:
+            return STARTS[0]
+        errors = {}
+        for start in STARTS:
+            trials = [replace(ROUGHEST, slopes=rule, start=start) for rule in RULES]
+            fits = [Equations(self.problem.rows(one), one).solve() for one in trials]
+            errors[start] = min(fit.rmse for fit in fits)
+        return min(errors, key=lambda start: errors[start])
 
     def path(self, base: Structure, curves: Iterable[float]) -> None:
         """Fit a structure with rougher and rougher curves, each begun at the one before."""
@@ -204,10 +220,10 @@ class Search:
 
     def _best_kinds(self) -> list[Fit]:
         """Return the best fit of each of the best kinds of slopes and memories."""
-        best: dict[tuple[str, str, bool], Fit] = {}
+        best: dict[tuple[str, str, bool, str], Fit] = {}
         for fit in sorted(self.fits, key=lambda fit: fit.score):
             kind = fit.structure
-            best.setdefault((kind.slopes, kind.memories, kind.past), fit)
+            best.setdefault((kind.slopes, kind.memories, kind.past, kind.start), fit)
         return list(best.values())
 
     def _neighbours(self, fit: Fit) -> None:
@@ -218,6 +234,7 @@ class Search:
         if choices.drift:
             trials.append(replace(structure, drift=not structure.drift))
         trials += self._pasts(structure)
+        trials.append(replace(structure, start="settled"))
         if choices.delay is None and self.problem.clock:
             dt, swing = self.problem.dt, self.problem.swing
             for fraction in DELAYS:
@@ -233,7 +250,7 @@ class Search:
         levels = LEVELS if structure.memories and self.problem.clock else LEVELS[:1]
         trials = []
         for past, level in product(pasts, levels):
-            trials.append(replace(structure, past=past, level=level))
+            trials.append(replace(structure, past=past, start="settled", level=level))
         return trials
 
     def _finer_delay(self, factor: float) -> None:
