@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from dbo_cli.errors import warn
 from dbo_cli.identification.averaging import (
@@ -88,4 +89,5 @@ def _searched(logs: Sequence[Recording], options: Options) -> Cascade:
     model = model_of(problem, fit, slow[0], options, candidates(problem, others))
     if dynamic is not None:
         model = dynamic.applied(model)
+    model = replace(model, past=average.fits[0].structure.start)
     return stated(model, problem, average, logs, options)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -28,8 +29,10 @@ REFINED = (0.6, 0.8, 1.25, 1.6)
 """Times the best delay, tried in turn."""
 LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the range: where memories may have stood before the logs, beside the first value."""
-STARTS = ("settled", "empty", "full")
-"""Of the gears: what a decay left, or a drive that came from the lower or the upper end at once."""
+SETTLED = "settled"
+BETTER_START = (
+    0.8  # of the settled start's error: another one is offered with all structures
+)
 ROUGHEST = Structure(smooth_slopes=2e-4, smooth_curve=1e-4)  # tells starts apart
 FINER_LEVEL = 0.125  # beside the best one, tried below and above
 ROUNDS = (2, 1)  # of neighbours: of how many kinds of structures
@@ -138,9 +141,7 @@ class Search:
             No structure can be fitted.
         """
         choices = self.choices
-        base = Structure(
-            delay=choices.delay or 0.0, segments=choices.segments, start=self.start()
-        )
+        base = Structure(delay=choices.delay or 0.0, segments=choices.segments)
         for memories in choices.memories:
             for slopes in choices.slopes:
                 for smooth in choices.smoothness:
@@ -159,16 +160,21 @@ class Search:
                 self._finer_level(step)
         return sorted(self.fits, key=lambda fit: fit.score)
 
-    def start(self) -> str:
-        """Return the start of the gears from which the logs, all rows, are followed best: none has more unknowns."""
+    @cached_property
+    def other_start(self) -> str | None:
+        """The start from which the logs, all rows, are followed clearly better than from the settled one.
+
+        They are compared by a rough structure: none has more unknowns than another.
+        """
         if not self.problem.past.size:
-            return STARTS[0]
+            return None
         errors = {}
-        for start in STARTS:
+        for start in (SETTLED, "empty", "full"):
             trials = [replace(ROUGHEST, slopes=rule, start=start) for rule in RULES]
             fits = [Equations(self.problem.rows(one), one).solve() for one in trials]
             errors[start] = min(fit.rmse for fit in fits)
-        return min(errors, key=lambda start: errors[start])
+        best = min(errors, key=errors.__getitem__)
+        return best if errors[best] < BETTER_START * errors[SETTLED] else None
 
     def path(self, base: Structure, curves: Iterable[float]) -> None:
         """Fit a structure with rougher and rougher curves, each begun at the one before."""
@@ -220,10 +226,10 @@ class Search:
 
     def _best_kinds(self) -> list[Fit]:
         """Return the best fit of each of the best kinds of slopes and memories."""
-        best: dict[tuple[str, str, bool, str], Fit] = {}
+        best: dict[tuple[str, str, bool], Fit] = {}
         for fit in sorted(self.fits, key=lambda fit: fit.score):
             kind = fit.structure
-            best.setdefault((kind.slopes, kind.memories, kind.past, kind.start), fit)
+            best.setdefault((kind.slopes, kind.memories, kind.past), fit)
         return list(best.values())
 
     def _neighbours(self, fit: Fit) -> None:
@@ -234,7 +240,6 @@ class Search:
         if choices.drift:
             trials.append(replace(structure, drift=not structure.drift))
         trials += self._pasts(structure)
-        trials.append(replace(structure, start="settled"))
         if choices.delay is None and self.problem.clock:
             dt, swing = self.problem.dt, self.problem.swing
             for fraction in DELAYS:
@@ -243,6 +248,9 @@ class Search:
         for trial in trials:
             if trial != structure:
                 self.path(trial, [trial.smooth_curve])
+        if self.other_start is not None:
+            trial = replace(structure, past=False, start=self.other_start)
+            self.path(trial, choices.curves[-1:])
 
     def _pasts(self, structure: Structure) -> list[Structure]:
         """Return a structure with each past: of the gears unknown or not, of memories at each level."""

@@ -125,6 +125,8 @@ class Cascade:
         At most five other models that explain the logs, for the error of a very move.
     provenance : mapping
         Where the model comes from; carried along.
+    past : {"settled", "empty", "full"}
+        How the gears stand where ``auto`` starts inside the range: as the logs began.
 
     Attributes
     ----------
@@ -152,6 +154,7 @@ class Cascade:
     fit: Mapping[str, Any] = field(default_factory=dict)
     candidates: tuple[Candidate, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    past: str = "settled"
     amplifier: Amplifier | None = field(init=False)
     head: Curves = field(init=False)
     gears: Gears = field(init=False)
@@ -242,7 +245,12 @@ class Cascade:
         direction: Direction = "inverse" if self.is_forward else "forward"
         ends = self.output, self.input
         return Cascade(
-            direction, *ends, self.stages, self.fit, provenance=self.provenance
+            direction,
+            *ends,
+            self.stages,
+            self.fit,
+            provenance=self.provenance,
+            past=self.past,
         )
 
     def forward(self) -> Cascade:
@@ -281,7 +289,11 @@ class Cascade:
         if isinstance(state, State):
             return state
         at_gears = self.head.value(float(voltage))
-        return State(self.starts.bits(at_gears, state))
+        return State(self.starts.bits(at_gears, self._start_name(state)))
+
+    def _start_name(self, name: str) -> str:
+        """Return the start that ``auto`` stands for, or the name itself."""
+        return self.past if name == "auto" else name
 
     def start_drive(
         self,
@@ -312,10 +324,15 @@ class Cascade:
             bits = starts.bits(at_end, state)
             return State(bits, drive=min(max(voltage, low), high))
         output = self.tail.inverse().value(float(first))
+        name = self._start_name(state)
+        if name in ("empty", "full"):
+            bits = starts.bits(0.0, name)
+            inner = float(self.gears.undo([output], State(bits)).y[0])
+            voltage = self.head.inverse().value(inner)
+            return State(bits, first=min(max(voltage, low), high))
         inner = starts.voltage_settled_at(output, *ends)
         voltage = min(max(self.head.inverse().value(inner), low), high)
-        bits = starts.bits(self.head.value(voltage), state)
-        return State(bits, first=voltage)
+        return State(starts.bits(self.head.value(voltage), name), first=voltage)
 
     # ---- simulation ----
 

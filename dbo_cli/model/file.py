@@ -134,7 +134,7 @@ def _model(values: Any, path: str) -> Cascade:
         Cascade,
         values,
         path,
-        ("fit", "candidates", "provenance"),
+        ("fit", "candidates", "provenance", "past"),
         direction=partial(fields.choice, choices=("forward", "inverse")),
         input=Quantity.read,
         output=Quantity.read,
@@ -142,6 +142,7 @@ def _model(values: Any, path: str) -> Cascade:
         fit=_fit,
         candidates=partial(fields.listed, read=_candidate),
         provenance=fields.notes,
+        past=partial(fields.choice, choices=("settled", "empty", "full")),
     )
     return model
 
@@ -219,6 +220,8 @@ def model_values(model: Cascade) -> Json:
         "output": model.output.keys(),
         "stages": _stage_values(model.stages, model.direction),
     }
+    if model.past != "settled":
+        values["past"] = model.past
     if model.fit:
         values["fit"] = dict(model.fit)
     if model.candidates:
