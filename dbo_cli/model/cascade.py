@@ -25,10 +25,9 @@ from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model.amplifier import AmplifiedGears, Amplifier
 from dbo_cli.model.delay import Delay
-from dbo_cli.model.dynamics import Dynamics
+from dbo_cli.model.dynamics import Dynamics, Inverter
 from dbo_cli.model.fields import require_above_0
 from dbo_cli.model.gears import NEGLIGIBLE, Gears, Window
-from dbo_cli.model.inverter import Inverter
 from dbo_cli.model.points import Curve, Curves, Points, Scale
 from dbo_cli.model.start import Starts
 from dbo_cli.model.state import Quantity, Run, State, Steps, steps_of
