@@ -534,7 +534,7 @@ def read_model(path: str | Path) -> Model:
     ModelError
         The file is no model of version 1; the message names the key.
     """
-    models = room.read_models(str(path))
+    models = room.read_cascades(str(path))
     if "" in models:
         return Model(models[""])
     return cast(Model, ModelSet.of(models))
@@ -548,7 +548,7 @@ def read_models(path: str | Path) -> ModelSet:
     ModelError
         The file is no set of models.
     """
-    models = room.read_models(str(path))
+    models = room.read_cascades(str(path))
     if "" in models:
         raise ModelError(f"{path}: is one model and no set: `read_model` reads it")
     return ModelSet.of(models)
