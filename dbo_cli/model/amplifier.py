@@ -129,7 +129,9 @@ def drive_before(
     return min(max(drive, low), high), output  # rounding on the way back
 
 
-def drive_range(last: Floats, changes: Floats, window: Window) -> tuple[Floats, Floats]:
+def allowed_drive(
+    last: Floats, changes: Floats, window: Window
+) -> tuple[Floats, Floats]:
     """Return the least and greatest drive of each row behind ``last``; the window wins over the change."""
     low, high = window
     with np.errstate(invalid="ignore"):

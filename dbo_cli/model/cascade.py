@@ -25,8 +25,8 @@ from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model.amplifier import (
     Amplifier,
+    allowed_drive,
     drive_before,
-    drive_range,
     window_behind,
 )
 from dbo_cli.model.delay import Delay
@@ -583,7 +583,9 @@ class Cascade:
         before = state.amplifier or 0.0
         stands = np.array([math.nan if state.drive is None else state.drive])
         if output.size == 1:
-            low, high = (float(end[0]) for end in drive_range(stands, changes, window))
+            low, high = (
+                float(end[0]) for end in allowed_drive(stands, changes, window)
+            )
             row = before, float(shares[0]), low, high
             done = self.gears.undo(output, state, dt, window_behind(self.head, *row))
             drive, amplified = drive_before(self.head, float(done.y[0]), *row)
@@ -591,7 +593,7 @@ class Cascade:
             return Run(np.array([drive]), after, done.clipped)
         free, voltage = self._undo_freely(output, state, dt)
         previous = np.concatenate([[before], self.head.inverse()(voltage)[:-1]])
-        lows, highs = drive_range(
+        lows, highs = allowed_drive(
             np.concatenate([stands, free.y[:-1]]), changes, window
         )
         ends = [
