@@ -31,7 +31,7 @@ from random_tables import once
 
 from dbo_cli.errors import DboError
 from dbo_cli.logs import Reading, open_log
-from dbo_cli.model import dumps_model, read_model
+from dbo_cli.model import dumps_model, read_cascade
 
 ROOT = Path(__file__).resolve().parent.parent
 MOST_SECONDS = 10
@@ -146,12 +146,12 @@ class Files:
             text = mutated(rng, text, self.model_texts)
         path.write_bytes(text)
         try:
-            model = read_model(str(path))
+            model = read_cascade(str(path))
         except DboError as problem:
             return one_line(problem)
         written = dumps_model(model)
         path.write_text(written)
-        if dumps_model(read_model(str(path))) != written:
+        if dumps_model(read_cascade(str(path))) != written:
             raise AssertionError("a model does not survive being written and read")
         return "read"
 

@@ -133,9 +133,9 @@ def models_of(
         A file is no model, or a set that lacks one; the message names the columns that
         are patterns, or could be.
     """
-    from dbo_cli.model import member, read_models
+    from dbo_cli.model import member, read_cascades
 
-    models = read_models(path)
+    models = read_cascades(path)
     roles = [f"`{role}` COLUMN" for role, name in columns.items() if name]
     hint = f" with {' '.join(roles)}"
     if tuple(channels) == ALONE:

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import (
     TYPE_CHECKING,
     Any,
+    Final,
     Literal,
     ParamSpec,
     TypedDict,
@@ -40,7 +41,6 @@ from dbo_cli.logs import (
     open_table,
     stated_unit,
 )
-from dbo_cli.model import Quantity
 from dbo_cli.recordings import (
     RECORDING_COLUMNS,
     Columns,
@@ -166,45 +166,36 @@ class Model:
     ----------
     actuator : dbo_cli.model.Cascade
         The cascade of stages that computes.
+
+    Attributes
+    ----------
+    direction : {"forward", "inverse"}
+        Whether a voltage goes in (forward), or a displacement (inverse).
+    input : Quantity
+        What goes in: its name, its unit, and the range that was identified.
+    output : Quantity
+        What comes out: its name, its unit, and the range that is reached slowly.
+    stages : tuple
+        The stages, in the order in which a signal passes them.
+    fit : Fit
+        The figures of the identification.
+    sign : {"rising", "falling"}
+        Whether the displacement rises or falls as the voltage rises.
+    provenance : mapping
+        The program and the logs that the model comes from.
+    digest : str
+        A name for the model: states and drives are of one with the same digest.
     """
 
     def __init__(self, actuator: room.Cascade) -> None:
-        self.actuator = actuator
-
-    @property
-    def direction(self) -> Literal["forward", "inverse"]:
-        """Whether a voltage goes in (forward), or a displacement (inverse)."""
-        return self.actuator.direction
-
-    @property
-    def input(self) -> Quantity:
-        """What goes in: its name, its unit, and the range that was identified."""
-        return self.actuator.input
-
-    @property
-    def output(self) -> Quantity:
-        """What comes out: its name, its unit, and the range that is reached slowly."""
-        return self.actuator.output
-
-    @property
-    def stages(self) -> tuple[room.Stage, ...]:
-        """The stages, in the order in which a signal passes them."""
-        return self.actuator.stages
-
-    @property
-    def fit(self) -> Fit:
-        """The figures of the identification."""
-        return cast(Fit, dict(self.actuator.fit))
-
-    @property
-    def sign(self) -> Literal["rising", "falling"]:
-        """Whether the displacement rises or falls as the voltage rises."""
-        return self.actuator.sign
-
-    @property
-    def provenance(self) -> Mapping[str, object]:
-        """The program and the logs that the model comes from."""
-        return self.actuator.provenance
+        self.actuator: Final = actuator
+        self.direction: Final = actuator.direction
+        self.input: Final = actuator.input
+        self.output: Final = actuator.output
+        self.stages: Final = actuator.stages
+        self.fit: Final = cast(Fit, dict(actuator.fit))
+        self.sign: Final = actuator.sign
+        self.provenance: Final = actuator.provenance
 
     @property
     def digest(self) -> str:
@@ -534,7 +525,7 @@ def read_model(path: str | Path) -> Model:
     ModelError
         The file is no model of version 1; the message names the key.
     """
-    models = room.read_models(str(path))
+    models = room.read_cascades(str(path))
     if "" in models:
         return Model(models[""])
     return cast(Model, ModelSet.of(models))
@@ -548,7 +539,7 @@ def read_models(path: str | Path) -> ModelSet:
     ModelError
         The file is no set of models.
     """
-    models = room.read_models(str(path))
+    models = room.read_cascades(str(path))
     if "" in models:
         raise ModelError(f"{path}: is one model and no set: `read_model` reads it")
     return ModelSet.of(models)

@@ -77,6 +77,12 @@ def even(stamps: Floats, step: float | None = None) -> float | None:
     return step if difference <= slack else None
 
 
+def usual_step(steps: Floats) -> float:
+    """Return the median of the steps (s) of a clock that are above 0; 0 where there is none."""
+    forward = steps[steps > 0.0]
+    return float(np.median(forward)) if forward.size else 0.0
+
+
 def _last_decimal(stamps: Floats, coarsest: float) -> float:
     """Return the last decimal place of numbers; 0 where it is coarser, or there is none."""
     rounding = 4.0 * float(np.spacing(np.abs(stamps).max()))

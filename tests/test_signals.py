@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dbo_cli.alignment import PLAYS, loop_columns
-from dbo_cli.signals import between, even, lag, noise
+from dbo_cli.signals import between, even, lag, noise, usual_step
 
 ROWS = np.arange(20_000.0)
 
@@ -87,3 +87,8 @@ def test_plays_beside_a_lag_are_those_of_walking_row_by_row(rows):
     for row, value in enumerate(level):
         state = np.clip(state, value - PLAYS, value + PLAYS)
         assert np.array_equal(columns[row, 3:], state)
+
+
+def test_the_usual_step_leaves_out_stamps_that_repeat():
+    assert usual_step(np.array([0.0, 0.2, 0.0, 0.1, 0.2, 5.0])) == 0.2
+    assert usual_step(np.zeros(3)) == usual_step(np.empty(0)) == 0.0

@@ -32,11 +32,11 @@ def export(
     """
     from dbo_cli.drive import Limits
     from dbo_cli.export import export_model, write_folder
-    from dbo_cli.model import read_model
+    from dbo_cli.model import read_cascade
 
     if output == "-":
         raise UsageError("`output` -: give the name of a folder")
-    actuator = read_model(model).forward()
+    actuator = read_cascade(model).forward()
     limits = Limits.within(actuator.input, v_min, v_max, max_slew)
     rate = opt.quantity("sample_rate", sample_rate, "Hz")
     try:

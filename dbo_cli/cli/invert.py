@@ -17,9 +17,9 @@ def invert(
     Example: dbo invert model.json -o inverse.json
     """
     from dbo_cli.files import write_text
-    from dbo_cli.model import dumps_model, read_model
+    from dbo_cli.model import dumps_model, read_cascade
 
-    inverse = read_model(model).inverse()
+    inverse = read_cascade(model).inverse()
     write_text(output, dumps_model(inverse))
     signals = f"{inverse.input.quantity} to {inverse.output.quantity}"
     detail(f"{output}: {inverse.direction} model, {signals}")

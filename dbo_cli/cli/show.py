@@ -19,13 +19,13 @@ def show(
     dbo show model.json --format json | jq .fit.expected_rmse
     """
     from dbo_cli.files import check_outputs, write_text
-    from dbo_cli.model import read_models
+    from dbo_cli.model import read_cascades
     from dbo_cli.reports.plots import model_plots, save
     from dbo_cli.reports.show import shown_text, shown_values
     from dbo_cli.reports.words import json_text
 
     models = {}
-    for name, channel in read_models(model).items():
+    for name, channel in read_cascades(model).items():
         models[f"{model}::{name}" if name else model] = channel
     check_outputs(output)
     texts = []

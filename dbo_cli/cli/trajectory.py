@@ -42,12 +42,12 @@ def trajectory(
     Example: dbo trajectory raster --rate 10kHz --range 2:9 --lines 64 --frequency 5
     """
     from dbo_cli.logs import create
-    from dbo_cli.model import read_model
+    from dbo_cli.model import read_cascade
     from dbo_cli.moves import check_reach
     from dbo_cli.moves import trajectory as make
     from dbo_cli.units import kind_of, parse_unit, spell
 
-    models = [read_model(path) for path in model or []]
+    models = [read_cascade(path) for path in model or []]
     for path, actuator in zip(model or [], models, strict=True):
         actuator.require("forward", path)
     typed_unit = spell(opt.unit_behind(range_.rpartition(":")[2]))

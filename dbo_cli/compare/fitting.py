@@ -23,6 +23,7 @@ from dbo_cli.errors import FitError
 from dbo_cli.identification.recording import Recording, Swings, falling
 from dbo_cli.model import Points, Scale
 from dbo_cli.model.points import Curves
+from dbo_cli.signals import usual_step
 
 FIT_ROWS = 3000  # of all logs together; 7,000 changed no error by more than 1 %
 PLAY_COUNTS = (12, 25, 50)  # to choose from; 25 is what the paper takes
@@ -145,8 +146,8 @@ def counted(log: Recording, skip: float) -> Booleans:
 def rates_of(drive: Floats, time: Floats) -> Floats:
     """Return |change of the drive| a second since the sample before; 0 first."""
     steps = np.diff(time)
-    step = float(np.median(steps[steps > 0.0]))
-    rates: Floats = np.abs(np.diff(drive)) / np.maximum(steps, 0.01 * step)
+    shortest = 0.01 * usual_step(steps)
+    rates: Floats = np.abs(np.diff(drive)) / np.maximum(steps, shortest)
     return np.concatenate([[0.0], rates])
 
 

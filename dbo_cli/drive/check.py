@@ -15,7 +15,7 @@ from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.drive.limits import Gate, Limits
 from dbo_cli.drive.smooth import open_seam
 from dbo_cli.errors import InputError, LimitError, UsageError
-from dbo_cli.signals import between, noise
+from dbo_cli.signals import between, noise, usual_step
 
 TOLERANCE = 1e-3
 """Of the drive's range, by which a recording may differ: a converter of 10 bits rounds to half of it."""
@@ -199,8 +199,7 @@ def _steps(time: Floats) -> Floats:
     steps = np.where(is_even, longest, steps)
     steps += 2.0 * np.spacing(np.maximum(np.abs(time[1:]), np.abs(time[:-1])))
     # as ``compensate`` counts the step before the first row
-    typical = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else 0.0
-    return np.concatenate([[max(typical, steps[0])], steps])
+    return np.concatenate([[max(usual_step(steps), steps[0])], steps])
 
 
 def _odd_times(time: Floats) -> list[str]:

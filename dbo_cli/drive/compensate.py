@@ -21,6 +21,7 @@ from dbo_cli.drive.limits import Figure, Gate, voltage_in
 from dbo_cli.drive.simulate import NO_ROWS, Ahead, Due, Rows, stacked
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import State, Steps
+from dbo_cli.signals import usual_step
 
 if TYPE_CHECKING:
     from dbo_cli.drive.learning import Tracked
@@ -317,8 +318,7 @@ class Driver:
         """
         step, lead = dt, self.lead
         if isinstance(dt, np.ndarray):
-            forward = dt[1:][dt[1:] > 0.0]
-            step = float(np.median(forward)) if forward.size else None
+            step = usual_step(dt[1:]) or None
         if step is not None:
             return float(step)
         timed = lead.condition or lead.approach or lead.rest or self.hold

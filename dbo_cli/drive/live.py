@@ -19,7 +19,7 @@ from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.limits import STEP_ROUNDING, Figure, GateError, Limits
 from dbo_cli.errors import InputError, ModelError, UsageError
 from dbo_cli.model import Cascade, State, Undoing
-from dbo_cli.model.amplifier import AmplifiedGears, AmplifiedRow
+from dbo_cli.model.amplifier import drive_before, window_behind
 
 WANTED_SPANS = 1e12
 """A wanted value so many ranges away is no displacement but a fault of the loop."""
@@ -104,11 +104,9 @@ class Controller:
         self._pending: Planned | None = None
         self._to_gears = model.tail.inverse()
         self._from_gears = model.head.inverse()
-        # the amplifier before the gears, and what comes out of it now
-        self._amplified: AmplifiedGears | None = None
-        self._output = 0.0
+        self._amplifier = model.amplifier
+        self._output = 0.0  # of the amplifier, now
         if model.amplifier is not None:
-            self._amplified = AmplifiedGears(model.amplifier, model.head, model.gears)
             self._share = float(model.amplifier.share(self._dt)[0])
         self._inverter = model.inverter(self._dt)
         self.lookahead = self._samples_ahead(lookahead)
@@ -144,7 +142,7 @@ class Controller:
             drive=self.last,
             undoing=self._memory,
             model=self._model.digest,
-            amplifier=None if self._amplified is None else self._output,
+            amplifier=None if self._amplifier is None else self._output,
         )
 
     def plan(self, wanted: float) -> float:
@@ -168,7 +166,7 @@ class Controller:
                 first = np.array([target])
                 run = self._model.drive(first, start, self._dt, (low, high), slew)
                 voltage, clipped = float(run.y[0]), bool(run.clipped)
-                after = run.state if self._amplified is not None else None
+                after = run.state if self._amplifier is not None else None
         elif voltage is None:
             voltage, clipped, output = self._planned(target)
         else:
@@ -234,10 +232,10 @@ class Controller:
     def _follow(self, voltage: float) -> float:
         """Plan a voltage that was not asked of the gears; return what comes out of the amplifier."""
         output = 0.0
-        if self._amplified is not None:
+        if self._amplifier is not None:
             before = State(amplifier=self._output)
             block = np.array([voltage])
-            run = self._amplified.amplifier.run(block, before, self._dt)
+            run = self._amplifier.run(block, before, self._dt)
             voltage = output = float(run.y[0])
         self._stepper.follow(self._model.head.value(voltage))
         return output
@@ -245,7 +243,7 @@ class Controller:
     def _planned(self, target: float) -> tuple[float, bool, float]:
         """Return the voltage of a later row, whether a limit held it, and the amplifier's output."""
         stepper, at_gears = self._stepper, self._to_gears.value(target)
-        if self._amplified is None:
+        if self._amplifier is None:
             voltage, output = stepper.plan(at_gears), 0.0
             if self._from_gears:
                 low, high = self.limits.move
@@ -254,10 +252,10 @@ class Controller:
         (low, high), last = self.limits.move, self.last
         assert last is not None
         low, high = max(low, last - self._step), min(high, last + self._step)
-        row = AmplifiedRow(self._output, self._share, low, high)
-        window = self._amplified.window(row)
+        row = self._output, self._share, low, high
+        window = window_behind(self._model.head, *row)
         stepper.limit(*window, self._model.gears.slack(*window))
-        voltage, output = self._amplified.drive(stepper.plan(at_gears), row)
+        voltage, output = drive_before(self._model.head, stepper.plan(at_gears), *row)
         return voltage, bool(stepper.clipped), output
 
     def _way_in(self) -> float | None:

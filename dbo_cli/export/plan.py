@@ -15,7 +15,7 @@ from dbo_cli.model import Cascade, Gears, Quantity, State
 from dbo_cli.model.delay import AFTER, whole_and_part
 from dbo_cli.model.dynamics import inverses_of
 from dbo_cli.model.gears import Window, largest_step
-from dbo_cli.model.undoing import SectionInverse
+from dbo_cli.model.sections import SectionInverse
 
 COUNTS = 2.0**30
 """From the middle of a range to its end; that leaves a factor of two beyond it."""

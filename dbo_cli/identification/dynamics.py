@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.identification.recording import white_noise
+from dbo_cli.identification.recording import noise_variance
 from dbo_cli.identification.sections import (
     LEAST_DAMPING,
     MOST_BESIDE,
@@ -195,7 +195,7 @@ def unexplained(rows: FastRows, best: Fitted) -> list[str]:
     warnings = []
     for signals in rows.signals:
         residuals, part = signals.residuals(best), signals.part
-        excess = max(float(np.var(residuals)) - white_noise([residuals]), 0.0)
+        excess = max(float(np.var(residuals)) - noise_variance([residuals]), 0.0)
         share = float(np.sqrt(excess / np.var(signals.measured)))
         if share > UNEXPLAINED:
             low, high = part.band

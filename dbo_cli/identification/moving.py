@@ -42,7 +42,7 @@ from dbo_cli.model import (
     Section,
     Stage,
 )
-from dbo_cli.model.inverter import Inverter
+from dbo_cli.model.dynamics import Inverter
 
 FAST_LAGS = 2.0  # periods of the lowest frequency: shorter relaxation is dynamics
 CREEP_ROUNDS = 8  # of gears and creep in turn

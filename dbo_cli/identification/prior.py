@@ -25,7 +25,7 @@ from dbo_cli.identification.recording import (
     Options,
     Recording,
     Swings,
-    white_noise,
+    noise_variance,
 )
 from dbo_cli.identification.stages import with_changed_stages
 from dbo_cli.model import Cascade, Delay, Dynamics, Scale, State, steps_of
@@ -108,7 +108,7 @@ def rescale(
     residuals = [_residual(prior, fitted, each) for each in predictions]
     squares = float(np.mean(np.concatenate(residuals) ** 2))
     stated_error = fitted.gain * _stated_of_logs(prior, predictions)
-    shape = float(np.sqrt(max(squares - white_noise(residuals), 0.0)))
+    shape = float(np.sqrt(max(squares - noise_variance(residuals), 0.0)))
     warnings = []
     if shape > BEYOND_STATED * stated_error:
         warnings.append(

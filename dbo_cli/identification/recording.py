@@ -12,7 +12,7 @@ import numpy as np
 from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.errors import FitError, InputError, UsageError
 from dbo_cli.model import Cascade
-from dbo_cli.signals import turns
+from dbo_cli.signals import turns, usual_step
 
 FEWEST_ROWS = 20  # fewer tell nothing of a loop
 SMALLEST_SWING = 0.05  # of the drive's range
@@ -63,8 +63,7 @@ class Recording:
         """The usual step in seconds, None without a clock."""
         if self.time is None:
             return None
-        steps = np.diff(self.time)
-        return float(np.median(steps[steps > 0.0]))
+        return usual_step(np.diff(self.time))
 
     @property
     def usable(self) -> Booleans:
@@ -146,7 +145,7 @@ def falling(logs: Sequence[Recording]) -> bool:
     return float(np.sum(drive * displacement)) < 0.0
 
 
-def white_noise(signals: Sequence[Floats]) -> float:
+def noise_variance(signals: Sequence[Floats]) -> float:
     """Return the mean square of what is white in signals, by their second differences."""
     bends = [np.diff(signal, 2) for signal in signals]
     return float(np.mean(np.concatenate(bends) ** 2)) / 6.0

@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from scipy.signal import csd, welch
 
 from dbo_cli.arrays import Floats
-from dbo_cli.identification.recording import Recording, runs_of, white_noise
+from dbo_cli.identification.recording import Recording, noise_variance, runs_of
 from dbo_cli.model import (
     Amplifier,
     Cascade,
@@ -315,7 +315,7 @@ def fitted(rows: FastRows, starts: Sequence[Floats], form: Form) -> Fitted:
         parameters,
         float(np.sqrt(np.mean(best.fun**2))),
         _left_out(rows, best.fun, best.jac),
-        white_noise(rows.residuals(form, parameters)),
+        noise_variance(rows.residuals(form, parameters)),
     )
 
 

@@ -12,8 +12,8 @@ from dbo_cli.model.file import dumps_set as dumps_set
 from dbo_cli.model.file import dumps_state as dumps_state
 from dbo_cli.model.file import member as member
 from dbo_cli.model.file import model_values as model_values
-from dbo_cli.model.file import read_model as read_model
-from dbo_cli.model.file import read_models as read_models
+from dbo_cli.model.file import read_cascade as read_cascade
+from dbo_cli.model.file import read_cascades as read_cascades
 from dbo_cli.model.file import read_state as read_state
 from dbo_cli.model.file import state_of as state_of
 from dbo_cli.model.gears import Gears as Gears

@@ -23,12 +23,16 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.model.amplifier import AmplifiedGears, Amplifier
+from dbo_cli.model.amplifier import (
+    Amplifier,
+    allowed_drive,
+    drive_before,
+    window_behind,
+)
 from dbo_cli.model.delay import Delay
-from dbo_cli.model.dynamics import Dynamics
+from dbo_cli.model.dynamics import Dynamics, Inverter
 from dbo_cli.model.fields import require_above_0
-from dbo_cli.model.gears import NEGLIGIBLE, Gears, Window
-from dbo_cli.model.inverter import Inverter
+from dbo_cli.model.gears import NEGLIGIBLE, Gears, Window, largest_step
 from dbo_cli.model.points import Curve, Curves, Points, Scale
 from dbo_cli.model.start import Starts
 from dbo_cli.model.state import Quantity, Run, State, Steps, steps_of
@@ -499,8 +503,7 @@ class Cascade:
         if self.amplifier is None:
             result = self._undo_gears(output, state, steps, window, slew)
         else:
-            before = AmplifiedGears(self.amplifier, self.head, self.gears)
-            result = before.undo(output, state, steps, window, slew)
+            result = self._undo_amplified(output, state, steps, window, slew)
         bits, memory = result.state.bits, result.state.memory
         last = float(result.y[-1])
         after = State(bits, memory, last, amplifier=result.state.amplifier)
@@ -531,6 +534,97 @@ class Cascade:
             # rounding on the way back through the points
             voltage = np.clip(voltage, *window)
         return result._replace(y=voltage)
+
+    def _undo_amplified(
+        self,
+        output: Floats,
+        state: State,
+        dt: float | Floats,
+        window: Window | None,
+        slew: float | None,
+    ) -> Run:
+        """Return the drive before an amplifier, whose limits reach through amplifier, head and gears.
+
+        Rows are undone in blocks as if there were no limits. From the first one on that a
+        limit may hold back, each is undone within its own window; then blocks grow again.
+        """
+        assert self.amplifier is not None
+        _, shares = self.amplifier.shares(state, dt, output.size)
+        if window is None:
+            return self._undo_freely(output, state, dt)[0]
+        changes = np.broadcast_to(np.inf, output.shape)
+        if slew is not None:
+            changes = np.broadcast_to(largest_step(slew, dt), output.shape)
+        drive = np.empty_like(output)
+        row, size, clipped, first_clipped = 0, output.size, 0, 0
+        while row < output.size:
+            rows = slice(row, row + size)
+            block = output[rows]
+            steps = dt[rows] if isinstance(dt, np.ndarray) else dt
+            done = self._undo_block(
+                block, state, steps, shares[rows], changes[rows], window
+            )
+            count = done.y.size
+            drive[row : row + count] = done.y
+            if done.clipped and not clipped:
+                first_clipped = row
+            clipped += done.clipped
+            row, state = row + count, done.state
+            size = 1 if done.clipped or count < block.size else 2 * size
+        return Run(drive, state, clipped, first_clipped)
+
+    def _undo_freely(
+        self, output: Floats, state: State, dt: float | Floats
+    ) -> tuple[Run, Floats]:
+        """Return the drive as if there were no limits, and the voltage at the gears."""
+        assert self.amplifier is not None
+        done = self.gears.undo(output, state, dt)
+        amplified = self.head.inverse()(done.y)
+        run = self.amplifier.undo(amplified, done.state, dt)
+        last = float(run.y[-1])
+        return Run(run.y, replace(run.state, drive=last)), done.y
+
+    def _undo_block(
+        self,
+        output: Floats,
+        state: State,
+        dt: float | Floats,
+        shares: Floats,
+        changes: Floats,
+        window: Window,
+    ) -> Run:
+        """Return the drive of one row within its window, or of the rows before the first that is held.
+
+        ``shares`` are 1 - a and ``changes`` the largest changes of the drive, row by row.
+        """
+        before = state.amplifier or 0.0
+        stands = np.array([math.nan if state.drive is None else state.drive])
+        if output.size == 1:
+            low, high = (
+                float(end[0]) for end in allowed_drive(stands, changes, window)
+            )
+            row = before, float(shares[0]), low, high
+            done = self.gears.undo(output, state, dt, window_behind(self.head, *row))
+            drive, amplified = drive_before(self.head, float(done.y[0]), *row)
+            after = replace(done.state, amplifier=amplified, drive=drive)
+            return Run(np.array([drive]), after, done.clipped)
+        free, voltage = self._undo_freely(output, state, dt)
+        previous = np.concatenate([[before], self.head.inverse()(voltage)[:-1]])
+        lows, highs = allowed_drive(
+            np.concatenate([stands, free.y[:-1]]), changes, window
+        )
+        ends = [
+            self.head(previous + shares * (end - previous)) for end in (lows, highs)
+        ]
+        held = (free.y < lows) | (free.y > highs)
+        held |= (voltage < np.minimum(*ends)) | (voltage > np.maximum(*ends))
+        if not held.any():
+            return free
+        count = int(np.argmax(held))
+        if count == 0:
+            return Run(free.y[:0], state)
+        steps = dt[:count] if isinstance(dt, np.ndarray) else dt
+        return self._undo_freely(output[:count], state, steps)[0]
 
     def inner_limits(
         self, window: Window, slew: float | None

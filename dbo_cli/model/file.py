@@ -54,7 +54,7 @@ FIGURES = (
 # ---- models ----
 
 
-def read_model(path: str) -> Cascade:
+def read_cascade(path: str) -> Cascade:
     """Read a model file, or one model of a set (``FILE::CHANNEL``); ``-`` is standard input.
 
     Raises
@@ -65,14 +65,14 @@ def read_model(path: str) -> Cascade:
         It is not a model, of another version, or contradicts itself; the message names
         file and key. Or it is a set of models, or one without that channel.
     """
-    model: Cascade = member(read_models(path), path)
+    model: Cascade = member(read_cascades(path), path)
     return model
 
 
-def read_models(path: str) -> dict[str, Cascade]:
+def read_cascades(path: str) -> dict[str, Cascade]:
     """Read the models of a set by channel; a single model, and ``FILE::CHANNEL``, have the name ``""``.
 
-    Errors are as of ``read_model``.
+    Errors are as of ``read_cascade``.
     """
     file, separator, channel = path.rpartition("::")
     if not separator or os.path.exists(path):

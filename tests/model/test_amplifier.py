@@ -111,7 +111,7 @@ def test_files_and_states_hold_it(tmp_path):
     assert np.array_equal(rest, whole[100:])
     for each in (model, model.inverse()):
         (tmp_path / "model.json").write_text(dm.dumps_model(each))
-        again = dm.read_model(str(tmp_path / "model.json"))
+        again = dm.read_cascade(str(tmp_path / "model.json"))
         assert dm.dumps_model(again) == dm.dumps_model(each)
         assert again.digest == model.digest != plant(3.1e-3, 1).digest
     stages = json.loads(dm.dumps_model(model.inverse()))["stages"]

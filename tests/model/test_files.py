@@ -63,11 +63,11 @@ def test_a_model_comes_back(tmp_path):
     model = full_model()
     for each in (model, model.inverse()):
         text = dm.dumps_model(each)
-        back = dm.read_model(written(tmp_path, text))
+        back = dm.read_cascade(written(tmp_path, text))
         assert dm.dumps_model(back) == text
         assert back.digest == model.digest
         SCHEMA.validate(json.loads(text))
-    back = dm.read_model(written(tmp_path, dm.dumps_model(model)))
+    back = dm.read_cascade(written(tmp_path, dm.dumps_model(model)))
     drive = np.linspace(0.0, 5.0, 300)
     moved, again = (each.simulate(drive, dt=DT)[0] for each in (model, back))
     assert np.array_equal(moved, again)
