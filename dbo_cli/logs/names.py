@@ -184,9 +184,9 @@ def _fitted(cells: list[str], layout: Layout) -> list[str]:
     are_units = _are_units(cells[: layout.width])
     while len(cells) > layout.width and _is_beside(cells[-1], are_units):
         cells.pop()
-    if len(cells) == layout.width - 1 and cells:
-        if not split_cells(layout.first_line, layout.delimiter)[-1]:
-            return [*cells, ""]  # the rows end in a delimiter
+    last = split_cells(layout.first_line, layout.delimiter)[-1]
+    if len(cells) == layout.width - 1 > 0 and not last:
+        return [*cells, ""]  # the rows end in a delimiter
     return cells
 
 
