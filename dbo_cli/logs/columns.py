@@ -155,11 +155,9 @@ def listing_of(columns: Sequence[Column]) -> str:
     shown = []
     for column in columns[:_LISTED]:
         shown.append(f"{column.number} {column.name}".strip())
-        if column.kind == "text":
+        if column.kind in ("text", "empty"):
             sample = f": '{column.sample}'" if column.sample else ""
             shown[-1] += f" (no numbers{sample})"
-        if column.kind == "empty" and column.name:
-            shown[-1] += " (mostly empty)"
     more = f", ... ({len(columns)} in all)" if len(columns) > _LISTED else ""
     return f"it has {', '.join(shown)}{more}"
 

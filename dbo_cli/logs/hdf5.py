@@ -165,19 +165,16 @@ def _nodes_of(file: Any) -> dict[str, Any]:
     return nodes
 
 
-def _depth(group: str) -> int:
-    return group.count("/") + bool(group)
-
-
 def _shallowest(by_group: Mapping[str, Sequence[Column]]) -> list[str]:
     """Return the shallowest groups with numbers; of several the only one with more than one such column."""
-    numbers: dict[str, int] = {}
+    by_depth: dict[int, dict[str, int]] = {}
     for group, columns in by_group.items():
-        numbers[group] = sum(column.kind == "number" for column in columns)
-    depth = min((_depth(group) for group in numbers if numbers[group]), default=0)
-    groups = [group for group in numbers if numbers[group] and _depth(group) == depth]
-    wide = [group for group in groups if numbers[group] > 1]
-    return wide if len(wide) == 1 else groups
+        count = sum(column.kind == "number" for column in columns)
+        if count:
+            by_depth.setdefault(group.count("/") + bool(group), {})[group] = count
+    numbers = by_depth[min(by_depth)] if by_depth else {}
+    wide = [group for group in numbers if numbers[group] > 1]
+    return wide if len(wide) == 1 else list(numbers)
 
 
 def _with_missing(dataset: Any, fetch: Fetch) -> Fetch:

@@ -27,7 +27,6 @@ from dbo_cli.units import is_unit, kind_of, parse_unit, spell, split_header, tim
 
 _LINES = 3  # names, units and a remark stand above the rows at most
 _BESIDE = 40  # rows beside which settings may stand
-_PASSED = 3  # comments that may stand between the names and the rows
 _LABEL = re.compile(
     r"(?:column[ _]?(?:names|headers)?|columns|names|fields|header|units?)\s*[:=]\s*",
     re.IGNORECASE,
@@ -71,8 +70,10 @@ def read_header(
         layout.units = headers[units]
         layout.names = headers[units + 1] if units + 1 < len(headers) else headers[0][:]
     elif headers:
-        with_units = (cells for cells in headers if _units_in(cells) > 1)
-        layout.names = next(with_units, headers[0])  # a remark may stand below names
+        layout.names = headers[0]
+        for cells in reversed(headers):  # a remark may stand below names
+            if sum(split_header(cell)[1] is not None for cell in cells) > 1:
+                layout.names = cells
     has_names = len(headers) > (units is not None)
     has_decimals = any(layout.decimal in line for line in rows[:_BESIDE])
     if len(layout.numeric) > 1 or has_decimals:  # else they are counts, and no volts
@@ -82,7 +83,6 @@ def read_header(
 def _header_lines(above: Sequence[str], layout: Layout) -> list[list[str]]:
     """Return the lines right above the rows that have a cell for each column, the nearest first."""
     headers: list[list[str]] = []
-    passed = 0
     for line in reversed(above):
         plain = line.strip("\r\n ")
         if not plain.strip("#%,;\t| "):
@@ -100,9 +100,7 @@ def _header_lines(above: Sequence[str], layout: Layout) -> list[list[str]]:
             if len(headers) == _LINES:
                 break
             continue
-        passed += 1
-        is_remark = is_remark or plain[0] in "#%"
-        if headers or not is_remark or passed > _PASSED:
+        if headers or not (is_remark or plain[0] in "#%"):
             break
     return headers
 
@@ -181,22 +179,14 @@ def begins_run(comment: str) -> bool:
     return bool(re.search("[:=]", comment) or words(comment) & KNOWN_NAMES)
 
 
-def _units_in(cells: Sequence[str]) -> int:
-    """Return how many names carry a unit."""
-    return sum(split_header(cell)[1] is not None for cell in cells)
-
-
 def _fitted(cells: list[str], layout: Layout) -> list[str]:
     """Leave out cells that belong to no column, and put in those that have no name."""
     are_units = _are_units(cells[: layout.width])
     while len(cells) > layout.width and _is_beside(cells[-1], are_units):
         cells.pop()
-    if len(cells) == layout.width - 1 and cells:
-        line = layout.first_line
-        if not split_cells(line, layout.delimiter)[-1]:
-            return [*cells, ""]  # the rows end in a delimiter
-        if line.startswith('"') and 0 in layout.numeric and len(cells) > 1:
-            return ["", *cells]  # R numbers the rows by a quoted column without a name
+    last = split_cells(layout.first_line, layout.delimiter)[-1]
+    if len(cells) == layout.width - 1 > 0 and not last:
+        return [*cells, ""]  # the rows end in a delimiter
     return cells
 
 

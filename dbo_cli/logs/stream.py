@@ -85,8 +85,10 @@ class TextStream:
             if self.ended:
                 break
             is_pause = self.is_pipe and start.endswith(b"\n") and not self._has_more()
-            if is_pause and is_enough(self._first_lines(start)):
-                break
+            if is_pause:
+                self._encoding = _find_encoding(self.name, start, self._typed_encoding)
+                if is_enough(self.lines(start)):
+                    break
         self._ends_in_cr = b"\r" in start[:-1] and b"\n" not in start  # Igor's do
         self._encoding = _find_encoding(self.name, start, self._typed_encoding)
         if self._encoding not in _ASCII:
@@ -108,11 +110,6 @@ class TextStream:
         """Close the file (never standard input)."""
         if not self._is_stdin:
             self._file.close()
-
-    def _first_lines(self, start: bytes) -> list[str]:
-        """Return the lines of a head whose encoding is not settled yet."""
-        encoding = _find_encoding(self.name, start, self._typed_encoding)
-        return start.decode(encoding, "replace").split("\n")
 
     def _plain(self, data: bytes) -> bytes:
         """Turn bytes into a superset of ASCII with plain line ends."""

@@ -67,7 +67,8 @@ def reader_of(path: str, start: bytes) -> TableReader | None:
             foreign: TableReader = point.load()
             return foreign
     for file_format in _FORMATS:
-        if file_format.has_magic(start):
+        magics, offsets = file_format.magics, file_format.offsets
+        if any(start.startswith(magics, offset) for offset in offsets):
             return file_format.read
     if suffix in _REFUSED or start[:2] in _PICKLES:
         raise InputError(f"{path}: {_REFUSED.get(suffix, _PICKLED)}")

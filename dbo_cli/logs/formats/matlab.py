@@ -40,14 +40,12 @@ class Variable:
     name: str
     kind: str
     shape: tuple[int, ...]
-    fields: tuple[str, ...] = ()
     values: NDArray[Any] | None = None
 
     def describe(self) -> str:
         """Return what messages say of it."""
         size = "x".join(map(str, self.shape))
-        names = f" of {', '.join(self.fields)}" if self.fields else ""
-        return f"{self.name} ({size} {self.kind}{names})".replace("( ", "(")
+        return f"{self.name} ({size} {self.kind})".replace("( ", "(")
 
     def advice(self) -> str:
         """Return a line of MATLAB that saves what is in it as columns; empty for texts."""
@@ -121,21 +119,11 @@ def _variable_of(elements: Elements, order: str) -> Variable:
     shape = tuple(int(length) for length in _numbers(elements, order))
     name = _text(elements)
     if number not in _NUMBERS or int(flags[0]) & _IS_COMPLEX:
-        kind = _CLASSES.get(number, "complex")
-        fields = _fields_of(elements, order) if kind == "struct" else ()
-        return Variable(name, kind, shape, fields)
+        return Variable(name, _CLASSES.get(number, "complex"), shape)
     values = _numbers(elements, order)
     if np.prod(shape, dtype=object) != len(values):
         raise ValueError(f"{name} has another size than its values")
-    return Variable(name, "double", shape, (), values.reshape(shape, order="F"))
-
-
-def _fields_of(elements: Elements, order: str) -> tuple[str, ...]:
-    """Return the names of a struct's fields."""
-    lengths, names = _numbers(elements, order), _text(elements)
-    length = max(int(lengths[0]), 1) if len(lengths) else 1
-    cells = [names[k : k + length] for k in range(0, len(names), length)]
-    return tuple(cell.partition("\0")[0] for cell in cells)
+    return Variable(name, "double", shape, values.reshape(shape, order="F"))
 
 
 def _read(path: str, inner: str, reading: Reading) -> Table:

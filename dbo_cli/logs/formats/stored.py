@@ -42,10 +42,6 @@ class FileFormat:
     suffixes: tuple[str, ...] = ()
     offsets: tuple[int, ...] = (0,)
 
-    def has_magic(self, start: bytes) -> bool:
-        """Return whether the first bytes of a file are those of the format."""
-        return any(start.startswith(self.magics, offset) for offset in self.offsets)
-
 
 def import_extra(module: str, extra: str, path: str) -> Any:
     """Import a library that is not always installed (InputError)."""
