@@ -25,6 +25,7 @@ RULES = {
     "search.BENDS=()": "no bend of the drive",
     "search.DELAYS=()": "no delay",
     "search.LEVELS=(None,)": "memories at rest at a log's first value",
+    "search.BETTER_START=0.0": "gears settled before each log, or unknown",
     "search.CURVES=(10.0,)": "one smoothness of the curve for four",
     "search.SLOPE_SMOOTHNESS=(2e-4,)": "one smoothness of the slopes for three",
     "search.RULES=('growing',)": "slopes that grow only",

@@ -29,7 +29,7 @@ REFINED = (0.6, 0.8, 1.25, 1.6)
 """Times the best delay, tried in turn."""
 LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the range: where memories may have stood before the logs, beside the first value."""
-SETTLED = "settled"
+SETTLED_START = "settled"
 BETTER_START = (
     0.8  # of the settled start's error: another one is offered with all structures
 )
@@ -169,12 +169,12 @@ class Search:
         if not self.problem.past.size:
             return None
         errors = {}
-        for start in (SETTLED, "empty", "full"):
+        for start in (SETTLED_START, "empty", "full"):
             trials = [replace(ROUGHEST, slopes=rule, start=start) for rule in RULES]
             fits = [Equations(self.problem.rows(one), one).solve() for one in trials]
             errors[start] = min(fit.rmse for fit in fits)
         best = min(errors, key=errors.__getitem__)
-        return best if errors[best] < BETTER_START * errors[SETTLED] else None
+        return best if errors[best] < BETTER_START * errors[SETTLED_START] else None
 
     def path(self, base: Structure, curves: Iterable[float]) -> None:
         """Fit a structure with rougher and rougher curves, each begun at the one before."""
