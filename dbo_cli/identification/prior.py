@@ -35,6 +35,8 @@ STUDENT = 2.0  # standard errors of a 95 % interval
 LEAST_KNOWN = 0.5  # of the rows: those behind the first way over the log's range
 DELAY_STEPS = 8  # of Gauss and Newton: the prediction is not linear in the delay
 LONGEST_DELAY = 0.25  # of the usual swing, to either side
+NOISE_CHANCE = 4.0
+"""Over the root of the rows: two standard errors of the noise's variance, which is no change of the shape."""
 LEAST_STATED = 1e-6  # of the output's range: the least error that a prior may state
 
 
@@ -108,7 +110,9 @@ def rescale(
     residuals = [_residual(prior, fitted, each) for each in predictions]
     squares = float(np.mean(np.concatenate(residuals) ** 2))
     stated_error = fitted.gain * _stated_of_logs(prior, predictions)
-    shape = float(np.sqrt(max(squares - noise_variance(residuals), 0.0)))
+    rows = sum(map(len, residuals))
+    noise = noise_variance(residuals) * (1.0 + NOISE_CHANCE / np.sqrt(rows))
+    shape = float(np.sqrt(max(squares - noise, 0.0)))
     warnings = []
     if shape > BEYOND_STATED * stated_error:
         warnings.append(

@@ -122,3 +122,13 @@ def test_errors_are_those_of_the_stated_size_and_a_past_between_the_ends() -> No
     numbers, errors = _solved(table, rough, 3, 0.02)
     left = np.sqrt(np.mean((rough - table @ numbers) ** 2))
     np.testing.assert_allclose(errors[:4], left * np.sqrt(40.0 / 3.0), rtol=1e-3)
+
+
+def test_chance_in_the_noise_of_a_short_log_is_no_change_of_the_shape():
+    """The prior states a tenth of the sensor's noise, whose variance a short log shows to a few per cent."""
+    prior = actuator()
+    prior = prior.with_stages(prior.stages)
+    prior.fit.update(expected_rmse=0.0005, rmse=0.0005)
+    drive = waves(0.0, 100.0, 1)
+    for seed in range(60):
+        rescale(prior, [recorded(actuator(), drive, seed)], Options())
