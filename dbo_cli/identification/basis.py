@@ -30,9 +30,7 @@ RISING = 1e-6  # of a step: what a clock that repeats stamps rises by at least
 BLOCK_ROWS = 4096  # of the full rate that are held at once
 LANES = 8  # plays in a group of the kernel
 PAST_GROUPS = 5  # of cells, each with a past of its own
-FINER_GROUPS = (
-    24  # the same, of a candidate: coarse ones leave some of a past to memories
-)
+FINER_GROUPS = 24  # of a candidate: coarse ones leave some of a past to memories
 LEAST_PAST = 1e-3  # of the range: a past that adds less is none
 
 

@@ -31,7 +31,7 @@ LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the range: where memories may have stood before the logs, beside the first value."""
 SETTLED_START = "settled"
 BETTER_START = (
-    0.8  # of the settled start's error: another one is offered with all structures
+    0.8  # of the settled start's error: another is offered with a rough curve
 )
 ROUGHEST = Structure(smooth_slopes=2e-4, smooth_curve=1e-4)  # tells starts apart
 FINER_LEVEL = 0.125  # beside the best one, tried below and above
@@ -258,7 +258,9 @@ class Search:
         levels = LEVELS if structure.memories and self.problem.clock else LEVELS[:1]
         trials = []
         for past, level in product(pasts, levels):
-            trials.append(replace(structure, past=past, start="settled", level=level))
+            trials.append(
+                replace(structure, past=past, start=SETTLED_START, level=level)
+            )
         return trials
 
     def _finer_delay(self, factor: float) -> None:
