@@ -30,9 +30,8 @@ REFINED = (0.6, 0.8, 1.25, 1.6)
 LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the range: where memories may have stood before the logs, beside the first value."""
 SETTLED_START = "settled"
-BETTER_START = (
-    0.8  # of the settled start's error: another is offered with a rough curve
-)
+BETTER_START = 0.8
+"""Of the settled start's error: another one is offered with a rough curve."""
 ROUGHEST = Structure(smooth_slopes=2e-4, smooth_curve=1e-4)  # tells starts apart
 FINER_LEVEL = 0.125  # beside the best one, tried below and above
 ROUNDS = (2, 1)  # of neighbours: of how many kinds of structures
