@@ -89,5 +89,5 @@ def _searched(logs: Sequence[Recording], options: Options) -> Cascade:
     model = model_of(problem, fit, slow[0], options, candidates(problem, others))
     if dynamic is not None:
         model = dynamic.applied(model)
-    model = replace(model, past=average.fits[0].structure.start)
+    model = replace(model, auto_start=average.fits[0].structure.start)
     return stated(model, problem, average, logs, options)

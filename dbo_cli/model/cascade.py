@@ -129,7 +129,7 @@ class Cascade:
         At most five other models that explain the logs, for the error of a very move.
     provenance : mapping
         Where the model comes from; carried along.
-    past : {"settled", "empty", "full"}
+    auto_start : {"settled", "empty", "full"}
         How the gears stand where ``auto`` starts inside the range: as the logs began.
 
     Attributes
@@ -158,7 +158,7 @@ class Cascade:
     fit: Mapping[str, Any] = field(default_factory=dict)
     candidates: tuple[Candidate, ...] = ()
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    past: str = "settled"
+    auto_start: str = "settled"
     amplifier: Amplifier | None = field(init=False)
     head: Curves = field(init=False)
     gears: Gears = field(init=False)
@@ -254,7 +254,7 @@ class Cascade:
             self.stages,
             self.fit,
             provenance=self.provenance,
-            past=self.past,
+            auto_start=self.auto_start,
         )
 
     def forward(self) -> Cascade:
@@ -297,7 +297,7 @@ class Cascade:
 
     def _start_name(self, name: str) -> str:
         """Return the start that ``auto`` stands for, or the name itself."""
-        return self.past if name == "auto" else name
+        return self.auto_start if name == "auto" else name
 
     def start_drive(
         self,

@@ -130,8 +130,11 @@ def _model(values: Any, path: str) -> Cascade:
     direction: Direction = "forward"
     if values.get("direction") == "inverse":
         direction = "inverse"
+    def cascade(past: str = "settled", **keys: Any) -> Cascade:
+        return Cascade(**keys, auto_start=past)
+
     model: Cascade = build(
-        Cascade,
+        cascade,
         values,
         path,
         ("fit", "candidates", "provenance", "past"),
@@ -220,8 +223,8 @@ def model_values(model: Cascade) -> Json:
         "output": model.output.keys(),
         "stages": _stage_values(model.stages, model.direction),
     }
-    if model.past != "settled":
-        values["past"] = model.past
+    if model.auto_start != "settled":
+        values["past"] = model.auto_start
     if model.fit:
         values["fit"] = dict(model.fit)
     if model.candidates:

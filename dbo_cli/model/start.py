@@ -61,7 +61,7 @@ class Starts:
         ``empty``: the actuator has been at or below the lower end of the drive's range.
         ``full``: likewise the upper end. ``settled``: after an oscillation that decays
         from the whole range to ``voltage``. ``auto``: empty where that is at or below the
-        lower end, else settled (a model may keep another one: ``Cascade.past``).
+        lower end, else settled (a model may keep another one: ``Cascade.auto_start``).
 
         Raises
         ------

@@ -59,6 +59,8 @@ def shown_text(model: Cascade, name: str) -> str:
         ("output", f"{_range(model.output)}, {values['sign']}"),
         ("operator", operator),
     ]
+    if model.auto_start != "settled":
+        rows.append(("start", f"{model.auto_start}, as the logs began"))
     if values["relaxation_seconds"]:
         rows.append(("creep", ", ".join(map(_time, values["relaxation_seconds"]))))
     for part in ("amplifier", "delay"):

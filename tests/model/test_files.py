@@ -12,6 +12,7 @@ import pytest
 import dbo_cli.model as dm
 from dbo_cli.errors import ModelError
 from dbo_cli.model.file import parse_model
+from dbo_cli.reports.show import shown_text
 
 DT = 1e-4
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -72,6 +73,17 @@ def test_a_model_comes_back(tmp_path):
     moved, again = (each.simulate(drive, dt=DT)[0] for each in (model, back))
     assert np.array_equal(moved, again)
     assert len(dm.dumps_model(model).splitlines()) < 120
+
+
+def test_a_model_keeps_the_start_of_its_logs_and_shows_it(tmp_path):
+    model = replace(full_model(), auto_start="full")
+    values = json.loads(dm.dumps_model(model))
+    assert values["past"] == "full"
+    back = parse_model(values)
+    assert back.start(2.0) == model.start(2.0, "full") != model.start(2.0, "settled")
+    page = shown_text(back.inverse(), "model.json")
+    assert "full, as the logs began" in page
+    assert "logs began" not in shown_text(full_model(), "model.json")
 
 
 def test_the_example_of_the_page_is_a_model():
