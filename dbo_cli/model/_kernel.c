@@ -1,51 +1,89 @@
-/* dbo_kernel.c, dbo_dynamics.c and dbo_plays.c as a Python extension in the limited ABI. Arguments are checked by gears.py; here
- * only lengths are, so that no mistake there can read or write beyond a buffer. */
-#include "_kernel.h"
-
+/* The recursions of dbo_kernel.c, dbo_dynamics.c, dbo_plays.c and dbo_interpolation.h as a Python extension in the limited ABI.
+ * Arguments are checked by gears.py and delay.py; here only lengths are, so that no mistake there can read or write beyond a
+ * buffer. */
+#define Py_LIMITED_API 0x030b0000
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+#include <stdarg.h>
 #include <string.h>
 
 #include "dbo_dynamics.h"
+#include "dbo_interpolation.h"
 #include "dbo_kernel.h"
 #include "dbo_plays.h"
 
-/* One operator, its limits and its state, held from one live sample to the next. */
-typedef struct {
-    PyObject_HEAD
-    Py_buffer gears;
-    Py_buffer guide;
-    dbo_backlash op;
-    dbo_limits limits;
-    double largest_change;
-    int limited;
-    double *decay;
-    dbo_fixed_step fixed;
-    void *table; /* of `fixed`; NULL where it gives nothing */
-    dbo_backlash_state now;
-    dbo_backlash_state next;
-    int planned;
-    size_t clipped;
-    double *memory; /* of both, then gains and decay */
-} stepper;
+#define NUMBERS(view) ((size_t)(view).len / sizeof(double))
+#define FUNCTION(name) static PyObject *name(PyObject *Py_UNUSED(module), PyObject *args)
 
 static int too_short(const char *what) {
     PyErr_Format(PyExc_ValueError, "kernel buffer of the wrong length: %s", what);
     return 1;
 }
 
-/* The operator's table and guide out of buffers; 0 with an error set where lengths do not match. */
-static int assemble(dbo_backlash *op, const Py_buffer *gears, const Py_buffer *guide, Py_ssize_t n) {
-    const Py_ssize_t rows = gears->len / (Py_ssize_t)sizeof(dbo_gear) - 1;
-    if (n < 1 || rows != n || (uint64_t)n >> 32) return !too_short("gears");
-    op->gears = gears->buf;
-    op->n = (size_t)n;
-    op->run = 1;
-    op->row_factor = DBO_ROW_FACTOR(1);
-    op->parts = (size_t)guide->len / sizeof(dbo_place);
-    op->guide = op->parts > 1 ? guide->buf : NULL;
-    if (op->guide) op->parts--;
-    op->parts_per_x = (double)op->parts / op->gears[rows].x;
-    return 1;
+/* Releases buffers; 0 where an error is set. */
+static int release(Py_buffer *view, ...) {
+    va_list more;
+    va_start(more, view);
+    for (; view; view = va_arg(more, Py_buffer *)) PyBuffer_Release(view);
+    va_end(more);
+    return PyErr_Occurred() == NULL;
 }
+
+#define RELEASE(...) release(__VA_ARGS__, (Py_buffer *)NULL)
+#define RELEASED(...) (RELEASE(__VA_ARGS__) ? Py_BuildValue("") : NULL)
+
+/* An operator, and the buffers that it points into. */
+typedef struct {
+    Py_buffer gears;
+    Py_buffer guide;
+    Py_buffer gain;
+    dbo_backlash op;
+} operator;
+
+/* A converter of PyArg_ParseTuple: the operator out of a tuple of gears.py; of no tuple, its buffers are released. */
+static int operator_of(PyObject *tuple, void *address) {
+    operator *self = address;
+    dbo_backlash *op = &self->op;
+    Py_ssize_t rows;
+    if (tuple) {
+        if (!PyArg_ParseTuple(tuple, "y*y*ddpy*dp", &self->gears, &self->guide, &op->x0, &op->y0, &op->extend,
+                              &self->gain, &op->reference, &op->memory_on_output))
+            return 0;
+        rows = self->gears.len / (Py_ssize_t)sizeof(dbo_gear) - 1;
+        op->gears = self->gears.buf;
+        op->n = (size_t)rows;
+        op->run = 1;
+        op->row_factor = DBO_ROW_FACTOR(1);
+        op->parts = (size_t)self->guide.len / sizeof(dbo_place);
+        op->guide = op->parts > 1 ? self->guide.buf : NULL;
+        op->terms = NUMBERS(self->gain);
+        op->gain = self->gain.buf;
+        if (rows > 0 && !((uint64_t)rows >> 32)) {
+            if (op->guide) op->parts--;
+            op->parts_per_x = (double)op->parts / op->gears[rows].x;
+            return Py_CLEANUP_SUPPORTED;
+        }
+        too_short("gears");
+    }
+    (void)RELEASE(&self->gears, &self->guide, &self->gain);
+    return 0;
+}
+
+/* One operator, its limits and its state, held from one live sample to the next. */
+typedef struct {
+    PyObject_HEAD
+    operator taken;
+    Py_buffer decay;
+    dbo_limits limits;
+    double largest_change;
+    dbo_fixed_step fixed;
+    void *table; /* of `fixed` */
+    dbo_backlash_state now;
+    dbo_backlash_state next;
+    int planned;
+    size_t clipped;
+    double *memory; /* of both states */
+} stepper;
 
 #define STATE_WORDS(n) (((size_t)(n) + 63) / 64)
 
@@ -81,111 +119,85 @@ static void *fixed_step(const dbo_backlash *op, const double *decay, dbo_fixed_s
 }
 
 /* Without a memory the actuator rests at the first sample: with factors of 0 nothing of the past is left. */
-static PyObject *backlash_run(PyObject *module, PyObject *args) {
-    Py_buffer gears, guide, words, gain, memory, x, y, decay, step;
-    dbo_backlash op;
+FUNCTION(backlash_run) {
+    operator taken;
+    Py_buffer words, memory, x, y, decay, step;
+    const dbo_backlash *op = &taken.op;
     dbo_backlash_state state;
     dbo_limits limits;
     dbo_counts counts = {0, 0};
     dbo_fixed_step fixed;
     void *table = NULL;
     double *none = NULL;
-    Py_ssize_t n;
-    int limited, rests, ready = 0;
+    int limited, rests;
     size_t count, rows, first = 0;
-    (void)module;
     state.checkpoints = NULL;
-    if (!PyArg_ParseTuple(args, "y*y*nddpy*dpw*w*pdy*w*y*pdddy*", &gears, &guide, &n, &op.x0, &op.y0, &op.extend,
-                          &gain, &op.reference, &op.memory_on_output, &words, &memory, &rests, &state.last, &x, &y,
-                          &decay, &limited, &limits.low, &limits.high, &limits.slack, &step))
+    if (!PyArg_ParseTuple(args, "O&w*w*pdy*w*y*pdddy*", operator_of, &taken, &words, &memory, &rests, &state.last, &x,
+                          &y, &decay, &limited, &limits.low, &limits.high, &limits.slack, &step))
         return NULL;
     count = NUMBERS(x);
-    op.terms = NUMBERS(gain);
-    op.gain = gain.buf;
     state.memory = memory.buf;
-    rows = op.terms ? NUMBERS(decay) / op.terms : 1;
+    rows = op->terms ? NUMBERS(decay) / op->terms : 1;
     limits.step = NUMBERS(step) ? step.buf : NULL;
     limits.step_stride = NUMBERS(step) > 1;
-    if (!assemble(&op, &gears, &guide, n)) goto done;
     if (NUMBERS(y) != count && too_short("y")) goto done;
-    if (NUMBERS(memory) != op.terms && too_short("memory")) goto done;
+    if (NUMBERS(memory) != op->terms && too_short("memory")) goto done;
     if (rows != 1 && rows != count && too_short("decay")) goto done;
     if (NUMBERS(step) > 1 && NUMBERS(step) != count && too_short("step")) goto done;
-    if (!take_state(&op, &state, &words)) goto done;
-    if (op.terms && rests && count) {
-        none = PyMem_Calloc(op.terms, sizeof(double));
+    if (!take_state(op, &state, &words)) goto done;
+    if (op->terms && rests && count) {
+        none = PyMem_Calloc(op->terms, sizeof(double));
         if (!none) {
             PyErr_NoMemory();
             goto done;
         }
-        *(double *)y.buf = dbo_backlash_step(&op, &state, *(double *)x.buf, none, limited ? &limits : NULL, &counts);
+        *(double *)y.buf = dbo_backlash_step(op, &state, *(double *)x.buf, none, limited ? &limits : NULL, &counts);
         first = 1;
         if (limits.step) limits.step += limits.step_stride;
     }
-    ready = 1;
-    if (rows == 1 && count - first > op.n && (limited || (op.terms && op.memory_on_output)))
+    if (rows == 1 && count - first > op->n && (limited || (op->terms && op->memory_on_output)))
         /* An even clock: divide once a gear instead of once a sample, where that is less work. */
-        table = fixed_step(&op, decay.buf, &fixed);
+        table = fixed_step(op, decay.buf, &fixed);
     Py_BEGIN_ALLOW_THREADS
     {
         const double *in = (double *)x.buf + first;
-        const double *factors = (double *)decay.buf + (rows == 1 ? 0 : first * op.terms);
+        const double *factors = (double *)decay.buf + (rows == 1 ? 0 : first * op->terms);
         double *out = (double *)y.buf + first;
         const size_t clipped = counts.clipped;
         if (table)
-            dbo_backlash_run_fixed(&op, &fixed, &state, in, out, count - first, limited ? &limits : NULL, &counts);
+            dbo_backlash_run_fixed(op, &fixed, &state, in, out, count - first, limited ? &limits : NULL, &counts);
         else
-            dbo_backlash_run(&op, &state, in, out, count - first, factors, rows == 1 ? 0 : op.terms,
+            dbo_backlash_run(op, &state, in, out, count - first, factors, rows == 1 ? 0 : op->terms,
                              limited ? &limits : NULL, &counts);
         if (!clipped && counts.clipped) counts.first_clipped += first;
     }
-    dbo_backlash_bits(&op, &state, words.buf);
+    dbo_backlash_bits(op, &state, words.buf);
     Py_END_ALLOW_THREADS
-    PyMem_Free(table);
 done:
+    PyMem_Free(table);
     PyMem_Free(none);
     PyMem_Free(state.checkpoints);
-    PyBuffer_Release(&gears);
-    PyBuffer_Release(&guide);
-    PyBuffer_Release(&words);
-    PyBuffer_Release(&gain);
-    PyBuffer_Release(&memory);
-    PyBuffer_Release(&x);
-    PyBuffer_Release(&y);
-    PyBuffer_Release(&decay);
-    PyBuffer_Release(&step);
-    if (!ready) return NULL;
+    operator_of(NULL, &taken);
+    if (!RELEASE(&words, &memory, &x, &y, &decay, &step)) return NULL;
     return Py_BuildValue("(nn)", (Py_ssize_t)counts.clipped, (Py_ssize_t)counts.first_clipped);
 }
 
-static PyObject *backlash_decay(PyObject *module, PyObject *args) {
-    Py_buffer gears, guide, words, gain;
-    dbo_backlash op;
+FUNCTION(backlash_decay) {
+    operator taken;
+    Py_buffer words;
     dbo_backlash_state state;
     double drive;
-    Py_ssize_t n;
-    int ready = 0;
-    (void)module;
     state.checkpoints = NULL;
     state.memory = NULL;
-    if (!PyArg_ParseTuple(args, "y*y*nddpy*dpw*d", &gears, &guide, &n, &op.x0, &op.y0, &op.extend, &gain,
-                          &op.reference, &op.memory_on_output, &words, &drive))
-        return NULL;
-    op.terms = 0;
-    op.gain = NULL;
-    if (!assemble(&op, &gears, &guide, n)) goto done;
-    if (!take_state(&op, &state, &words)) goto done;
-    dbo_backlash_decay(&op, &state, op.n, NULL, drive);
-    dbo_backlash_bits(&op, &state, words.buf);
-    ready = 1;
-done:
+    if (!PyArg_ParseTuple(args, "O&w*d", operator_of, &taken, &words, &drive)) return NULL;
+    taken.op.terms = 0;
+    if (take_state(&taken.op, &state, &words)) {
+        dbo_backlash_decay(&taken.op, &state, taken.op.n, NULL, drive);
+        dbo_backlash_bits(&taken.op, &state, words.buf);
+    }
     PyMem_Free(state.checkpoints);
-    PyBuffer_Release(&gears);
-    PyBuffer_Release(&guide);
-    PyBuffer_Release(&gain);
-    PyBuffer_Release(&words);
-    if (!ready) return NULL;
-    return Py_BuildValue("");
+    operator_of(NULL, &taken);
+    return RELEASED(&words);
 }
 
 /* The words of the settled state at a drive: of the gears inside the range, beside what others have in `spare`. */
@@ -214,32 +226,23 @@ static double rested(const dbo_backlash *op, dbo_backlash_state *state, const ui
 /* The drive whose settled state leads to an output, from `below` to `above` or beyond them: halve the range until the
  * state of its middle does, or what is left is narrow: the output then steps over what is wanted, and the drive is
  * NaN. */
-static PyObject *backlash_settled_at(PyObject *module, PyObject *args) {
-    Py_buffer gears, guide, gain, inside_gears, inside_guide, inside_gain, spare;
-    dbo_backlash op, inside;
+FUNCTION(backlash_settled_at) {
+    operator taken, inside;
+    Py_buffer spare;
+    const dbo_backlash *op = &taken.op;
     dbo_backlash_state state, settled;
     double output, below, above, narrow, reached, drive = NAN;
     double *numbers = NULL;
     uint64_t *words = NULL, *again;
-    Py_ssize_t n, inside_n;
-    int ready = 0;
-    (void)module;
     state.checkpoints = settled.checkpoints = NULL;
-    if (!PyArg_ParseTuple(args, "(y*y*nddpy*dp)(y*y*nddpy*dp)y*dddd", &gears, &guide, &n, &op.x0, &op.y0,
-                          &op.extend, &gain, &op.reference, &op.memory_on_output, &inside_gears, &inside_guide,
-                          &inside_n, &inside.x0, &inside.y0, &inside.extend, &inside_gain,
-                          &inside.reference, &inside.memory_on_output, &spare, &output, &below, &above, &narrow))
-        return NULL;
-    op.terms = NUMBERS(gain);
-    op.gain = gain.buf;
-    inside.terms = 0;
-    inside.gain = NULL;
     settled.memory = NULL;
-    if (!assemble(&op, &gears, &guide, n)) goto done;
-    if (!assemble(&inside, &inside_gears, &inside_guide, inside_n)) goto done;
-    if ((size_t)spare.len < STATE_WORDS(op.n) * sizeof(uint64_t) && too_short("spare")) goto done;
-    if (inside.n > op.n && too_short("gears")) goto done;
-    numbers = PyMem_Calloc(2 * op.terms + 1, sizeof(double)); /* memory, and factors for a rest */
+    if (!PyArg_ParseTuple(args, "O&O&y*dddd", operator_of, &taken, operator_of, &inside, &spare, &output, &below,
+                          &above, &narrow))
+        return NULL;
+    inside.op.terms = 0;
+    if ((size_t)spare.len < STATE_WORDS(op->n) * sizeof(uint64_t) && too_short("spare")) goto done;
+    if (inside.op.n > op->n && too_short("gears")) goto done;
+    numbers = PyMem_Calloc(2 * op->terms + 1, sizeof(double)); /* memory, and factors for a rest */
     words = PyMem_Malloc(2 * (size_t)spare.len);
     if (!numbers || !words) {
         PyErr_NoMemory();
@@ -247,21 +250,20 @@ static PyObject *backlash_settled_at(PyObject *module, PyObject *args) {
     }
     again = words + (size_t)spare.len / sizeof(uint64_t);
     state.memory = numbers;
-    if (!take_turns(&op, &state) || !take_turns(&inside, &settled)) goto done;
-    ready = 1;
-    settled_words(&inside, &settled, &spare, below, words);
-    reached = rested(&op, &state, words, output, numbers + op.terms);
+    if (!take_turns(op, &state) || !take_turns(&inside.op, &settled)) goto done;
+    settled_words(&inside.op, &settled, &spare, below, words);
+    reached = rested(op, &state, words, output, numbers + op->terms);
     if (reached <= below) drive = reached;
-    settled_words(&inside, &settled, &spare, above, words);
-    reached = rested(&op, &state, words, output, numbers + op.terms);
+    settled_words(&inside.op, &settled, &spare, above, words);
+    reached = rested(op, &state, words, output, numbers + op->terms);
     if (drive != drive && reached >= above) drive = reached;
     while (drive != drive && above - below > narrow) {
         const double middle = below + 0.5 * (above - below);
         if (!(below < middle && middle < above)) break; /* neighbours in float64 */
-        settled_words(&inside, &settled, &spare, middle, words);
-        reached = rested(&op, &state, words, output, numbers + op.terms);
+        settled_words(&inside.op, &settled, &spare, middle, words);
+        reached = rested(op, &state, words, output, numbers + op->terms);
         if (below <= reached && reached <= above) {
-            settled_words(&inside, &settled, &spare, reached, again);
+            settled_words(&inside.op, &settled, &spare, reached, again);
             if (memcmp(words, again, (size_t)spare.len) == 0) drive = reached;
         }
         if (reached > middle)
@@ -274,22 +276,17 @@ done:
     PyMem_Free(words);
     PyMem_Free(state.checkpoints);
     PyMem_Free(settled.checkpoints);
-    PyBuffer_Release(&gears);
-    PyBuffer_Release(&guide);
-    PyBuffer_Release(&gain);
-    PyBuffer_Release(&inside_gears);
-    PyBuffer_Release(&inside_guide);
-    PyBuffer_Release(&inside_gain);
-    PyBuffer_Release(&spare);
-    if (!ready) return NULL;
+    operator_of(NULL, &taken);
+    operator_of(NULL, &inside);
+    if (!RELEASE(&spare)) return NULL;
     return Py_BuildValue("(ddd)", below, above, drive);
 }
 
 static void stepper_dealloc(PyObject *object) {
     stepper *self = (stepper *)object;
     PyTypeObject *type = Py_TYPE(object);
-    PyBuffer_Release(&self->gears);
-    PyBuffer_Release(&self->guide);
+    operator_of(NULL, &self->taken);
+    PyBuffer_Release(&self->decay);
     PyMem_Free(self->now.checkpoints);
     PyMem_Free(self->memory);
     PyMem_Free(self->table);
@@ -297,135 +294,84 @@ static void stepper_dealloc(PyObject *object) {
     Py_DECREF((PyObject *)type);
 }
 
-/* Room for the turns that two states share, their memories, the terms' gains and decay; 0 with an error set. */
-static int stepper_room(stepper *self, const Py_buffer *gain, const Py_buffer *decay) {
-    const size_t terms = NUMBERS(*gain);
-    double *numbers = PyMem_Calloc(4 * terms + 1, sizeof(double));
-    self->memory = numbers;
-    if (!numbers) {
-        PyErr_NoMemory();
-        return 0;
-    }
-    if (!take_turns(&self->op, &self->now)) return 0;
-    self->next.turns = self->now.turns;
-    self->next.checkpoints = self->now.checkpoints;
-    self->now.memory = numbers;
-    self->next.memory = numbers + terms;
-    memcpy(numbers + 2 * terms, gain->buf, terms * sizeof(double));
-    memcpy(numbers + 3 * terms, decay->buf, terms * sizeof(double));
-    self->op.terms = terms;
-    self->op.gain = numbers + 2 * terms;
-    self->decay = numbers + 3 * terms;
-    if (self->limited || (terms && self->op.memory_on_output)) /* else, or without memory, a slower way */
-        self->table = fixed_step(&self->op, self->decay, &self->fixed);
-    return 1;
-}
-
-static PyObject *stepper_new(PyTypeObject *type, PyObject *args, PyObject *keywords) {
-    Py_buffer gain, decay;
-    Py_ssize_t n;
-    int ready = 0;
-    stepper *self;
-    (void)keywords;
-    self = (stepper *)PyType_GenericAlloc(type, 0);
+static PyObject *stepper_new(PyTypeObject *type, PyObject *args, PyObject *Py_UNUSED(keywords)) {
+    Py_buffer words, memory;
+    stepper *self = (stepper *)PyType_GenericAlloc(type, 0);
+    const dbo_backlash *op;
     if (!self) return NULL;
-    if (!PyArg_ParseTuple(args, "y*y*nddpy*dpy*pdddd", &self->gears, &self->guide, &n, &self->op.x0,
-                          &self->op.y0, &self->op.extend, &gain, &self->op.reference, &self->op.memory_on_output, &decay,
-                          &self->limited, &self->limits.low, &self->limits.high, &self->limits.slack,
-                          &self->largest_change)) {
+    op = &self->taken.op;
+    if (!PyArg_ParseTuple(args, "O&y*ddddy*y*d", operator_of, &self->taken, &self->decay, &self->limits.low,
+                          &self->limits.high, &self->limits.slack, &self->largest_change, &words, &memory,
+                          &self->now.last)) {
         Py_DECREF((PyObject *)self);
         return NULL;
     }
     self->limits.step = self->largest_change == self->largest_change ? &self->largest_change : NULL;
-    if (!assemble(&self->op, &self->gears, &self->guide, n)) goto done;
-    if (NUMBERS(decay) != NUMBERS(gain) && too_short("decay")) goto done;
-    if (!stepper_room(self, &gain, &decay)) goto done;
-    dbo_backlash_load(&self->op, &self->now, NULL);
-    ready = 1;
+    if (NUMBERS(self->decay) != op->terms && too_short("decay")) goto done;
+    if (NUMBERS(memory) != op->terms && too_short("memory")) goto done;
+    self->memory = PyMem_Calloc(2 * op->terms + 1, sizeof(double));
+    self->table = fixed_step(op, self->decay.buf, &self->fixed);
+    if (!self->memory || !self->table) {
+        PyErr_NoMemory();
+        goto done;
+    }
+    if (!take_state(op, &self->now, &words)) goto done;
+    memcpy(self->memory, memory.buf, op->terms * sizeof(double));
+    self->now.memory = self->memory;
+    self->next = self->now;
+    self->next.memory = self->memory + op->terms;
 done:
-    PyBuffer_Release(&gain);
-    PyBuffer_Release(&decay);
-    if (ready) return (PyObject *)self;
+    if (RELEASE(&words, &memory)) return (PyObject *)self;
     Py_DECREF((PyObject *)self);
     return NULL;
 }
 
-static PyObject *stepper_set(PyObject *object, PyObject *args) {
-    stepper *self = (stepper *)object;
-    Py_buffer words, memory;
-    double last;
-    int ready = 0;
-    if (!PyArg_ParseTuple(args, "y*y*d", &words, &memory, &last)) return NULL;
-    if ((size_t)words.len < STATE_WORDS(self->op.n) * sizeof(uint64_t) && too_short("words")) goto done;
-    if (NUMBERS(memory) != self->op.terms && too_short("memory")) goto done;
-    memcpy(self->now.memory, memory.buf, self->op.terms * sizeof(double));
-    self->now.last = last;
-    dbo_backlash_load(&self->op, &self->now, words.buf);
-    self->planned = 0;
-    ready = 1;
-done:
-    PyBuffer_Release(&words);
-    PyBuffer_Release(&memory);
-    if (!ready) return NULL;
-    return Py_BuildValue("");
-}
-
 static PyObject *stepper_get(PyObject *object, PyObject *args) {
     const stepper *self = (stepper *)object;
+    const dbo_backlash *op = &self->taken.op;
     Py_buffer words, memory;
-    int ready = 0;
     if (!PyArg_ParseTuple(args, "w*w*", &words, &memory)) return NULL;
-    if ((size_t)words.len < STATE_WORDS(self->op.n) * sizeof(uint64_t) && too_short("words")) goto done;
-    if (NUMBERS(memory) != self->op.terms && too_short("memory")) goto done;
-    dbo_backlash_bits(&self->op, &self->now, words.buf);
-    memcpy(memory.buf, self->now.memory, self->op.terms * sizeof(double));
-    ready = 1;
+    if ((size_t)words.len < STATE_WORDS(op->n) * sizeof(uint64_t) && too_short("words")) goto done;
+    if (NUMBERS(memory) != op->terms && too_short("memory")) goto done;
+    dbo_backlash_bits(op, &self->now, words.buf);
+    memcpy(memory.buf, self->now.memory, op->terms * sizeof(double));
 done:
-    PyBuffer_Release(&words);
-    PyBuffer_Release(&memory);
-    if (!ready) return NULL;
-    return PyFloat_FromDouble(self->now.last);
+    return RELEASED(&words, &memory);
 }
 
 /* The state to go to, for now that of the present, with the same turns: a step writes to none that `now` has. */
 static dbo_backlash_state *from_now(stepper *self) {
     double *memory = self->next.memory;
-    for (size_t j = 0; j < self->op.terms; j++) memory[j] = self->now.memory[j];
+    for (size_t j = 0; j < self->taken.op.terms; j++) memory[j] = self->now.memory[j];
     self->next = self->now;
     self->next.memory = memory;
+    self->planned = 1;
     return &self->next;
 }
 
-static double stepper_step(stepper *self, double x) {
-    const dbo_limits *limits = self->limited ? &self->limits : NULL;
-    dbo_backlash_state *next = from_now(self);
+static PyObject *stepper_plan(PyObject *object, PyObject *value) {
+    stepper *self = (stepper *)object;
+    const double x = PyFloat_AsDouble(value);
     dbo_counts counts = {0, 0};
     double y;
-    if (self->table)
-        y = dbo_backlash_step_fixed(&self->op, &self->fixed, next, x, limits, &counts);
-    else
-        y = dbo_backlash_step(&self->op, next, x, self->decay, limits, &counts);
-    self->clipped = counts.clipped;
-    self->planned = 1;
-    return y;
-}
-
-static void stepper_follow(stepper *self, double y) {
-    dbo_backlash_apply(&self->op, from_now(self), y, self->decay);
-    self->clipped = 0;
-    self->planned = 1;
-}
-
-static PyObject *stepper_plan(PyObject *object, PyObject *value) {
-    const double x = PyFloat_AsDouble(value);
     if (PyErr_Occurred()) return NULL;
-    return PyFloat_FromDouble(stepper_step((stepper *)object, x));
+    y = dbo_backlash_step_fixed(&self->taken.op, &self->fixed, from_now(self), x, &self->limits, &counts);
+    self->clipped = counts.clipped;
+    return PyFloat_FromDouble(y);
 }
 
-static PyObject *stepper_commit(PyObject *object, PyObject *nothing) {
+static PyObject *stepper_follow(PyObject *object, PyObject *value) {
+    stepper *self = (stepper *)object;
+    const double y = PyFloat_AsDouble(value);
+    if (PyErr_Occurred()) return NULL;
+    dbo_backlash_apply(&self->taken.op, from_now(self), y, self->decay.buf);
+    self->clipped = 0;
+    return Py_BuildValue("");
+}
+
+static PyObject *stepper_commit(PyObject *object, PyObject *Py_UNUSED(nothing)) {
     stepper *self = (stepper *)object;
     const dbo_backlash_state before = self->now;
-    (void)nothing;
     if (!self->planned) {
         PyErr_SetString(PyExc_ValueError, "nothing was planned to be committed");
         return NULL;
@@ -433,18 +379,6 @@ static PyObject *stepper_commit(PyObject *object, PyObject *nothing) {
     self->now = self->next;
     self->next = before;
     self->planned = 0;
-    return Py_BuildValue("");
-}
-
-static PyObject *stepper_follow_output(PyObject *object, PyObject *value) {
-    stepper *self = (stepper *)object;
-    const double y = PyFloat_AsDouble(value);
-    if (PyErr_Occurred()) return NULL;
-    if (self->op.terms && !self->op.memory_on_output) {
-        PyErr_SetString(PyExc_ValueError, "memory on the input: its output does not give the state");
-        return NULL;
-    }
-    stepper_follow(self, y);
     return Py_BuildValue("");
 }
 
@@ -459,18 +393,16 @@ static PyObject *stepper_limit(PyObject *object, PyObject *args) {
     return Py_BuildValue("");
 }
 
-static PyObject *stepper_clipped(PyObject *object, void *nothing) {
-    (void)nothing;
+static PyObject *stepper_clipped(PyObject *object, void *Py_UNUSED(nothing)) {
     return PyLong_FromSize_t(((const stepper *)object)->clipped);
 }
 
 static PyMethodDef stepper_methods[] = {
     {"plan", stepper_plan, METH_O, "The output for an input; nothing changes yet."},
     {"commit", stepper_commit, METH_NOARGS, "Go on to the state that was worked out last."},
-    {"follow", stepper_follow_output, METH_O, "Work out the state that this output leads to; nothing changes yet."},
+    {"follow", stepper_follow, METH_O, "Work out the state that this output leads to; nothing changes yet."},
     {"limit", stepper_limit, METH_VARARGS, "Keep from now on to a range, and to no largest change."},
-    {"set", stepper_set, METH_VARARGS, "Take over words, memory and the output before."},
-    {"get", stepper_get, METH_VARARGS, "Fill words and memory; return the output before."},
+    {"get", stepper_get, METH_VARARGS, "Fill words and memory."},
     {NULL, NULL, 0, NULL}};
 
 static PyGetSetDef stepper_attributes[] = {
@@ -485,55 +417,42 @@ static PyType_Slot stepper_slots[] = {
 static PyType_Spec stepper_spec = {"dbo_cli.model._kernel.Stepper", sizeof(stepper), 0, Py_TPFLAGS_DEFAULT,
                                    stepper_slots};
 
-static PyObject *backlash_engagement(PyObject *module, PyObject *args) {
-    Py_buffer gears, guide, words, x, rows, crossed;
-    dbo_backlash op = {0};
+FUNCTION(backlash_engagement) {
+    operator taken;
+    Py_buffer words, x, rows, crossed;
+    const dbo_backlash *op = &taken.op;
     dbo_backlash_state state;
-    Py_ssize_t n, group_size;
+    Py_ssize_t group_size;
     size_t columns;
-    int ready = 0;
-    (void)module;
     state.checkpoints = NULL;
-    if (!PyArg_ParseTuple(args, "y*y*ndpw*y*w*w*n", &gears, &guide, &n, &op.x0, &op.extend, &words, &x,
-                          &rows, &crossed, &group_size))
+    if (!PyArg_ParseTuple(args, "O&w*y*w*w*n", operator_of, &taken, &words, &x, &rows, &crossed, &group_size))
         return NULL;
-    if (!assemble(&op, &gears, &guide, n)) goto done;
     if (group_size < 1 && too_short("group_size")) goto done;
-    columns = (op.n + (size_t)group_size - 1) / (size_t)group_size;
+    columns = (op->n + (size_t)group_size - 1) / (size_t)group_size;
     if (NUMBERS(rows) != NUMBERS(x) * columns && too_short("rows")) goto done;
     if (NUMBERS(crossed) != columns && too_short("crossed")) goto done;
-    if (!take_state(&op, &state, &words)) goto done;
-    ready = 1;
+    if (!take_state(op, &state, &words)) goto done;
     Py_BEGIN_ALLOW_THREADS
-    dbo_backlash_engagement(&op, &state, x.buf, rows.buf, crossed.buf, NUMBERS(x),
-                            (size_t)group_size);
-    dbo_backlash_bits(&op, &state, words.buf);
+    dbo_backlash_engagement(op, &state, x.buf, rows.buf, crossed.buf, NUMBERS(x), (size_t)group_size);
+    dbo_backlash_bits(op, &state, words.buf);
     Py_END_ALLOW_THREADS
 done:
     PyMem_Free(state.checkpoints);
-    PyBuffer_Release(&gears);
-    PyBuffer_Release(&guide);
-    PyBuffer_Release(&words);
-    PyBuffer_Release(&x);
-    PyBuffer_Release(&rows);
-    PyBuffer_Release(&crossed);
-    if (!ready) return NULL;
-    return Py_BuildValue("");
+    operator_of(NULL, &taken);
+    return RELEASED(&words, &x, &rows, &crossed);
 }
 
-static PyObject *memory_run(PyObject *module, PyObject *args) {
+FUNCTION(memory_run) {
     Py_buffer memory, x, rows, decay;
     double reference;
-    int rests, ready = 0;
+    int rests;
     size_t terms, count, given, first = 0;
-    (void)module;
     if (!PyArg_ParseTuple(args, "dw*py*w*y*", &reference, &memory, &rests, &x, &rows, &decay)) return NULL;
     terms = NUMBERS(memory);
     count = NUMBERS(x);
     given = terms ? NUMBERS(decay) / terms : 1;
     if (NUMBERS(rows) != count * terms && too_short("rows")) goto done;
     if (given != 1 && given != count && too_short("decay")) goto done;
-    ready = 1;
     if (rests && count) { /* at the first sample */
         double *row = rows.buf, *rest = memory.buf;
         for (size_t j = 0; j < terms; j++) row[j] = rest[j] = *(double *)x.buf - reference;
@@ -544,40 +463,26 @@ static PyObject *memory_run(PyObject *module, PyObject *args) {
                    count - first, (double *)decay.buf + (given == 1 ? 0 : first * terms), given == 1 ? 0 : terms);
     Py_END_ALLOW_THREADS
 done:
-    PyBuffer_Release(&memory);
-    PyBuffer_Release(&x);
-    PyBuffer_Release(&rows);
-    PyBuffer_Release(&decay);
-    if (!ready) return NULL;
-    return Py_BuildValue("");
+    return RELEASED(&memory, &x, &rows, &decay);
 }
 
-static PyObject *point_run(PyObject *module, PyObject *args) {
+FUNCTION(point_run) {
     Py_buffer segments, x, y;
     double x0, y0;
-    int ready = 0;
-    (void)module;
     if (!PyArg_ParseTuple(args, "y*ddy*w*", &segments, &x0, &y0, &x, &y)) return NULL;
     if ((size_t)segments.len < sizeof(dbo_segment) && too_short("segments")) goto done;
     if (NUMBERS(y) != NUMBERS(x) && too_short("y")) goto done;
-    ready = 1;
     Py_BEGIN_ALLOW_THREADS
     dbo_point_run(segments.buf, (size_t)segments.len / sizeof(dbo_segment), x0, y0, x.buf, y.buf,
                   NUMBERS(x));
     Py_END_ALLOW_THREADS
 done:
-    PyBuffer_Release(&segments);
-    PyBuffer_Release(&x);
-    PyBuffer_Release(&y);
-    if (!ready) return NULL;
-    return Py_BuildValue("");
+    return RELEASED(&segments, &x, &y);
 }
 
-static PyObject *dynamics_run(PyObject *module, PyObject *args) {
+FUNCTION(dynamics_run) {
     Py_buffer output, state, x, y, step;
-    int ready = 0;
     size_t sections, count, rows;
-    (void)module;
     if (!PyArg_ParseTuple(args, "y*w*y*w*y*", &output, &state, &x, &y, &step)) return NULL;
     sections = (size_t)state.len / sizeof(dbo_section_state);
     count = NUMBERS(x);
@@ -586,27 +491,18 @@ static PyObject *dynamics_run(PyObject *module, PyObject *args) {
     if ((size_t)output.len != sections * sizeof(dbo_section_output) && too_short("output")) goto done;
     if (NUMBERS(y) != count && too_short("y")) goto done;
     if (rows != 1 && rows != count && too_short("step")) goto done;
-    ready = 1;
     Py_BEGIN_ALLOW_THREADS
     dbo_dynamics_run(sections, output.buf, state.buf, x.buf, y.buf, count, step.buf,
                      rows == 1 ? 0 : sections);
     Py_END_ALLOW_THREADS
 done:
-    PyBuffer_Release(&output);
-    PyBuffer_Release(&state);
-    PyBuffer_Release(&x);
-    PyBuffer_Release(&y);
-    PyBuffer_Release(&step);
-    if (!ready) return NULL;
-    return Py_BuildValue("");
+    return RELEASED(&output, &state, &x, &y, &step);
 }
 
-static PyObject *dynamics_undo(PyObject *module, PyObject *args) {
+FUNCTION(dynamics_undo) {
     Py_buffer numbers, weight, state, y, u;
     dbo_section_inverse section;
     const double *c;
-    int ready = 0;
-    (void)module;
     if (!PyArg_ParseTuple(args, "y*y*w*y*w*", &numbers, &weight, &state, &y, &u)) return NULL;
     if (NUMBERS(numbers) != 8 && too_short("numbers")) goto done;
     if (state.len != sizeof(dbo_inverse_state) && too_short("state")) goto done;
@@ -616,18 +512,11 @@ static PyObject *dynamics_undo(PyObject *module, PyObject *args) {
     section.a_in = c[4], section.b_in = c[5], section.a_out = c[6], section.b_out = c[7];
     section.ahead = NUMBERS(weight);
     section.weight = weight.buf;
-    ready = 1;
     Py_BEGIN_ALLOW_THREADS
     dbo_dynamics_undo(&section, state.buf, y.buf, u.buf, NUMBERS(u));
     Py_END_ALLOW_THREADS
 done:
-    PyBuffer_Release(&numbers);
-    PyBuffer_Release(&weight);
-    PyBuffer_Release(&state);
-    PyBuffer_Release(&y);
-    PyBuffer_Release(&u);
-    if (!ready) return NULL;
-    return Py_BuildValue("");
+    return RELEASED(&numbers, &weight, &state, &y, &u);
 }
 
 /* The plays out of buffers; 0 with an error set where lengths do not match. The table has three or four rows. */
@@ -650,76 +539,108 @@ static int assemble_plays(dbo_plays *op, Py_ssize_t n, const Py_buffer *table, c
     return 1;
 }
 
-static PyObject *plays_run(PyObject *module, PyObject *args) {
+/* The output of plays, or (`solves`) the input from it. */
+static PyObject *plays_through(PyObject *args, int solves) {
     Py_buffer table, curve, z, x, y, share;
     dbo_plays op;
     Py_ssize_t n;
-    int ready = 0;
-    (void)module;
     if (!PyArg_ParseTuple(args, "ny*y*w*y*w*y*", &n, &table, &curve, &z, &x, &y, &share)) return NULL;
     if (!assemble_plays(&op, n, &table, &curve, &z)) goto done;
     if (NUMBERS(y) != NUMBERS(x) && too_short("y")) goto done;
     if (NUMBERS(share) != (op.by_rate ? NUMBERS(x) : 0) && too_short("share")) goto done;
-    ready = 1;
     Py_BEGIN_ALLOW_THREADS
-    dbo_plays_run(&op, z.buf, x.buf, y.buf, NUMBERS(x), share.buf);
+    if (solves)
+        dbo_plays_solve(&op, z.buf, x.buf, y.buf, NUMBERS(x), op.by_rate ? share.buf : NULL);
+    else
+        dbo_plays_run(&op, z.buf, x.buf, y.buf, NUMBERS(x), share.buf);
     Py_END_ALLOW_THREADS
 done:
-    PyBuffer_Release(&table);
-    PyBuffer_Release(&curve);
-    PyBuffer_Release(&z);
-    PyBuffer_Release(&x);
-    PyBuffer_Release(&y);
-    PyBuffer_Release(&share);
-    if (!ready) return NULL;
-    return Py_BuildValue("");
+    return RELEASED(&table, &curve, &z, &x, &y, &share);
 }
 
-static PyObject *plays_rows(PyObject *module, PyObject *args) {
+FUNCTION(plays_run) { return plays_through(args, 0); }
+
+FUNCTION(plays_solve) { return plays_through(args, 1); }
+
+FUNCTION(plays_rows) {
     Py_buffer table, z, x, rows;
     dbo_plays op;
     Py_ssize_t n;
-    int ready = 0;
-    (void)module;
     if (!PyArg_ParseTuple(args, "ny*w*y*w*", &n, &table, &z, &x, &rows)) return NULL;
     if (!assemble_plays(&op, n, &table, NULL, &z)) goto done;
     if (NUMBERS(rows) != NUMBERS(x) * op.n && too_short("rows")) goto done;
-    ready = 1;
     Py_BEGIN_ALLOW_THREADS
     dbo_plays_rows(&op, z.buf, x.buf, rows.buf, NUMBERS(x));
     Py_END_ALLOW_THREADS
 done:
-    PyBuffer_Release(&table);
-    PyBuffer_Release(&z);
-    PyBuffer_Release(&x);
-    PyBuffer_Release(&rows);
-    if (!ready) return NULL;
-    return Py_BuildValue("");
+    return RELEASED(&table, &z, &x, &rows);
 }
 
-static PyObject *plays_solve(PyObject *module, PyObject *args) {
-    Py_buffer table, curve, z, y, x, share;
-    dbo_plays op;
-    Py_ssize_t n;
-    int ready = 0;
-    (void)module;
-    if (!PyArg_ParseTuple(args, "ny*y*w*y*w*y*", &n, &table, &curve, &z, &y, &x, &share)) return NULL;
-    if (!assemble_plays(&op, n, &table, &curve, &z)) goto done;
-    if (NUMBERS(x) != NUMBERS(y) && too_short("x")) goto done;
-    if (NUMBERS(share) != (op.by_rate ? NUMBERS(y) : 0) && too_short("share")) goto done;
-    ready = 1;
+static double at_part(const double *t, const double *v, size_t before, size_t known, double part) {
+    size_t begin = before > 2 ? before - 2 : 0;
+    int rises = known >= DBO_WINDOW - 1;
+    if (rises && begin > known - (DBO_WINDOW - 1)) begin = known - (DBO_WINDOW - 1);
+    if (rises && begin + (DBO_WINDOW - 1) > known) rises = 0;
+    for (size_t i = 0; rises && i + 1 < DBO_WINDOW; i++) rises = t[begin + i] < t[begin + i + 1];
+    if (rises) return dbo_between(t + begin, v + begin, (int)(before - begin), part);
+    return v[before] + part * (v[before + 1] - v[before]);
+}
+
+FUNCTION(between) {
+    Py_buffer times, values, wanted, found;
+    double whole;
+    Py_ssize_t newest;
+    size_t before = 0;
+    if (!PyArg_ParseTuple(args, "y*y*y*w*nd", &times, &values, &wanted, &found, &newest, &whole)) return NULL;
+    const size_t count = NUMBERS(wanted);
+    if (NUMBERS(times) == 0 || NUMBERS(values) != NUMBERS(times) || NUMBERS(found) != count || newest < 0) {
+        too_short("values");
+        goto done;
+    }
     Py_BEGIN_ALLOW_THREADS
-    dbo_plays_solve(&op, z.buf, y.buf, x.buf, NUMBERS(y), op.by_rate ? share.buf : NULL);
+    const double *t = times.buf, *v = values.buf;
+    const size_t last = NUMBERS(times) - 1;
+    for (size_t k = 0; k < count; k++) {
+        const double at = ((const double *)wanted.buf)[k];
+        while (before < last && t[before + 1] <= at) before++;
+        const size_t after = before < last ? before + 1 : last;
+        const double gap = t[after] - t[before];
+        const double part = gap > 0.0 ? (at - t[before]) / gap : 0.0;
+        size_t known = (size_t)newest + k;
+        if (known > last) known = last;
+        if (known < after) known = after;
+        double value;
+        if (part < whole)
+            value = v[before];
+        else if (part > 1.0 - whole)
+            value = v[after];
+        else
+            value = at_part(t, v, before, known, part);
+        ((double *)found.buf)[k] = value;
+    }
     Py_END_ALLOW_THREADS
 done:
-    PyBuffer_Release(&table);
-    PyBuffer_Release(&curve);
-    PyBuffer_Release(&z);
-    PyBuffer_Release(&y);
-    PyBuffer_Release(&x);
-    PyBuffer_Release(&share);
-    if (!ready) return NULL;
-    return Py_BuildValue("");
+    if (!RELEASE(&times, &values, &wanted, &found)) return NULL;
+    return PyLong_FromSize_t(before);
+}
+
+FUNCTION(between_even) {
+    static const double t[DBO_WINDOW] = {0.0, 1.0, 2.0, 3.0, 4.0, 5.0};
+    Py_buffer values, found;
+    double part;
+    int k;
+    if (!PyArg_ParseTuple(args, "y*w*id", &values, &found, &k, &part)) return NULL;
+    const size_t count = NUMBERS(found);
+    if (NUMBERS(values) != count + DBO_WINDOW - 1 || k < 0 || k > DBO_WINDOW - 2) {
+        too_short("values");
+        goto done;
+    }
+    Py_BEGIN_ALLOW_THREADS
+    for (size_t j = 0; j < count; j++)
+        ((double *)found.buf)[j] = dbo_between(t, (const double *)values.buf + j, k, part);
+    Py_END_ALLOW_THREADS
+done:
+    return RELEASED(&values, &found);
 }
 
 static PyMethodDef methods[] = {
@@ -738,7 +659,7 @@ static PyMethodDef methods[] = {
     {"between_even", between_even, METH_VARARGS, "Evenly spaced samples, shifted by a part of a step."},
     {NULL, NULL, 0, NULL}};
 
-#define INTERFACE 6 /* of the functions' arguments; kernel.py has the same number and refuses another */
+#define INTERFACE 7 /* of the functions' arguments; kernel.py has the same number and refuses another */
 
 static int add_types(PyObject *module) {
     PyObject *type;

@@ -176,8 +176,7 @@ class Gears(Keyed):
         rows, origins = self.kernel_rows, (self.x0, self.y0)
         if is_inverse:
             rows, origins = self._exchanged_rows, (self.y0, self.x0)
-        ends = *origins, extend, self.gain, self.reference
-        return *rows, self.n, *ends, is_inverse
+        return *rows, *origins, extend, self.gain, self.reference, is_inverse
 
     @property
     def reference(self) -> float:
@@ -208,7 +207,7 @@ class Gears(Keyed):
         if voltage >= self.x0 + self.width:
             return (1 << self.n) - 1
         words = self.words(0)
-        kernel.extension.backlash_decay(*self.operator(True), words, float(voltage))
+        kernel.extension.backlash_decay(self.operator(True), words, float(voltage))
         return bits_of(words)
 
     def run(
@@ -299,7 +298,7 @@ class Gears(Keyed):
         before = math.nan if state.drive is None else state.drive
         low, high = window or OPEN
         clipped: tuple[int, int] = kernel.extension.backlash_run(
-            *operator, words, memories, state.memory is None, before, x, y, decay,
+            operator, words, memories, state.memory is None, before, x, y, decay,
             window is not None, low, high, self.slack(low, high), steps,
         )  # fmt: skip
         memory = None if self.relaxation is None else tuple(memories.tolist())
@@ -327,14 +326,12 @@ class Gears(Keyed):
         if self.relaxation is not None:
             decay = self.relaxation.decay(dt)
         step = largest_step(slew, dt)
-        stepper = kernel.extension.Stepper(
-            *self.operator(True, is_inverse=True), decay, True, *window, self.slack(*window),
-            math.nan if step is None else step,
-        )  # fmt: skip
         memories = np.array(state.memory or (), dtype=np.float64)
-        before = math.nan if state.drive is None else state.drive
-        stepper.set(self.words(state.bits), memories, before)
-        return stepper
+        return kernel.extension.Stepper(
+            self.operator(True, is_inverse=True), decay, *window, self.slack(*window),
+            math.nan if step is None else step, self.words(state.bits), memories,
+            math.nan if state.drive is None else state.drive,
+        )  # fmt: skip
 
     def committed(self, stepper: Any) -> State:
         """Return bits and memory to which a stepper was committed."""
@@ -366,8 +363,8 @@ class Gears(Keyed):
         crossed = np.empty(-(-self.n // group_size))
         rows = np.empty((x.size, crossed.size))
         kernel.extension.backlash_engagement(
-            *self.kernel_rows, self.n, self.x0, True, words, x, rows, crossed, group_size
-        )  # fmt: skip
+            self.operator(True), words, x, rows, crossed, group_size
+        )
         return rows, bits_of(words)
 
 

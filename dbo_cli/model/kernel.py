@@ -6,7 +6,7 @@ from typing import Any
 
 from dbo_cli.errors import DboError
 
-INTERFACE = 6
+INTERFACE = 7
 """Of the extension's functions, as ``_kernel.c`` has it: raised with every change of their arguments."""
 REMEDY = "type `pip install -e .` in the checkout (it needs a C compiler)"
 
