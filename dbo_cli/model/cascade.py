@@ -15,8 +15,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
-from typing import Any, Literal, TypeVar, cast
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,7 +40,6 @@ Stage = Amplifier | Gears | Curve | Dynamics | Delay
 Direction = Literal["forward", "inverse"]
 Outside = Literal["extend", "hold", "error"]
 Sign = Literal["rising", "falling"]
-StageKind = TypeVar("StageKind")
 
 MOST_CANDIDATES = 5
 RESONANCE_SHARE = 3.0
@@ -55,42 +53,21 @@ _inverter = functools.lru_cache(maxsize=8)(Inverter)
 _RANKS = {Amplifier: 0, Points: 1, Scale: 1, Gears: 1, Dynamics: 2, Delay: 3}
 
 
-def require_order(stages: Sequence[Stage], direction: Direction = "forward") -> None:
-    """Refuse stages that are no model.
+def require_order(stages: Sequence[Stage]) -> None:
+    """Refuse stages that are no model (ModelError).
 
     At most one amplifier comes first, then curves around one stage of gears, then at most
-    one dynamics and at most one delay. ``direction`` is that of the file, whose keys
-    count the stages of an inverse from the other end.
-
-    Raises
-    ------
-    ModelError
-        They stand in another order; the message begins with the key.
+    one dynamics and at most one delay.
     """
-
-    def key(index: int) -> str:
-        if direction == "inverse":
-            index = len(stages) - 1 - index
-        return f"stages[{index}]"
-
-    gears = [index for index, stage in enumerate(stages) if isinstance(stage, Gears)]
-    ranks = [_RANKS[type(stage)] for stage in stages]
-    wrong = gears[1:]
-    for index, (previous, rank) in enumerate(pairwise(ranks), 1):
-        if rank < previous or rank == previous != _RANKS[Gears]:
-            wrong.append(index)
-    if gears and not wrong:
+    kinds = [type(stage) for stage in stages]
+    ranks = [_RANKS[kind] for kind in kinds]
+    is_single = all(kinds.count(kind) <= 1 for kind in (Amplifier, Dynamics, Delay))
+    if kinds.count(Gears) == 1 and is_single and ranks == sorted(ranks):
         return
-    where = key(min(wrong)) if wrong else "stages"
     raise ModelError(
-        f"{where}: wrong order; one amplifier, points and scales around one backlash, one "
+        "stages: wrong order; one amplifier, points and scales around one backlash, one "
         "dynamics, one delay (inverse: mirrored)"
     )
-
-
-def _only(kind: type[StageKind], stages: Sequence[Stage]) -> StageKind | None:
-    """Return the stage of a kind that occurs once at most."""
-    return next((stage for stage in stages if isinstance(stage, kind)), None)
 
 
 def _curves(stages: Sequence[Stage]) -> Curves:
@@ -168,17 +145,16 @@ class Cascade:
 
     def __post_init__(self) -> None:
         """Check the cascade, and name its stages."""
-        require_order(self.stages, self.direction)
-        index = next(k for k, s in enumerate(self.stages) if isinstance(s, Gears))
-        self.gears = cast(Gears, self.stages[index])
-        self.amplifier = _only(Amplifier, self.stages)
-        self.head, self.tail = (
-            _curves(self.stages[:index]),
-            _curves(self.stages[index:]),
-        )
-        self.dynamics = _only(Dynamics, self.stages)
-        delay = _only(Delay, self.stages)
+        require_order(self.stages)
+        kinds: dict[type[Stage], Any] = {type(stage): stage for stage in self.stages}
+        self.gears = kinds[Gears]
+        self.amplifier = kinds.get(Amplifier)
+        self.dynamics = kinds.get(Dynamics)
+        delay = kinds.get(Delay)
         self.delay = delay if delay is not None and delay.seconds else None
+        index = self.stages.index(self.gears)
+        self.head = _curves(self.stages[:index])
+        self.tail = _curves(self.stages[index:])
         if len(self.candidates) > MOST_CANDIDATES:
             raise ModelError(
                 f"candidates: {len(self.candidates)} are more than {MOST_CANDIDATES}"
@@ -247,14 +223,12 @@ class Cascade:
     @functools.cached_property
     def _inverse(self) -> Cascade:
         direction: Direction = "inverse" if self.is_forward else "forward"
-        ends = self.output, self.input
-        return Cascade(
-            direction,
-            *ends,
-            self.stages,
-            self.fit,
-            provenance=self.provenance,
-            auto_start=self.auto_start,
+        return replace(
+            self,
+            direction=direction,
+            input=self.output,
+            output=self.input,
+            candidates=(),
         )
 
     def forward(self) -> Cascade:

@@ -130,6 +130,7 @@ def _model(values: Any, path: str) -> Cascade:
     direction: Direction = "forward"
     if values.get("direction") == "inverse":
         direction = "inverse"
+
     def cascade(past: str = "settled", **keys: Any) -> Cascade:
         return Cascade(**keys, auto_start=past)
 

@@ -28,13 +28,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model.fields import Keyed, build, notes, number, require_above_0
-
-Complexes = NDArray[np.complexfloating]
 
 LAG_ZERO = 0.4
 """b of a lag, see above: between ringing of the inverse and error of the amplitude."""
@@ -76,12 +73,6 @@ class Mode(Keyed):
         """Refuse numbers out of range, naming the key."""
         require_above_0("frequency", self.frequency)
         require_above_0("damping", self.damping, 1.0)
-
-    def polynomial(self, frequency: Floats) -> Complexes:
-        """Return its value at s = 2 pi i f, for frequencies in Hz."""
-        s = 1j * frequency / self.frequency
-        value: Complexes = 1.0 + 2.0 * self.damping * s + s * s
-        return value
 
 
 @dataclass(frozen=True)
@@ -127,13 +118,6 @@ class Resonance(Mode):
             ramp = np.where(slow, _series(angle, zeta, 1), lag_steps)
             rate = np.where(angle > 0.0, step / angle, 0.0)
         return np.array([sine, step, ramp, cosine - zeta * sine, sine, rate])
-
-    def response(self, frequency: Floats) -> Complexes:
-        """Return G(2 pi i f) for frequencies in Hz."""
-        gain: Complexes = 1.0 / self.polynomial(frequency)
-        if self.antiresonance is not None:
-            gain = gain * self.antiresonance.polynomial(frequency)
-        return gain
 
 
 def _series(angle: Any, zeta: float, order: int) -> Any:

@@ -50,17 +50,11 @@ def shown_text(model: Cascade, name: str) -> str:
     """Return one screen of text about a model of some name."""
     values, forward = shown_values(model), model.forward()
     fit, unit = values["fit"], forward.output.suffix
-    operator = f"{values['gears']:,} gears"
-    if values["segments"]:
-        counts = " and ".join(map(str, values["segments"]))
-        operator += f", curve of {counts} straight pieces"
     rows = [
         ("input", _range(model.input)),
         ("output", f"{_range(model.output)}, {values['sign']}"),
-        ("operator", operator),
+        ("operator", _operator(values, model.auto_start)),
     ]
-    if model.auto_start != "settled":
-        rows.append(("start", f"{model.auto_start}, as the logs began"))
     if values["relaxation_seconds"]:
         rows.append(("creep", ", ".join(map(_time, values["relaxation_seconds"]))))
     for part in ("amplifier", "delay"):
@@ -85,6 +79,16 @@ def shown_text(model: Cascade, name: str) -> str:
     rows += [("note", text) for text in values["notes"]]
     title = f"{name}: {values['direction']} model, {values['digest'][:12]}\n"
     return title + _aligned(rows)
+
+
+def _operator(values: Mapping[str, Any], start: str) -> str:
+    text = f"{values['gears']:,} gears"
+    if values["segments"]:
+        counts = " and ".join(map(str, values["segments"]))
+        text += f", curve of {counts} straight pieces"
+    if start != "settled":
+        text += f"; auto starts {start}, as the logs began"
+    return text
 
 
 def _range(quantity: Quantity) -> str:

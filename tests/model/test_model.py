@@ -144,17 +144,17 @@ def test_starts():
 
 
 @pytest.mark.parametrize(
-    ("stages", "place"),
+    "stages",
     [
-        ((dm.Scale(1.0, 0.0),), "stages: "),
-        ((dm.Gears([1], [1]), dm.Gears([1], [1])), "stages[1]: "),
-        ((dm.Gears([1], [1]), dm.Delay(1.0), dm.Scale(1.0, 0.0)), "stages[2]: "),
-        ((dm.Dynamics((dm.Lag(1.0),)), dm.Gears([1], [1])), "stages[1]: "),
-        ((dm.Gears([1], [1]), dm.Amplifier(1.0)), "stages[1]: "),
-        ((dm.Amplifier(1.0), dm.Amplifier(1.0), dm.Gears([1], [1])), "stages[1]: "),
+        (dm.Scale(1.0, 0.0),),
+        (dm.Gears([1], [1]), dm.Gears([1], [1])),
+        (dm.Gears([1], [1]), dm.Delay(1.0), dm.Scale(1.0, 0.0)),
+        (dm.Dynamics((dm.Lag(1.0),)), dm.Gears([1], [1])),
+        (dm.Gears([1], [1]), dm.Amplifier(1.0)),
+        (dm.Amplifier(1.0), dm.Amplifier(1.0), dm.Gears([1], [1])),
     ],
 )
-def test_bad_cascades_are_named(stages, place):
+def test_bad_cascades_are_named(stages):
     with pytest.raises(ModelError) as problem:
         dm.Cascade("forward", VOLTAGE, DISPLACEMENT, stages)
-    assert str(problem.value).startswith(place)
+    assert str(problem.value).startswith("stages: wrong order")
