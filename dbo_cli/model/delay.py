@@ -21,7 +21,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.fields import Keyed, number
-from dbo_cli.model.state import Held, Run, SectionStates, State
+from dbo_cli.model.state import Held, Run, State
 
 WINDOW = 6
 """Samples that a value between two samples is made of."""
@@ -163,38 +163,25 @@ class Delay(Keyed):
             return count_before
         return max(count_before + AFTER, WINDOW - 1)
 
-    def undo(self, y: Floats, state: State, dt: float, ahead: int) -> Run:
-        """Return an even signal earlier by the delay, and the state with what undoing remembers.
+    def undo(
+        self, y: Floats, past: tuple[float, ...], dt: float, ahead: int
+    ) -> tuple[Floats, tuple[float, ...]]:
+        """Return an even signal earlier by the delay, shorter by what that reads ahead, and the past after.
 
         Parameters
         ----------
         y : array
             A block of the output and ``ahead`` rows of what follows it.
-        state : State
-            The last two values of its ``undoing`` are those before the block; without
-            them the signal begins, and its first rows are made of its first six samples.
-
-        Returns
-        -------
-        Run
-            Shorter than ``y`` by what this stage reads ahead.
+        past : tuple of float
+            The last two values before the block; without them the signal begins, and its
+            first rows are made of its first six samples.
         """
-        past: tuple[float, ...] = ()
-        memory: SectionStates = ()
-        if state.undoing is not None and state.undoing[0] == dt:
-            _, memory, past = state.undoing
-        earlier = self._earlier(y, dt, past)
-        count = y.size - ahead
-        last = y[max(count - BEFORE, 0) : count].tolist()
-        undoing = dt, memory, (*past, *last)[-BEFORE:]
-        return Run(earlier, replace(state, undoing=undoing))
-
-    def _earlier(self, y: Floats, dt: float, past: tuple[float, ...]) -> Floats:
-        """Return all rows but the last that are read ahead, earlier by the delay."""
+        end = y.size - ahead
+        after = (*past, *y[max(end - BEFORE, 0) : end].tolist())[-BEFORE:]
         count = y.size - self.ahead(dt)
         count_before, fraction = self._samples(dt)
         if not fraction:
-            return y[count_before : count_before + count]
+            return y[count_before : count_before + count], after
         signal = np.concatenate([past, y])
         first = len(past) + count_before - BEFORE  # begin of the first row's six
         first_rows = min(max(-first, 0), count)
@@ -206,7 +193,7 @@ class Delay(Keyed):
         if first_rows < count:
             six = signal[begin : begin + count - first_rows + WINDOW - 1]
             blocks.append(between_even(six, BEFORE, fraction))
-        return np.concatenate(blocks)
+        return np.concatenate(blocks), after
 
     def loop(self, x: Floats, dt: float) -> Floats:
         """Return one period of a signal that repeats, late by the delay."""
@@ -216,8 +203,9 @@ class Delay(Keyed):
 
     def undo_loop(self, y: Floats, dt: float) -> Floats:
         """Return one period of a signal that repeats, earlier by the delay."""
-        signal = np.resize(y, y.size + self.ahead(dt))
-        return self._earlier(signal, dt, tuple(y[-BEFORE:].tolist()))
+        ahead = self.ahead(dt)
+        signal = np.resize(y, y.size + ahead)
+        return self.undo(signal, tuple(y[-BEFORE:].tolist()), dt, ahead)[0]
 
     def identity(self) -> list[object]:
         """Return what a state of the stage refers to."""

@@ -84,43 +84,35 @@ class Dynamics(Keyed):
         """Return how many rows of an even clock ``undo`` reads ahead."""
         return sum(inverse.weight.size for inverse in inverses_of(self.sections, dt))
 
-    def undo(self, y: Floats, state: State, dt: float, ahead: int) -> Run:
-        """Return the input of all sections on an even clock, and the state with what undoing remembers.
+    def undo(
+        self, y: Floats, memory: SectionStates, dt: float, ahead: int
+    ) -> tuple[Floats, SectionStates]:
+        """Return the input of all sections on an even clock, shorter by what this stage reads ahead.
 
         Parameters
         ----------
         y : array
             A block of the output and ``ahead`` rows of what follows it.
-        state : State
-            Its ``undoing`` is of the block before; without it the stage is at rest at
+        memory : SectionStates
+            As it comes back from the block before; without it the stage is at rest at
             the first row.
-
-        Returns
-        -------
-        Run
-            Shorter than ``y`` by what this stage reads ahead.
         """
         inverses = inverses_of(self.sections, dt)
-        first = float(y[0])
-        memory: list[tuple[float, float, float]] = [(first, 0.0, 0.0)] * len(inverses)
-        past: tuple[float, ...] = ()
-        if state.undoing is not None and state.undoing[0] == dt:
-            memory = list(state.undoing[1]) or memory
-            past = state.undoing[2]
+        memories = list(memory or [(float(y[0]), 0.0, 0.0)] * len(inverses))
         count = y.size - ahead
         undo = kernel.extension.dynamics_undo
         signal = np.ascontiguousarray(y)
         for index, inverse in reversed(list(enumerate(inverses))):
             numbers, weight = inverse.numbers, inverse.weight
-            values = np.array(memory[index])
+            values = np.array(memories[index])
             u = np.empty(signal.size - weight.size)
             undo(numbers, weight, values, signal[: count + weight.size], u[:count])
-            memory[index] = tuple(values.tolist())
+            memories[index] = tuple(values.tolist())
             # what the next section reads ahead, without going on from there
             if u.size > count:
                 undo(numbers, weight, values, signal[count:], u[count:])
             signal = u
-        return Run(signal, replace(state, undoing=(dt, tuple(memory), past)))
+        return signal, tuple(memories)
 
     def undoing_behind(self, sections: SectionStates, dt: float) -> SectionStates:
         """Return what ``undo`` remembers where the forward sections are in a state."""
@@ -146,9 +138,7 @@ class Dynamics(Keyed):
         ahead = self.ahead(dt)
 
         def undo(y: Floats, states: SectionStates) -> tuple[Floats, SectionStates]:
-            after = self.undo(y, State(undoing=(dt, states, ())), dt, ahead)
-            assert after.state.undoing is not None
-            return after.y, after.state.undoing[1]
+            return self.undo(y, states, dt, ahead)
 
         return repeated(undo, np.pad(y, (0, ahead), mode="wrap"), len(self.sections))
 
@@ -213,9 +203,8 @@ class Inverter:
 
     Attributes
     ----------
-    stages : tuple of (Delay or Dynamics, int)
-        The stages in the order in which they are undone, and the rows that each reads
-        ahead.
+    ahead : int
+        Rows of what follows that both read.
 
     Raises
     ------
@@ -228,9 +217,9 @@ class Inverter:
     ) -> None:
         self.dt = dt
         self.dynamics = dynamics
-        stages = [stage for stage in (delay, dynamics) if stage is not None]
-        self.stages = tuple((stage, stage.ahead(dt)) for stage in stages)
-        self.ahead = sum(rows for _, rows in self.stages)
+        self.delay = delay
+        self._ahead_of_dynamics = 0 if dynamics is None else dynamics.ahead(dt)
+        self.ahead = self._ahead_of_dynamics + (0 if delay is None else delay.ahead(dt))
 
     def run(
         self, desired: Floats, undoing: Undoing | None = None
@@ -244,13 +233,19 @@ class Inverter:
         undoing : Undoing, or None
             From the block before, or ``behind``; None: at rest at the first value.
         """
-        if not self.stages:
+        if self.dynamics is None and self.delay is None:
             return desired, None
-        signal, state, ahead = desired, State(undoing=undoing), self.ahead
-        for stage, rows in self.stages:
-            after = stage.undo(signal, state, self.dt, ahead)
-            signal, state, ahead = after.y, after.state, ahead - rows
-        return signal, state.undoing
+        memory: SectionStates = ()
+        past: tuple[float, ...] = ()
+        if undoing is not None and undoing[0] == self.dt:
+            _, memory, past = undoing
+        signal, dt = desired, self.dt
+        if self.delay is not None:
+            signal, past = self.delay.undo(signal, past, dt, self.ahead)
+        if self.dynamics is not None:
+            ahead = self._ahead_of_dynamics
+            signal, memory = self.dynamics.undo(signal, memory, dt, ahead)
+        return signal, (dt, memory, past)
 
     def behind(self, state: State) -> Undoing | None:
         """Return what ``run`` goes on from behind a state; None where nothing is known of it."""
@@ -262,6 +257,7 @@ class Inverter:
 
     def loop(self, desired: Floats) -> Floats:
         """Return what ``run`` does, for one period of a displacement that repeats for ever."""
-        for stage, _ in self.stages:
-            desired = stage.undo_loop(desired, self.dt)
+        for stage in (self.delay, self.dynamics):
+            if stage is not None:
+                desired = stage.undo_loop(desired, self.dt)
         return desired

@@ -11,22 +11,12 @@ INTERFACE = 7
 REMEDY = "type `pip install -e .` in the checkout (it needs a C compiler)"
 
 
-def _load() -> Any:
-    """Return the extension.
+try:
+    from dbo_cli.model import _kernel  # type: ignore[attr-defined,unused-ignore]
+except ImportError:
+    _kernel = None
+if getattr(_kernel, "INTERFACE", None) != INTERFACE:
+    raise DboError(f"the compiled part of dbo is missing or older: {REMEDY}")
 
-    Raises
-    ------
-    DboError
-        It is missing, or was built from another state of the sources.
-    """
-    try:
-        from dbo_cli.model import _kernel  # type: ignore[attr-defined,unused-ignore]
-    except ImportError:
-        raise DboError(f"the compiled part of dbo is missing: {REMEDY}") from None
-    if getattr(_kernel, "INTERFACE", None) != INTERFACE:
-        raise DboError(f"the compiled part of dbo is of another version: {REMEDY}")
-    return _kernel
-
-
-extension: Any = _load()
+extension: Any = _kernel
 """The compiled module ``dbo_cli.model._kernel``."""

@@ -260,15 +260,16 @@ def section_inverse(section: Section, dt: float) -> SectionInverse:
     half = 0.5 * (matrix[0, 0] + matrix[1, 1])
     det = float(np.linalg.det(matrix))
     root = half * half - det
-    if root <= 0.0:
-        return _forward_only(section, dt, numbers, math.sqrt(det))
-    outer = half + math.copysign(math.sqrt(root), half)
-    inner = det / outer
-    inner, outer = sorted([inner, outer], key=abs)
-    if abs(outer) < 1.0:
-        return _forward_only(section, dt, numbers, abs(outer))
+    inner = outer = math.sqrt(abs(det))  # the size of both, where they are complex
+    if root > 0.0:
+        outer = half + math.copysign(math.sqrt(root), half)
+        inner, outer = sorted([det / outer, outer], key=abs)
+    if abs(outer) < 1.0 and section.antiresonance is not None:
+        return SectionInverse(numbers, np.zeros(0), np.eye(2))
+    if not abs(inner) < 1.0 < abs(outer):
+        raise _unresolved(section, dt)
     count = math.ceil(math.log(LEFT_OVER) / -math.log(abs(outer)))
-    if abs(inner) >= 1.0 or count > LONGEST_AHEAD:
+    if count > LONGEST_AHEAD:
         raise _unresolved(section, dt)
     inside_row, inside_drive = _eigenpart(recursion, inner)
     _, outside_drive = _eigenpart(recursion, outer)
@@ -286,15 +287,6 @@ def _eigenpart(
     right = np.array([matrix[0, 1], zero - matrix[0, 0]])
     row = left_vector * (float(out @ right) / float(left_vector @ right))
     return row, float(row @ drive)
-
-
-def _forward_only(
-    section: Resonance, dt: float, numbers: Floats, largest: float
-) -> SectionInverse:
-    """Return an inverse without a look ahead: both zeros are inside the unit circle."""
-    if not largest < 1.0 or section.antiresonance is None:
-        raise _unresolved(section, dt)
-    return SectionInverse(numbers, np.zeros(0), np.eye(2))
 
 
 def _unresolved(section: Resonance, dt: float) -> InputError:
