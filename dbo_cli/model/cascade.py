@@ -296,21 +296,22 @@ class Cascade:
         if isinstance(state, State):
             return state
         starts, ends = self.starts, self.head.ends(low, high)
+
+        def drive_of(at_gears: float) -> float:
+            return min(max(self.head.inverse().value(at_gears), low), high)
+
         if state in ("empty", "full"):
             at_end = starts.inside.x_range[1 if state == "full" else 0]
-            voltage = self.head.inverse().value(min(max(at_end, ends[0]), ends[1]))
-            bits = starts.bits(at_end, state)
-            return State(bits, drive=min(max(voltage, low), high))
+            drive = drive_of(min(max(at_end, ends[0]), ends[1]))
+            return State(starts.bits(at_end, state), drive=drive)
         output = self.tail.inverse().value(float(first))
         name = self._start_name(state)
         if name in ("empty", "full"):
             bits = starts.bits(0.0, name)
-            inner = float(self.gears.undo([output], State(bits)).y[0])
-            voltage = self.head.inverse().value(inner)
-            return State(bits, first=min(max(voltage, low), high))
-        inner = starts.voltage_settled_at(output, *ends)
-        voltage = min(max(self.head.inverse().value(inner), low), high)
-        return State(starts.bits(self.head.value(voltage), name), first=voltage)
+            at_gears = float(self.gears.undo([output], State(bits)).y[0])
+            return State(bits, first=drive_of(at_gears))
+        drive = drive_of(starts.voltage_settled_at(output, *ends))
+        return State(starts.bits(self.head.value(drive), name), first=drive)
 
     # ---- simulation ----
 
@@ -526,9 +527,8 @@ class Cascade:
         _, shares = self.amplifier.shares(state, dt, output.size)
         if window is None:
             return self._undo_freely(output, state, dt)[0]
-        changes = np.broadcast_to(np.inf, output.shape)
-        if slew is not None:
-            changes = np.broadcast_to(largest_step(slew, dt), output.shape)
+        step = largest_step(slew, dt)
+        changes = np.broadcast_to(np.inf if step is None else step, output.shape)
         drive = np.empty_like(output)
         row, size, clipped, first_clipped = 0, output.size, 0, 0
         while row < output.size:
