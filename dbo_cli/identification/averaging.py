@@ -42,7 +42,9 @@ class Average:
 
     @staticmethod
     def of(fits: Sequence[Fit]) -> Average:
-        """Weigh fits by their scores."""
+        """Weigh fits that begin as the best one does by their scores."""
+        start = min(fits, key=lambda fit: fit.score).structure.start
+        fits = [fit for fit in fits if fit.structure.start == start]
         scores = np.asarray([fit.score for fit in fits])
         weights = np.exp(-(scores - scores.min()) / WIDTH)
         weights /= weights.sum()

@@ -21,6 +21,7 @@ from dbo_cli.model import Points, Relaxation, kernel
 
 GEARS = 2048  # of a model inside its range, all of one width
 SPARE = 0.125  # of the drive's range: gears beyond either end
+SPARE_BEYOND = 1.0  # the same, where the drive came from beyond its range
 CELLS = 96  # different slopes among them
 CELL_GROWTH = 1.5  # a cell's upper edge grows with its number to this power
 SEGMENTS = 24  # of the curve behind the gears
@@ -50,7 +51,7 @@ class Structure:
     drift : whether a straight drift in time is fitted beside the model
     past : whether the unknown past of the gears is fitted beside it
     start : of the gears before the logs: "settled", "empty" (the drive came up from the lower
-        end) or "full" (down from the upper)
+        end), "full" (down from the upper), "below" or "above" (from far beyond that end)
     level : of the drive, where memories stood before the logs; None: at the first value
     """
 
@@ -124,12 +125,12 @@ class Cells:
     spare: int
 
     @staticmethod
-    def of(gears: int | None = None) -> Cells:
-        """Return groups of gears, finer for small distances; without spare ones where they are counted."""
+    def of(gears: int | None = None, spare: float = SPARE) -> Cells:
+        """Return groups of gears, finer for small distances; with spare ones unless they are counted."""
         count = GEARS if gears is None else gears
         fraction = np.linspace(0.0, 1.0, min(CELLS, count) + 1) ** CELL_GROWTH
         edges = np.unique(np.round(count * fraction).astype(np.int64))
-        return Cells(np.diff(edges), int(SPARE * count) if gears is None else 0)
+        return Cells(np.diff(edges), int(spare * count) if gears is None else 0)
 
     @property
     def count(self) -> int:
@@ -173,10 +174,15 @@ def plays_at_start(first: float, reach: Floats, start: str = "settled") -> Float
 
     Settled is what an oscillation leaves that decays from the whole range to ``first``;
     at the ends of the range no past within it differs from that. A drive that came from the
-    lower end at once is "empty" at the start, from the upper end "full". No drive inside the
-    range moves the last play.
+    lower end at once is "empty" at the start, from the upper end "full", and "below" or
+    "above" where it came from so far beyond that end that no play stands still on the way.
+    No drive inside the range moves the last play.
     """
-    if start == "empty":
+    if start == "below":
+        plays = first - reach
+    elif start == "above":
+        plays = first + reach
+    elif start == "empty":
         plays = np.maximum(reach, first - reach)
     elif start == "full":
         plays = np.minimum(1.0 - reach, first + reach)
@@ -239,9 +245,8 @@ def past_columns(log: PreparedLog, cells: Cells, groups: int) -> Floats:
     scale = np.sqrt(groups / PAST_GROUPS)
     group = np.arange(cells.count) * groups // cells.count
     columns = []
-    for side in (-1.0, 1.0):
-        plays = log.drive[0] + side * cells.reach
-        plays[-1] = settled[-1]
+    for start in ("below", "above"):
+        plays = plays_at_start(float(log.drive[0]), cells.reach, start)
         added = _unswept(log, cells.reach, plays) - _unswept(log, cells.reach, settled)
         engaged = -np.diff(added, axis=1)
         for number in range(groups):

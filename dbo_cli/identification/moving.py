@@ -193,6 +193,8 @@ def _around(problem: Problem, best: Fit, delay: float) -> list[Fit]:
         bends=(structure.bend,) if structure.bend else (),
         drift=structure.drift,
         delay=delay,
+        start=structure.start,
+        level=structure.level,
     )
     return Search(problem, choices).run()
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import product
 
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.identification.basis import SEGMENTS, Structure
-from dbo_cli.identification.cross_validation import cross_validate, least_score
+from dbo_cli.identification.basis import SEGMENTS, SPARE_BEYOND, Cells, Structure
+from dbo_cli.identification.cross_validation import (
+    DRIFT_PRICE,
+    cross_validate,
+    least_score,
+)
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options
 from dbo_cli.identification.solve import Equations, Fit
@@ -30,8 +34,10 @@ REFINED = (0.6, 0.8, 1.25, 1.6)
 LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the range: where memories may have stood before the logs, beside the first value."""
 SETTLED_START = "settled"
+STARTS = (SETTLED_START, "empty", "full", "below", "above")
+"""The last two where the gears go on beyond the range."""
 BETTER_START = 0.8
-"""Of the settled start's error: another one is offered with a rough curve."""
+"""Of the settled start's error: the search begins with another one."""
 ROUGHEST = Structure(smooth_slopes=2e-4, smooth_curve=1e-4)  # tells starts apart
 FINER_LEVEL = 0.125  # beside the best one, tried below and above
 ROUNDS = (2, 1)  # of neighbours: of how many kinds of structures
@@ -55,6 +61,8 @@ class Choices:
     drift: bool = False
     segments: int = SEGMENTS
     delay: float | None = None
+    start: str = SETTLED_START
+    level: float | None = None
 
 
 def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
@@ -74,7 +82,33 @@ def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
     if not len(problem.taus):
         choices.memories = ("",)
     _take_options(choices, options)
+    if problem.past.size:
+        choices.start, choices.level = _begun(problem, choices)
+    if choices.start in ("below", "above"):
+        problem = replace(problem, cells=Cells.of(spare=SPARE_BEYOND))
     return problem, choices
+
+
+def _begun(problem: Problem, choices: Choices) -> tuple[str, float | None]:
+    """Return the start of the gears and the level of memories from which all rows are followed best.
+
+    They are compared by a rough structure; a level costs what it costs in a score, and is
+    tried where there are enough swings to tell it from the loop. Settled gears and memories
+    stay where nothing is clearly better.
+    """
+    settled = (SETTLED_START, None)
+    starts = STARTS if problem.cells.spare else STARTS[:3]
+    levels = LEVELS if choices.drift and len(problem.taus) else LEVELS[:1]
+    errors: dict[tuple[str, float | None], float] = {}
+    for start, level in product(starts, levels):
+        trials = [
+            replace(ROUGHEST, slopes=rule, start=start, level=level) for rule in RULES
+        ]
+        fits = [Equations(problem.rows(trial), trial).solve() for trial in trials]
+        price = DRIFT_PRICE * (level is not None)
+        errors[start, level] = math.exp(price) * min(fit.rmse for fit in fits)
+    best = min(errors, key=errors.__getitem__)
+    return best if errors[best] < BETTER_START * errors[settled] else settled
 
 
 def _take_one_amplitude(problem: Problem, choices: Choices) -> None:
@@ -140,7 +174,12 @@ class Search:
             No structure can be fitted.
         """
         choices = self.choices
-        base = Structure(delay=choices.delay or 0.0, segments=choices.segments)
+        base = Structure(
+            delay=choices.delay or 0.0,
+            segments=choices.segments,
+            start=choices.start,
+            level=choices.level,
+        )
         for memories in choices.memories:
             for slopes in choices.slopes:
                 for smooth in choices.smoothness:
@@ -158,22 +197,6 @@ class Search:
             for step in (-FINER_LEVEL, FINER_LEVEL):
                 self._finer_level(step)
         return sorted(self.fits, key=lambda fit: fit.score)
-
-    @cached_property
-    def other_start(self) -> str | None:
-        """The start from which the logs, all rows, are followed clearly better than from the settled one.
-
-        They are compared by a rough structure: none has more unknowns than another.
-        """
-        if not self.problem.past.size:
-            return None
-        errors = {}
-        for start in (SETTLED_START, "empty", "full"):
-            trials = [replace(ROUGHEST, slopes=rule, start=start) for rule in RULES]
-            fits = [Equations(self.problem.rows(one), one).solve() for one in trials]
-            errors[start] = min(fit.rmse for fit in fits)
-        best = min(errors, key=errors.__getitem__)
-        return best if errors[best] < BETTER_START * errors[SETTLED_START] else None
 
     def path(self, base: Structure, curves: Iterable[float]) -> None:
         """Fit a structure with rougher and rougher curves, each begun at the one before."""
@@ -247,19 +270,16 @@ class Search:
         for trial in trials:
             if trial != structure:
                 self.path(trial, [trial.smooth_curve])
-        if self.other_start is not None:
-            trial = replace(structure, past=False, start=self.other_start)
-            self.path(trial, choices.curves[-1:])
 
     def _pasts(self, structure: Structure) -> list[Structure]:
-        """Return a structure with each past: of the gears unknown or not, of memories at each level."""
-        pasts = (False, True) if self.problem.past.size else (False,)
+        """Return a structure with each past of the gears, known or not, and of memories at each level."""
+        pasts = [(False, SETTLED_START)]
+        if self.problem.past.size:
+            pasts += [(True, SETTLED_START), (False, self.choices.start)]
         levels = LEVELS if structure.memories and self.problem.clock else LEVELS[:1]
         trials = []
-        for past, level in product(pasts, levels):
-            trials.append(
-                replace(structure, past=past, start=SETTLED_START, level=level)
-            )
+        for (past, start), level in product(dict.fromkeys(pasts), levels):
+            trials.append(replace(structure, past=past, start=start, level=level))
         return trials
 
     def _finer_delay(self, factor: float) -> None:

@@ -106,7 +106,7 @@ class Cascade:
         At most five other models that explain the logs, for the error of a very move.
     provenance : mapping
         Where the model comes from; carried along.
-    auto_start : {"settled", "empty", "full"}
+    auto_start : {"settled", "empty", "full", "below", "above"}
         How the gears stand where ``auto`` starts inside the range: as the logs began.
 
     Attributes

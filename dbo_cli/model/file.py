@@ -23,7 +23,7 @@ from dbo_cli.model.dynamics import Dynamics
 from dbo_cli.model.fields import VERSION, Json, build, number, number_list
 from dbo_cli.model.gears import Gears
 from dbo_cli.model.points import Points, Scale
-from dbo_cli.model.state import START_NAMES, Held, Quantity, State
+from dbo_cli.model.state import KEPT_STARTS, START_NAMES, Held, Quantity, State
 from dbo_cli.model.widths import TABLE
 
 MODEL_FORMAT = "dbo-model"
@@ -146,7 +146,7 @@ def _model(values: Any, path: str) -> Cascade:
         fit=_fit,
         candidates=partial(fields.listed, read=_candidate),
         provenance=fields.notes,
-        past=partial(fields.choice, choices=("settled", "empty", "full")),
+        past=partial(fields.choice, choices=KEPT_STARTS),
     )
     return model
 

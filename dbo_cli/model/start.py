@@ -11,7 +11,7 @@ import numpy as np
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.gears import Gears
-from dbo_cli.model.state import START_NAMES, State
+from dbo_cli.model.state import KEPT_STARTS, START_NAMES, State
 from dbo_cli.model.widths import CROSSING_TOLERANCE
 
 
@@ -60,16 +60,22 @@ class Starts:
 
         ``empty``: the actuator has been at or below the lower end of the drive's range.
         ``full``: likewise the upper end. ``settled``: after an oscillation that decays
-        from the whole range to ``voltage``. ``auto``: empty where that is at or below the
-        lower end, else settled (a model may keep another one: ``Cascade.auto_start``).
+        from the whole range to ``voltage``. ``below``, ``above``: the drive comes from
+        beyond the spare gears of that end. ``auto``: empty where ``voltage`` is at or
+        below the lower end, else settled (a model may keep another one:
+        ``Cascade.auto_start``).
 
         Raises
         ------
         ModelError
             There is no start of that name.
         """
-        if name not in START_NAMES:
+        if name not in (*START_NAMES, *KEPT_STARTS):
             raise ModelError(f"`state` {name}: give {', '.join(START_NAMES)} or a file")
+        if name == "below":
+            return 0
+        if name == "above":
+            return (1 << self.gears.n) - 1
         if name == "full":
             return self.full
         if name == "empty":

@@ -23,6 +23,7 @@ Held = tuple[tuple[float, ...], tuple[float, ...]]
 # section, and the last two values wanted, for the delay
 Undoing = tuple[float, SectionStates, tuple[float, ...]]
 START_NAMES = ("auto", "empty", "full", "settled")
+KEPT_STARTS = ("settled", "empty", "full", "below", "above")  # of ``auto``, in a model
 
 
 @dataclass(frozen=True)
