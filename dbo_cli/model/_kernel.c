@@ -1,6 +1,6 @@
-/* The recursions of dbo_kernel.c, dbo_dynamics.c, dbo_plays.c and dbo_interpolation.h as a Python extension in the limited ABI.
- * Arguments are checked by gears.py and delay.py; here only lengths are, so that no mistake there can read or write beyond a
- * buffer. */
+/* The recursions of dbo_kernel.c, dbo_dynamics.c, dbo_plays.c and dbo_interpolation.h as a Python extension in the
+ * limited ABI. Arguments are checked by gears.py and delay.py; here only lengths are, so that no mistake there can read
+ * or write beyond a buffer. */
 #define Py_LIMITED_API 0x030b0000
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
