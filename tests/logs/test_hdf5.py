@@ -9,7 +9,7 @@ import pytest
 from dbo_cli.errors import InputError
 from dbo_cli.logs import open_log
 from dbo_cli.logs.columns import named
-from dbo_cli.logs.hdf5 import open_hdf5
+from dbo_cli.logs.formats.hdf5 import read as open_hdf5
 from dbo_cli.logs.settings import stated_rate
 from dbo_cli.logs.table import Reading
 
