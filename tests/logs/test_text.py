@@ -5,6 +5,7 @@ import pytest
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs import Reading, open_log, stream, text
+from dbo_cli.logs import log as log_module
 
 BOTH = {"voltage": None, "displacement": None}
 HEAD = "time_s,voltage_V,displacement_um\n"
@@ -35,8 +36,9 @@ def test_blocks_and_ways_of_reading_give_the_same(block, small, tmp_path, monkey
     monkeypatch.setattr(text, "_TINY", min(small, 1 << 12) if small == 0 else 1 << 30)
     path = tmp_path / "run.csv"
     path.write_text(large(4000))
+    monkeypatch.setattr(log_module, "ROWS_A_BLOCK", 700)
     with open_log(str(path), BOTH) as log:
-        blocks = list(log.blocks(rows=700))
+        blocks = list(log.blocks())
     assert max(map(len, blocks)) <= 700
     assert all(b.dt == pytest.approx(0.001) for b in blocks)
     voltage = np.concatenate([b.values["voltage"] for b in blocks])
