@@ -219,7 +219,7 @@ class Clock:
         if self.kind == "none" or self.rows < 1:
             return "no clock"
         step = self.step or (self.last - self.first) / max(self.rows - 1, 1)
-        if self.irregular:
+        if self.irregular and self.usual_step:
             step = self.usual_step
         if step <= 0.0:
             return "no span of time"
