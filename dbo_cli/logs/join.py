@@ -187,6 +187,8 @@ def _found(
     else:
         found, _, drive = pair
         lag, ahead = found.lag, found.ahead
+        path = float(np.abs(np.diff(drive)).sum())
+        tolerable = _TOLERABLE * float(np.std(drive)) / path * float(np.ptp(time))
         problem = f"{ahead:.6g} s is uncertain by {2.0 * lag.deviation:.2g} s"
         if lag.residual > _EXPLAINED:
             share = 100.0 * (1.0 - lag.residual)
@@ -194,16 +196,9 @@ def _found(
         elif lag.rival is not None:
             rival = ahead + lag.rival - lag.seconds
             problem = f"{ahead:.6g} s and {rival:.6g} s fit equally: the drive repeats"
-        elif 2.0 * lag.deviation <= _tolerable(found, time, drive):
+        elif 2.0 * lag.deviation <= max(_KNOWN_TO * found.step, tolerable):
             return found, False
     raise InputError(f"{pair_name}: `clock_offset` auto: {problem} (give SECONDS)")
-
-
-def _tolerable(found: Alignment, time: Floats, drive: Floats) -> float:
-    """Return the seconds by which clocks may be apart."""
-    path = float(np.abs(np.diff(drive)).sum())
-    seconds = _TOLERABLE * float(np.std(drive)) / path * float(np.ptp(time))
-    return max(_KNOWN_TO * found.step, seconds)
 
 
 def _warn_if_apart(pair_name: str, rows: Block, time: Floats, table: Block) -> None:

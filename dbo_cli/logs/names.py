@@ -182,19 +182,16 @@ def begins_run(comment: str) -> bool:
 def _fitted(cells: list[str], layout: Layout) -> list[str]:
     """Leave out cells that belong to no column, and put in those that have no name."""
     are_units = _are_units(cells[: layout.width])
-    while len(cells) > layout.width and _is_beside(cells[-1], are_units):
+    while len(cells) > layout.width:
+        is_remark = cells[-1].lower() in ("", "comment") or is_clock_setting(cells[-1])
+        is_value = are_units and is_number(cells[-1], ".")  # of a key beside units
+        if not (is_remark or is_value):
+            break
         cells.pop()
     last = split_cells(layout.first_line, layout.delimiter)[-1]
     if len(cells) == layout.width - 1 > 0 and not last:
         return [*cells, ""]  # the rows end in a delimiter
     return cells
-
-
-def _is_beside(cell: str, beside_units: bool) -> bool:
-    """Return whether a cell belongs to no column: blank, a remark, a key, or its value beside units."""
-    if cell.lower() in ("", "comment") or is_clock_setting(cell):
-        return True
-    return beside_units and is_number(cell, ".")
 
 
 def _units_line(headers: Sequence[Sequence[str]]) -> int | None:

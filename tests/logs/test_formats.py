@@ -224,13 +224,13 @@ def test_a_reader_of_another_package_joins(tmp_path, monkeypatch):
 
     class Point:
         def load(self):
-            return npy.read
+            return npy.read_npy
 
     def entry_points(group, name):
         return [Point()] if (group, name) == ("dbo_cli.readers", ".xyz") else []
 
     monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
-    assert reader_of("run.xyz", b"anything") is npy.read
+    assert reader_of("run.xyz", b"anything") is npy.read_npy
     assert reader_of("run.abc", b"anything") is None
 
 

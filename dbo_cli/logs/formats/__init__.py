@@ -1,6 +1,6 @@
 """Files that are no text: a module a format, each read by the library that owns it.
 
-A module has one function, ``read(path, part, reading)``; it is imported when such a file
+A module has one reader, ``read_hdf5(path, part, reading)`` in ``hdf5``; it is imported when such a file
 is opened, and so is its library. A reader of another package joins as an entry point of
 the group ``dbo_cli.readers``, named by the suffix of its files (``.xyz``).
 """
@@ -68,8 +68,8 @@ def reader_of(path: str, start: bytes) -> TableReader | None:
     for mark, offset, name in _FORMATS:
         if start.startswith(mark, offset):
             module = importlib.import_module(f"dbo_cli.logs.formats.{name}")
-            read: TableReader = module.read
-            return read
+            reader: TableReader = getattr(module, f"read_{name}")
+            return reader
     if suffix in _REFUSED or start[:2] in _PICKLES:
         raise InputError(f"{path}: {_REFUSED.get(suffix, _PICKLED)}")
     return None

@@ -14,7 +14,7 @@ _STRETCH = 1 << 19  # rows that polars hands out at once
 _KIND = "Parquet or Feather"
 
 
-def read(path: str, inner: str, reading: Reading) -> Table:
+def read_arrow(path: str, inner: str, reading: Reading) -> Table:
     """Read the columns of a Parquet or Feather file (InputError)."""
     import polars as pl
 

@@ -12,7 +12,7 @@ from dbo_cli.logs.table import Reading, Table
 from dbo_cli.logs.text import TextTable
 
 
-def read(path: str, inner: str, reading: Reading) -> Table:
+def read_excel(path: str, inner: str, reading: Reading) -> Table:
     """Read the only sheet of a workbook, or ``FILE::SHEET`` (InputError)."""
     fastexcel = import_extra("fastexcel", "excel", path)
     with fenced(path, "a workbook"):

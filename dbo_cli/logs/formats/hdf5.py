@@ -33,7 +33,7 @@ _MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8
 _EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
 
 
-def read(path: str, inner: str, reading: Reading) -> Table:
+def read_hdf5(path: str, inner: str, reading: Reading) -> Table:
     """Read an HDF5 log; ``inner`` is a group or a dataset, by its path.
 
     Without it, the columns are those of the shallowest groups that have any.

@@ -125,7 +125,7 @@ def _variable_of(elements: Elements, order: str) -> Variable:
     return Variable(name, "double", shape, values.reshape(shape, order="F"))
 
 
-def read(path: str, inner: str, reading: Reading) -> Table:
+def read_matlab(path: str, inner: str, reading: Reading) -> Table:
     """Read the vectors and matrices of a file of version 5 to 7 (InputError)."""
     refuse_part(path, inner)
     with open(path, "rb") as file, fenced(path, "MATLAB"):

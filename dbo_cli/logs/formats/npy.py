@@ -8,7 +8,7 @@ from dbo_cli.logs.stored import StoredTable, fenced, refuse_part
 from dbo_cli.logs.table import Reading, Table
 
 
-def read(path: str, inner: str, reading: Reading) -> Table:
+def read_npy(path: str, inner: str, reading: Reading) -> Table:
     """Read an array, mapped into memory (InputError)."""
     refuse_part(path, inner)
     with fenced(path, "NumPy"):

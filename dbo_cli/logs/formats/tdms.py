@@ -23,7 +23,7 @@ _LEAD_IN = 28
 """Bytes: mark, contents, version, bytes to the next segment, bytes to the data."""
 
 
-def read(path: str, inner: str, reading: Reading) -> Table:
+def read_tdms(path: str, inner: str, reading: Reading) -> Table:
     """Read a TDMS file, or one group of it (``FILE::GROUP``) (InputError)."""
     nptdms = import_extra("nptdms", "tdms", path)
     stream = open(path, "rb")
