@@ -139,3 +139,12 @@ def test_a_record_that_may_be_cut_is_told(tmp_path):
             continue
         assert log.doubtful[0].startswith("line 21, the last one, has no line end")
         assert table["displacement"][:19].tolist() == [n + 0.25 for n in range(19)]
+
+
+def test_a_numbered_name_names_no_other_column(tmp_path):
+    """NAME0 alone is the first column's."""
+    path = tmp_path / "run.dat"
+    rows = "\n".join(f"{n}.5\t{n}.25" for n in range(4))
+    path.write_text(f"#SAMPLE_TIME = 0.001\n#NAME0 = Voltage\n#END_HEADER\n{rows}\n")
+    with open_log(str(path), {"voltage": "1", "displacement": "2"}) as log:
+        assert log.columns["displacement"].name == ""
