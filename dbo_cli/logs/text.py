@@ -109,7 +109,6 @@ class TextTable(Table):
     def _read_block(self, text: bytes, columns: Sequence[Column]) -> list[NDArray[Any]]:
         """Read a block by polars, or line by line where it is small or not regular."""
         self._size += len(text)
-        self._block_lines = text.count(b"\n")
         self.torn = []
         frame = None
         is_small = self._size <= _SMALL and "polars" not in sys.modules
@@ -117,10 +116,12 @@ class TextTable(Table):
             from dbo_cli.logs.fast_text import read_frame
 
             unclear = [n for n, marks in self._marks.items() if not marks.is_clear]
-            frame = read_frame(text.rstrip(b"\n"), self.layout, columns, unclear)
+            plain = text.rstrip(b"\n")
+            frame = read_frame(plain, self.layout, columns, unclear)
         if frame is not None:
+            self._block_lines = len(frame) - 1 + len(text) - len(plain)
             return [self._array_of(c, frame[str(c.number)]) for c in columns]
-        rows = self._rows_of(text)
+        rows, self._block_lines = self._rows_of(text), text.count(b"\n")
         return [self._array_of(c, [row[c.number - 1] for row in rows]) for c in columns]
 
     def _array_of(self, column: Column, cells: Any) -> NDArray[Any]:
