@@ -35,7 +35,6 @@ _COUNTED = frozenset(
 _NO_UNIT = frozenset(
     "relative rel absolute abs raw local utc gmt elapsed iso start -".split()
 )
-_DAY = 86400 * 10**9  # ns
 # s; without a unit, figures this far apart or more are hardly seconds
 _LONG_STEP = 1.0
 # s; without a unit, figures closer together than this are hardly seconds: days are
@@ -66,16 +65,18 @@ class Clock:
         Samples a second (Hz) and the time (s) of the first row, without a column.
     rate_beside
         The rate (Hz) that the file states beside a time column.
-    step, uneven
-        Seconds between rows where they are even so far; whether they are not.
+    step
+        Seconds between rows where they are even so far.
     first_stamp
         What time 0 is (ns since 1970, or since midnight), where stamps say it.
-    offset, joined
-        Seconds added to the clock of a second file, and how messages tell of that.
+    joined
+        How messages tell of seconds that are added to the clock of a second file.
     holds_delay
-        Whether a delay of the actuator is part of the offset.
+        Whether a delay of the actuator is part of them.
     typed
         What the user typed in the place of what the file states.
+    usual_step, irregular, first_irregular
+        The median step (s); how many steps are zero or much longer, and the row of the first.
     """
 
     name: str
@@ -87,9 +88,7 @@ class Clock:
     start: float = 0.0
     rate_beside: float | None = None
     step: float | None = None
-    uneven: bool = False
     first_stamp: int | None = None
-    offset: float | None = None
     joined: str = ""
     holds_delay: bool = False
     typed: str = ""
@@ -98,22 +97,13 @@ class Clock:
     first: float = 0.0
     last: float = 0.0
     usual_step: float = 0.0
-    repeats: int = 0
-    gaps: int = 0
-    first_gap: int = 0
-    largest_gap: float = 0.0
+    irregular: int = 0
+    first_irregular: int = 0
 
     @property
     def is_read(self) -> bool:
         """Whether the times stand in a column."""
         return self.kind in ("column", "stamps")
-
-    @property
-    def origin(self) -> float | None:
-        """What time 0 is in seconds since 1970; None where no dates say it."""
-        if self.first_stamp is None or self.first_stamp < _DAY:
-            return None
-        return self.first_stamp / 1e9
 
     @property
     def assumption(self) -> str:
@@ -168,28 +158,24 @@ class Clock:
         return np.asarray((stored - self.first_stamp) / 1e9)
 
     def _watch(self, steps: Floats, time: Floats, numbers: NDArray[np.int64]) -> None:
-        """Refuse a time that goes back; find out whether it is even, else count repeats and gaps."""
+        """Refuse a time that goes back; find out whether it is even, else count what is not."""
         numbers = numbers[len(numbers) - len(steps) :]
-        low, high = float(steps.min()), float(steps.max())
-        if low < 0.0:
+        if steps.min() < 0.0:
             at = int(np.argmax(steps < 0.0))
             after = float(time[at - len(steps)])
             problem = f"goes back in row {numbers[at]}, from {after - steps[at]:.9g} to {after:.9g} s"
             raise _unclear(self.name, self.column, f"{problem} (`rows` A:B cuts there)")
-        if not self.uneven:
-            self.step = self._even_step(time, high)
-            self.uneven = self.step is None
+        if self.step is not None or self.rows < 2:
+            self.step = self._even_step(time, float(steps.max()))
         if not self.usual_step:
             self.usual_step = self.step or float(np.median(steps))
             self._require_seconds(float(time[-1]))
-        if not self.uneven or self.rate is not None:
-            return
-        self.repeats += int(np.count_nonzero(steps == 0.0))
-        gaps = steps > _GAP * self.usual_step
-        if self.usual_step > 0.0 and gaps.any():
-            self.first_gap = self.first_gap or int(numbers[np.argmax(gaps)])
-            self.gaps += int(np.count_nonzero(gaps))
-            self.largest_gap = max(self.largest_gap, high)
+        if self.step is None and self.rate is None:
+            irregular = (steps == 0.0) | (steps > _GAP * self.usual_step)
+            if irregular.any():
+                first = int(numbers[np.argmax(irregular)])
+                self.first_irregular = self.first_irregular or first
+                self.irregular += int(np.count_nonzero(irregular))
 
     def _even_step(self, time: Floats, largest: float) -> float | None:
         """Return the one step of rows that are even so far; None where they are not."""
@@ -222,18 +208,10 @@ class Clock:
 
     def close(self) -> None:
         """Warn of what is doubtful once all rows are read."""
-        uneven = []
-        if self.repeats:
-            uneven.append(f"{self.repeats:,} of {self.rows:,} time stamps repeat")
-        if self.gaps:
-            s = "" if self.gaps == 1 else "s"
-            first, largest = self.first_gap, self.largest_gap
-            uneven.append(
-                f"{self.gaps:,} gap{s} in time, first before row {first:,}, largest {largest:.4g} s"
-            )
-        if uneven:
+        if self.irregular:
             warn(
-                f"{self.name}: {', '.join(uneven)}: `sample_rate` HZ replaces the stamps"
+                f"{self.name}: {self.irregular:,} gaps or repeats among {self.rows:,} time stamps, the "
+                f"first in row {self.first_irregular:,}: `sample_rate` HZ replaces the stamps"
             )
 
     def describe(self) -> str:
@@ -241,7 +219,7 @@ class Clock:
         if self.kind == "none" or self.rows < 1:
             return "no clock"
         step = self.step or (self.last - self.first) / max(self.rows - 1, 1)
-        if self.gaps:
+        if self.irregular and self.usual_step:
             step = self.usual_step
         if step <= 0.0:
             return "no span of time"

@@ -80,8 +80,6 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
             f"{name}: no line holds numbers only: try `delimiter`, `decimal` or `skip_lines`"
         )
     table = [split_cells(lines[n], layout.delimiter) for n in rows[-_JUDGED:]]
-    if reading.decimal is None:
-        layout.decimal = _shown_decimal(layout, table)
     layout.first = _first_row(layout, lines, rows)
     layout.first_line = lines[layout.first]
     above, below = lines[skipped : layout.first], lines[layout.first :]
@@ -223,16 +221,6 @@ def _best_layout(sample: Sequence[str], reading: Reading) -> Layout | None:
             if share > 0.0 and score > best:
                 best, layout = score, candidate
     return layout
-
-
-def _shown_decimal(layout: Layout, table: Sequence[Sequence[str]]) -> str:
-    """Return the decimal sign that the last number with one has; that of the layout where none has."""
-    for cells in reversed(table):
-        for cell in (cells[n] for n in sorted(layout.numeric) if n < len(cells)):
-            for sign in ".,":
-                if sign in cell and is_number(cell, sign):
-                    return sign
-    return layout.decimal
 
 
 def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]:

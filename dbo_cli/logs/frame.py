@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import TIME_NAMES, words
-from dbo_cli.logs.formats.stored import StoredTable, columns_in
+from dbo_cli.logs.stored import StoredTable, columns_in
 from dbo_cli.units import spell, split_header, time_unit
 
 Entry = tuple[str, Any, str | None]

@@ -66,20 +66,17 @@ def joined(
         _warn_if_apart(names, rows, time, guest)
     elif clock_offset == "auto":
         alignment, by_drive = _found(names, rows, time, guest)
-        clock.offset = alignment.ahead
         clock.holds_delay |= not by_drive
         how = ", by the drive" if by_drive else ", delay included"
         time = alignment.recorded_time(time)
+        _tell(clock, guest_clock, alignment.ahead, how)
         clock.remarks.append(
             f"{clock.name}: its clock is {alignment.ahead:.6g} ± {2.0 * alignment.lag.deviation:.1g} s "
             f"ahead of that of {guest_clock.name} and {1e6 * alignment.lag.rate:.2g} ppm fast{how}"
         )
     else:
-        clock.offset, how = float(clock_offset), ""
-        time = time + clock.offset
-    if clock.offset is not None:
-        file = os.path.basename(guest_clock.name)
-        clock.joined = f", {file} moved by {clock.offset:.4g} s{how}"
+        time = time + float(clock_offset)
+        _tell(clock, guest_clock, float(clock_offset))
     kept = {r: array for r, array in rows.values.items() if r not in taken}
     others = {role: guest.values[role] for role in taken}
     matched = _side_by_side(replace(rows, values=kept), time, others, names)
@@ -94,20 +91,25 @@ def joined(
     return matched
 
 
+def _tell(clock: Clock, guest_clock: Clock, seconds: float, how: str = "") -> None:
+    """Note how far the clock of a second log is moved."""
+    file = os.path.basename(guest_clock.name)
+    clock.joined = f", {file} moved by {seconds:.4g} s{how}"
+
+
 def _time_on(
     clock: Clock, guest_clock: Clock, guest: Block, clock_offset: float | str | None
 ) -> Floats:
     """Return a second log's times on the clock of the first (InputError)."""
-    stamps = clock.first_stamp, guest_clock.first_stamp
-    has_dates = clock.origin is not None, guest_clock.origin is not None
+    start, guest_start = clock.first_stamp, guest_clock.first_stamp
     if guest.time is not None and clock.kind != "none":
-        if stamps[0] is not None and stamps[1] is not None and len(set(has_dates)) == 1:
-            shifted: Floats = guest.time + (stamps[1] - stamps[0]) / 1e9
+        if start is not None and guest_start is not None:
+            shifted: Floats = guest.time + (guest_start - start) / 1e9
             return shifted
-        if stamps == (None, None) or clock_offset is not None:
+        if start == guest_start or clock_offset is not None:
             return guest.time
     raise InputError(
-        f"{clock.name} and {guest_clock.name} have no clock in common, with dates in both or in none: "
+        f"{clock.name} and {guest_clock.name} have no clock in common, with stamps in both or in none: "
         "add a time column, `sample_rate` HZ, or `clock_offset` SECONDS or auto"
     )
 
@@ -185,6 +187,8 @@ def _found(
     else:
         found, _, drive = pair
         lag, ahead = found.lag, found.ahead
+        path = float(np.abs(np.diff(drive)).sum())
+        tolerable = _TOLERABLE * float(np.std(drive)) / path * float(np.ptp(time))
         problem = f"{ahead:.6g} s is uncertain by {2.0 * lag.deviation:.2g} s"
         if lag.residual > _EXPLAINED:
             share = 100.0 * (1.0 - lag.residual)
@@ -192,16 +196,9 @@ def _found(
         elif lag.rival is not None:
             rival = ahead + lag.rival - lag.seconds
             problem = f"{ahead:.6g} s and {rival:.6g} s fit equally: the drive repeats"
-        elif 2.0 * lag.deviation <= _tolerable(found, time, drive):
+        elif 2.0 * lag.deviation <= max(_KNOWN_TO * found.step, tolerable):
             return found, False
     raise InputError(f"{pair_name}: `clock_offset` auto: {problem} (give SECONDS)")
-
-
-def _tolerable(found: Alignment, time: Floats, drive: Floats) -> float:
-    """Return the seconds by which clocks may be apart."""
-    path = float(np.abs(np.diff(drive)).sum())
-    seconds = _TOLERABLE * float(np.std(drive)) / path * float(np.ptp(time))
-    return max(_KNOWN_TO * found.step, seconds)
 
 
 def _warn_if_apart(pair_name: str, rows: Block, time: Floats, table: Block) -> None:
@@ -251,7 +248,7 @@ def resampled(rows: Block, clock: Clock, rate: float) -> tuple[Block, Clock]:
     for role, array in rows.values.items():
         values[role] = np.interp(time, rows.time, array)
     remark = f"{len(rows):,} rows are interpolated to {count:,} at {rate:g} Hz"
-    even = replace(clock, kind="rate", column=None, rate=rate, start=first, gaps=0)
-    even.step, even.remarks = 1.0 / rate, [remark]
+    even = replace(clock, kind="rate", rate=rate, start=first, irregular=0)
+    even.step, even.column, even.remarks = 1.0 / rate, None, [remark]
     even.rows, even.first, even.last = count, first, float(time[-1])
     return Block(time, values, dt=even.step), even

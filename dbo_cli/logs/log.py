@@ -20,9 +20,9 @@ from dbo_cli.files import note_input
 from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import ROLES, choose, named
 from dbo_cli.logs.formats import reader_of
-from dbo_cli.logs.formats.stored import refuse_part
 from dbo_cli.logs.join import SENSORS, joined, resampled
 from dbo_cli.logs.scale import scaled_column
+from dbo_cli.logs.stored import refuse_part
 from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import (
     ROWS_A_BLOCK,
@@ -73,6 +73,7 @@ class Log:
         self.remarks = source.remarks
         self.doubtful: list[str] = []
         self._source = source
+        self._typed_rows = reading.rows or ":"
         self._first, self._last = parse_rows(reading.rows)
         self._skip_bad = reading.skip_bad
         self._dropped = 0
@@ -115,8 +116,8 @@ class Log:
         titles = [column.title for column in self.columns.values()]
         return [title for title in titles if title.endswith(" assumed)")]
 
-    def blocks(self, rows: int = ROWS_A_BLOCK) -> Iterator[Block]:
-        """Return the log once, in blocks of at most so many rows.
+    def blocks(self) -> Iterator[Block]:
+        """Return the log once, in blocks of at most ``ROWS_A_BLOCK`` rows.
 
         Raises
         ------
@@ -124,8 +125,8 @@ class Log:
             A row holds no number, time goes back, or there is no row.
         """
         for block in self._blocks():
-            for start in range(0, len(block), rows):
-                yield block.part(start, start + rows)
+            for start in range(0, len(block), ROWS_A_BLOCK):
+                yield block.part(start, start + ROWS_A_BLOCK)
 
     def read(self) -> Block:
         """Return the whole log.
@@ -153,9 +154,7 @@ class Log:
         for arrays in self._source.blocks(columns):
             numbers = np.arange(row, row + len(arrays[0]))
             row += len(numbers)
-            inside = numbers >= self._first
-            if self._last is not None:
-                inside &= numbers <= self._last
+            inside = (numbers >= self._first) & (numbers <= self._last)
             if not inside.all():
                 numbers = numbers[inside]
                 arrays = [array[inside] for array in arrays]
@@ -168,10 +167,27 @@ class Log:
                 for index, (role, column) in enumerate(self.columns.items()):
                     values[role] = multiplied(arrays[index], column.factor)
                 yield Block(time, values, dt)
-            if self._last is not None and row > self._last:
+            if row > self._last:
                 break
         self.doubtful += self.remarks[noted:]
         self._finish(row - 1)
+
+    def _finish(self, rows: int) -> None:
+        """Remark on what was left out of so many rows (InputError where nothing is left)."""
+        if self._dropped:
+            s = "" if self._dropped == 1 else "s"
+            text = (
+                f"{self._dropped:,} row{s} left out, the first: {self._first_dropped}"
+            )
+            self.remarks.append(text)
+            self.doubtful.append(text)
+        if not self._count:
+            raise InputError(
+                f"{self.name}: `rows` {self._typed_rows}: none of its {rows:,} rows is inside and holds only "
+                "numbers"
+            )
+        self.clock.close()
+        self.remarks += self.clock.remarks
 
     def _good(
         self, numbers: _Numbers, arrays: _Arrays, columns: Sequence[Column]
@@ -216,23 +232,6 @@ class Log:
             raise InputError(
                 f"{where}: the time behind it is not known: cut with `rows` {self._first}:{row - 1}"
             )
-
-    def _finish(self, rows: int) -> None:
-        """Remark on what was left out of so many rows (InputError where nothing is left)."""
-        if self._dropped:
-            s = "" if self._dropped == 1 else "s"
-            text = (
-                f"{self._dropped:,} row{s} left out, the first: {self._first_dropped}"
-            )
-            self.remarks.append(text)
-            self.doubtful.append(text)
-        if not self._count:
-            asked = f"`rows` {self._first}:{self._last or ''}"
-            raise InputError(
-                f"{self.name}: {asked}: none of its {rows:,} rows is inside and holds only numbers"
-            )
-        self.clock.close()
-        self.remarks += self.clock.remarks
 
     def line(self) -> str:
         """Return one line on what was read; complete after the last block."""

@@ -22,7 +22,7 @@ from dbo_cli.logs.settings import (
     plain_key,
     read_settings,
 )
-from dbo_cli.logs.table import LONGEST_CELL, Column, Settings, Table
+from dbo_cli.logs.table import LONGEST_CELL, Column, Table
 from dbo_cli.units import is_unit, kind_of, parse_unit, spell, split_header, time_unit
 
 _LINES = 3  # names, units and a remark stand above the rows at most
@@ -77,7 +77,7 @@ def read_header(
     has_names = len(headers) > (units is not None)
     has_decimals = any(layout.decimal in line for line in rows[:_BESIDE])
     if len(layout.numeric) > 1 or has_decimals:  # else they are counts, and no volts
-        _fill_from_settings(layout, settings, has_names)
+        _fill_from_settings(layout, has_names)
 
 
 def _header_lines(above: Sequence[str], layout: Layout) -> list[list[str]]:
@@ -182,19 +182,16 @@ def begins_run(comment: str) -> bool:
 def _fitted(cells: list[str], layout: Layout) -> list[str]:
     """Leave out cells that belong to no column, and put in those that have no name."""
     are_units = _are_units(cells[: layout.width])
-    while len(cells) > layout.width and _is_beside(cells[-1], are_units):
+    while len(cells) > layout.width:
+        is_remark = cells[-1].lower() in ("", "comment") or is_clock_setting(cells[-1])
+        is_value = are_units and is_number(cells[-1], ".")  # of a key beside units
+        if not (is_remark or is_value):
+            break
         cells.pop()
     last = split_cells(layout.first_line, layout.delimiter)[-1]
     if len(cells) == layout.width - 1 > 0 and not last:
         return [*cells, ""]  # the rows end in a delimiter
     return cells
-
-
-def _is_beside(cell: str, beside_units: bool) -> bool:
-    """Return whether a cell belongs to no column: blank, a remark, a key, or its value beside units."""
-    if cell.lower() in ("", "comment") or is_clock_setting(cell):
-        return True
-    return beside_units and is_number(cell, ".")
 
 
 def _units_line(headers: Sequence[Sequence[str]]) -> int | None:
@@ -224,48 +221,40 @@ def _is_figure(cell: str) -> bool:
     return is_number(cell, ".") or is_number(cell, ",")
 
 
-def _fill_from_settings(layout: Layout, settings: Settings, has_names: bool) -> None:
+def _fill_from_settings(layout: Layout, has_names: bool) -> None:
     """Take names and units that are stated by channel where no line above the rows has them."""
-    names, units, time = (
-        _stated_by_channel(settings, keys, layout.width)
-        for keys in (NAME_KEYS, UNIT_KEYS, TIME_UNIT_KEYS)
-    )
-    numbered = []
-    for key, values in settings.items():
-        if re.fullmatch(r"name\d+", plain_key(key)) and values[0]:
-            numbered.append(values[0])  # Name1: a line a channel
-    places = sorted(layout.numeric)
-    if not time or len(places) > 2:  # a single statement is the file's
-        names, units = (text if len(text) > 1 else [] for text in (names, units))
-    if numbered or not has_names:
-        _give(layout.names, numbered or names, places)
-    has_units = any(split_header(cell)[1] for cell in layout.names)
-    if not any(layout.units) and not has_units:
-        _give(layout.units, units, places)
-        if 0 < len(units) == len(places) - 1 and time and time_unit(time[0]):
-            layout.units[places[0]] = time[0]
+    time = _stated_by_channel(layout, TIME_UNIT_KEYS)
+    has_units = any(layout.units) or any(split_header(name)[1] for name in layout.names)
+    places = layout.numeric
+    # a single statement is the file's, or that of the one column beside the time
+    fewest = 1 if time and len(places) < 3 else 2
+    columns = []
+    if not has_names:
+        columns.append((layout.names, NAME_KEYS))
+    if not has_units:
+        columns.append((layout.units, UNIT_KEYS))
+    for cells, keys in columns:
+        statements = _stated_by_channel(layout, keys)
+        count = len(statements)
+        if count >= fewest and count in (len(places), len(places) - 1):
+            for index, text in zip(places[-count:], statements, strict=True):
+                cells[index] = text
+    is_free = not has_units and any(layout.units) and not layout.units[places[0]]
+    if is_free and time and time_unit(time[0]):
+        layout.units[places[0]] = time[0]
 
 
-def _stated_by_channel(
-    settings: Settings, keys: Collection[str], width: int
-) -> list[str]:
+def _stated_by_channel(layout: Layout, keys: Collection[str]) -> list[str]:
     """Return what the last setting of a key states of each channel."""
     statements: list[str] = []
-    for key, values in settings.items():
+    for key, values in layout.settings.items():
         nonempty = [value for value in values if value and value != key]
         if plain_key(key) not in keys or not nonempty:
             continue
         statements = nonempty
-        if len(values) + 1 == width and key in values:  # in the places of the columns
+        if len(values) + 1 == layout.width and key in values:  # in the columns' places
             statements = ["" if value == key else value for value in (key, *values)]
     return statements
-
-
-def _give(cells: list[str], statements: Sequence[str], places: Sequence[int]) -> None:
-    """Give what is stated by channel to the columns of numbers; the first may be the time."""
-    if statements and len(statements) in (len(places), len(places) - 1):
-        for index, text in zip(places[-len(statements) :], statements, strict=True):
-            cells[index] = text
 
 
 def describe_columns(table: Table, layout: Layout) -> None:

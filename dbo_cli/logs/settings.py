@@ -28,7 +28,7 @@ _STEPS = frozenset(
 _STARTS = frozenset(
     "x0 hoffset xorg t0 start xorigin tstart wfstartoffset wfstarttime".split()
 )
-NAME_KEYS = frozenset("tracename name source channelname label".split())
+NAME_KEYS = frozenset("tracename name names source channelname label".split())
 UNIT_KEYS = frozenset(
     "vunit yunitlabel verticalunits verticalunit unit units yunits yunit".split()
 )
@@ -230,7 +230,11 @@ def read_settings(lines: Sequence[str], delimiter: str) -> Settings:
         is_scan = match and plain_key(match[1]) == "increment"  # of what it steps
         if match and match[3].strip() and not is_scan:
             key, values = match[1].strip(), _values(match[3], match[2], delimiter)
-            if is_clock_setting(key):  # two that differ are refused
+            is_numbered = re.fullmatch(r"name\d+", key.lower())
+            key = "names" if is_numbered else key  # NAME0: a line a channel
+            if is_numbered or is_clock_setting(
+                key
+            ):  # two rates that differ are refused
                 values = settings.pop(key, []) + values
             settings.setdefault(key, values)
         before = cells

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -116,7 +117,7 @@ class Reading:
     clock_offset: float | str | None = None
 
 
-def parse_rows(rows: str | None) -> tuple[int, int | None]:
+def parse_rows(rows: str | None) -> tuple[int, int]:
     """Read ``rows``: the first and the last data row, counted from 1; either may be left out.
 
     Raises
@@ -126,8 +127,8 @@ def parse_rows(rows: str | None) -> tuple[int, int | None]:
     """
     match = re.fullmatch(r"\s*(\d{0,15})\s*:\s*(\d{0,15})\s*", rows or ":", re.ASCII)
     first = int(match[1] or 1) if match else 0
-    last = int(match[2]) if match and match[2] else None
-    if first < 1 or (last is not None and last < first):
+    last = int(match[2]) if match and match[2] else sys.maxsize
+    if not 1 <= first <= last:
         raise UsageError(
             f"`rows` {rows}: give A:B, data rows counted from 1, both ends included"
         )

@@ -29,8 +29,7 @@ def test_uneven_time_gives_each_step(tmp_path):
     assert table.dt.tolist() == pytest.approx([0.001, 0.001, 0.002, 0.001, 0.016, 0.0])
     texts = [str(warning.message) for warning in said]
     assert len(texts) == 1
-    assert "1 of 6 time stamps repeat" in texts[0]
-    assert "2 gaps" in texts[0] and "row 3" in texts[0] and "0.016 s" in texts[0]
+    assert "3 gaps or repeats" in texts[0] and "row 3" in texts[0]
 
 
 @pytest.mark.parametrize(
@@ -66,7 +65,7 @@ def test_the_unit_is_given(tmp_path):
 def test_stamps(stamps, tmp_path):
     table, log = read(write(tmp_path, stamps, "when"))
     assert table.time.tolist() == [0.0, 0.5, 1.0]
-    assert log.clock.origin == 1767323045.0
+    assert log.clock.first_stamp == 1767323045 * 10**9
     assert log.clock.kind == "stamps"
 
 
@@ -75,7 +74,7 @@ def test_polars_reads_stamps_as_the_cells_are_read(tmp_path):
     path = write(tmp_path, [str(stamp) + "+01:00" for stamp in stamps], "time")
     table, log = read(path)
     np.testing.assert_array_equal(table.time, np.arange(20_000) * 3 / 1000)
-    assert log.clock.origin == 1767394770.0
+    assert log.clock.first_stamp == 1767394770 * 10**9
 
 
 @pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")

@@ -9,7 +9,7 @@ import pytest
 from dbo_cli.errors import InputError
 from dbo_cli.logs import open_log
 from dbo_cli.logs.columns import named
-from dbo_cli.logs.hdf5 import open_hdf5
+from dbo_cli.logs.formats.hdf5 import read_hdf5
 from dbo_cli.logs.settings import stated_rate
 from dbo_cli.logs.table import Reading
 
@@ -25,7 +25,7 @@ def made(path, fill):
 
 
 def opened(path, fill, part=""):
-    return open_hdf5(str(made(path / "run.h5", fill)), part, Reading())
+    return read_hdf5(str(made(path / "run.h5", fill)), part, Reading())
 
 
 def values(source, name):
@@ -115,14 +115,14 @@ def test_parts_and_paths(tmp_path):
     assert source.find("/b/none") is None
     source.close()
     for part in ("b/c", "/b/c/"):
-        source = open_hdf5(str(tmp_path / "run.h5"), part, Reading())
+        source = read_hdf5(str(tmp_path / "run.h5"), part, Reading())
         np.testing.assert_array_equal(values(source, "voltage"), 2.0 * V)
         source.close()
-    source = open_hdf5(str(tmp_path / "run.h5"), "b/c/voltage", Reading())
+    source = read_hdf5(str(tmp_path / "run.h5"), "b/c/voltage", Reading())
     assert names(source) == ["voltage"]
     source.close()
     with pytest.raises(InputError, match=r"::x: .*/a/voltage"):
-        open_hdf5(str(tmp_path / "run.h5"), "x", Reading())
+        read_hdf5(str(tmp_path / "run.h5"), "x", Reading())
 
 
 @pytest.mark.parametrize(
@@ -247,7 +247,7 @@ def test_no_other_file_is_read(tmp_path, fill, monkeypatch):
     path = made(tmp_path / "run.h5", both)
     os.truncate(other, 0)  # whoever opens it fails otherwise than by a refusal
     with pytest.raises(InputError, match=r"other file|not one column"):
-        source = open_hdf5(str(path), "", Reading())
+        source = read_hdf5(str(path), "", Reading())
         list(source.blocks([named(source, "voltage", "voltage")]))
 
 

@@ -82,7 +82,7 @@ def test_files_that_cannot_be_joined(tmp_path):
     for file, words in [
         (late, "no time in common.*-60"),
         (bare, "no clock"),
-        (dated, "dates"),
+        (dated, "stamps"),
     ]:
         with pytest.raises(InputError, match=words):
             read(seen, file)

@@ -5,6 +5,7 @@ import pytest
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs import Reading, open_log, stream, text
+from dbo_cli.logs import log as log_module
 
 BOTH = {"voltage": None, "displacement": None}
 HEAD = "time_s,voltage_V,displacement_um\n"
@@ -35,8 +36,9 @@ def test_blocks_and_ways_of_reading_give_the_same(block, small, tmp_path, monkey
     monkeypatch.setattr(text, "_TINY", min(small, 1 << 12) if small == 0 else 1 << 30)
     path = tmp_path / "run.csv"
     path.write_text(large(4000))
+    monkeypatch.setattr(log_module, "ROWS_A_BLOCK", 700)
     with open_log(str(path), BOTH) as log:
-        blocks = list(log.blocks(rows=700))
+        blocks = list(log.blocks())
     assert max(map(len, blocks)) <= 700
     assert all(b.dt == pytest.approx(0.001) for b in blocks)
     voltage = np.concatenate([b.values["voltage"] for b in blocks])
@@ -137,3 +139,12 @@ def test_a_record_that_may_be_cut_is_told(tmp_path):
             continue
         assert log.doubtful[0].startswith("line 21, the last one, has no line end")
         assert table["displacement"][:19].tolist() == [n + 0.25 for n in range(19)]
+
+
+def test_a_numbered_name_names_no_other_column(tmp_path):
+    """NAME0 alone is the first column's."""
+    path = tmp_path / "run.dat"
+    rows = "\n".join(f"{n}.5\t{n}.25" for n in range(4))
+    path.write_text(f"#SAMPLE_TIME = 0.001\n#NAME0 = Voltage\n#END_HEADER\n{rows}\n")
+    with open_log(str(path), {"voltage": "1", "displacement": "2"}) as log:
+        assert log.columns["displacement"].name == ""

@@ -1,36 +1,34 @@
 """Files that are no text: a module a format, each read by the library that owns it.
 
-The last lines of a module say what the format is, by which first bytes or suffix it is
-known, and what reads it. A library is imported when such a file is opened. A reader of
-another package joins as an entry point of the group ``dbo_cli.readers``, named by the
-suffix of its files (``.xyz``).
+A module has one reader, ``read_hdf5(path, part, reading)`` in ``hdf5``; it is imported when such a file
+is opened, and so is its library. A reader of another package joins as an entry point of
+the group ``dbo_cli.readers``, named by the suffix of its files (``.xyz``).
 """
 
 from __future__ import annotations
 
+import importlib
 import os
+from collections.abc import Callable
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.formats.arrow import ARROW
-from dbo_cli.logs.formats.excel import EXCEL
-from dbo_cli.logs.formats.matlab import MATLAB
-from dbo_cli.logs.formats.npy import NUMPY, ZIP
-from dbo_cli.logs.formats.stored import FileFormat, TableReader
-from dbo_cli.logs.formats.tdms import TDMS
 from dbo_cli.logs.table import Reading, Table
 
+TableReader = Callable[[str, str, Reading], Table]
+"""Takes a path, the part behind ``::`` and how to read."""
 
-def _read_hdf5(path: str, inner: str, reading: Reading) -> Table:
-    """Read an HDF5 file; its library is imported here (InputError)."""
-    from dbo_cli.logs.hdf5 import open_hdf5
-
-    return open_hdf5(path, inner, reading)
-
-
-_HDF5 = FileFormat((b"\x89HDF\r\n\x1a\n",), _read_hdf5, offsets=(0, 512))
-_FORMATS = (_HDF5, NUMPY, ZIP, MATLAB, ARROW, EXCEL, TDMS)
-"""In the order in which they are asked."""
-
+_FORMATS = (
+    (b"\x89HDF\r\n\x1a\n", 0, "hdf5"),
+    (b"\x89HDF\r\n\x1a\n", 512, "hdf5"),  # MATLAB 7.3
+    (b"\x93NUMPY", 0, "npy"),
+    (b"PK\x03\x04", 0, "npz"),
+    (b"MATLAB", 0, "matlab"),
+    (b"PAR1", 0, "arrow"),
+    (b"ARROW1", 0, "arrow"),
+    (b"\xd0\xcf\x11\xe0", 0, "excel"),  # before 2007
+    (b"TDSm", 0, "tdms"),
+)
+"""Bytes, where they stand in the file, and the module that reads it."""
 _TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".lvm", ".gz", "")
 _PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
 _PICKLED = "Python pickles are not read (they can run code): df.to_parquet(), or dbo.identify(df)"
@@ -40,6 +38,7 @@ _NO_HDF5 = "this is no HDF5 file: write it again, or look at its name"
 _REFUSED = {
     ".pkl": _PICKLED, ".pickle": _PICKLED, ".json": _JSON, ".jsonl": _JSON,
     ".uff": _EXPORT, ".unv": _EXPORT, ".itx": _EXPORT, ".h5": _NO_HDF5, ".hdf5": _NO_HDF5,
+    ".mat": "this is no MATLAB file of version 5 or later: save(..., '-v7') again",
 }  # fmt: skip
 """By suffix, what to do with a file of a format that is not read."""
 
@@ -50,7 +49,7 @@ def reader_of(path: str, start: bytes) -> TableReader | None:
     Parameters
     ----------
     path
-        The file; its suffix decides where its bytes do not.
+        The file; a reader of another package is known by its suffix.
     start
         Its first bytes, 1,024 or all that there are.
 
@@ -66,13 +65,11 @@ def reader_of(path: str, start: bytes) -> TableReader | None:
         for point in entry_points(group="dbo_cli.readers", name=suffix):
             foreign: TableReader = point.load()
             return foreign
-    for file_format in _FORMATS:
-        magics, offsets = file_format.magics, file_format.offsets
-        if any(start.startswith(magics, offset) for offset in offsets):
-            return file_format.read
+    for mark, offset, name in _FORMATS:
+        if start.startswith(mark, offset):
+            module = importlib.import_module(f"dbo_cli.logs.formats.{name}")
+            reader: TableReader = getattr(module, f"read_{name}")
+            return reader
     if suffix in _REFUSED or start[:2] in _PICKLES:
         raise InputError(f"{path}: {_REFUSED.get(suffix, _PICKLED)}")
-    for file_format in _FORMATS:
-        if suffix in file_format.suffixes:
-            return file_format.read
     return None

@@ -7,20 +7,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.logs.formats.stored import (
-    FileFormat,
-    StoredTable,
-    fenced,
-    quiet,
-    refuse_part,
-)
+from dbo_cli.logs.stored import StoredTable, fenced, quiet, refuse_part
 from dbo_cli.logs.table import NOT_A_TIME, Column, Fetch, Reading, Table
 
 _STRETCH = 1 << 19  # rows that polars hands out at once
 _KIND = "Parquet or Feather"
 
 
-def _read(path: str, inner: str, reading: Reading) -> Table:
+def read_arrow(path: str, inner: str, reading: Reading) -> Table:
     """Read the columns of a Parquet or Feather file (InputError)."""
     import polars as pl
 
@@ -60,6 +54,3 @@ def _fetch_of(scan: Any, name: str) -> Fetch:
         return np.asarray(series.to_numpy())
 
     return fetch
-
-
-ARROW = FileFormat((b"PAR1", b"ARROW1"), _read)

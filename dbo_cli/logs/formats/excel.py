@@ -6,13 +6,13 @@ from dataclasses import replace
 from typing import Any
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.formats.stored import FileFormat, fenced, import_extra
+from dbo_cli.logs.stored import fenced, import_extra
 from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import Reading, Table
 from dbo_cli.logs.text import TextTable
 
 
-def open_workbook(path: str, inner: str, reading: Reading) -> Table:
+def read_excel(path: str, inner: str, reading: Reading) -> Table:
     """Read the only sheet of a workbook, or ``FILE::SHEET`` (InputError)."""
     fastexcel = import_extra("fastexcel", "excel", path)
     with fenced(path, "a workbook"):
@@ -45,6 +45,3 @@ def _sheet_as_text(book: Any, name: str) -> bytes:
         include_header=False, separator="\t", quote_style="never"
     )
     return written.encode()
-
-
-EXCEL = FileFormat((b"\xd0\xcf\x11\xe0",), open_workbook)  # before 2007

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import InputError
-from dbo_cli.logs.formats.stored import FileFormat, StoredTable, fenced, refuse_part
+from dbo_cli.logs.stored import StoredTable, fenced, refuse_part
 from dbo_cli.logs.table import Reading, Table
 
 _HEADER = 128  # bytes of text, version and byte order
@@ -126,13 +125,11 @@ def _variable_of(elements: Elements, order: str) -> Variable:
     return Variable(name, "double", shape, values.reshape(shape, order="F"))
 
 
-def _read(path: str, inner: str, reading: Reading) -> Table:
+def read_matlab(path: str, inner: str, reading: Reading) -> Table:
     """Read the vectors and matrices of a file of version 5 to 7 (InputError)."""
     refuse_part(path, inner)
     with open(path, "rb") as file, fenced(path, "MATLAB"):
         data = file.read()
-        if 0 in data[:4]:
-            raise InputError(f"{path}: MATLAB before version 5: save(..., '-v7') again")
         variables = [variable for variable in variables_of(data) if variable.name]
     table = StoredTable(path)
     lines = [variable.advice() for variable in variables if variable.advice()]
@@ -143,6 +140,3 @@ def _read(path: str, inner: str, reading: Reading) -> Table:
             arrays[variable.name] = np.squeeze(variable.values)
     table.add_arrays(arrays)
     return table.require_numbers(variable.describe() for variable in variables)
-
-
-MATLAB = FileFormat((b"MATLAB",), _read, (".mat",))

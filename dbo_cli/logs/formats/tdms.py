@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.logs.formats.stored import (
-    FileFormat,
+from dbo_cli.logs.stored import (
     StoredTable,
     column_of,
     fenced,
@@ -24,7 +23,7 @@ _LEAD_IN = 28
 """Bytes: mark, contents, version, bytes to the next segment, bytes to the data."""
 
 
-def _read(path: str, inner: str, reading: Reading) -> Table:
+def read_tdms(path: str, inner: str, reading: Reading) -> Table:
     """Read a TDMS file, or one group of it (``FILE::GROUP``) (InputError)."""
     nptdms = import_extra("nptdms", "tdms", path)
     stream = open(path, "rb")
@@ -80,6 +79,3 @@ def _state_clock(table: StoredTable, properties: Any) -> None:
             value = value.astype("datetime64[us]").astype(int) / 1e6
         if value is not None:
             table.state(key, value, "s")
-
-
-TDMS = FileFormat((b"TDSm",), _read)

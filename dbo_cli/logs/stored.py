@@ -7,7 +7,6 @@ import importlib
 import os
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,32 +14,12 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import DboError, InputError
 from dbo_cli.logs.settings import is_clock_setting
-from dbo_cli.logs.table import ROWS_A_BLOCK, Column, Fetch, Reading, Table
+from dbo_cli.logs.table import ROWS_A_BLOCK, Column, Fetch, Table
 
-TableReader = Callable[[str, str, Reading], Table]
-"""Takes a path, the part behind ``::`` and how to read."""
 _KINDS = defaultdict(
     lambda: "text", f="number", i="number", u="number", b="number", M="stamp"
 )
 """The kind of a column by NumPy's letter of its type."""
-
-
-@dataclass(frozen=True)
-class FileFormat:
-    """A format: how its files are known, and what reads them.
-
-    Attributes
-    ----------
-    magics
-        First bytes, at one of the ``offsets``.
-    suffixes
-        What is enough where the first bytes say nothing.
-    """
-
-    magics: tuple[bytes, ...]
-    read: TableReader
-    suffixes: tuple[str, ...] = ()
-    offsets: tuple[int, ...] = (0,)
 
 
 def import_extra(module: str, extra: str, path: str) -> Any:

@@ -15,8 +15,8 @@ import h5py
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.formats.stored import StoredTable, columns_in, fenced
 from dbo_cli.logs.settings import is_clock_setting, plain_key
+from dbo_cli.logs.stored import StoredTable, columns_in, fenced
 from dbo_cli.logs.table import Column, Fetch, Reading, Table
 
 # bytes a dataset: a compressed chunk is unpacked once, not once a block
@@ -33,7 +33,7 @@ _MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8
 _EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
 
 
-def open_hdf5(path: str, inner: str, reading: Reading) -> Table:
+def read_hdf5(path: str, inner: str, reading: Reading) -> Table:
     """Read an HDF5 log; ``inner`` is a group or a dataset, by its path.
 
     Without it, the columns are those of the shallowest groups that have any.
