@@ -39,17 +39,13 @@ from dbo_cli.logs import (
     is_frame,
     open_log,
     open_table,
-    stated_unit,
 )
 from dbo_cli.recordings import (
     RECORDING_COLUMNS,
     Columns,
     Units,
     arrays_table,
-    clock_of,
-    floats,
     identified,
-    in_unit,
     pair_of,
     read_table,
     recordings_of,
@@ -67,7 +63,7 @@ if TYPE_CHECKING:
     from dbo_cli.drive.compensate import OnLimit
     from dbo_cli.drive.drive import PassRecord
     from dbo_cli.drive.live import Controller
-    from dbo_cli.logs import Log
+    from dbo_cli.logs import Log, Table
     from dbo_cli.reports import Pair, Report
 
 P = ParamSpec("P")
@@ -820,8 +816,6 @@ def report(
     InputError
         Lengths or units differ, or there is nothing to compare.
     """
-    from dbo_cli.reports import predict
-
     rate = _rate(sample_rate)
     if model is None and state != "auto":
         raise UsageError("`state` needs `model`")
@@ -831,32 +825,20 @@ def report(
         raise UsageError("`voltage_unit` needs `voltage`")
     actuator = None if model is None else model.actuator
     start = "auto" if actuator is None else room.state_of(state, actuator)
-    units: Units = {"measured": unit, "voltage": voltage_unit}
     if is_frame(desired):
         given = (measured, voltage, unit, voltage_unit)
         if any(value is not None for value in given):
             raise UsageError("report: a frame has its own columns and units")
-        table = frame_table(desired, None if time is None else seconds_of(time))
-        roles = (
-            "time",
-            "measured",
-            "voltage",
-            *(("desired",) if model is None else ()),
-        )
-        reading = Reading(sample_rate=rate)
-        pairs, units, _ = pairs_of(
-            [table], dict.fromkeys(roles), reading, actuator, start
-        )
-    elif measured is None:
-        raise UsageError("report: give `desired` and `measured`, or a frame")
+        table: Table = frame_table(desired, seconds_of(time))
+        columns: Columns = dict.fromkeys(("time", "measured", "voltage"))
+        if model is None:
+            columns = {**columns, "desired": None}
     else:
-        clock = clock_of(desired, time, rate, len(floats(measured, "measured")))
-        if actuator is None:
-            pair, units = _arrays_pair(desired, measured, voltage, clock, units)
-        else:
-            pair, units = _arrays_pair(None, measured, desired, clock, units, actuator)
-            pair = predict(pair, actuator, start)
-        pairs = [pair]
+        arrays = {"desired": desired, "measured": measured, "voltage": voltage}
+        options = {"desired": unit, "measured": unit, "voltage": voltage_unit}
+        table, columns = _compared(arrays, options, actuator, time, rate)
+    reading = Reading(sample_rate=rate)
+    pairs, units, _ = pairs_of([table], columns, reading, actuator, start)
     return reported(
         [dataclasses.replace(pair, rows=rows, name=name) for pair in pairs],
         units,
@@ -869,34 +851,33 @@ def report(
     )
 
 
-def _arrays_pair(
-    desired: Signal | None,
-    measured: Signal,
-    voltage: Signal | None,
-    clock: float | Floats | None,
-    units: Units,
-    model: room.Cascade | None = None,
-) -> tuple[Pair, Units]:
-    """Return arrays as what a report compares, and their units; of a model, the drive beside measured."""
-    from dbo_cli.reports import Pair
-
-    unit, voltage_unit = units["measured"], units["voltage"]
-    if model is None:
-        unit = _common_unit(desired, measured, unit)
-        displacement = floats(measured, "measured")
-        if voltage is not None:
-            voltage_unit = voltage_unit or stated_unit(voltage, "voltage")
-    else:
-        displacement = in_unit(measured, "displacement", model.output.unit, unit)
-        unit, voltage_unit = model.output.unit, model.input.unit or voltage_unit
-    drive = None
-    if voltage is not None:
-        drive = in_unit(voltage, "voltage", voltage_unit, units["voltage"])
-    if isinstance(clock, float):
-        clock = clock * np.arange(float(len(displacement)))
-    values = displacement if desired is None else floats(desired, "desired")
-    pair = Pair("log", values, displacement, clock, drive)
-    return pair, {"measured": unit, "voltage": voltage_unit}
+def _compared(
+    signals: dict[str, Signal | None],
+    options: Units,
+    model: room.Cascade | None,
+    time: Signal | None,
+    rate: float | None,
+) -> tuple[Table, Columns]:
+    """Return two arrays to compare, and perhaps a drive, as a table; InputError where they have two units."""
+    if signals["measured"] is None:
+        raise UsageError("report: give `desired` and `measured`, or a frame")
+    units: Units = {}
+    if model is not None:
+        units = {"voltage": model.input.unit, "measured": model.output.unit}
+        signals = {"voltage": signals["desired"], "measured": signals["measured"]}
+    elif signals["voltage"] is None:
+        del signals["voltage"]
+    table, columns = arrays_table(signals, options, units, time, rate)
+    first, second = table.columns[:2]
+    if model is None and first.unit != second.unit:
+        texts = [
+            f"in {each.unit}" if each.unit else "without a unit"
+            for each in (second, first)
+        ]
+        raise InputError(
+            f"measured is {texts[0]}, desired {texts[1]}: convert one of them, and pass `unit` of both"
+        )
+    return table, columns
 
 
 def pairs_of(
@@ -1001,18 +982,6 @@ def reported(
         model=model,
         **options,
     )
-
-
-def _common_unit(desired: Any, measured: Any, given: str | None) -> str | None:
-    """Return the unit of two displacements; InputError where they do not state the same one."""
-    first = stated_unit(desired, "displacement")
-    second = stated_unit(measured, "displacement")
-    if given is None and first != second:
-        texts = [f"in {unit}" if unit else "without a unit" for unit in (first, second)]
-        raise InputError(
-            f"measured is {texts[1]}, desired {texts[0]}: convert one of them, and pass `unit` of both"
-        )
-    return given or first
 
 
 # --- typed numbers ---

@@ -183,12 +183,15 @@ def arrays_table(
     entries: list[tuple[str, Any, str | None]] = []
     columns: dict[str, str | None] = {"time": None}
     for role, values in signals.items():
-        unit, unit_option = stated_unit(values, role), unit_options[role]
-        to_model_unit(role, unit, unit_option, units.get(role, unit_option))
+        label = "voltage" if role == "voltage" else "displacement"
+        array = floats(values, role)
+        unit, unit_option = stated_unit(values, label), unit_options[role]
+        to_model_unit(label, unit, unit_option, units.get(role, unit_option))
         name = str(getattr(values, "name", None) or role)
-        entries.append((name, values, unit_option or unit))
+        entries.append((name, array, unit_option or unit or units.get(role)))
         columns[role] = f"number={len(entries)}"
-    clock = clock_of(signals["voltage"], time, sample_rate, len(signals["voltage"]))
+    first = next(iter(signals.values()))
+    clock = clock_of(first, time, sample_rate, len(first))
     if isinstance(clock, np.ndarray):
         entries.append(("time", clock, "s"))
         columns["time"] = f"number={len(entries)}"
@@ -338,7 +341,7 @@ def signal_of(
     if is_frame(data):
         if unit is not None:
             raise UsageError("`unit` is of arrays: a frame has its own units")
-        source = frame_table(data, None if time is None else seconds_of(time))
+        source = frame_table(data, seconds_of(time))
         columns = dict.fromkeys(("time", roles[1]))
         units = {roles[1]: quantity.unit}
         return read_table(source, columns, Reading(sample_rate=sample_rate), units)[1]
@@ -377,7 +380,9 @@ def floats(values: Any, name: str) -> Floats:
     if bad.size:
         value = array[bad[0]]
         text = "missing or masked" if np.isnan(value) else f"{value}, no finite number"
-        raise InputError(f"`{name}`[{bad[0]}] is {text}: leave such rows out")
+        raise InputError(
+            f"`{name}`[{bad[0]}], row {bad[0] + 1}, is {text}: leave such rows out"
+        )
     return array
 
 
@@ -403,13 +408,15 @@ def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Time
         if getattr(getattr(time, "dtype", None), "kind", "O") not in "fmM":
             return None
     seconds = seconds_of(time)
-    if len(seconds) != rows:
+    if seconds is not None and len(seconds) != rows:
         raise InputError(f"`time`: {len(seconds)} times for {rows} samples")
     return seconds
 
 
-def seconds_of(time: Any) -> Floats:
-    """Return times as seconds; dates count from the first."""
+def seconds_of(time: Any) -> Floats | None:
+    """Return times as seconds; dates count from the first. None stays None."""
+    if time is None:
+        return None
     cells, unit = cells_of(time), stated_unit(time, "time")
     if dtype_kind(time) not in "mM" and unit not in (None, "s"):
         raise InputError(
