@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike
 
 from dbo_cli import model as room
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError, ModelError, UsageError
+from dbo_cli.errors import InputError, ModelError, UsageError, require_positive
 from dbo_cli.files import write_text
 from dbo_cli.logs import (
     Reading,
@@ -46,7 +46,7 @@ from dbo_cli.recordings import (
     Units,
     arrays_table,
     identified,
-    pair_of,
+    pairs_of,
     read_table,
     recordings_of,
     seconds_of,
@@ -500,11 +500,6 @@ class Model:
 class ModelSet(dict[str, Model]):
     """Models by the name of their channel."""
 
-    @classmethod
-    def of(cls, models: Mapping[str, room.Cascade]) -> ModelSet:
-        """Return the models of cascades."""
-        return cls({name: Model(actuator) for name, actuator in models.items()})
-
     def save(self, path: str | Path) -> None:
         """Write all models into one file."""
         actuators = {name: model.actuator for name, model in self.items()}
@@ -521,10 +516,8 @@ def read_model(path: str | Path) -> Model:
     ModelError
         The file is no model of version 1; the message names the key.
     """
-    models = room.read_cascades(str(path))
-    if "" in models:
-        return Model(models[""])
-    return cast(Model, ModelSet.of(models))
+    models = _models_in(path)
+    return models[""] if "" in models else cast(Model, models)
 
 
 def read_models(path: str | Path) -> ModelSet:
@@ -535,10 +528,16 @@ def read_models(path: str | Path) -> ModelSet:
     ModelError
         The file is no set of models.
     """
-    models = room.read_cascades(str(path))
+    models = _models_in(path)
     if "" in models:
         raise ModelError(f"{path}: is one model and no set: `read_model` reads it")
-    return ModelSet.of(models)
+    return models
+
+
+def _models_in(path: str | Path) -> ModelSet:
+    """Read the models of a file; a single one has no name."""
+    cascades = room.read_cascades(str(path))
+    return ModelSet({name: Model(cascade) for name, cascade in cascades.items()})
 
 
 # --- logs ---
@@ -880,43 +879,6 @@ def _compared(
     return table, columns
 
 
-def pairs_of(
-    sources: Sequence[Any],
-    columns: Columns,
-    reading: Reading,
-    model: room.Cascade | None = None,
-    state: room.State | str = "auto",
-    model_name: str = "the model",
-    units: Units | None = None,
-) -> tuple[list[Pair], Units, list[Log]]:
-    """Return what logs measured beside what was desired or what a model predicts, the units, and the logs.
-
-    Parameters
-    ----------
-    sources, columns, reading
-        As of ``recordings.pair_of``; all get the given units, the model's, or those of
-        the first log.
-    model, state, model_name
-        A forward model, what was before the first row, and its name in messages.
-    """
-    from dbo_cli.reports import predict
-
-    common = dict(units or {})
-    if model is not None:
-        model.require("forward", model_name)
-        common = {"voltage": model.input.unit, "measured": model.output.unit}
-    pairs, logs = [], []
-    for source in sources:
-        pair, own, log = pair_of(source, columns, reading, common, model is not None)
-        for role, unit in own.items():
-            common[role] = common.get(role) or unit
-        if model is not None:
-            pair = predict(pair, model, state, model_name)
-        pairs.append(pair)
-        logs.append(log)
-    return pairs, common, logs
-
-
 def matched(
     sources: Sequence[Any],
     columns: Columns,
@@ -1003,9 +965,6 @@ def _constants(values: Any) -> Any:
 
 def _rate(value: Figured | None) -> float | None:
     """Return a typed rate in Hz; UsageError where it is not above 0."""
-    if value is None:
-        return None
-    rate = parse_quantity(value, "Hz", "sample_rate")
-    if not rate > 0.0:
-        raise UsageError(f"`sample_rate`: {value!r} is not above 0")
+    rate: float | None = _figure("sample_rate", value, "Hz")
+    require_positive(sample_rate=rate)
     return rate

@@ -28,7 +28,7 @@ from dbo_cli.logs import (
 )
 from dbo_cli.logs.frame import cells_of, dtype_kind
 from dbo_cli.logs.table import OVERLOAD, Block
-from dbo_cli.model import Cascade, Quantity, steps_of
+from dbo_cli.model import Cascade, Quantity, State, steps_of
 from dbo_cli.units import (
     multiplied,
     quantity_name,
@@ -198,52 +198,77 @@ def arrays_table(
     return table_of("the arrays", entries), columns
 
 
-def pair_of(
-    source: Any, columns: Columns, reading: Reading, units: Units, needs_drive: bool
-) -> tuple[Pair, dict[str, str], Log]:
-    """Read a log to compare: desired beside measured, or the drive beside measured.
+def pairs_of(
+    sources: Sequence[Any],
+    columns: Columns,
+    reading: Reading,
+    model: Cascade | None = None,
+    state: State | str = "auto",
+    model_name: str = "the model",
+    units: Units | None = None,
+) -> tuple[list[Pair], Units, list[Log]]:
+    """Return what logs measured beside what was desired or what a model predicts, the units, and the logs.
 
     Parameters
     ----------
-    source, reading, units
-        As of ``read_table``.
-    columns : mapping
-        With ``desired``, measured values come in its unit.
-    needs_drive : bool
-        Whether a log without a drive is refused.
-
-    Returns
-    -------
-    pair, units, log
-        Without ``desired``, the pair has measured values in both places.
+    sources, columns, reading
+        As of ``recordings_of``. With ``desired``, measured values come in its unit; with
+        neither ``desired`` nor a model, pairs have measured values in both places.
+    model, state, model_name
+        A forward model, what was before the first row, and its name in messages.
+    units : mapping, optional
+        What all logs get, by role; the model's, else those of the first log.
 
     Raises
     ------
     InputError
-        It cannot be read, or the two measure different things.
+        A log cannot be read, or its two columns measure different things.
     """
-    from dbo_cli.reports import Pair
+    from dbo_cli.reports import Pair, predict
 
-    optional = ("time",) if needs_drive else ("time", "voltage")
-    log, table = read_table(source, columns, reading, units, optional)
-    stated = {role: column.unit for role, column in log.columns.items() if column.unit}
-    warn_of_assumed(log)
-    measured, drive = table["measured"], table.values.get("voltage")
-    if "desired" not in columns:
-        return Pair(log.name, measured, measured, table.time, drive), stated, log
-    unit = stated.get("desired", stated.get("measured"))
-    if len(stated.keys() & {"desired", "measured"}) == 1:
-        bare = "measured" if "desired" in stated else "desired"
+    common = dict(units or {})
+    optional = ["time"]
+    if model is None:
+        optional.append("voltage")
+    else:
+        model.require("forward", model_name)
+        common = {"voltage": model.input.unit, "measured": model.output.unit}
+    pairs, logs = [], []
+    for source in sources:
+        log, table = read_table(source, columns, reading, common, optional)
+        warn_of_assumed(log)
+        measured = table["measured"]
+        desired = table.values.get("desired", measured)
+        stated = {role: column.unit for role, column in log.columns.items()}
+        if "desired" in columns:
+            measured = _in_desired_unit(measured, log, stated)
+            stated["measured"] = stated["desired"] or stated["measured"]
+        for role, unit in stated.items():
+            if unit is not None:
+                common[role] = common.get(role) or unit
+        pair = Pair(
+            log.name, desired, measured, table.time, table.values.get("voltage")
+        )
+        if model is not None:
+            pair = predict(pair, model, state, model_name)
+        pairs.append(pair)
+        logs.append(log)
+    return pairs, common, logs
+
+
+def _in_desired_unit(measured: Floats, log: Log, units: Units) -> Floats:
+    """Return measured values in the unit of the desired ones; InputError where that is another kind."""
+    if (units["desired"] is None) != (units["measured"] is None):
+        bare = "desired" if units["desired"] is None else "measured"
+        unit = units["desired"] or units["measured"]
         warn(f"{log.name}: {bare} states no unit: both are taken in {unit}")
     try:
-        measured = multiplied(measured, ratio(stated.get("measured"), unit))
+        factor = ratio(units["measured"], units["desired"])
     except InputError as problem:
         raise InputError(
             f"{log.name}: measured and desired: {problem}: choose `measured` and `desired`"
         ) from None
-    if unit is not None:
-        stated["measured"] = unit
-    return Pair(log.name, table["desired"], measured, table.time, drive), stated, log
+    return cast(Floats, multiplied(measured, factor))
 
 
 def warn_of_assumed(log: Log) -> None:

@@ -53,8 +53,9 @@ def report(
     dbo report tracked.csv --trajectory drive.csv --max-nrmse-percent 1
     """
     from dbo_cli import channels
-    from dbo_cli.library import matched, pairs_of, reported
+    from dbo_cli.library import matched, reported
     from dbo_cli.logs import parse_rows
+    from dbo_cli.recordings import pairs_of
 
     if model is not None and trajectory is not None:
         raise UsageError("give either `model` or `trajectory`")
