@@ -38,16 +38,15 @@ from dbo_cli.logs import (
     frame_table,
     is_frame,
     open_log,
-    open_table,
 )
 from dbo_cli.recordings import (
     RECORDING_COLUMNS,
+    TRACKED_COLUMNS,
     Columns,
     Units,
     arrays_table,
     identified,
     pairs_of,
-    read_table,
     recordings_of,
     seconds_of,
     signal_of,
@@ -63,8 +62,8 @@ if TYPE_CHECKING:
     from dbo_cli.drive.compensate import OnLimit
     from dbo_cli.drive.drive import PassRecord
     from dbo_cli.drive.live import Controller
-    from dbo_cli.logs import Log, Table
-    from dbo_cli.reports import Pair, Report
+    from dbo_cli.logs import Table
+    from dbo_cli.reports import Report
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -415,7 +414,9 @@ class Model:
             bandwidth=_figure("bandwidth", bandwidth, "Hz"),
             periodic=periodic,
             passes=passes,
-            tracked=self._tracked(tracked),
+            tracked=tracked_of(
+                _listed(tracked), TRACKED_COLUMNS, Reading(), self.actuator
+            ),
             history=history,
             absolute=absolute,
         )
@@ -424,14 +425,6 @@ class Model:
 
             write_text(file, dumps_history(drive.history))
         return drive if details else drive.voltage
-
-    def _tracked(self, tracked: Logs | None) -> list[Any]:
-        """Return recordings of the last pass in the model's units."""
-        if tracked is None:  # nothing is loaded for it
-            return []
-        sources = _listed(tracked)
-        columns = dict.fromkeys(("time", "voltage", "measured"))
-        return tracked_of(sources, columns, Reading(), self.actuator)
 
     @with_known_options
     def controller(
@@ -815,6 +808,8 @@ def report(
     InputError
         Lengths or units differ, or there is nothing to compare.
     """
+    from dbo_cli.reports import Report, expected_in
+
     rate = _rate(sample_rate)
     if model is None and state != "auto":
         raise UsageError("`state` needs `model`")
@@ -838,15 +833,17 @@ def report(
         table, columns = _compared(arrays, options, actuator, time, rate)
     reading = Reading(sample_rate=rate)
     pairs, units, _ = pairs_of([table], columns, reading, actuator, start)
-    return reported(
+    unit = units.get("measured")
+    return Report.of(
         [dataclasses.replace(pair, rows=rows, name=name) for pair in pairs],
-        units,
-        actuator,
-        expected,
-        max_rmse,
+        unit=unit,
+        voltage_unit=units.get("voltage"),
         lag=lag,
         remove_offset=remove_offset,
+        expected=expected_in(expected, unit),
+        max_rmse=_figure("max_rmse", max_rmse, unit),
         max_nrmse_percent=_figure("max_nrmse_percent", max_nrmse_percent, "%"),
+        model=actuator,
     )
 
 
@@ -877,73 +874,6 @@ def _compared(
             f"measured is {texts[0]}, desired {texts[1]}: convert one of them, and pass `unit` of both"
         )
     return table, columns
-
-
-def matched(
-    sources: Sequence[Any],
-    columns: Columns,
-    reading: Reading,
-    trajectory: str,
-    desired: str | None,
-    by: str,
-    has_summary: bool,
-) -> tuple[list[Pair], Units, list[Log]]:
-    """Return ``pairs_of`` logs whose desired values are in a file of their own, matched ``by`` time or rows.
-
-    ``desired`` is the column of that file; its drive is looked for beside it. Without a
-    summary, nothing tells where the move of a drive ends.
-    """
-    from dbo_cli.reports import match
-
-    roles = {"time": None, "trajectory": desired}
-    roles["voltage"] = _drive_beside(trajectory, desired)
-    optional = ("time", "voltage")
-    file, table = read_table(trajectory, roles, Reading(), optional=optional)
-    trajectory_units = {"measured": file.columns["trajectory"].unit}
-    pairs, units, logs = pairs_of(sources, columns, reading, units=trajectory_units)
-    values, drive = table["trajectory"], table.values.get("voltage")
-    matches = []
-    for pair in pairs:
-        matched_pair = match(pair, values, table.time, by, trajectory, drive)
-        if drive is not None and not has_summary:
-            matched_pair = matched_pair.noted(
-                "rows of a way back count as the move: the drive's summary (`expected`) leaves them out"
-            )
-        matches.append(matched_pair)
-    return matches, units, logs
-
-
-def _drive_beside(trajectory: str, desired: str | None) -> str | None:
-    """Return the drive's column beside the desired one of a channel, as compensate names it."""
-    if desired is None or "desired" not in desired:
-        return None
-    name = desired.replace("desired", "voltage", 1)
-    with open_table(trajectory, Reading()) as table:
-        quantities = [column.quantity for column in table.columns]
-    return next((each for each in quantities if name.startswith(each)), None)
-
-
-def reported(
-    pairs: Sequence[Pair],
-    units: Units,
-    model: room.Cascade | None,
-    expected: str | Mapping[str, object] | None,
-    max_rmse: Figured | None,
-    **options: Any,
-) -> Report:
-    """Return the report of pairs, with the options of ``Report.of``, as ``report`` and the command do."""
-    from dbo_cli.reports import Report, expected_in
-
-    unit = units.get("measured")
-    return Report.of(
-        pairs,
-        unit=unit,
-        expected=None if expected is None else expected_in(expected, unit),
-        max_rmse=_figure("max_rmse", max_rmse, unit),
-        voltage_unit=units.get("voltage"),
-        model=model,
-        **options,
-    )
 
 
 # --- typed numbers ---

@@ -23,6 +23,7 @@ from dbo_cli.logs import (
     frame_table,
     is_frame,
     open_log,
+    open_table,
     stated_unit,
     table_of,
 )
@@ -52,6 +53,8 @@ Columns = Mapping[str, str | None]
 """What was typed for each role; None: found by name and unit."""
 RECORDING_COLUMNS: Columns = dict.fromkeys(("time", *RECORDING_ROLES))
 """Nothing typed for the roles of a recording."""
+TRACKED_COLUMNS: Columns = dict.fromkeys(("time", "voltage", "measured"))
+"""Nothing typed for the roles of a recording of a pass."""
 Units = Mapping[str, str | None]
 """The unit of each role; None: not known."""
 
@@ -271,6 +274,50 @@ def _in_desired_unit(measured: Floats, log: Log, units: Units) -> Floats:
     return cast(Floats, multiplied(measured, factor))
 
 
+def matched(
+    sources: Sequence[Any],
+    columns: Columns,
+    reading: Reading,
+    trajectory: str,
+    desired: str | None,
+    by: str,
+    has_summary: bool,
+) -> tuple[list[Pair], Units, list[Log]]:
+    """Return ``pairs_of`` logs whose desired values are in a file of their own, matched ``by`` time or rows.
+
+    ``desired`` is the column of that file; its drive is looked for beside it. Without a
+    summary, nothing tells where the move of a drive ends.
+    """
+    from dbo_cli.reports import match
+
+    roles = {"time": None, "trajectory": desired}
+    roles["voltage"] = _drive_beside(trajectory, desired)
+    optional = ("time", "voltage")
+    file, table = read_table(trajectory, roles, Reading(), optional=optional)
+    trajectory_units = {"measured": file.columns["trajectory"].unit}
+    pairs, units, logs = pairs_of(sources, columns, reading, units=trajectory_units)
+    values, drive = table["trajectory"], table.values.get("voltage")
+    matches = []
+    for pair in pairs:
+        matched_pair = match(pair, values, table.time, by, trajectory, drive)
+        if drive is not None and not has_summary:
+            matched_pair = matched_pair.noted(
+                "rows of a way back count as the move: the drive's summary (`expected`) leaves them out"
+            )
+        matches.append(matched_pair)
+    return matches, units, logs
+
+
+def _drive_beside(trajectory: str, desired: str | None) -> str | None:
+    """Return the drive's column beside the desired one of a channel, as compensate names it."""
+    if desired is None or "desired" not in desired:
+        return None
+    name = desired.replace("desired", "voltage", 1)
+    with open_table(trajectory, Reading()) as table:
+        quantities = [column.quantity for column in table.columns]
+    return next((each for each in quantities if name.startswith(each)), None)
+
+
 def warn_of_assumed(log: Log) -> None:
     """Warn of columns whose unit is assumed, where no line says what was read."""
     for label in log.assumed:
@@ -289,6 +336,8 @@ def tracked_of(
     model : Cascade
         A forward model.
     """
+    if not sources:  # nothing is loaded for it
+        return []
     from dbo_cli.drive.learning import Tracked
 
     units = {"voltage": model.input.unit, "measured": model.output.unit}
