@@ -80,7 +80,8 @@ class Alignment:
 
     def reference_time(self, time: Floats) -> Floats:
         """Return stamps of the recording on the clock of the other (s)."""
-        return self.reference_start + self.lag.reference_time(time - self.start)
+        times: Floats = (time - self.start) * (1.0 - self.lag.rate) - self.lag.seconds
+        return self.reference_start + times
 
 
 def mean_step(time: Floats) -> float:

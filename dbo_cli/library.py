@@ -31,27 +31,22 @@ from numpy.typing import ArrayLike
 
 from dbo_cli import model as room
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError, ModelError, UsageError
+from dbo_cli.errors import InputError, ModelError, UsageError, require_positive
 from dbo_cli.files import write_text
 from dbo_cli.logs import (
     Reading,
     frame_table,
     is_frame,
     open_log,
-    open_table,
-    stated_unit,
 )
 from dbo_cli.recordings import (
     RECORDING_COLUMNS,
+    TRACKED_COLUMNS,
     Columns,
     Units,
     arrays_table,
-    clock_of,
-    floats,
     identified,
-    in_unit,
-    pair_of,
-    read_table,
+    pairs_of,
     recordings_of,
     seconds_of,
     signal_of,
@@ -67,8 +62,8 @@ if TYPE_CHECKING:
     from dbo_cli.drive.compensate import OnLimit
     from dbo_cli.drive.drive import PassRecord
     from dbo_cli.drive.live import Controller
-    from dbo_cli.logs import Log
-    from dbo_cli.reports import Pair, Report
+    from dbo_cli.logs import Table
+    from dbo_cli.reports import Report
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -419,7 +414,9 @@ class Model:
             bandwidth=_figure("bandwidth", bandwidth, "Hz"),
             periodic=periodic,
             passes=passes,
-            tracked=self._tracked(tracked),
+            tracked=tracked_of(
+                _listed(tracked), TRACKED_COLUMNS, Reading(), self.actuator
+            ),
             history=history,
             absolute=absolute,
         )
@@ -428,14 +425,6 @@ class Model:
 
             write_text(file, dumps_history(drive.history))
         return drive if details else drive.voltage
-
-    def _tracked(self, tracked: Logs | None) -> list[Any]:
-        """Return recordings of the last pass in the model's units."""
-        if tracked is None:  # nothing is loaded for it
-            return []
-        sources = _listed(tracked)
-        columns = dict.fromkeys(("time", "voltage", "measured"))
-        return tracked_of(sources, columns, Reading(), self.actuator)
 
     @with_known_options
     def controller(
@@ -504,11 +493,6 @@ class Model:
 class ModelSet(dict[str, Model]):
     """Models by the name of their channel."""
 
-    @classmethod
-    def of(cls, models: Mapping[str, room.Cascade]) -> ModelSet:
-        """Return the models of cascades."""
-        return cls({name: Model(actuator) for name, actuator in models.items()})
-
     def save(self, path: str | Path) -> None:
         """Write all models into one file."""
         actuators = {name: model.actuator for name, model in self.items()}
@@ -525,10 +509,8 @@ def read_model(path: str | Path) -> Model:
     ModelError
         The file is no model of version 1; the message names the key.
     """
-    models = room.read_cascades(str(path))
-    if "" in models:
-        return Model(models[""])
-    return cast(Model, ModelSet.of(models))
+    models = _models_in(path)
+    return models[""] if "" in models else cast(Model, models)
 
 
 def read_models(path: str | Path) -> ModelSet:
@@ -539,10 +521,16 @@ def read_models(path: str | Path) -> ModelSet:
     ModelError
         The file is no set of models.
     """
-    models = room.read_cascades(str(path))
+    models = _models_in(path)
     if "" in models:
         raise ModelError(f"{path}: is one model and no set: `read_model` reads it")
-    return ModelSet.of(models)
+    return models
+
+
+def _models_in(path: str | Path) -> ModelSet:
+    """Read the models of a file; a single one has no name."""
+    cascades = room.read_cascades(str(path))
+    return ModelSet({name: Model(cascade) for name, cascade in cascades.items()})
 
 
 # --- logs ---
@@ -820,7 +808,7 @@ def report(
     InputError
         Lengths or units differ, or there is nothing to compare.
     """
-    from dbo_cli.reports import predict
+    from dbo_cli.reports import Report, expected_in
 
     rate = _rate(sample_rate)
     if model is None and state != "auto":
@@ -831,188 +819,61 @@ def report(
         raise UsageError("`voltage_unit` needs `voltage`")
     actuator = None if model is None else model.actuator
     start = "auto" if actuator is None else room.state_of(state, actuator)
-    units: Units = {"measured": unit, "voltage": voltage_unit}
     if is_frame(desired):
         given = (measured, voltage, unit, voltage_unit)
         if any(value is not None for value in given):
             raise UsageError("report: a frame has its own columns and units")
-        table = frame_table(desired, None if time is None else seconds_of(time))
-        roles = (
-            "time",
-            "measured",
-            "voltage",
-            *(("desired",) if model is None else ()),
-        )
-        reading = Reading(sample_rate=rate)
-        pairs, units, _ = pairs_of(
-            [table], dict.fromkeys(roles), reading, actuator, start
-        )
-    elif measured is None:
-        raise UsageError("report: give `desired` and `measured`, or a frame")
+        table: Table = frame_table(desired, seconds_of(time))
+        columns: Columns = dict.fromkeys(("time", "measured", "voltage"))
+        if model is None:
+            columns = {**columns, "desired": None}
     else:
-        clock = clock_of(desired, time, rate, len(floats(measured, "measured")))
-        if actuator is None:
-            pair, units = _arrays_pair(desired, measured, voltage, clock, units)
-        else:
-            pair, units = _arrays_pair(None, measured, desired, clock, units, actuator)
-            pair = predict(pair, actuator, start)
-        pairs = [pair]
-    return reported(
-        [dataclasses.replace(pair, rows=rows, name=name) for pair in pairs],
-        units,
-        actuator,
-        expected,
-        max_rmse,
-        lag=lag,
-        remove_offset=remove_offset,
-        max_nrmse_percent=_figure("max_nrmse_percent", max_nrmse_percent, "%"),
-    )
-
-
-def _arrays_pair(
-    desired: Signal | None,
-    measured: Signal,
-    voltage: Signal | None,
-    clock: float | Floats | None,
-    units: Units,
-    model: room.Cascade | None = None,
-) -> tuple[Pair, Units]:
-    """Return arrays as what a report compares, and their units; of a model, the drive beside measured."""
-    from dbo_cli.reports import Pair
-
-    unit, voltage_unit = units["measured"], units["voltage"]
-    if model is None:
-        unit = _common_unit(desired, measured, unit)
-        displacement = floats(measured, "measured")
-        if voltage is not None:
-            voltage_unit = voltage_unit or stated_unit(voltage, "voltage")
-    else:
-        displacement = in_unit(measured, "displacement", model.output.unit, unit)
-        unit, voltage_unit = model.output.unit, model.input.unit or voltage_unit
-    drive = None
-    if voltage is not None:
-        drive = in_unit(voltage, "voltage", voltage_unit, units["voltage"])
-    if isinstance(clock, float):
-        clock = clock * np.arange(float(len(displacement)))
-    values = displacement if desired is None else floats(desired, "desired")
-    pair = Pair("log", values, displacement, clock, drive)
-    return pair, {"measured": unit, "voltage": voltage_unit}
-
-
-def pairs_of(
-    sources: Sequence[Any],
-    columns: Columns,
-    reading: Reading,
-    model: room.Cascade | None = None,
-    state: room.State | str = "auto",
-    model_name: str = "the model",
-    units: Units | None = None,
-) -> tuple[list[Pair], Units, list[Log]]:
-    """Return what logs measured beside what was desired or what a model predicts, the units, and the logs.
-
-    Parameters
-    ----------
-    sources, columns, reading
-        As of ``recordings.pair_of``; all get the given units, the model's, or those of
-        the first log.
-    model, state, model_name
-        A forward model, what was before the first row, and its name in messages.
-    """
-    from dbo_cli.reports import predict
-
-    common = dict(units or {})
-    if model is not None:
-        model.require("forward", model_name)
-        common = {"voltage": model.input.unit, "measured": model.output.unit}
-    pairs, logs = [], []
-    for source in sources:
-        pair, own, log = pair_of(source, columns, reading, common, model is not None)
-        for role, unit in own.items():
-            common[role] = common.get(role) or unit
-        if model is not None:
-            pair = predict(pair, model, state, model_name)
-        pairs.append(pair)
-        logs.append(log)
-    return pairs, common, logs
-
-
-def matched(
-    sources: Sequence[Any],
-    columns: Columns,
-    reading: Reading,
-    trajectory: str,
-    desired: str | None,
-    by: str,
-    has_summary: bool,
-) -> tuple[list[Pair], Units, list[Log]]:
-    """Return ``pairs_of`` logs whose desired values are in a file of their own, matched ``by`` time or rows.
-
-    ``desired`` is the column of that file; its drive is looked for beside it. Without a
-    summary, nothing tells where the move of a drive ends.
-    """
-    from dbo_cli.reports import match
-
-    roles = {"time": None, "trajectory": desired}
-    roles["voltage"] = _drive_beside(trajectory, desired)
-    optional = ("time", "voltage")
-    file, table = read_table(trajectory, roles, Reading(), optional=optional)
-    trajectory_units = {"measured": file.columns["trajectory"].unit}
-    pairs, units, logs = pairs_of(sources, columns, reading, units=trajectory_units)
-    values, drive = table["trajectory"], table.values.get("voltage")
-    matches = []
-    for pair in pairs:
-        matched_pair = match(pair, values, table.time, by, trajectory, drive)
-        if drive is not None and not has_summary:
-            matched_pair = matched_pair.noted(
-                "rows of a way back count as the move: the drive's summary (`expected`) leaves them out"
-            )
-        matches.append(matched_pair)
-    return matches, units, logs
-
-
-def _drive_beside(trajectory: str, desired: str | None) -> str | None:
-    """Return the drive's column beside the desired one of a channel, as compensate names it."""
-    if desired is None or "desired" not in desired:
-        return None
-    name = desired.replace("desired", "voltage", 1)
-    with open_table(trajectory, Reading()) as table:
-        quantities = [column.quantity for column in table.columns]
-    return next((each for each in quantities if name.startswith(each)), None)
-
-
-def reported(
-    pairs: Sequence[Pair],
-    units: Units,
-    model: room.Cascade | None,
-    expected: str | Mapping[str, object] | None,
-    max_rmse: Figured | None,
-    **options: Any,
-) -> Report:
-    """Return the report of pairs, with the options of ``Report.of``, as ``report`` and the command do."""
-    from dbo_cli.reports import Report, expected_in
-
+        arrays = {"desired": desired, "measured": measured, "voltage": voltage}
+        options = {"desired": unit, "measured": unit, "voltage": voltage_unit}
+        table, columns = _compared(arrays, options, actuator, time, rate)
+    reading = Reading(sample_rate=rate)
+    pairs, units, _ = pairs_of([table], columns, reading, actuator, start)
     unit = units.get("measured")
     return Report.of(
-        pairs,
+        [dataclasses.replace(pair, rows=rows, name=name) for pair in pairs],
         unit=unit,
-        expected=None if expected is None else expected_in(expected, unit),
-        max_rmse=_figure("max_rmse", max_rmse, unit),
         voltage_unit=units.get("voltage"),
-        model=model,
-        **options,
+        lag=lag,
+        remove_offset=remove_offset,
+        expected=expected_in(expected, unit),
+        max_rmse=_figure("max_rmse", max_rmse, unit),
+        max_nrmse_percent=_figure("max_nrmse_percent", max_nrmse_percent, "%"),
+        model=actuator,
     )
 
 
-def _common_unit(desired: Any, measured: Any, given: str | None) -> str | None:
-    """Return the unit of two displacements; InputError where they do not state the same one."""
-    first = stated_unit(desired, "displacement")
-    second = stated_unit(measured, "displacement")
-    if given is None and first != second:
-        texts = [f"in {unit}" if unit else "without a unit" for unit in (first, second)]
+def _compared(
+    signals: dict[str, Signal | None],
+    options: Units,
+    model: room.Cascade | None,
+    time: Signal | None,
+    rate: float | None,
+) -> tuple[Table, Columns]:
+    """Return two arrays to compare, and perhaps a drive, as a table; InputError where they have two units."""
+    if signals["measured"] is None:
+        raise UsageError("report: give `desired` and `measured`, or a frame")
+    units: Units = {}
+    if model is not None:
+        units = {"voltage": model.input.unit, "measured": model.output.unit}
+        signals = {"voltage": signals["desired"], "measured": signals["measured"]}
+    elif signals["voltage"] is None:
+        del signals["voltage"]
+    table, columns = arrays_table(signals, options, units, time, rate)
+    first, second = table.columns[:2]
+    if model is None and first.unit != second.unit:
+        texts = [
+            f"in {each.unit}" if each.unit else "without a unit"
+            for each in (second, first)
+        ]
         raise InputError(
-            f"measured is {texts[1]}, desired {texts[0]}: convert one of them, and pass `unit` of both"
+            f"measured is {texts[0]}, desired {texts[1]}: convert one of them, and pass `unit` of both"
         )
-    return given or first
+    return table, columns
 
 
 # --- typed numbers ---
@@ -1034,9 +895,6 @@ def _constants(values: Any) -> Any:
 
 def _rate(value: Figured | None) -> float | None:
     """Return a typed rate in Hz; UsageError where it is not above 0."""
-    if value is None:
-        return None
-    rate = parse_quantity(value, "Hz", "sample_rate")
-    if not rate > 0.0:
-        raise UsageError(f"`sample_rate`: {value!r} is not above 0")
+    rate: float | None = _figure("sample_rate", value, "Hz")
+    require_positive(sample_rate=rate)
     return rate

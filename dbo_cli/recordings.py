@@ -23,12 +23,13 @@ from dbo_cli.logs import (
     frame_table,
     is_frame,
     open_log,
+    open_table,
     stated_unit,
     table_of,
 )
 from dbo_cli.logs.frame import cells_of, dtype_kind
 from dbo_cli.logs.table import OVERLOAD, Block
-from dbo_cli.model import Cascade, Quantity, steps_of
+from dbo_cli.model import Cascade, Quantity, State, steps_of
 from dbo_cli.units import (
     multiplied,
     quantity_name,
@@ -52,6 +53,8 @@ Columns = Mapping[str, str | None]
 """What was typed for each role; None: found by name and unit."""
 RECORDING_COLUMNS: Columns = dict.fromkeys(("time", *RECORDING_ROLES))
 """Nothing typed for the roles of a recording."""
+TRACKED_COLUMNS: Columns = dict.fromkeys(("time", "voltage", "measured"))
+"""Nothing typed for the roles of a recording of a pass."""
 Units = Mapping[str, str | None]
 """The unit of each role; None: not known."""
 
@@ -183,64 +186,136 @@ def arrays_table(
     entries: list[tuple[str, Any, str | None]] = []
     columns: dict[str, str | None] = {"time": None}
     for role, values in signals.items():
-        unit, unit_option = stated_unit(values, role), unit_options[role]
-        to_model_unit(role, unit, unit_option, units.get(role, unit_option))
+        label = "voltage" if role == "voltage" else "displacement"
+        array = floats(values, role)
+        unit, unit_option = stated_unit(values, label), unit_options[role]
+        to_model_unit(label, unit, unit_option, units.get(role, unit_option))
         name = str(getattr(values, "name", None) or role)
-        entries.append((name, values, unit_option or unit))
+        entries.append((name, array, unit_option or unit or units.get(role)))
         columns[role] = f"number={len(entries)}"
-    clock = clock_of(signals["voltage"], time, sample_rate, len(signals["voltage"]))
+    first = next(iter(signals.values()))
+    clock = clock_of(first, time, sample_rate, len(first))
     if isinstance(clock, np.ndarray):
         entries.append(("time", clock, "s"))
         columns["time"] = f"number={len(entries)}"
     return table_of("the arrays", entries), columns
 
 
-def pair_of(
-    source: Any, columns: Columns, reading: Reading, units: Units, needs_drive: bool
-) -> tuple[Pair, dict[str, str], Log]:
-    """Read a log to compare: desired beside measured, or the drive beside measured.
+def pairs_of(
+    sources: Sequence[Any],
+    columns: Columns,
+    reading: Reading,
+    model: Cascade | None = None,
+    state: State | str = "auto",
+    model_name: str = "the model",
+    units: Units | None = None,
+) -> tuple[list[Pair], Units, list[Log]]:
+    """Return what logs measured beside what was desired or what a model predicts, the units, and the logs.
 
     Parameters
     ----------
-    source, reading, units
-        As of ``read_table``.
-    columns : mapping
-        With ``desired``, measured values come in its unit.
-    needs_drive : bool
-        Whether a log without a drive is refused.
-
-    Returns
-    -------
-    pair, units, log
-        Without ``desired``, the pair has measured values in both places.
+    sources, columns, reading
+        As of ``recordings_of``. With ``desired``, measured values come in its unit; with
+        neither ``desired`` nor a model, pairs have measured values in both places.
+    model, state, model_name
+        A forward model, what was before the first row, and its name in messages.
+    units : mapping, optional
+        What all logs get, by role; the model's, else those of the first log.
 
     Raises
     ------
     InputError
-        It cannot be read, or the two measure different things.
+        A log cannot be read, or its two columns measure different things.
     """
-    from dbo_cli.reports import Pair
+    from dbo_cli.reports import Pair, predict
 
-    optional = ("time",) if needs_drive else ("time", "voltage")
-    log, table = read_table(source, columns, reading, units, optional)
-    stated = {role: column.unit for role, column in log.columns.items() if column.unit}
-    warn_of_assumed(log)
-    measured, drive = table["measured"], table.values.get("voltage")
-    if "desired" not in columns:
-        return Pair(log.name, measured, measured, table.time, drive), stated, log
-    unit = stated.get("desired", stated.get("measured"))
-    if len(stated.keys() & {"desired", "measured"}) == 1:
-        bare = "measured" if "desired" in stated else "desired"
+    common = dict(units or {})
+    optional = ["time"]
+    if model is None:
+        optional.append("voltage")
+    else:
+        model.require("forward", model_name)
+        common = {"voltage": model.input.unit, "measured": model.output.unit}
+    pairs, logs = [], []
+    for source in sources:
+        log, table = read_table(source, columns, reading, common, optional)
+        warn_of_assumed(log)
+        measured = table["measured"]
+        desired = table.values.get("desired", measured)
+        stated = {role: column.unit for role, column in log.columns.items()}
+        if "desired" in columns:
+            measured = _in_desired_unit(measured, log, stated)
+            stated["measured"] = stated["desired"] or stated["measured"]
+        for role, unit in stated.items():
+            if unit is not None:
+                common[role] = common.get(role) or unit
+        pair = Pair(
+            log.name, desired, measured, table.time, table.values.get("voltage")
+        )
+        if model is not None:
+            pair = predict(pair, model, state, model_name)
+        pairs.append(pair)
+        logs.append(log)
+    return pairs, common, logs
+
+
+def _in_desired_unit(measured: Floats, log: Log, units: Units) -> Floats:
+    """Return measured values in the unit of the desired ones; InputError where that is another kind."""
+    if (units["desired"] is None) != (units["measured"] is None):
+        bare = "desired" if units["desired"] is None else "measured"
+        unit = units["desired"] or units["measured"]
         warn(f"{log.name}: {bare} states no unit: both are taken in {unit}")
     try:
-        measured = multiplied(measured, ratio(stated.get("measured"), unit))
+        factor = ratio(units["measured"], units["desired"])
     except InputError as problem:
         raise InputError(
             f"{log.name}: measured and desired: {problem}: choose `measured` and `desired`"
         ) from None
-    if unit is not None:
-        stated["measured"] = unit
-    return Pair(log.name, table["desired"], measured, table.time, drive), stated, log
+    return cast(Floats, multiplied(measured, factor))
+
+
+def matched(
+    sources: Sequence[Any],
+    columns: Columns,
+    reading: Reading,
+    trajectory: str,
+    desired: str | None,
+    by: str,
+    has_summary: bool,
+) -> tuple[list[Pair], Units, list[Log]]:
+    """Return ``pairs_of`` logs whose desired values are in a file of their own, matched ``by`` time or rows.
+
+    ``desired`` is the column of that file; its drive is looked for beside it. Without a
+    summary, nothing tells where the move of a drive ends.
+    """
+    from dbo_cli.reports import match
+
+    roles = {"time": None, "trajectory": desired}
+    roles["voltage"] = _drive_beside(trajectory, desired)
+    optional = ("time", "voltage")
+    file, table = read_table(trajectory, roles, Reading(), optional=optional)
+    trajectory_units = {"measured": file.columns["trajectory"].unit}
+    pairs, units, logs = pairs_of(sources, columns, reading, units=trajectory_units)
+    values, drive = table["trajectory"], table.values.get("voltage")
+    matches = []
+    for pair in pairs:
+        matched_pair = match(pair, values, table.time, by, trajectory, drive)
+        if drive is not None and not has_summary:
+            matched_pair = matched_pair.noted(
+                "rows of a way back count as the move: the drive's summary (`expected`) leaves them out"
+            )
+        matches.append(matched_pair)
+    return matches, units, logs
+
+
+def _drive_beside(trajectory: str, desired: str | None) -> str | None:
+    """Return the drive's column beside the desired one of a channel, as compensate names it."""
+    if desired is None or "desired" not in desired:
+        return None
+    name = desired.replace("desired", "voltage", 1)
+    with open_table(trajectory, Reading()) as table:
+        quantities = [column.quantity for column in table.columns]
+    return next((each for each in quantities if name.startswith(each)), None)
 
 
 def warn_of_assumed(log: Log) -> None:
@@ -261,6 +336,8 @@ def tracked_of(
     model : Cascade
         A forward model.
     """
+    if not sources:  # nothing is loaded for it
+        return []
     from dbo_cli.drive.learning import Tracked
 
     units = {"voltage": model.input.unit, "measured": model.output.unit}
@@ -338,7 +415,7 @@ def signal_of(
     if is_frame(data):
         if unit is not None:
             raise UsageError("`unit` is of arrays: a frame has its own units")
-        source = frame_table(data, None if time is None else seconds_of(time))
+        source = frame_table(data, seconds_of(time))
         columns = dict.fromkeys(("time", roles[1]))
         units = {roles[1]: quantity.unit}
         return read_table(source, columns, Reading(sample_rate=sample_rate), units)[1]
@@ -377,7 +454,9 @@ def floats(values: Any, name: str) -> Floats:
     if bad.size:
         value = array[bad[0]]
         text = "missing or masked" if np.isnan(value) else f"{value}, no finite number"
-        raise InputError(f"`{name}`[{bad[0]}] is {text}: leave such rows out")
+        raise InputError(
+            f"`{name}`[{bad[0]}], row {bad[0] + 1}, is {text}: leave such rows out"
+        )
     return array
 
 
@@ -403,13 +482,15 @@ def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> Time
         if getattr(getattr(time, "dtype", None), "kind", "O") not in "fmM":
             return None
     seconds = seconds_of(time)
-    if len(seconds) != rows:
+    if seconds is not None and len(seconds) != rows:
         raise InputError(f"`time`: {len(seconds)} times for {rows} samples")
     return seconds
 
 
-def seconds_of(time: Any) -> Floats:
-    """Return times as seconds; dates count from the first."""
+def seconds_of(time: Any) -> Floats | None:
+    """Return times as seconds; dates count from the first. None stays None."""
+    if time is None:
+        return None
     cells, unit = cells_of(time), stated_unit(time, "time")
     if dtype_kind(time) not in "mM" and unit not in (None, "s"):
         raise InputError(

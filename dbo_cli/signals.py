@@ -181,10 +181,6 @@ class TimeLag:
     rival: float | None = None
     evidence: float = 0.0
 
-    def reference_time(self, time: Floats) -> Floats:
-        """Return times of the signal as times of the reference."""
-        return time * (1.0 - self.rate) - self.seconds
-
 
 def lag(
     signal: Floats,

@@ -14,6 +14,16 @@ from typing import Any
 
 from dbo_cli.errors import InputError, UsageError, warn
 
+
+@dataclass(frozen=True)
+class Unit:
+    """A known unit: its ASCII text, what it measures, and its size in the base unit."""
+
+    text: str
+    kind: str
+    size: Fraction
+
+
 # what instruments write, and what it measures; each with the SI prefixes
 _BASES = {
     "V": "voltage", "A": "current", "m": "length", "N": "force", "Hz": "frequency", "s": "time",
@@ -76,10 +86,11 @@ MOVED_KINDS = frozenset(("strain", "force", "torque", "induction"))
 _VALUE_KINDS = DRIVING_KINDS | MOVED_KINDS | {"voltage", "length", "angle"}
 
 
-_SIZES = dict(_UNPREFIXED)
+_UNITS = {text: Unit(text, *entry) for text, entry in _UNPREFIXED.items()}
 for _base, _kind in _BASES.items():
     for _prefix, _power in _PREFIXES.items():
-        _SIZES[_prefix + _base] = (_kind, Fraction(10) ** _power)
+        _text = _prefix + _base
+        _UNITS[_text] = Unit(_text, _kind, Fraction(10) ** _power)
 _WORDS = {word: unit for unit, text in _SPELLINGS.items() for word in text.split()}
 _TIME_WORDS = {w: unit for unit, text in _TIME_SPELLINGS.items() for w in text.split()}
 
@@ -103,20 +114,6 @@ _QUANTITY = re.compile(
 )
 
 
-@dataclass(frozen=True)
-class Unit:
-    """A known unit: its ASCII text, what it measures, and its size in the base unit."""
-
-    text: str
-    kind: str
-    size: Fraction
-
-    @property
-    def base(self) -> str:
-        """The base unit of its kind (``um``: ``m``); the unit itself where there is none."""
-        return _BASE_OF.get(self.kind, self.text)
-
-
 def spell(text: str | None) -> str | None:
     """Spell a unit plainly: ``µm`` and ``microns`` are ``um``; None for an empty text."""
     plain = (text or "").strip().strip("[](){}<>").strip()
@@ -127,11 +124,7 @@ def spell(text: str | None) -> str | None:
 
 def parse_unit(text: str | None) -> Unit | None:
     """Read a unit in any known spelling; None where it is not known."""
-    unit = spell(text)
-    if unit is None or unit not in _SIZES:
-        return None
-    kind, size = _SIZES[unit]
-    return Unit(unit, kind, size)
+    return _UNITS.get(spell(text) or "")
 
 
 def kind_of(text: str | None) -> str | None:
@@ -226,9 +219,7 @@ def time_unit(text: str | None) -> str | None:
     plain = plain.replace("µ", "u").replace("μ", "u").lower()
     plain = _PREFIX_WORD.sub(r"\1", plain)
     unit = _TIME_WORDS.get(plain) or _WORDS.get(plain)
-    if unit is not None and _SIZES[unit][0] == "time":
-        return unit
-    return None
+    return unit if kind_of(unit) == "time" else None
 
 
 def is_unit(text: str | None) -> bool:
@@ -258,18 +249,15 @@ def units_in(name: str) -> set[str]:
     units = {unit for unit in units if parse_unit(unit)}
     if not units:
         words = re.split(r"[\s_.:;,'-]+", _MICRO.sub("u", name))
-        units = {word for word in words if len(word) > 1 and word in _SIZES}
+        units = {word for word in words if len(word) > 1 and word in _UNITS}
         units = {word for word in units if kind_of(word) in _VALUE_KINDS}
     return {unit for unit in units if unit}
 
 
 def value_units_like(text: str) -> list[str]:
     """Return the known units of drives and displacements that differ from a text in capitals alone."""
-    units = []
-    for unit, (kind, _) in _SIZES.items():
-        if unit.lower() == text.lower() and kind in _VALUE_KINDS:
-            units.append(unit)
-    return sorted(units)
+    alike = [unit for unit in _UNITS if unit.lower() == text.lower()]
+    return sorted(unit for unit in alike if kind_of(unit) in _VALUE_KINDS)
 
 
 def _split_at_end(plain: str) -> tuple[str, str | None]:
@@ -358,7 +346,7 @@ def _require_plain(value: float, unit: str | None, label: str, largest: float) -
     parsed = parse_unit(above)
     if parsed is None or abs(value) <= largest:
         return
-    base = parsed.base
+    base = _BASE_OF.get(parsed.kind, parsed.text)
     if base == parsed.text or not parsed.text.endswith(base):  # bar
         return
     per = f"/{time}" if time else ""

@@ -53,8 +53,9 @@ def report(
     dbo report tracked.csv --trajectory drive.csv --max-nrmse-percent 1
     """
     from dbo_cli import channels
-    from dbo_cli.library import matched, pairs_of, reported
     from dbo_cli.logs import parse_rows
+    from dbo_cli.recordings import matched, pairs_of
+    from dbo_cli.reports import Report, expected_in
 
     if model is not None and trajectory is not None:
         raise UsageError("give either `model` or `trajectory`")
@@ -92,15 +93,17 @@ def report(
             counted = []
             for pair, name in zip(pairs, short_names(logs), strict=True):
                 counted.append(dataclasses.replace(pair, rows=rows, name=name))
-            results[channel] = reported(
+            unit = units.get("measured")
+            results[channel] = Report.of(
                 counted,
-                units,
-                actuator,
-                summaries[channel],
-                max_rmse,
+                unit=unit,
+                voltage_unit=units.get("voltage"),
                 lag=lag,
                 remove_offset=remove_offset,
+                expected=expected_in(summaries[channel], unit),
+                max_rmse=opt.quantity("max_rmse", max_rmse, unit),
                 max_nrmse_percent=percent_bound,
+                model=actuator,
                 command=shlex.join(["dbo", *sys.argv[1:]]),
             )
         for log in opened:

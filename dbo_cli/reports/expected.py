@@ -37,8 +37,10 @@ class Expected:
     past_known: bool = False
 
 
-def expected_in(source: str | Mapping[str, Any], unit: str | None = None) -> Expected:
-    """Return the expected error that a summary of ``compensate`` or a model states.
+def expected_in(
+    source: str | Mapping[str, Any] | None, unit: str | None = None
+) -> Expected | None:
+    """Return the expected error that a summary of ``compensate`` or a model states; None of none.
 
     Parameters
     ----------
@@ -54,6 +56,8 @@ def expected_in(source: str | Mapping[str, Any], unit: str | None = None) -> Exp
     ModelError
         It is neither, or states no expected error.
     """
+    if source is None:
+        return None
     if isinstance(source, str):
         name, content = _read(source)
     else:

@@ -455,6 +455,28 @@ def test_a_report_of_a_frame_is_that_of_a_file(creep):
         dbo.report(MOVE)
 
 
+def test_a_report_of_arrays_is_that_of_a_frame(creep):
+    drive, desired = 50.0 - 50.0 * np.cos(30.0 * TIME), pd.Series(MOVE, name="x (um)")
+    measured = pd.Series(MOVE + 0.007, name="y (um)")
+    frame = pd.DataFrame(
+        {"t_s": TIME, "U_V": drive, "desired_um": desired, "measured_um": measured}
+    )
+    for arrays, more in (
+        ((desired, measured), {}),
+        ((drive, measured), {"model": creep}),
+    ):
+        found, expected = (
+            dbo.report(*arrays, time=TIME, **more),
+            dbo.report(frame, **more),
+        )
+        assert (found.rmse, found.unit) == (expected.rmse, expected.unit)
+    bare = dbo.read_model(without_units())  # a unit was ignored, and a clock taken
+    with pytest.raises(dbo.UsageError, match="the model states no unit"):
+        dbo.report(drive, MOVE, time=TIME, model=bare, voltage_unit="V")
+    with pytest.raises(dbo.InputError, match="goes back"):
+        dbo.report(MOVE, MOVE, time=TIME[::-1])
+
+
 def test_learning_is_that_of_the_shell():
     actuator = dbo.read_model(model("known"))
     write("move.csv", MOVED, TIME, MOVE)
