@@ -10,7 +10,13 @@ from itertools import product
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.identification.basis import SEGMENTS, SPARE_BEYOND, Cells, Structure
+from dbo_cli.identification.basis import (
+    SEGMENTS,
+    SPARE_BEYOND,
+    Cells,
+    Structure,
+    plays_at_start,
+)
 from dbo_cli.identification.cross_validation import (
     DRIFT_PRICE,
     cross_validate,
@@ -33,6 +39,7 @@ REFINED = (0.6, 0.8, 1.25, 1.6)
 """Times the best delay, tried in turn."""
 LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the range: where memories may have stood before the logs, beside the first value."""
+ROUGH_LEVELS = (None, 0.0, 0.5, 1.0)
 SETTLED_START = "settled"
 STARTS = (SETTLED_START, "empty", "full", "below", "above")
 """The last two where the gears go on beyond the range."""
@@ -97,16 +104,23 @@ def _begun(problem: Problem, choices: Choices) -> tuple[str, float | None]:
     stay where nothing is clearly better.
     """
     settled = (SETTLED_START, None)
-    starts = STARTS if problem.cells.spare else STARTS[:3]
-    levels = LEVELS if choices.drift and len(problem.taus) else LEVELS[:1]
-    errors: dict[tuple[str, float | None], float] = {}
-    for start, level in product(starts, levels):
-        trials = [
-            replace(ROUGHEST, slopes=rule, start=start, level=level) for rule in RULES
+    different: dict[bytes, str] = {}
+    for start in STARTS if problem.cells.spare else STARTS[:3]:
+        plays = [
+            plays_at_start(float(log.drive[0]), problem.cells.reach, start)
+            for log in problem.logs
         ]
-        fits = [Equations(problem.rows(trial), trial).solve() for trial in trials]
+        different.setdefault(np.concatenate(plays).tobytes(), start)
+    levels = ROUGH_LEVELS if choices.drift and len(problem.taus) else LEVELS[:1]
+    errors: dict[tuple[str, float | None], float] = {}
+    fits: dict[str, Fit | None] = dict.fromkeys(RULES)
+    for start, level in product(different.values(), levels):
+        for rule in RULES:
+            trial = replace(ROUGHEST, slopes=rule, start=start, level=level)
+            fits[rule] = Equations(problem.rows(trial), trial).solve(fits[rule])
         price = DRIFT_PRICE * (level is not None)
-        errors[start, level] = math.exp(price) * min(fit.rmse for fit in fits)
+        least = min(fit.rmse for fit in fits.values() if fit is not None)
+        errors[start, level] = math.exp(price) * least
     best = min(errors, key=errors.__getitem__)
     return best if errors[best] < BETTER_START * errors[settled] else settled
 
