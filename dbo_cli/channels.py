@@ -145,7 +145,7 @@ def models_of(
 
 
 def values_for(
-    channels: Iterable[str], **texts: Sequence[str] | None
+    texts: Mapping[str, Sequence[str] | None], channels: Iterable[str]
 ) -> dict[str, dict[str, str | None]]:
     """Return what was typed for each channel, by option: ``x=120V`` for one of them, ``120V`` for all.
 

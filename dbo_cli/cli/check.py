@@ -26,9 +26,7 @@ def check(
     start: Texts = opt.FROM,
     loop: bool = flag("--loop", "Also check the step from the last row to the first."),
     against: Text = option("FILE", "The file to play; DRIVE is a recording of it."),
-    gain: float = rare(
-        "FACTOR", "With --against: multiplies DRIVE, as an amplifier.", default=1.0
-    ),
+    gain: float = rare("FACTOR", "With --against: DRIVE times it.", default=1.0),
     tolerance: Text = option("VOLT", "With --against: largest difference allowed."),
     time: Text = opt.TIME,
     voltage: Text = column("The drive voltage: name or number."),
@@ -55,17 +53,15 @@ def check(
         )
     columns = {"time": time, "voltage": voltage}
     columns_of = channels.columns_of([drive], reading, columns)
-    limits = channels.values_for(
-        columns_of, v_min=v_min, v_max=v_max, max_slew=max_slew
-    )
-    starts = channels.values_for(columns_of, **{"from": start})
+    ranges = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew, "from": start}
+    typed = channels.values_for(ranges, columns_of)
     checks = {}
     for channel, roles in columns_of.items():
         signal, log = read_drive(drive, reading, roles)
         unit = log.columns["voltage"].unit
         if max_slew and log.clock.assumption:
             warn(f"{drive}: {log.clock.assumption}")
-        stands = starts[channel]["from"]
+        stands = typed[channel].pop("from")
         recorded, slack = signal["voltage"] * gain, 0.0
         allowed = None
         if tolerance is not None:
@@ -79,7 +75,7 @@ def check(
         result = checks[channel] = check_drive(
             signal["voltage"],
             signal.time,
-            limits_in(unit, **limits[channel]),
+            limits_in(unit, **typed[channel]),
             name=f"{drive}: channel {channel}" if channel else drive,
             start=None if stands is None else parse_quantity(stands, unit, "from", 0.0),
             loop=loop,

@@ -48,22 +48,14 @@ def compensate(
         None, "auto: clip up to 1 % of the move, else exit 3.", LIMITS, default="auto"
     ),
     start: Texts = opt.FROM,
-    approach: Text = option(
-        "SECONDS|auto", "Time of a ramp from --from to row 1.", MOVE
-    ),
-    condition: bool = flag(
-        "--condition", "Sweep the range first: the past is known.", MOVE
-    ),
+    approach: Text = option("SECONDS|auto", "Time of a ramp to row 1.", MOVE),
+    condition: bool = flag("--condition", "Sweep the range first.", MOVE),
     lead: Text = rare("SECONDS|auto", "Hold row 1 before the move.", MOVE),
-    return_to: Texts = option(
-        "VOLT", "Voltage to go to after the move.", MOVE, "--return"
-    ),
+    return_to: Texts = option("VOLT", "Voltage after the move.", MOVE, "--return"),
     periodic: bool = flag("--periodic", "The trajectory is one period.", MOVE),
     passes: int = rare("N", "Passes before a --periodic one.", MOVE, default=0, min=0),
     tracked: Texts = option("LOG", "Learn from recordings of the last pass.", MOVE),
-    history: Text = rare(
-        "FILE", "With --tracked: keeps the errors of all passes.", OUTPUT
-    ),
+    history: Text = rare("FILE", "With --tracked: errors of all passes.", OUTPUT),
     absolute: bool = flag(
         "--absolute", "With --tracked: learn the mean error, too.", MOVE, hidden=True
     ),
@@ -99,16 +91,17 @@ def compensate(
     streams = is_one and not (tracked or periodic or bandwidth)
     if streams and output == "-" and on_limit == "auto":
         on_limit = "clip"  # rows that were sent stay sent
-    limits = channels.values_for(models, v_min=v_min, v_max=v_max, max_slew=max_slew)
-    ends = channels.values_for(models, **{"from": start, "return": return_to})
+    limits = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
+    typed = channels.values_for(limits, models)
+    ends = channels.values_for({"from": start, "return": return_to}, models)
 
     def driver(channel: str, hold: int = 0) -> Driver:
         actuator, state = models[channel], starts[channel]
         begin, end = ends[channel]["from"], ends[channel]["return"]
         for name, texts in {"v_min": v_min, "v_max": v_max}.items():
             channels.require_own_limit(name, texts, channel, actuator)
-        typed = limits[channel]
-        bounds = Limits.within(actuator.input, **typed, extrapolate=extrapolate)
+        given = typed[channel]
+        bounds = Limits.within(actuator.input, **given, extrapolate=extrapolate)
         before = Lead(actuator, bounds, state, begin, approach, condition, lead)
         label = f"channel {channel}" if channel else trajectory
         return Driver(before, on_limit=on_limit, return_to=end, name=label, hold=hold)

@@ -15,9 +15,7 @@ def excite(
     duration: Text = option("SECONDS", "Length of the swings; default 30, or longer."),
     rest: Text = option("SECONDS", "Rest after the swings: as long as moves hold."),
     sweep_to: Text = option("HZ", "Append a small sweep up to this frequency."),
-    sweep_amplitude: Text = option(
-        "VOLT", "Swing of the sweep; default 1 % of the range."
-    ),
+    sweep_amplitude: Text = option("VOLT", "Of the sweep; default 1 % of the range."),
     output: str = opt.OUTPUT_FILE,
 ) -> None:
     """Write a drive from which a model is identified well.

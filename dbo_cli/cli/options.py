@@ -98,10 +98,7 @@ FROM = option("VOLT", "Voltage of the amplifier before row 1.", MOVE, "--from")
 # --- state ---
 
 STATE = option(
-    "NAME|FILE",
-    "Before row 1: auto, empty, full, settled or a file.",
-    MOVE,
-    default="auto",
+    "NAME|FILE", "Start: auto, empty, full, settled or a file.", MOVE, default="auto"
 )
 SAVE_STATE = rare("FILE", "Write the state after the last row.", OUTPUT)
 SKIP = option("SECONDS", "Skip the beginning of every log.", READING, default="0")
@@ -112,9 +109,7 @@ SKIP = option("SECONDS", "Skip the beginning of every log.", READING, default="0
 def read_as(
     *,
     sample_rate: Text = option("HZ", "Rate of a log without a time column.", READING),
-    scale: Texts = option(
-        "ROLE=FACTOR", "Factor: voltage=20, displacement=10um/V.", READING
-    ),
+    scale: Texts = option("ROLE=FACTOR", "voltage=20, displacement=10um/V.", READING),
     rows: Text = rare("A:B", "Only data rows A to B, counted from 1.", READING),
     time_unit: Text = rare("UNIT", "Unit of the time: s, ms, us, min, h.", READING),
     skip_bad: bool = flag(
@@ -123,13 +118,9 @@ def read_as(
     resample: Text = rare("HZ", "Interpolate the log to this rate first.", READING),
     delimiter: Text = rare("NAME", "comma, semicolon, tab, blanks or pipe.", READING),
     decimal: Text = rare("point|comma", "Decimal sign.", READING),
-    skip_lines: int | None = rare(
-        "N", "Lines to skip before the header.", READING, min=0
-    ),
+    skip_lines: int | None = rare("N", "Lines before the header.", READING, min=0),
     encoding: Text = rare("NAME", "Text encoding, if not UTF-8.", READING),
-    clock_offset: Text = rare(
-        "SECONDS|auto", "Added to the clock of the drive's file.", READING
-    ),
+    clock_offset: Text = rare("SECONDS|auto", "Added to the drive's clock.", READING),
 ) -> Reading:
     """Return how a log is to be read."""
     from dbo_cli.logs import Reading

@@ -39,15 +39,11 @@ def report(
     state: str = option(
         "NAME|FILE", "With --model: start, as of simulate.", COMPARED, default="auto"
     ),
-    expected: Text = option(
-        "SUMMARY", "Summary or model that states an expected error.", COMPARED
-    ),
+    expected: Text = option("SUMMARY", "Summary or model, for its error.", COMPARED),
     lag: int = rare("N", "Rows by which measured is taken later.", COMPARED, default=0),
     remove_offset: bool = flag("--remove-offset", "Subtract the mean error.", COMPARED),
     max_rmse: Text = option("VALUE", "Largest RMS error, such as 10nm.", BOUNDS),
-    max_nrmse_percent: Text = option(
-        "PERCENT", "Largest RMS error in % of the move.", BOUNDS
-    ),
+    max_nrmse_percent: Text = option("PERCENT", "RMS error in % of the move.", BOUNDS),
 ) -> None:
     """Report how well a displacement follows the desired one.
 

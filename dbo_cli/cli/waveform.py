@@ -16,9 +16,7 @@ def waveform(
         "FORMAT", "npy, wav, int16, uint16, keysight-arb or pi-gcs.", default=...
     ),
     output: str = opt.OUTPUT_FILE,
-    gain: float = option(
-        "FACTOR", "Amplifier gain: voltages are divided by it.", default=1.0
-    ),
+    gain: float = option("FACTOR", "Amplifier gain, divided out.", default=1.0),
     rate: Text = option("HZ", "Points per second; default: the drive's."),
     points: int | None = option("N", "Number of points, over the same time.", min=0),
     loop: bool = flag("--loop", "The drive is one period: other points keep it."),
@@ -47,9 +45,8 @@ def waveform(
 
     columns = {"time": time, "voltage": voltage}
     columns_of = channels.columns_of([drive], reading, columns)
-    limits = channels.values_for(
-        columns_of, v_min=v_min, v_max=v_max, max_slew=max_slew
-    )
+    ranges = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
+    limits = channels.values_for(ranges, columns_of)
     waveforms = {}
     for channel, roles in columns_of.items():
         signal, log = read_drive(drive, reading, roles)
