@@ -46,11 +46,6 @@ LIMIT_SLACK = 0.1
 """Of a channel's range: so far beyond it a limit is only that of the channel whose name it has."""
 
 
-def is_pattern(columns: Mapping[str, str | None]) -> bool:
-    """Return whether the name of a column stands for many."""
-    return any(pattern is not None and PLACE in pattern for pattern in columns.values())
-
-
 def columns_for(columns: Mapping[str, str | None], name: str) -> dict[str, str | None]:
     """Return the columns of one channel."""
     return {
@@ -59,10 +54,10 @@ def columns_for(columns: Mapping[str, str | None], name: str) -> dict[str, str |
     }
 
 
-def names(
+def columns_of(
     paths: Sequence[str], reading: Reading, columns: Mapping[str, str | None]
-) -> list[str]:
-    """Return the channels that patterns find in a log, in the order of its columns; else ``ALONE``.
+) -> dict[str, dict[str, str | None]]:
+    """Return the columns of each channel that patterns find in a log, in its order; else of ``ALONE``.
 
     Raises
     ------
@@ -74,8 +69,10 @@ def names(
     from dbo_cli.logs import open_table
     from dbo_cli.logs.columns import fitting
 
-    if not is_pattern(columns):
-        return list(ALONE)
+    if not any(
+        pattern is not None and PLACE in pattern for pattern in columns.values()
+    ):
+        return {"": dict(columns)}
     path = paths[0]
     if path == "-":
         raise UsageError("-: channels need a file, not a pipe")
@@ -104,7 +101,7 @@ def names(
         raise InputError(
             f"{path}: `{role}` {pattern}: {lacking}; columns: {', '.join(headers)}"
         )
-    return channels
+    return {name: columns_for(columns, name) for name in channels}
 
 
 def _matches(
@@ -123,7 +120,7 @@ def _matches(
 
 
 def models_of(
-    path: str, channels: Sequence[str], columns: Mapping[str, str | None]
+    path: str, channels: Collection[str], columns: Mapping[str, str | None]
 ) -> dict[str, Cascade]:
     """Return the model of each channel: of a set, or one that serves all.
 
@@ -148,34 +145,28 @@ def models_of(
 
 
 def values_for(
-    texts: Mapping[str, Sequence[str] | None], channel: str, channels: Sequence[str]
-) -> dict[str, str | None]:
-    """Return what was typed for a channel, by option: ``x=120V`` for one of them, ``120V`` for all.
-
-    Parameters
-    ----------
-    texts
-        By option: its values.
-    channel, channels
-        The channel, and all there are.
+    texts: Mapping[str, Sequence[str] | None], channels: Iterable[str]
+) -> dict[str, dict[str, str | None]]:
+    """Return what was typed for each channel, by option: ``x=120V`` for one of them, ``120V`` for all.
 
     Raises
     ------
     UsageError
         A value is of no channel, or two values are of one.
     """
-    values = {}
+    values: dict[str, dict[str, str | None]] = {channel: {} for channel in channels}
     for option, texts_of_option in texts.items():
         by_owner: dict[str, str] = {}
         for text in texts_of_option or ():
             owner, mark, value = text.rpartition("=")
-            if mark and (not owner or owner not in channels):
-                names = ", ".join(channels) or "this is no set of channels"
+            if mark and (not owner or owner not in values):
+                names = ", ".join(values) or "this is no set of channels"
                 raise UsageError(f"`{option}` {text}: no channel {owner}: {names}")
             if owner in by_owner:
                 raise UsageError(f"`{option}` {text}: is given twice")
             by_owner[owner] = value
-        values[option] = by_owner.get(channel, by_owner.get(""))
+        for channel, own in values.items():
+            own[option] = by_owner.get(channel, by_owner.get(""))
     return values
 
 

@@ -8,7 +8,7 @@ import signal
 import sys
 import traceback
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import typer
@@ -84,7 +84,9 @@ class Commands(TyperGroup):
             function = _foreign()[cmd_name].load()
         else:
             return None
-        return _built(cmd_name, function)
+        app = _typer()
+        app.command(cmd_name, cls=Command)(with_shared_options(function))
+        return typer.main.get_command(app)
 
 
 def _foreign() -> dict[str, Any]:
@@ -92,13 +94,6 @@ def _foreign() -> dict[str, Any]:
     from importlib.metadata import entry_points
 
     return {point.name: point for point in entry_points(group="dbo_cli.commands")}
-
-
-def _built(name: str, function: Callable[..., None]) -> Any:
-    """Make a typer command of a function."""
-    app = _typer()
-    app.command(name, cls=Command)(with_shared_options(function))
-    return typer.main.get_command(app)
 
 
 def _typer(completion: bool = False) -> typer.Typer:

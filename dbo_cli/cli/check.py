@@ -25,9 +25,9 @@ def check(
     max_slew: Texts = opt.MAX_SLEW,
     start: Texts = opt.FROM,
     loop: bool = flag("--loop", "Also check the step from the last row to the first."),
-    against: Text = option("FILE", "DRIVE is a recording; was this file played?"),
-    gain: float = rare("FACTOR", "With --against: amplifier gain.", default=1.0),
-    tolerance: Text = option("VOLT", "Largest difference; 0.1 % of the range."),
+    against: Text = option("FILE", "The file to play; DRIVE is a recording of it."),
+    gain: float = rare("FACTOR", "With --against: DRIVE times it.", default=1.0),
+    tolerance: Text = option("VOLT", "With --against: largest difference allowed."),
     time: Text = opt.TIME,
     voltage: Text = column("The drive voltage: name or number."),
 ) -> None:
@@ -52,17 +52,16 @@ def check(
             "nothing to check: add `v_min`, `v_max`, `max_slew`, `loop` or `against`"
         )
     columns = {"time": time, "voltage": voltage}
-    names = channels.names([drive], reading, columns)
+    columns_of = channels.columns_of([drive], reading, columns)
     ranges = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew, "from": start}
+    typed = channels.values_for(ranges, columns_of)
     checks = {}
-    for channel in names:
-        texts = channels.values_for(ranges, channel, names)
-        roles = channels.columns_for(columns, channel)
+    for channel, roles in columns_of.items():
         signal, log = read_drive(drive, reading, roles)
         unit = log.columns["voltage"].unit
         if max_slew and log.clock.assumption:
             warn(f"{drive}: {log.clock.assumption}")
-        stands = texts.pop("from")
+        stands = typed[channel].pop("from")
         recorded, slack = signal["voltage"] * gain, 0.0
         allowed = None
         if tolerance is not None:
@@ -76,7 +75,7 @@ def check(
         result = checks[channel] = check_drive(
             signal["voltage"],
             signal.time,
-            limits_in(unit, **texts),
+            limits_in(unit, **typed[channel]),
             name=f"{drive}: channel {channel}" if channel else drive,
             start=None if stands is None else parse_quantity(stands, unit, "from", 0.0),
             loop=loop,

@@ -42,16 +42,16 @@ def compensate(
     v_max: Texts = opt.V_MAX,
     max_slew: Texts = opt.MAX_SLEW,
     extrapolate: bool = flag(
-        "--extrapolate", "Use the range beyond the logs' range.", LIMITS, hidden=True
+        "--extrapolate", "Go beyond the identified range, too.", LIMITS, hidden=True
     ),
     on_limit: Literal["auto", "clip", "error"] = option(
         None, "auto: clip up to 1 % of the move, else exit 3.", LIMITS, default="auto"
     ),
     start: Texts = opt.FROM,
     approach: Text = option("SECONDS|auto", "Time of a ramp to row 1.", MOVE),
-    condition: bool = flag("--condition", "Sweep first: the past is known.", MOVE),
+    condition: bool = flag("--condition", "Sweep the range first.", MOVE),
     lead: Text = rare("SECONDS|auto", "Hold row 1 before the move.", MOVE),
-    return_to: Texts = option("VOLT", "Voltage to end at.", MOVE, "--return"),
+    return_to: Texts = option("VOLT", "Voltage after the move.", MOVE, "--return"),
     periodic: bool = flag("--periodic", "The trajectory is one period.", MOVE),
     passes: int = rare("N", "Passes before a --periodic one.", MOVE, default=0, min=0),
     tracked: Texts = option("LOG", "Learn from recordings of the last pass.", MOVE),
@@ -82,26 +82,26 @@ def compensate(
     opt.require("periodic", periodic, {"passes": passes})
     check_outputs(output, summary, state=save_state, history=history)
     columns = {"time": time, "displacement": displacement}
-    names = channels.names([trajectory], reading, columns)
-    models = channels.models_of(model, names, columns)
+    columns_of = channels.columns_of([trajectory], reading, columns)
+    models = channels.models_of(model, columns_of, columns)
     for name, actuator in models.items():
         actuator.require("forward", f"{model}::{name}" if name else model)
     starts = channels.states_of(state, models)
-    is_one = tuple(names) == channels.ALONE
+    is_one = "" in models
     streams = is_one and not (tracked or periodic or bandwidth)
     if streams and output == "-" and on_limit == "auto":
         on_limit = "clip"  # rows that were sent stay sent
-    limits = {"v_min": v_min, "v_max": v_max}
-    voltages = {**limits, "max_slew": max_slew, "from": start, "return": return_to}
+    limits = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
+    typed = channels.values_for(limits, models)
+    ends = channels.values_for({"from": start, "return": return_to}, models)
 
     def driver(channel: str, hold: int = 0) -> Driver:
-        actuator = models[channel]
-        for name, texts in limits.items():
+        actuator, state = models[channel], starts[channel]
+        begin, end = ends[channel]["from"], ends[channel]["return"]
+        for name, texts in {"v_min": v_min, "v_max": v_max}.items():
             channels.require_own_limit(name, texts, channel, actuator)
-        typed = channels.values_for(voltages, channel, names)
-        begin, end = typed.pop("from"), typed.pop("return")
-        bounds = Limits.within(actuator.input, **typed, extrapolate=extrapolate)
-        state = starts[channel]
+        given = typed[channel]
+        bounds = Limits.within(actuator.input, **given, extrapolate=extrapolate)
         before = Lead(actuator, bounds, state, begin, approach, condition, lead)
         label = f"channel {channel}" if channel else trajectory
         return Driver(before, on_limit=on_limit, return_to=end, name=label, hold=hold)
@@ -120,13 +120,14 @@ def compensate(
     reading, reading_of_pass = readings_apart(
         reading, is_joined, recorded if tracked else {}
     )
-    histories = channels.histories_of(history, names)
+    histories = channels.histories_of(history, models)
     cutoff = opt.quantity("bandwidth", bandwidth, "Hz")
     logs, tables, passes_of = {}, {}, {}
     for name, actuator in models.items():
         units = {"displacement": actuator.output.unit}
-        roles = channels.columns_for(columns, name)
-        logs[name], tables[name] = read_table(trajectory, roles, reading, units)
+        logs[name], tables[name] = read_table(
+            trajectory, columns_of[name], reading, units
+        )
         if name:
             warn_of_assumed(logs[name])
         roles = channels.columns_for(recorded, name)

@@ -34,15 +34,15 @@ def identify(
         None, "Expected direction; exit 3 if the log differs."
     ),
     skip: str = opt.SKIP,
-    zero: str = rare("none|mean|first|VALUE", "What to call 0.", default="none"),
+    zero: str = rare("none|mean|first|VALUE", "Displacement called 0.", default="none"),
     sensor_delay: str = rare("SECONDS", "Delay of the sensor.", READING, default="0"),
     gears: str = structure("N|auto", "Number of gears."),
     points: str = structure("M|auto", "Segments of the asymmetry; 0 for none."),
     relaxation: str = structure("auto|0|T1,T2,...", "Time constants of creep in s."),
-    delay: str = structure("SECONDS|auto", "Delay behind the drive."),
+    delay: str = structure("SECONDS|auto", "Delay from drive to displacement."),
     dynamics: str = structure("auto|0|1|2", "Resonances; needs a sweep in the log."),
     slopes: Literal["auto", "growing", "falling", "free"] = structure(
-        None, "Slopes of the gears."
+        None, "Whether the gears' slopes grow or fall."
     ),
     method: Literal["least-squares", "paper"] = structure(
         None, "paper: the procedure of the 2018 paper.", "least-squares"
@@ -79,12 +79,11 @@ def identify(
         force=force,
     )
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
-    names = channels.names(logs, reading, columns)
-    priors = {} if prior is None else channels.models_of(prior, names, columns)
+    columns_of = channels.columns_of(logs, reading, columns)
+    priors = {} if prior is None else channels.models_of(prior, columns_of, columns)
     models, lines, read = {}, [], []
-    for name in names:
-        roles, shape = channels.columns_for(columns, name), priors.get(name)
-        units = {}
+    for name, roles in columns_of.items():
+        shape, units = priors.get(name), {}
         if shape is not None:
             units = {"voltage": shape.input.unit, "displacement": shape.output.unit}
         with channels.naming(name):
@@ -98,7 +97,7 @@ def identify(
         read += own
         texts = [describe(models[name], recordings), *describe_validation(models[name])]
         lines += [f"{name}: {text}" if name else text for text in texts]
-    is_set = tuple(names) != channels.ALONE
+    is_set = "" not in models
     with Outputs() as outputs:
         outputs.write_text(
             output, dumps_set(models) if is_set else dumps_model(models[""])
@@ -106,7 +105,7 @@ def identify(
         if summary is not None:
             figures = {name: fit_summary(model) for name, model in models.items()}
             outputs.write_text(summary, channels.dumps_files("summary", figures))
-    model = models[names[0]]
+    model = next(iter(models.values()))
     rows = sum(log["rows"] for log in model.provenance["logs"])
     if is_set:
         say_logs(read, rows)

@@ -92,7 +92,7 @@ DISPLACEMENT = column("The displacement: name, number or FILE::COLUMN.")
 
 V_MIN = option("VOLT", "Lowest voltage of the amplifier.", LIMITS)
 V_MAX = option("VOLT", "Highest voltage of the amplifier.", LIMITS)
-MAX_SLEW = option("VOLT/S", "Largest slew rate, or 2V/ms.", LIMITS)
+MAX_SLEW = option("VOLT/S", "Largest slew rate, such as 2000 or 2V/ms.", LIMITS)
 FROM = option("VOLT", "Voltage of the amplifier before row 1.", MOVE, "--from")
 
 # --- state ---
@@ -110,12 +110,12 @@ def read_as(
     *,
     sample_rate: Text = option("HZ", "Rate of a log without a time column.", READING),
     scale: Texts = option("ROLE=FACTOR", "voltage=20, displacement=10um/V.", READING),
-    rows: Text = rare("A:B", "Data rows A to B, counted from 1.", READING),
+    rows: Text = rare("A:B", "Only data rows A to B, counted from 1.", READING),
     time_unit: Text = rare("UNIT", "Unit of the time: s, ms, us, min, h.", READING),
     skip_bad: bool = flag(
         "--skip-bad", "Drop and count rows that hold no number.", READING, hidden=True
     ),
-    resample: Text = rare("HZ", "Interpolate to this rate first.", READING),
+    resample: Text = rare("HZ", "Interpolate the log to this rate first.", READING),
     delimiter: Text = rare("NAME", "comma, semicolon, tab, blanks or pipe.", READING),
     decimal: Text = rare("point|comma", "Decimal sign.", READING),
     skip_lines: int | None = rare("N", "Lines before the header.", READING, min=0),

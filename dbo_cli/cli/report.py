@@ -37,13 +37,13 @@ def report(
     ),
     model: Text = option("MODEL", "Compare with the prediction of a model.", COMPARED),
     state: str = option(
-        "NAME|FILE", "Start, as of simulate.", COMPARED, default="auto"
+        "NAME|FILE", "With --model: start, as of simulate.", COMPARED, default="auto"
     ),
-    expected: Text = option("SUMMARY", "Expected error: summary or model.", COMPARED),
+    expected: Text = option("SUMMARY", "Summary or model, for its error.", COMPARED),
     lag: int = rare("N", "Rows by which measured is taken later.", COMPARED, default=0),
     remove_offset: bool = flag("--remove-offset", "Subtract the mean error.", COMPARED),
     max_rmse: Text = option("VALUE", "Largest RMS error, such as 10nm.", BOUNDS),
-    max_nrmse_percent: Text = option("PERCENT", "The same in % of the move.", BOUNDS),
+    max_nrmse_percent: Text = option("PERCENT", "RMS error in % of the move.", BOUNDS),
 ) -> None:
     """Report how well a displacement follows the desired one.
 
@@ -68,16 +68,16 @@ def report(
     columns = {"time": time, "measured": measured, "voltage": voltage}
     if model is None and trajectory is None:
         columns["desired"] = desired
-    names = channels.names([logs[0]], reading, columns)
-    models = {} if model is None else channels.models_of(model, names, columns)
+    columns_of = channels.columns_of(logs, reading, columns)
+    models = {} if model is None else channels.models_of(model, columns_of, columns)
     starts = channels.states_of(state, models)
-    summaries: dict[str, Any] = dict.fromkeys(names, expected)
-    if expected is not None and tuple(names) != channels.ALONE:
-        members = channels.members_of(expected, "summary", names)
+    summaries: dict[str, Any] = dict.fromkeys(columns_of, expected)
+    if expected is not None and "" not in columns_of:
+        members = channels.members_of(expected, "summary", columns_of)
         summaries = {name: values for name, (_, values) in members.items()}
     results = {}
-    for channel in names:
-        roles, actuator = channels.columns_for(columns, channel), models.get(channel)
+    for channel, roles in columns_of.items():
+        actuator = models.get(channel)
         with channels.naming(channel):
             if trajectory is not None:
                 column = channels.columns_for({"desired": desired}, channel)["desired"]

@@ -44,13 +44,13 @@ def simulate(
 
     columns = {"time": time, "input": input}
     check_outputs(output, state=save_state)
-    names = channels.names([log], reading, columns)
-    models = channels.models_of(model, names, columns)
+    columns_of = channels.columns_of([log], reading, columns)
+    models = channels.models_of(model, columns_of, columns)
     simulators = {}
     for name, start in channels.states_of(state, models).items():
         label = f"channel {name}" if name else log
         simulators[name] = Simulator(models[name], start, outside, label)
-    is_one = tuple(names) == channels.ALONE
+    is_one = "" in models
     with Outputs() as outputs:
         if is_one:
             simulator, quantity = simulators[""], models[""].output
@@ -61,7 +61,7 @@ def simulate(
                 f"{simulator.row_count:,} rows of {quantity.quantity}{quantity.suffix}"
             )
         else:
-            rows = simulate_set(simulators, log, columns, reading, outputs, output)
+            rows = simulate_set(simulators, log, columns_of, reading, outputs, output)
             text = f"{len(models)} channels, {rows:,} rows"
         texts = {}
         for name, simulator in simulators.items():
@@ -102,7 +102,7 @@ def simulate_stream(
 def simulate_set(
     simulators: dict[str, Simulator],
     log: str,
-    columns: dict[str, str | None],
+    columns_of: dict[str, dict[str, str | None]],
     reading: Reading,
     outputs: Outputs,
     output: str,
@@ -117,8 +117,8 @@ def simulate_set(
     values = []
     for name, simulator in simulators.items():
         into, out = simulator.model.input, simulator.model.output
-        roles = channels.columns_for(columns, name)
-        signal, table = read_table(log, roles, reading, {"input": into.unit})
+        units = {"input": into.unit}
+        signal, table = read_table(log, columns_of[name], reading, units)
         warn_of_assumed(signal)
         with channels.naming(name):
             ready = simulator.rows(table["input"], table.dt, table.time)

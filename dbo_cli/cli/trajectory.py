@@ -19,7 +19,7 @@ def trajectory(
     rate: str = option("HZ", "Rows per second.", default=...),
     range_: str = option(
         "LOW:HIGH",
-        "Of each axis, with its unit; um.",
+        "Range of each axis in um, or with its unit.",
         None,
         "--range",
         default=...,
@@ -29,7 +29,7 @@ def trajectory(
     lines: int | None = option("N", "Lines of a raster.", min=0),
     steps: int | None = option("N", "Steps of a staircase: up, then down.", min=0),
     dwell: Text = option("SECONDS", "Time at each level of a staircase."),
-    duration: Text = option("SECONDS", "Of other shapes; default one cycle."),
+    duration: Text = option("SECONDS", "Length of other shapes; default one cycle."),
     loop: bool = flag("--loop", "One closed period, for compensate --periodic."),
     bandwidth: Text = option("HZ", "Round corners, start and stop to this bandwidth."),
     model: Texts = option("MODEL", "Keep its range and bandwidth; twice: x, y."),

@@ -18,12 +18,12 @@ def waveform(
     output: str = opt.OUTPUT_FILE,
     gain: float = option("FACTOR", "Amplifier gain, divided out.", default=1.0),
     rate: Text = option("HZ", "Points per second; default: the drive's."),
-    points: int | None = option("N", "Points, over the same time.", min=0),
+    points: int | None = option("N", "Number of points, over the same time.", min=0),
     loop: bool = flag("--loop", "The drive is one period: other points keep it."),
     codes: Text = option("LOW:HIGH", "Range of codes; default: the format's."),
-    volts: Text = option("LOW:HIGH", "Voltage of the codes; default: the drive's."),
+    volts: Text = option("LOW:HIGH", "Voltage at these codes; default: the drive's."),
     max_rounding: float = option(
-        "PERCENT", "Largest rounding, of the range.", default=1.0
+        "PERCENT", "Largest rounding in % of the range; default 1.", default=1.0
     ),
     v_min: Texts = opt.V_MIN,
     v_max: Texts = opt.V_MAX,
@@ -44,12 +44,11 @@ def waveform(
     from dbo_cli.units import kind_of, multiplied, ratio
 
     columns = {"time": time, "voltage": voltage}
-    names = channels.names([drive], reading, columns)
+    columns_of = channels.columns_of([drive], reading, columns)
     ranges = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
+    limits = channels.values_for(ranges, columns_of)
     waveforms = {}
-    for channel in names:
-        roles = channels.columns_for(columns, channel)
-        bounds = channels.values_for(ranges, channel, names)
+    for channel, roles in columns_of.items():
         signal, log = read_drive(drive, reading, roles)
         unit = log.columns["voltage"].unit
         if kind_of(unit) not in (None, "voltage"):
@@ -66,7 +65,7 @@ def waveform(
             multiplied(signal["voltage"], ratio(unit, "V")),
             1.0 / step,
             to,
-            limits_in(volt, **bounds),
+            limits_in(volt, **limits[channel]),
             name=f"{drive}: channel {channel}" if channel else drive,
             gain=gain,
             loop=loop,
@@ -79,12 +78,12 @@ def waveform(
         )
         detail(*log.doubtful)
     joined = None
-    if tuple(names) != channels.ALONE:
+    if "" not in waveforms:
         joined = side_by_side(list(waveforms.values()), to)
     if joined is not None:
         files = {output: joined}
     else:
-        paths = channels.paths_of(output, names)
+        paths = channels.paths_of(output, waveforms)
         files = {paths[name]: written.data for name, written in waveforms.items()}
     with Outputs() as outputs:
         for path, data in files.items():

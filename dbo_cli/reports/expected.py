@@ -6,10 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from dbo_cli.errors import InputError, ModelError
+from dbo_cli.errors import InputError, ModelError, prefixed
 from dbo_cli.model import fields
 
 Ends = tuple[float, float]
+KEYS: dict[str, fields.Reader] = {
+    "unit": fields.text,
+    "expected_rmse": fields.magnitude,
+    "move_range": fields.interval,
+    "move_time": fields.interval,
+    "sensor_delay": fields.magnitude,
+}
+"""Of a summary, what is read here; each may be null or missing."""
 
 
 @dataclass(frozen=True)
@@ -59,42 +67,36 @@ def expected_in(
     if source is None:
         return None
     if isinstance(source, str):
-        name, content = _read(source)
+        name, content = _figures(source)
     else:
         name, content = "the summary", source
-    try:
+    with prefixed(name):
         if "expected_rmse" not in content:
             raise ModelError(
                 "states no expected error: give a summary of compensate, or a model"
             )
-        own_unit = _value(content, "unit", fields.text)
-        rmse = _value(content, "expected_rmse", fields.magnitude)
-        move = _value(content, "move_range", fields.interval)
-        move_time = _value(content, "move_time", fields.interval)
-        delay = _value(content, "sensor_delay", fields.magnitude)
-        past_known = content.get("past_known") is True
-    except ModelError as problem:
-        raise ModelError(f"{name}: {problem}") from None
-    if own_unit and unit and own_unit != unit:
-        raise InputError(f"{name}: is in {own_unit}, the comparison in {unit}")
+        values = {}
+        for key, read in KEYS.items():
+            values[key] = fields.unless_null(read)(content.get(key), key)
+        if unit and values["unit"] not in (None, "", unit):
+            raise InputError(f"is in {values['unit']}, the comparison in {unit}")
     # an error of exactly 0 was never measured: it states nothing
-    return Expected(rmse or None, move, move_time, delay or 0.0, past_known)
+    return Expected(
+        values["expected_rmse"] or None,
+        values["move_range"],
+        values["move_time"],
+        values["sensor_delay"] or 0.0,
+        content.get("past_known") is True,
+    )
 
 
-def _read(path: str) -> tuple[str, Mapping[str, Any]]:
-    """Return the name of a file, and its figures: those of a summary, or of a model's fit (ModelError)."""
+def _figures(path: str) -> tuple[str, Mapping[str, Any]]:
+    """Return the name of a file, and the figures of a summary or of a model's fit in it (ModelError)."""
     from dbo_cli.model.file import parse_model
 
     name, values = fields.load(path, "summary")
     if isinstance(values, dict) and values.get("format") == "dbo-model":
         model = parse_model(values, name).forward()
         return name, {**model.fit, "unit": model.output.unit}
-    try:
+    with prefixed(name):
         return name, fields.contents(values, "", "dbo-summary", "a summary")
-    except ModelError as problem:
-        raise ModelError(f"{name}: {problem}") from None
-
-
-def _value(values: Mapping[str, Any], key: str, read: fields.Reader) -> Any:
-    """Return what a key holds; None where it is null or missing."""
-    return fields.unless_null(read)(values.get(key), key)

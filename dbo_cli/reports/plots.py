@@ -7,13 +7,13 @@ the pattern of the line. Matplotlib is imported when something is drawn.
 
 from __future__ import annotations
 
-import contextlib
 import io
 import math
 import os
 import re
 from base64 import b64encode
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -83,14 +83,12 @@ class Plot:
     logarithmic: bool = False
 
 
-@contextlib.contextmanager
-def style() -> Iterator[None]:
+def style() -> AbstractContextManager[None]:
     """Draw in this program's look, whatever the user's own configuration says."""
     from matplotlib import style as styles
 
     look = Path(__file__).with_name("figures.mplstyle")
-    with styles.context(look, after_reset=True):
-        yield
+    return styles.context(look, after_reset=True)
 
 
 def draw(plot: Plot, kind: str) -> bytes:

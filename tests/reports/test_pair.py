@@ -51,3 +51,14 @@ def test_match_by_rows_takes_the_trajectory_s_time():
     assert len(pair) == 90
     assert pair.time[0] == -0.2
     assert any("10 rows fewer" in note for note in pair.notes)
+
+
+@pytest.mark.parametrize("cycles", [1, 6])
+def test_a_move_that_fits_at_several_times_is_not_shifted(cycles):
+    """A loop that was played longer than its trajectory fits a cycle later as well."""
+    time = np.arange(0.0, 4.0, 0.002)
+    desired = np.sin(2.0 * np.pi * time)
+    clock = np.arange(0.0, 5.0 + cycles, 0.002)
+    measured = np.where(clock < 0.5, 0.0, np.sin(2.0 * np.pi * (clock - 0.5)))
+    pair = match("run", measured, desired, clock, time)
+    assert pair.clock_offset is None and "not sure" in pair.warnings[0]
