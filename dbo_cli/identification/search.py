@@ -113,14 +113,13 @@ def _begun(problem: Problem, choices: Choices) -> tuple[str, float | None]:
         different.setdefault(np.concatenate(plays).tobytes(), start)
     levels = ROUGH_LEVELS if choices.drift and len(problem.taus) else LEVELS[:1]
     errors: dict[tuple[str, float | None], float] = {}
-    fits: dict[str, Fit | None] = dict.fromkeys(RULES)
     for start, level in product(different.values(), levels):
-        for rule in RULES:
-            trial = replace(ROUGHEST, slopes=rule, start=start, level=level)
-            fits[rule] = Equations(problem.rows(trial), trial).solve(fits[rule])
+        trials = [
+            replace(ROUGHEST, slopes=rule, start=start, level=level) for rule in RULES
+        ]
+        fits = [Equations(problem.rows(trial), trial).solve() for trial in trials]
         price = DRIFT_PRICE * (level is not None)
-        least = min(fit.rmse for fit in fits.values() if fit is not None)
-        errors[start, level] = math.exp(price) * least
+        errors[start, level] = math.exp(price) * min(fit.rmse for fit in fits)
     best = min(errors, key=errors.__getitem__)
     return best if errors[best] < BETTER_START * errors[settled] else settled
 
