@@ -39,9 +39,9 @@ REFINED = (0.6, 0.8, 1.25, 1.6)
 """Times the best delay, tried in turn."""
 LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the range: where memories may have stood before the logs, beside the first value."""
-ROUGH_LEVELS = (None, 0.0, 0.5, 1.0)
+BEGUN_LEVELS = (None, 0.0, 0.5, 1.0)
 SETTLED_START = "settled"
-STARTS = (SETTLED_START, "empty", "full", "below", "above")
+BEGUN_STARTS = (SETTLED_START, "empty", "full", "below", "above")
 """The last two where the gears go on beyond the range."""
 BETTER_START = 0.8
 """Of the settled start's error: the search begins with another one."""
@@ -105,13 +105,13 @@ def _begun(problem: Problem, choices: Choices) -> tuple[str, float | None]:
     """
     settled = (SETTLED_START, None)
     different: dict[bytes, str] = {}
-    for start in STARTS if problem.cells.spare else STARTS[:3]:
+    for start in BEGUN_STARTS if problem.cells.spare else BEGUN_STARTS[:3]:
         plays = [
             plays_at_start(float(log.drive[0]), problem.cells.reach, start)
             for log in problem.logs
         ]
         different.setdefault(np.concatenate(plays).tobytes(), start)
-    levels = ROUGH_LEVELS if choices.drift and len(problem.taus) else LEVELS[:1]
+    levels = BEGUN_LEVELS if choices.drift and len(problem.taus) else LEVELS[:1]
     errors: dict[tuple[str, float | None], float] = {}
     for start, level in product(different.values(), levels):
         trials = [

@@ -10,7 +10,7 @@ from dbo_cli.errors import InputError, ModelError, prefixed
 from dbo_cli.model import fields
 
 Ends = tuple[float, float]
-KEYS: dict[str, fields.Reader] = {
+SUMMARY_KEYS: dict[str, fields.Reader] = {
     "unit": fields.text,
     "expected_rmse": fields.magnitude,
     "move_range": fields.interval,
@@ -76,7 +76,7 @@ def expected_in(
                 "states no expected error: give a summary of compensate, or a model"
             )
         values = {}
-        for key, read in KEYS.items():
+        for key, read in SUMMARY_KEYS.items():
             values[key] = fields.unless_null(read)(content.get(key), key)
         if unit and values["unit"] not in (None, "", unit):
             raise InputError(f"is in {values['unit']}, the comparison in {unit}")
