@@ -90,10 +90,10 @@ class TextTable(Table):
             marks.require_clear(self._first_row, limit=0)
 
     def _texts(self) -> Iterator[bytes]:
-        """Return the rows in blocks of whole lines."""
+        """Return the rows in blocks of whole lines, without those of delimiters at the end of the file."""
         tail, data = b"", self._text
         while not self._stream.ended:
-            end = data.rfind(b"\n") + 1
+            end = _last_row_end(data, data.rfind(b"\n") + 1)
             if end:
                 yield tail + data[:end]
                 tail = b""
@@ -103,8 +103,10 @@ class TextTable(Table):
                     f"{self.name}: a line is longer than 16 MB: no text log?"
                 )
             data = self._stream.next()
-        if tail + data:
-            yield tail + data
+        text = tail + data
+        text = text[: _last_row_end(text, len(text))]
+        if text:
+            yield text
 
     def _read_block(self, text: bytes, columns: Sequence[Column]) -> list[NDArray[Any]]:
         """Read a block by polars, or line by line where it is small or not regular."""
@@ -116,10 +118,9 @@ class TextTable(Table):
             from dbo_cli.logs.fast_text import read_frame
 
             unclear = [n for n, marks in self._marks.items() if not marks.is_clear]
-            plain = text.rstrip(b"\n")
-            frame = read_frame(plain, self.layout, columns, unclear)
+            frame = read_frame(text, self.layout, columns, unclear)
         if frame is not None:
-            self._block_lines = len(frame) - 1 + len(text) - len(plain)
+            self._block_lines = len(frame)
             return [self._array_of(c, frame[str(c.number)]) for c in columns]
         rows, self._block_lines = self._rows_of(text), text.count(b"\n")
         return [self._array_of(c, [row[c.number - 1] for row in rows]) for c in columns]
@@ -187,3 +188,14 @@ class TextTable(Table):
     def close(self) -> None:
         """Close the file."""
         self._stream.close()
+
+
+def _last_row_end(text: bytes, end: int) -> int:
+    """Return where the last row ends: comments and lines of delimiters may end a table."""
+    while end:
+        begin = text.rfind(b"\n", 0, end - 1) + 1
+        line = text[begin:end].decode("latin-1")
+        if line.strip("\t ;,|\r\n") and not is_no_row(line):
+            break
+        end = begin
+    return end
