@@ -306,7 +306,7 @@ class Cascade:
             return State(starts.bits(at_end, state), drive=drive)
         output = self.tail.inverse().value(float(first))
         name = self._start_name(state)
-        if name in ("empty", "full"):
+        if name != "settled":
             bits = starts.bits(0.0, name)
             at_gears = float(self.gears.undo([output], State(bits)).y[0])
             return State(bits, first=drive_of(at_gears))

@@ -86,7 +86,9 @@ def _operator(values: Mapping[str, Any], start: str) -> str:
     if values["segments"]:
         counts = " and ".join(map(str, values["segments"]))
         text += f", curve of {counts} straight pieces"
-    if start != "settled":
+    if start in ("below", "above"):
+        text += f"; auto comes from {start} the range, as the logs began"
+    elif start != "settled":
         text += f"; auto starts {start}, as the logs began"
     return text
 

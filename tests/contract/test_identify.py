@@ -438,6 +438,11 @@ def test_the_start_of_logs_that_come_from_beyond_their_range_is_kept():
         model = dbo_cli.read_model(FITTED)
         assert load(FITTED)["past"] == start
         assert rms(model.simulate(drive, time=time) - moved) < 0.005
+        for rows in (slice(0, 800), slice(300, 1100)):
+            wanted = model.simulate(drive[rows], time=time[rows])
+            voltage = model.compensate(wanted, time=time[rows])
+            followed = model.simulate(voltage, time=time[rows])
+            assert np.abs(followed - wanted).max() < 1e-9
 
 
 def test_the_start_of_a_log_that_a_recorder_began_late_is_kept():
