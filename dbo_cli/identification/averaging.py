@@ -13,7 +13,7 @@ from dbo_cli.identification.basis import (
     FINER_GROUPS,
     PreparedLog,
     Structure,
-    columns_of,
+    fitted_columns,
     sums_of,
 )
 from dbo_cli.identification.cross_validation import error_left_out
@@ -195,7 +195,7 @@ def _table(
 ) -> Floats:
     """Return the columns of the logs' rows and of an invented drive."""
     sums = sums_of(invented, problem.cells, problem.taus, bend)
-    added = columns_of(invented, sums, problem.cells, delay)
+    added = fitted_columns(invented, sums, problem.cells, delay)
     logs = problem.columns(Structure(delay=delay, bend=bend))
     return np.vstack((logs, added))
 

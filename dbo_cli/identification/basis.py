@@ -210,7 +210,9 @@ def time_constants(logs: Sequence[PreparedLog]) -> Floats:
     return np.append(shortest * TAU_RATIO ** np.arange(count), longest)
 
 
-def columns_of(log: PreparedLog, sums: Floats, cells: Cells, delay: float) -> Floats:
+def fitted_columns(
+    log: PreparedLog, sums: Floats, cells: Cells, delay: float
+) -> Floats:
     """Return the table (rows, cells + 2 terms): engaged parts, lags, and drive less its lags.
 
     A mean is a difference of ``sums``; a delay (s) shifts both ends.

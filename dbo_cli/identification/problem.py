@@ -16,7 +16,7 @@ from dbo_cli.identification.basis import (
     Cells,
     PreparedLog,
     Structure,
-    columns_of,
+    fitted_columns,
     past_columns,
     sums_of,
     time_constants,
@@ -175,7 +175,7 @@ class Problem:
             tables = []
             all_sums = self._sums_of(structure.bend, structure.start)
             for log, sums in zip(self.logs, all_sums, strict=True):
-                table = columns_of(log, sums, self.cells, structure.delay)
+                table = fitted_columns(log, sums, self.cells, structure.delay)
                 if structure.level is not None:
                     time = log.time[log.rows] - log.time[0]
                     held = np.exp(-time[:, None] / self.taus)

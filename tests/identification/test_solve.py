@@ -12,7 +12,7 @@ from dbo_cli.identification.basis import (
     Cells,
     PreparedLog,
     Structure,
-    columns_of,
+    fitted_columns,
     sums_of,
 )
 from dbo_cli.identification.clean import clean
@@ -45,7 +45,7 @@ def log_of(drive: np.ndarray, cells: Cells) -> PreparedLog:
 def columns(log: PreparedLog, taus: list[float], delay: float = 0.0) -> np.ndarray:
     cells = Cells.of()
     sums = sums_of(log, cells, np.asarray(taus), 0.0)
-    return columns_of(log, sums, cells, delay)
+    return fitted_columns(log, sums, cells, delay)
 
 
 def test_bounded_problem_meets_its_conditions() -> None:
@@ -121,7 +121,7 @@ def test_model_is_what_was_fitted(slopes: str, memories: str) -> None:
         every = np.arange(len(TIME))
         whole = replace(problem.logs[0], rows=every, ends=every + 1)
         sums = sums_of(whole, problem.cells, problem.taus, structure.bend)
-        table = columns_of(whole, sums, problem.cells, structure.delay)
+        table = fitted_columns(whole, sums, problem.cells, structure.delay)
         expected = problem.offset + problem.scale * fit.predict(table)
         played, _ = model.simulate(DRIVE, time=TIME)
         # a turn inside a gear retraces it, which plays do not
