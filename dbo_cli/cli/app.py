@@ -71,6 +71,10 @@ class Command(TyperCommand):
 class Commands(TyperGroup):
     """The group behind ``dbo``: a command's module is imported when it is asked for."""
 
+    def get_help_option_names(self, ctx: Any) -> list[str]:
+        """Return the names of the help in one order: click keeps them in a set."""
+        return list(ctx.help_option_names)
+
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names in the order of a working day, then those of other packages."""
         return [*COMMANDS, *sorted(_foreign())]

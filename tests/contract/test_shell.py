@@ -1,6 +1,8 @@
 """The shell around the commands: help, exit codes, one-line errors, what is said and what is not."""
 
 import os
+import subprocess
+import sys
 import re
 import shlex
 import shutil
@@ -345,3 +347,12 @@ def test_figures_need_no_backend_of_a_notebook():
     ended = process(*words, env=environment)
     assert ended.returncode == 0, ended.stderr
     assert list(Path("figures").glob("*.png"))
+
+
+def test_the_first_page_of_help_is_the_same_for_any_order_of_sets():
+    pages = set()
+    for seed in range(4):
+        environment = {**os.environ, "PYTHONHASHSEED": str(seed)}
+        command = [sys.executable, "-m", "dbo_cli", "-h"]
+        pages.add(subprocess.run(command, capture_output=True, env=environment).stdout)
+    assert len(pages) == 1
