@@ -39,7 +39,7 @@ REFINED = (0.6, 0.8, 1.25, 1.6)
 """Times the best delay, tried in turn."""
 LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the range: where memories may have stood before the logs, beside the first value."""
-BEGUN_LEVELS = (None, 0.0, 0.5, 1.0)
+BEGUN_LEVELS = (None, 0.0, 0.5, 1.0)  # of these, tried with each start
 SETTLED_START = "settled"
 BEGUN_STARTS = (SETTLED_START, "empty", "full", "below", "above")
 """The last two where the gears go on beyond the range."""

@@ -231,10 +231,10 @@ def read_settings(lines: Sequence[str], delimiter: str) -> Settings:
         if match and match[3].strip() and not is_scan:
             key, values = match[1].strip(), _values(match[3], match[2], delimiter)
             is_numbered = re.fullmatch(r"name\d+", key.lower())
-            key = "names" if is_numbered else key  # NAME0: a line a channel
-            if is_numbered or is_clock_setting(
-                key
-            ):  # two rates that differ are refused
+            if is_numbered:  # NAME0: a line a channel
+                key = "names"
+            # all that are stated: two rates that differ are refused
+            if is_numbered or is_clock_setting(key):
                 values = settings.pop(key, []) + values
             settings.setdefault(key, values)
         before = cells
