@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.signal import csd, welch
 
 from dbo_cli.arrays import Floats
 from dbo_cli.identification.recording import Recording, noise_variance, runs_of
@@ -351,6 +350,8 @@ def spectra(
     before: Floats, after: Floats, dt: float, band: Band
 ) -> tuple[Floats, Floats, NDArray[np.complex128]]:
     """Return Hz, power and cross power of two signals, where the first has energy within the band."""
+    from scipy.signal import csd, welch  # as long to load as a short log is identified
+
     size = min(before.size, max(256, round(8.0 / (band[0] * dt))))
     frequency, power = welch(before, 1.0 / dt, nperseg=size)
     both = csd(before, after, 1.0 / dt, nperseg=size)[1]
