@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import TIME_NAMES, words
-from dbo_cli.logs.stored import StoredTable, columns_in
+from dbo_cli.logs.table import Table, columns_in
 from dbo_cli.units import spell, split_header, time_unit
 
 Entry = tuple[str, Any, str | None]
 """A column: its name, its values, and its unit."""
 
 
-def table_of(name: str, entries: Iterable[Entry]) -> StoredTable:
+def table_of(name: str, entries: Iterable[Entry]) -> Table:
     """Return columns in memory as a table, which is read as one block.
 
     Parameters
@@ -35,7 +35,7 @@ def table_of(name: str, entries: Iterable[Entry]) -> StoredTable:
     entries
         Its columns.
     """
-    table = StoredTable(name)
+    table = Table(name)
     table.cure, table.block_rows = "leave such rows out", sys.maxsize
     for title, values, unit in entries:
         cells = cells_of(values)
@@ -55,7 +55,7 @@ def is_frame(data: object) -> bool:
     return hasattr(data, "columns") and has_series
 
 
-def frame_table(frame: Any, time: Any = None) -> StoredTable:
+def frame_table(frame: Any, time: Any = None) -> Table:
     """Return a frame as a table; its time index is a column where it has no other time.
 
     Parameters

@@ -19,10 +19,10 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.files import note_input
 from dbo_cli.logs.clock import Clock, find_clock
 from dbo_cli.logs.columns import ROLES, choose, named
+from dbo_cli.logs.fence import refuse_part
 from dbo_cli.logs.formats import reader_of
 from dbo_cli.logs.join import SENSORS, joined, resampled
 from dbo_cli.logs.scale import scaled_column
-from dbo_cli.logs.stored import refuse_part
 from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import (
     ROWS_A_BLOCK,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
@@ -13,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.fence import fenced
 from dbo_cli.units import spell, split_header
 
 ROWS_A_BLOCK = 65536
@@ -25,6 +27,11 @@ LONGEST_CELL = 200
 """Characters; what is longer, padding counted, is no number, no name and no unit."""
 TOO_LONG = f"(more than {LONGEST_CELL} characters)"
 """What stands in the place of a cell that is longer."""
+
+_KINDS = defaultdict(
+    lambda: "text", f="number", i="number", u="number", b="number", M="stamp"
+)
+"""The kind of a column by NumPy's letter of its type."""
 
 Settings = dict[str, list[str]]
 """What a file states beside its rows, by key: values with their units."""
@@ -194,12 +201,17 @@ def bad_cells(array: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 class Table:
-    """What a reader makes of a file: columns, and their arrays in blocks.
+    """What a reader makes of a file: columns of named arrays, in memory or handed out by a library.
 
-    Attributes
+    Parameters
     ----------
     name
         How messages call the file.
+    close
+        Closes the file.
+
+    Attributes
+    ----------
     columns
         All of its columns.
     settings, decimal
@@ -218,6 +230,12 @@ class Table:
         What the user is to be told, without the file's name in front.
     torn
         The rows (from 1) of the last block that have another number of cells.
+    block_rows
+        Rows of a block.
+    doubt
+        What is remarked behind the last row.
+    find
+        Finds what the user names and no column is called; None where there is nothing.
     """
 
     decimal: str = "."
@@ -225,13 +243,17 @@ class Table:
     hint: str = ""
     cure: str = "`skip_bad` drops such rows"
     has_found_offset: bool = False
+    block_rows: int = ROWS_A_BLOCK
+    doubt: str = ""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, close: Callable[[], object] = lambda: None) -> None:
         self.name = name
+        self.close = close
         self.columns: list[Column] = []
         self.settings: Settings = {}
         self.remarks: list[str] = []
         self.torn: list[int] = []
+        self.find: Callable[[str], Column | None] = lambda name: None
 
     def add(self, column: Column) -> Column:
         """Append a column; its name holds its unit where none is stated beside it."""
@@ -249,24 +271,52 @@ class Table:
         """Note what the file states; a key may have several values."""
         self.settings.setdefault(key, []).append(f"{value} {unit}".strip())
 
+    def require_numbers(self, contents: Iterable[str]) -> Table:
+        """Return the table; refuse (InputError) one without columns of numbers, whose contents are these."""
+        if any(column.kind == "number" for column in self.columns):
+            return self
+        text = ", ".join(contents) or "nothing"
+        raise InputError(
+            f"{self.name}: no columns of numbers: it has {text[:300]}{self.hint}"
+        )
+
     def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of some columns in blocks, one array a column.
 
         Numbers are float64, NaN for other cells; stamps are int64 nanoseconds
         since 1970 or since midnight, ``NOT_A_TIME`` for other cells.
+
+        Raises
+        ------
+        InputError
+            The columns are of unequal length, or the library fails.
         """
-        raise NotImplementedError
+        lengths = [column.length for column in columns]
+        if len(set(lengths)) > 1:
+            pairs = zip(columns, lengths, strict=True)
+            text = ", ".join(f"{column.label} {rows:,} rows" for column, rows in pairs)
+            raise InputError(f"{self.name}: the columns are of unequal length: {text}")
+        for start in range(0, lengths[0], self.block_rows):
+            stop = min(lengths[0], start + self.block_rows)
+            yield [self._rows(column, start, stop) for column in columns]
+        if self.doubt:
+            self.remarks.append(self.doubt)
+
+    def _rows(self, column: Column, start: int, stop: int) -> NDArray[Any]:
+        """Read rows of one column as float64, or dates as int64 nanoseconds."""
+        with fenced(self.name, column.label):
+            stored = np.asarray(column.fetch(start, stop))
+            if stored.dtype.kind == "M":
+                stored = stored.astype("datetime64[ns]").astype(np.int64)
+            elif column.kind == "number":
+                stored = np.ascontiguousarray(stored, dtype=np.float64)
+        if len(stored) != stop - start:
+            raise InputError(f"{self.name}: {column.label} ends early: damaged?")
+        return stored
 
     def where(self, row: int, column: Column, value: object) -> str:
         """Say where a row (from 1) of the last block is, and which value a column has there."""
         return f"{self.name}: row {row}: {column.label} is {value}"
-
-    def find(self, name: str) -> Column | None:
-        """Find what the user names and no column is called; None where there is nothing."""
-        return None
-
-    def close(self) -> None:
-        """Close the file."""
 
     def __enter__(self) -> Table:
         """Use the table as a context manager."""
@@ -275,3 +325,44 @@ class Table:
     def __exit__(self, *_: object) -> None:
         """Close the file."""
         self.close()
+
+
+def columns_in(name: str, stored: Any) -> Iterator[Column]:
+    """Take an array or a dataset apart: a vector, a matrix whose longer axis is time, or records.
+
+    There are no parts of what holds neither numbers, nor dates, nor a row of texts.
+    """
+    kind, shape = stored.dtype, stored.shape
+    if kind.names is not None and len(shape) == 1:
+        for label in kind.names:
+            if not kind[label].shape:
+                yield column_of(label, kind[label], shape[0], _field_of(stored, label))
+    elif len(shape) == 1:
+        yield column_of(name, kind, shape[0], rows_of(stored))
+    elif len(shape) == 2 and _KINDS[kind.kind] != "text":
+        along = 0 if shape[0] >= shape[1] else 1
+        width = shape[1 - along]
+        for number in range(width):
+            label = f"{name}[{number + 1}]" if name and width > 1 else name
+            fetch = _column_of(stored, along, number)
+            yield column_of(label, kind, shape[along], fetch)
+
+
+def column_of(name: str, kind: Any, rows: int, fetch: Fetch) -> Column:
+    """Return a column of so many rows of a type of NumPy's."""
+    return Column(0, name, kind=_KINDS[kind.kind], length=rows, fetch=fetch)
+
+
+def rows_of(stored: Any) -> Fetch:
+    """Return what fetches rows of an array."""
+    return lambda start, stop: stored[start:stop]
+
+
+def _field_of(stored: Any, label: str) -> Fetch:
+    return lambda start, stop: stored[start:stop][label]
+
+
+def _column_of(stored: Any, along: int, number: int) -> Fetch:
+    if along == 0:
+        return lambda start, stop: stored[start:stop, number]
+    return lambda start, stop: stored[number, start:stop]

@@ -33,7 +33,7 @@ class TextTable(Table):
     """
 
     def __init__(self, stream: TextStream, reading: Reading) -> None:
-        super().__init__(stream.name)
+        super().__init__(stream.name, stream.close)
         self._stream = stream
         self._reading = reading
         self._marks: dict[int, Marks] = {}
@@ -184,10 +184,6 @@ class TextTable(Table):
         advice = " (`decimal` comma?)" if "," in cell else ""
         noun = "time stamp" if column.kind == "stamp" else "finite number"
         return f"{at}: {column.label} is no {noun}: '{cell[:40]}'{advice}"
-
-    def close(self) -> None:
-        """Close the file."""
-        self._stream.close()
 
 
 def _last_row_end(text: bytes, end: int) -> int:

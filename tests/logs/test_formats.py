@@ -13,7 +13,7 @@ import pytest
 import scipy.io
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs import stored
+from dbo_cli.logs import fence
 from dbo_cli.logs.formats import npy, reader_of
 from dbo_cli.logs.settings import stated_rate
 from dbo_cli.logs.table import Reading
@@ -212,7 +212,7 @@ def test_a_library_that_is_absent_is_named(tmp_path, monkeypatch):
 
     tdms(tmp_path / "a.tdms")
     workbook(tmp_path / "a.xlsx")
-    monkeypatch.setattr(stored.importlib, "import_module", absent)
+    monkeypatch.setattr(fence.importlib, "import_module", absent)
     for name, extra in (("a.tdms", "tdms"), ("a.xlsx", "excel")):
         with pytest.raises(InputError, match=rf"pip install 'dbo-cli\[{extra}\]'"):
             opened(tmp_path / name)

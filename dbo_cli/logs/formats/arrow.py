@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.logs.stored import StoredTable, fenced, quiet, refuse_part
+from dbo_cli.logs.fence import fenced, quiet, refuse_part
 from dbo_cli.logs.table import NOT_A_TIME, Column, Fetch, Reading, Table
 
 _STRETCH = 1 << 19  # rows that polars hands out at once
@@ -19,7 +19,7 @@ def read_arrow(path: str, inner: str, reading: Reading) -> Table:
     import polars as pl
 
     refuse_part(path, inner)
-    table = StoredTable(path)
+    table = Table(path)
     table.block_rows = _STRETCH
     with fenced(path, _KIND), quiet():
         with open(path, "rb") as file:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.stored import fenced, import_extra
+from dbo_cli.logs.fence import fenced, import_extra
 from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import Reading, Table
 from dbo_cli.logs.text import TextTable

@@ -15,9 +15,9 @@ import h5py
 import numpy as np
 
 from dbo_cli.errors import InputError
+from dbo_cli.logs.fence import fenced
 from dbo_cli.logs.settings import is_clock_setting, plain_key
-from dbo_cli.logs.stored import StoredTable, columns_in, fenced
-from dbo_cli.logs.table import Column, Fetch, Reading, Table
+from dbo_cli.logs.table import Column, Fetch, Reading, Table, columns_in
 
 # bytes a dataset: a compressed chunk is unpacked once, not once a block
 _CHUNK_CACHE = 1 << 22
@@ -30,6 +30,8 @@ _NOT_APPLIED = {
 _MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
                   "uint32", "uint64", "logical")  # fmt: skip
 
+Nodes = dict[str, Any]
+"""Groups and datasets by their paths; the file is that of no path."""
 _EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
 
 
@@ -47,115 +49,111 @@ def read_hdf5(path: str, inner: str, reading: Reading) -> Table:
         file = h5py.File(path, "r", rdcc_nbytes=_CHUNK_CACHE)
     try:
         with fenced(path, "HDF5"):
-            return Hdf5Table(path, inner.strip("/"), file)
+            return _table_of(path, inner.strip("/"), file)
     except BaseException:
         file.close()
         raise
 
 
-class Hdf5Table(StoredTable):
-    """The columns of an HDF5 file."""
+def _table_of(path: str, inner: str, file: Any) -> Table:
+    """Return the columns of a part of an open file; all other datasets are found by their paths."""
+    table, nodes = Table(path, file.close), _nodes_of(file)
+    if inner not in nodes:
+        raise InputError(
+            f"{path}::{inner}: no such part, or a link; the file has {_listing(nodes)}"
+        )
+    by_group: dict[str, list[Column]] = {}
+    for name, node in nodes.items():
+        if inner in ("", name) or name.startswith(f"{inner}/"):
+            is_single = getattr(node, "size", 0) == 1 and name != inner
+            columns = [] if is_single else _columns_of(name, node)
+            by_group.setdefault(posixpath.dirname(name), []).extend(columns)
+    groups = _shallowest(by_group)
+    columns = [column for group in groups for column in by_group[group]]
+    parents = [posixpath.dirname(column.name) for column in columns]
+    top = posixpath.commonpath(parents) if parents else ""
+    for column in columns:
+        table.add(replace(column, name=column.name[len(top) :].lstrip("/")))
+    table.require_numbers([_listing(nodes)])
+    _state_clock(table, nodes, groups)
+    if not table.settings:
+        _state_clock(table, nodes, [inner, ""])
+    if len(groups) > 1:
+        table.hint = f" (or one group alone: {path}::{groups[0]})"
 
-    def __init__(self, path: str, inner: str, file: Any) -> None:
-        super().__init__(path, file.close)
-        self._inner = inner
-        self._nodes = _nodes_of(file)
-        if inner not in self._nodes:
-            raise InputError(
-                f"{path}::{inner}: no such part, or a link; the file has {self._listing()}"
-            )
-        by_group: dict[str, list[Column]] = {}
-        for name, node in self._nodes.items():
-            if inner in ("", name) or name.startswith(f"{inner}/"):
-                is_single = getattr(node, "size", 0) == 1 and name != inner
-                columns = [] if is_single else self._columns_of(name, node)
-                by_group[posixpath.dirname(name)] = (
-                    by_group.get(posixpath.dirname(name), []) + columns
-                )
-        groups = _shallowest(by_group)
-        columns = [column for group in groups for column in by_group[group]]
-        parents = [posixpath.dirname(column.name) for column in columns]
-        top = posixpath.commonpath(parents) if parents else ""
-        for column in columns:
-            self.add(replace(column, name=column.name[len(top) :].lstrip("/")))
-        self.require_numbers([self._listing()])
-        self._state_clock(groups)
-        if not self.settings:
-            self._state_clock([inner, ""])
-        if len(groups) > 1:
-            self.hint = f" (or one group alone: {path}::{groups[0]})"
-
-    def _state_clock(self, groups: Sequence[str]) -> None:
-        """Note what groups, the datasets in them and single values state of the sample rate."""
-        for path, node in self._nodes.items():
-            group, _, name = path.rpartition("/")
-            is_inside = group in groups and isinstance(node, h5py.Dataset)
-            if path not in groups and not is_inside:
-                continue
-            for key in filter(is_clock_setting, node.attrs):
-                values = _attribute(node, key)
-                if len(values) == 1:
-                    unit = _texts(node, f"{key}_units", f"{key}_unit")
-                    self.state(key, values[0], "".join(unit))
-            is_single = is_inside and node.size == 1 and is_clock_setting(name)
-            if is_single and not node.is_virtual and not node.external:
-                unit = _texts(node, "units", "unit")
-                self.state(name, _plain(np.ravel(node[()])[0]), "".join(unit))
-
-    def find(self, name: str) -> Column | None:
-        """Return the column that a dataset's path names, from the part that is open or from the top."""
-        for path in (f"{self._inner}/{name}", name):
-            columns = self._columns_of(
-                path.strip("/"), self._nodes.get(path.strip("/"))
-            )
+    def find(name: str) -> Column | None:
+        """Return the column that a path names, from the part that is open or from the top."""
+        for start in (f"{inner}/{name}", name):
+            columns = _columns_of(start.strip("/"), nodes.get(start.strip("/")))
             if len(columns) == 1:
-                return self.add(replace(columns[0], name=name))
+                return table.add(replace(columns[0], name=name))
         return None
 
-    def _columns_of(self, path: str, dataset: Any) -> list[Column]:
-        """Take a dataset apart into columns; none where it holds no numbers, or leads to other files."""
-        if not isinstance(dataset, h5py.Dataset) or not dataset.size:
-            return []
-        if dataset.is_virtual or dataset.external:
-            return []
-        matlab = _texts(dataset, "MATLAB_class") or ["double"]
-        if matlab[0] not in _MATLAB_NUMBERS or "MATLAB_empty" in dataset.attrs:
-            return []
-        if "".join(_texts(dataset, "NAME")).startswith(_EMPTY_DIMENSION):
-            return []
+    table.find = find
+    return table
+
+
+def _state_clock(table: Table, nodes: Nodes, groups: Sequence[str]) -> None:
+    """Note what groups, the datasets in them and single values state of the sample rate."""
+    for path, node in nodes.items():
         group, _, name = path.rpartition("/")
-        labels = _texts(dataset, "columns", "column_names", "names")
-        units = _texts(dataset, "units", "unit", "Units", "Unit")
-        columns = []
-        stored = list(columns_in(name, dataset))
-        for number, column in enumerate(stored):
-            label = column.name
-            if dataset.dtype.names is not None:
-                label = f"{name}/{label}"
-            elif len(labels) == len(stored) > 1:
-                label = labels[number]
-            unit = units[0] if len(units) == 1 else "".join(units[number : number + 1])
-            fetch = _with_missing(dataset, column.fetch)
-            doubt = _not_applied(dataset)
-            label = posixpath.join(group, label)
-            columns.append(
-                replace(column, name=label, unit=unit, fetch=fetch, doubt=doubt)
-            )
-        return columns
-
-    def _listing(self) -> str:
-        """Return the datasets of the file for a message."""
-        names = []
-        for name, node in self._nodes.items():
-            if isinstance(node, h5py.Dataset):
-                shape = "x".join(map(str, node.shape or ()))
-                names.append(f"/{name} ({shape} {node.dtype})")
-        return ", ".join(names[:_LISTED]) or "nothing"
+        is_inside = group in groups and isinstance(node, h5py.Dataset)
+        if path not in groups and not is_inside:
+            continue
+        for key in filter(is_clock_setting, node.attrs):
+            values = _attribute(node, key)
+            if len(values) == 1:
+                unit = _texts(node, f"{key}_units", f"{key}_unit")
+                table.state(key, values[0], "".join(unit))
+        is_single = is_inside and node.size == 1 and is_clock_setting(name)
+        if is_single and not node.is_virtual and not node.external:
+            unit = _texts(node, "units", "unit")
+            table.state(name, _plain(np.ravel(node[()])[0]), "".join(unit))
 
 
-def _nodes_of(file: Any) -> dict[str, Any]:
+def _columns_of(path: str, dataset: Any) -> list[Column]:
+    """Take a dataset apart into columns; none where it holds no numbers, or leads to other files."""
+    if not isinstance(dataset, h5py.Dataset) or not dataset.size:
+        return []
+    if dataset.is_virtual or dataset.external:
+        return []
+    matlab = _texts(dataset, "MATLAB_class") or ["double"]
+    if matlab[0] not in _MATLAB_NUMBERS or "MATLAB_empty" in dataset.attrs:
+        return []
+    if "".join(_texts(dataset, "NAME")).startswith(_EMPTY_DIMENSION):
+        return []
+    group, _, name = path.rpartition("/")
+    labels = _texts(dataset, "columns", "column_names", "names")
+    units = _texts(dataset, "units", "unit", "Units", "Unit")
+    columns = []
+    stored = list(columns_in(name, dataset))
+    for number, column in enumerate(stored):
+        label = column.name
+        if dataset.dtype.names is not None:
+            label = f"{name}/{label}"
+        elif len(labels) == len(stored) > 1:
+            label = labels[number]
+        unit = units[0] if len(units) == 1 else "".join(units[number : number + 1])
+        fetch = _with_missing(dataset, column.fetch)
+        doubt = _not_applied(dataset)
+        label = posixpath.join(group, label)
+        columns.append(replace(column, name=label, unit=unit, fetch=fetch, doubt=doubt))
+    return columns
+
+
+def _listing(nodes: Nodes) -> str:
+    """Return the datasets of the file for a message."""
+    names = []
+    for name, node in nodes.items():
+        if isinstance(node, h5py.Dataset):
+            shape = "x".join(map(str, node.shape or ()))
+            names.append(f"/{name} ({shape} {node.dtype})")
+    return ", ".join(names[:_LISTED]) or "nothing"
+
+
+def _nodes_of(file: Any) -> Nodes:
     """Return groups and datasets by their paths; links are not followed."""
-    nodes: dict[str, Any] = {"": file}
+    nodes = {"": file}
 
     def visit(name: str, node: Any) -> None:
         if not name.startswith("#"):  # MATLAB's own

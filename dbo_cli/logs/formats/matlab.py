@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.logs.stored import StoredTable, fenced, refuse_part
+from dbo_cli.logs.fence import fenced, refuse_part
+from dbo_cli.logs.formats.npy import table_of_arrays
 from dbo_cli.logs.table import Reading, Table
 
 _HEADER = 128  # bytes of text, version and byte order
@@ -131,12 +132,11 @@ def read_matlab(path: str, inner: str, reading: Reading) -> Table:
     with open(path, "rb") as file, fenced(path, "MATLAB"):
         data = file.read()
         variables = [variable for variable in variables_of(data) if variable.name]
-    table = StoredTable(path)
-    lines = [variable.advice() for variable in variables if variable.advice()]
-    table.hint = f": in MATLAB, {lines[0]}" if lines else ""
     arrays = {}
     for variable in variables:
         if variable.values is not None:
             arrays[variable.name] = np.squeeze(variable.values)
-    table.add_arrays(arrays)
+    table = table_of_arrays(path, arrays)
+    lines = [variable.advice() for variable in variables if variable.advice()]
+    table.hint = f": in MATLAB, {lines[0]}" if lines else ""
     return table.require_numbers(variable.describe() for variable in variables)

@@ -7,8 +7,9 @@ import zipfile
 import numpy as np
 
 from dbo_cli.errors import InputError
+from dbo_cli.logs.fence import fenced, refuse_part
 from dbo_cli.logs.formats.excel import read_excel
-from dbo_cli.logs.stored import StoredTable, fenced, refuse_part
+from dbo_cli.logs.formats.npy import table_of_arrays
 from dbo_cli.logs.table import Reading, Table
 
 
@@ -21,7 +22,5 @@ def read_npz(path: str, inner: str, reading: Reading) -> Table:
     if not any(name.endswith(".npy") for name in names):
         raise InputError(f"{path}: this is a zip archive: unpack it")
     refuse_part(path, inner)
-    table = StoredTable(path)
     with fenced(path, "NumPy"), np.load(path, allow_pickle=False) as stored:
-        table.add_arrays(stored)
-        return table.require_numbers(names)
+        return table_of_arrays(path, stored).require_numbers(names)

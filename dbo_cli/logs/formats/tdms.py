@@ -9,15 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.logs.stored import (
-    StoredTable,
-    column_of,
-    fenced,
-    import_extra,
-    quiet,
-    rows_of,
-)
-from dbo_cli.logs.table import Reading, Table
+from dbo_cli.logs.fence import fenced, import_extra, quiet
+from dbo_cli.logs.table import Reading, Table, column_of, rows_of
 
 _LEAD_IN = 28
 """Bytes: mark, contents, version, bytes to the next segment, bytes to the data."""
@@ -27,7 +20,7 @@ def read_tdms(path: str, inner: str, reading: Reading) -> Table:
     """Read a TDMS file, or one group of it (``FILE::GROUP``) (InputError)."""
     nptdms = import_extra("nptdms", "tdms", path)
     stream = open(path, "rb")
-    table = StoredTable(path, stream.close)
+    table = Table(path, stream.close)
     try:
         with fenced(path, "TDMS"), quiet():
             file = nptdms.TdmsFile.open(stream)
@@ -55,7 +48,7 @@ def _is_cut(path: str) -> bool:
     return position > size
 
 
-def _add_channels(table: StoredTable, groups: Sequence[Any]) -> None:
+def _add_channels(table: Table, groups: Sequence[Any]) -> None:
     """Add the channels of numbers, and what they state of their rate."""
     for group in groups:
         for channel in group.channels():
@@ -69,7 +62,7 @@ def _add_channels(table: StoredTable, groups: Sequence[Any]) -> None:
             _state_clock(table, properties)
 
 
-def _state_clock(table: StoredTable, properties: Any) -> None:
+def _state_clock(table: Table, properties: Any) -> None:
     """Note what the properties of a channel state of its clock; a spectrum has none."""
     if str(properties.get("wf_xname") or "Time").lower() != "time":
         return
