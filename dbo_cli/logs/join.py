@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dbo_cli.alignment import (
     ACTUATOR_LAG,
@@ -61,112 +62,95 @@ def joined(
         A log has no clock, they have no time in common, or the offset cannot be found.
     """
     names = f"{clock.name} and {guest_clock.name}"
-    time = _time_on(clock, guest_clock, guest, clock_offset)
+    at, time = _on_one_clock(rows, clock, guest, guest_clock, clock_offset)
+    seconds, how = 0.0, ""
     if clock_offset is None:
-        _warn_if_apart(names, rows, time, guest)
+        _warn_if_apart(names, at, rows, time, guest)
     elif clock_offset == "auto":
-        alignment, by_drive = _found(names, rows, time, guest)
+        alignment, by_drive = _found(names, at, rows, time, guest)
         clock.holds_delay |= not by_drive
         how = ", by the drive" if by_drive else ", delay included"
-        time = alignment.recorded_time(time)
-        _tell(clock, guest_clock, alignment.ahead, how)
+        time, seconds = alignment.recorded_time(time), alignment.ahead
         clock.remarks.append(
-            f"{clock.name}: its clock is {alignment.ahead:.6g} ± {2.0 * alignment.lag.deviation:.1g} s "
+            f"{clock.name}: its clock is {seconds:.6g} ± {2.0 * alignment.lag.deviation:.1g} s "
             f"ahead of that of {guest_clock.name} and {1e6 * alignment.lag.rate:.2g} ppm fast{how}"
         )
     else:
-        time = time + float(clock_offset)
-        _tell(clock, guest_clock, float(clock_offset))
-    kept = {r: array for r, array in rows.values.items() if r not in taken}
-    others = {role: guest.values[role] for role in taken}
-    matched = _side_by_side(replace(rows, values=kept), time, others, names)
-    left_out = len(rows) - len(matched)
+        seconds = float(clock_offset)
+        time = time + seconds
+    if clock_offset is not None:
+        file = os.path.basename(guest_clock.name)
+        clock.joined = f", {file} moved by {seconds:.4g} s{how}"
+    covered = _covered(at, time)
+    if not covered.any():
+        raise InputError(
+            f"{names}: no time in common, {at[0]:.9g} to {at[-1]:.9g} s and {time[0]:.9g} to "
+            f"{time[-1]:.9g} s: try `clock_offset` {at[0] - time[0]:.9g}, or auto"
+        )
+    left_out = len(at) - np.count_nonzero(covered)
     if left_out:
         clock.remarks.append(
             f"{left_out:,} rows of {clock.name} left out: {guest_clock.name} has none there"
         )
-    assert matched.time is not None
-    clock.first, clock.last = float(matched.time[0]), float(matched.time[-1])
-    clock.rows = len(matched)
-    return matched
+    at, dt = at[covered], rows.dt
+    has_gap = np.diff(np.flatnonzero(covered)).max(initial=1) > 1
+    if isinstance(dt, np.ndarray) or has_gap:
+        steps = np.diff(at)
+        dt = np.concatenate([steps[:1], steps])
+    values = {r: array[covered] for r, array in rows.values.items() if r not in taken}
+    for role in taken:
+        values[role] = np.interp(at, time, guest[role])
+    clock.first, clock.last, clock.rows = float(at[0]), float(at[-1]), len(at)
+    return Block(at, values, dt)
 
 
-def _tell(clock: Clock, guest_clock: Clock, seconds: float, how: str = "") -> None:
-    """Note how far the clock of a second log is moved."""
-    file = os.path.basename(guest_clock.name)
-    clock.joined = f", {file} moved by {seconds:.4g} s{how}"
-
-
-def _time_on(
-    clock: Clock, guest_clock: Clock, guest: Block, clock_offset: float | str | None
-) -> Floats:
-    """Return a second log's times on the clock of the first (InputError)."""
+def _on_one_clock(
+    rows: Block,
+    clock: Clock,
+    guest: Block,
+    guest_clock: Clock,
+    clock_offset: float | str | None,
+) -> tuple[Floats, Floats]:
+    """Return the times of two logs, the second's on the clock of the first (InputError)."""
     start, guest_start = clock.first_stamp, guest_clock.first_stamp
-    if guest.time is not None and clock.kind != "none":
+    if rows.time is not None and guest.time is not None:
         if start is not None and guest_start is not None:
-            shifted: Floats = guest.time + (guest_start - start) / 1e9
-            return shifted
+            return rows.time, guest.time + (guest_start - start) / 1e9
         if start == guest_start or clock_offset is not None:
-            return guest.time
+            return rows.time, guest.time
     raise InputError(
         f"{clock.name} and {guest_clock.name} have no clock in common, with stamps in both or in none: "
         "add a time column, `sample_rate` HZ, or `clock_offset` SECONDS or auto"
     )
 
 
-def _side_by_side(
-    rows: Block, time: Floats, others: Mapping[str, Floats], pair_name: str
-) -> Block:
-    """Put another log's signals beside rows, where it has some; none in its gaps.
-
-    Raises
-    ------
-    InputError
-        They have no time in common.
-    """
-    assert rows.time is not None
-    at = rows.time
-    covered = (at >= time[0]) & (at <= time[-1])
+def _covered(at: Floats, time: Floats) -> NDArray[np.bool_]:
+    """Return which times lie within those of another log, and in none of its gaps."""
+    covered: NDArray[np.bool_] = (at >= time[0]) & (at <= time[-1])
     if len(time) > 1:
         steps = np.diff(time)
         following = np.clip(np.searchsorted(time, at, side="right"), 1, len(time) - 1)
         in_gap = steps[following - 1] > _GAP_STEPS * np.sort(steps)[len(steps) // 2]
         is_stamp = (at == time[following]) | (at == time[following - 1])
         covered &= ~in_gap | is_stamp
-    if not covered.any():
-        raise InputError(
-            f"{pair_name}: no time in common, {at[0]:.9g} to {at[-1]:.9g} s and {time[0]:.9g} to "
-            f"{time[-1]:.9g} s: try `clock_offset` {at[0] - time[0]:.9g}, or auto"
-        )
-    times = at[covered]
-    values = {role: array[covered] for role, array in rows.values.items()}
-    for role, array in others.items():
-        values[role] = np.interp(times, time, array)
-    dt = rows.dt
-    if (
-        isinstance(dt, np.ndarray)
-        or np.diff(np.flatnonzero(covered)).max(initial=1) > 1
-    ):
-        steps = np.diff(times)
-        dt = np.concatenate([steps[:1], steps])
-    return Block(times, values, dt)
+    return covered
 
 
 def _beside_drive(
-    rows: Block, time: Floats, table: Block
+    at: Floats, rows: Block, time: Floats, guest: Block
 ) -> tuple[Alignment, Floats, Floats] | None:
     """Return how the displacement of one log lies over the drive of another, and both; None if unknown."""
-    drives = [table.values[role] for role in _DRIVES if role in table.values]
-    sensors = [rows.values[role] for role in SENSORS if role in rows.values]
-    if not drives or not sensors or rows.time is None:
+    drives = [guest[role] for role in _DRIVES if role in guest.values]
+    sensors = [rows[role] for role in SENSORS if role in rows.values]
+    if not drives or not sensors:
         return None
-    signals = rows.time, sensors[0], time, drives[0]
+    signals = at, sensors[0], time, drives[0]
     found = align_displacements(*signals, rate=True, inverted=True)
     return None if found is None else (found, sensors[0], drives[0])
 
 
 def _found(
-    pair_name: str, rows: Block, time: Floats, table: Block
+    names: str, at: Floats, rows: Block, time: Floats, guest: Block
 ) -> tuple[Alignment, bool]:
     """Return how two logs lie over each other, and whether a drive in both says so.
 
@@ -175,13 +159,12 @@ def _found(
     InputError
         The signals do not show it to half a row of the slower clock.
     """
-    assert rows.time is not None
     for role in _DRIVES:
-        if role in rows.values and role in table.values:
-            by_drive = align_drives(rows.time, rows[role], time, table[role])
+        if role in rows.values and role in guest.values:
+            by_drive = align_drives(at, rows[role], time, guest[role])
             if by_drive is not None:
                 return by_drive, True
-    pair = _beside_drive(rows, time, table)
+    pair = _beside_drive(at, rows, time, guest)
     if pair is None:
         problem = "a drive and a displacement are needed that both move, over a time that both hold"
     else:
@@ -198,26 +181,27 @@ def _found(
             problem = f"{ahead:.6g} s and {rival:.6g} s fit equally: the drive repeats"
         elif 2.0 * lag.deviation <= max(_KNOWN_TO * found.step, tolerable):
             return found, False
-    raise InputError(f"{pair_name}: `clock_offset` auto: {problem} (give SECONDS)")
+    raise InputError(f"{names}: `clock_offset` auto: {problem} (give SECONDS)")
 
 
-def _warn_if_apart(pair_name: str, rows: Block, time: Floats, table: Block) -> None:
+def _warn_if_apart(
+    names: str, at: Floats, rows: Block, time: Floats, guest: Block
+) -> None:
     """Warn where the drive explains the displacement much better when its clock is moved."""
-    pair = _beside_drive(rows, time, table)
+    pair = _beside_drive(at, rows, time, guest)
     if pair is None or pair[0].lag.residual > _EXPLAINED:
         return
     found, sensor, drive = pair
     clearly = found.step + _CLEARLY_APART * found.lag.deviation
     if -clearly <= found.ahead <= clearly + USUAL_LAG:
         return
-    assert rows.time is not None
-    if not are_apart(found, rows.time, sensor, time, drive):
+    if not are_apart(found, at, sensor, time, drive):
         return
     remedy = "try `clock_offset` auto"
     if 0.0 < found.ahead <= ACTUATOR_LAG:
         remedy += ", or 0 if the actuator is that late"
     warn(
-        f"{pair_name}: drive and sensor do not line up in time (by {found.ahead:+.3g} s): {remedy}"
+        f"{names}: drive and sensor do not line up in time (by {found.ahead:+.3g} s): {remedy}"
     )
 
 
