@@ -27,8 +27,8 @@ from dbo_cli.logs import (
     stated_unit,
     table_of,
 )
-from dbo_cli.logs.frame import cells_of, dtype_kind
-from dbo_cli.logs.table import OVERLOAD, Block
+from dbo_cli.logs.frame import cells_of, column_in_memory, dtype_kind
+from dbo_cli.logs.table import OVERLOAD, Block, Column
 from dbo_cli.model import Cascade, Quantity, State, steps_of
 from dbo_cli.units import (
     multiplied,
@@ -183,7 +183,7 @@ def arrays_table(
     time, sample_rate
         As of ``clock_of``.
     """
-    entries: list[tuple[str, Any, str | None]] = []
+    table, arrays = "the arrays", list[Column]()
     columns: dict[str, str | None] = {"time": None}
     for role, values in signals.items():
         label = "voltage" if role == "voltage" else "displacement"
@@ -191,14 +191,15 @@ def arrays_table(
         unit, unit_option = stated_unit(values, label), unit_options[role]
         to_model_unit(label, unit, unit_option, units.get(role, unit_option))
         name = str(getattr(values, "name", None) or role)
-        entries.append((name, array, unit_option or unit or units.get(role)))
-        columns[role] = f"number={len(entries)}"
+        unit = unit_option or unit or units.get(role)
+        arrays.append(column_in_memory(table, name, array, unit))
+        columns[role] = f"number={len(arrays)}"
     first = next(iter(signals.values()))
     clock = clock_of(first, time, sample_rate, len(first))
     if isinstance(clock, np.ndarray):
-        entries.append(("time", clock, "s"))
-        columns["time"] = f"number={len(entries)}"
-    return table_of("the arrays", entries), columns
+        arrays.append(column_in_memory(table, "time", clock, "s"))
+        columns["time"] = f"number={len(arrays)}"
+    return table_of(table, arrays), columns
 
 
 def pairs_of(

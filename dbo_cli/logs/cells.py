@@ -49,15 +49,12 @@ def split_cells(line: str, delimiter: str) -> list[str]:
     else:
         cells = line.split(delimiter)
         if '"' in line:  # blanks may stand in front of a quote
+            lines = [line.strip(" \r")]
             reader = csv.reader(
-                [line.strip(" \r")],
-                delimiter=delimiter,
-                skipinitialspace=True,
-                strict=True,
+                lines, delimiter=delimiter, skipinitialspace=True, strict=True
             )
-            with contextlib.suppress(
-                csv.Error
-            ):  # else quotes are letters of their cells
+            # quotes that do not close are letters of their cells
+            with contextlib.suppress(csv.Error):
                 cells = next(reader)
     if len(line) > LONGEST_CELL:
         cells = [cell if len(cell) <= LONGEST_CELL else TOO_LONG for cell in cells]
@@ -75,12 +72,8 @@ def to_number(cell: str, decimal: str) -> float:
     pattern = _POINT if decimal == "." else _COMMA
     if not pattern.fullmatch(cell):
         return np.nan
-    if decimal == ",":
-        cell = cell.replace(",", ".")
-    try:
-        return float(cell)
-    except ValueError:  # Fortran's 1.0D+00
-        return float(cell.replace("D", "e").replace("d", "e"))
+    # Fortran writes 1.0D+00
+    return float(cell.replace(",", ".").replace("D", "e").replace("d", "e"))
 
 
 def is_stamp(cell: str, form: str) -> bool:

@@ -191,14 +191,11 @@ class Clock:
             return
         is_epoch = _EPOCH[0] < self.first < _EPOCH[1]
         is_days = abs(86400.0 * self.usual_step - 1.0) < _SAME  # rows a second apart
+        is_short = 0.0 < self.usual_step < _SHORT_STEP
         samples = self.usual_step * (self.rate_beside or 0.0)
         if samples and abs(samples - 1.0) > _SAME:
             reason = "its steps contradict the stated rate"
-        elif (
-            self.usual_step >= _LONG_STEP
-            or 0.0 < self.usual_step < _SHORT_STEP
-            or is_days
-        ):
+        elif self.usual_step >= _LONG_STEP or is_short or is_days:
             reason = f"its usual step would be {self.usual_step:.4g} s"
         elif reach > _LATEST and not is_epoch:
             reason = f"its stamps would reach {reach:.6g} s"
@@ -324,9 +321,8 @@ def _time_columns(source: Table, used: Sequence[Column], needed: bool) -> list[C
         return matches
     for column in called:
         if column.kind == "text" and needed:
-            raise _unclear(
-                source.name, column, f"holds '{column.sample}', no time stamp"
-            )
+            problem = f"holds '{column.sample}', no time stamp"
+            raise _unclear(source.name, column, problem)
     first = [column for column in source.columns[:1] if column in free]
     return [c for c in first if c.kind == "number" and time_unit(c.unit)]
 

@@ -181,9 +181,8 @@ def named(source: Table, selector: str, option: str) -> Column:
     kinds = ("number", "stamp") if option == "time" else ("number",)
     if len(matches) == 1 and matches[0].kind in kinds:
         return matches[0]
-    choices = " or ".join(
-        f"number={column.number}" for column in matches[1:] and matches
-    )
+    numbers = [f"number={column.number}" for column in matches[1:] and matches]
+    choices = " or ".join(numbers)
     raise InputError(
         f"{source.name}: `{option}` {text} is not one column of numbers: {listing_of(source.columns)}"
         f"{source.hint} (`{option}` {choices or 'NAME or NUMBER'})"
@@ -298,11 +297,9 @@ def _question(
     against = role_of(next(iter(unclear)), None).against
     remaining = [column for column in free if not words(column.name) & against]
     if len(unclear) == len(remaining) == 1 and not _is_monotone(table, remaining[0]):
-        name = remaining[0].name
-        is_clear = (
-            name and not name.isdigit() and _by_name(table.columns, name) == remaining
-        )
-        example = shlex.quote(name) if is_clear else f"number={remaining[0].number}"
+        name, example = remaining[0].name, f"number={remaining[0].number}"
+        if not name.isdigit() and _by_name(table.columns, name) == remaining:
+            example = shlex.quote(name)
     options = " ".join(f"`{role}` {example}" for role in unclear)
     text = f"{' '.join(questions)} {listing_of(table.columns)} (for example {options})"
     patterns = [_pattern(matches) for matches in unclear.values()]
@@ -337,12 +334,13 @@ def _pattern(columns: Sequence[Column]) -> tuple[str, tuple[str, ...]]:
 
 def fitting(columns: Sequence[Column], role: str) -> list[Column]:
     """Return the columns that may have a role and are no time."""
-    free = []
-    for column in columns:
-        is_time = words(column.quantity) & TIME_NAMES or time_unit(column.unit)
-        if not is_time:
-            free.append(column)
+    free = [column for column in columns if not is_time(column)]
     return _candidates(free, role_of(role, None))
+
+
+def is_time(column: Column) -> bool:
+    """Return whether a column is a time by its name or its unit."""
+    return bool(words(column.quantity) & TIME_NAMES or time_unit(column.unit))
 
 
 def _candidates(columns: Sequence[Column], role: Role) -> list[Column]:

@@ -10,43 +10,44 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
-from dbo_cli.logs.columns import TIME_NAMES, words
-from dbo_cli.logs.table import Table, columns_in
-from dbo_cli.units import spell, split_header, time_unit
-
-Entry = tuple[str, Any, str | None]
-"""A column: its name, its values, and its unit."""
+from dbo_cli.logs.columns import is_time
+from dbo_cli.logs.table import Column, Table, columns_in
+from dbo_cli.units import spell, split_header
 
 
-def table_of(name: str, entries: Iterable[Entry]) -> Table:
+def table_of(name: str, columns: Iterable[Column]) -> Table:
     """Return columns in memory as a table, which is read as one block.
 
     Parameters
     ----------
     name
         How messages call the table.
-    entries
-        Its columns.
+    columns
+        Its columns, of one length.
     """
     table = Table(name)
     table.cure, table.block_rows = "leave such rows out", sys.maxsize
-    for title, values, unit in entries:
-        cells = cells_of(values)
-        if cells.ndim != 1:
-            raise InputError(
-                f"{name}: column '{title}': give one row of numbers, shape (n,)"
-            )
-        unit = "s" if dtype_kind(values) == "m" else unit
-        for column in columns_in(title, cells):
-            table.add(replace(column, unit=unit))
+    for column in columns:
+        table.add(column)
     return table
+
+
+def column_in_memory(table: str, title: str, values: Any, unit: str | None) -> Column:
+    """Return a column of values in memory, durations in s (InputError)."""
+    cells = cells_of(values)
+    if cells.ndim != 1:
+        raise InputError(
+            f"{table}: column '{title}': give one row of numbers, shape (n,)"
+        )
+    unit = "s" if dtype_kind(values) == "m" else unit
+    return replace(next(columns_in(title, cells)), unit=unit)
 
 
 def is_frame(data: object) -> bool:
@@ -66,39 +67,39 @@ def frame_table(frame: Any, time: Any = None) -> Table:
         The time of each row (s), in the place of what the frame has.
     """
     attrs = getattr(frame, "attrs", {})
-    units = attrs.get("units", {})
-    entries: list[Entry] = []
-    if hasattr(frame, "items"):
-        for title, values in frame.items():
-            entries.append((str(title), values, units.get(title)))
-    else:  # polars
-        entries += [(values.name, values, None) for values in frame.iter_columns()]
-    has_clock = any(map(_is_clock, entries))
-    index = getattr(frame, "index", None)
-    if time is not None:
-        entries = [entry for entry in entries if not _is_clock(entry)]
-        entries.append(("time", time, "s"))
-    elif not has_clock and index is not None and dtype_kind(index) in "fmM":
-        title = str(index.name or "time")
-        entries.insert(0, (title, index, split_header(title)[1] or "s"))
-    table = table_of(str(attrs.get("name", "the frame")), entries)
-    table.has_found_offset = bool(attrs.get("holds_delay"))
-    for index, column in enumerate(table.columns):
-        is_clock = _is_clock((column.name, None, column.unit))
-        if units and column.name not in units and not column.unit and not is_clock:
+    name, units = str(attrs.get("name", "the frame")), attrs.get("units", {})
+    columns: list[Column] = []
+    clocks: list[Column] = []
+    for title, values in _series_of(frame):
+        unit = units.get(title) or split_header(str(title))[1]
+        column = column_in_memory(name, str(title), values, unit)
+        if is_time(Column(0, str(title), unit)):
+            clocks.append(column)
+        elif units and title not in units and not column.unit:
             doubt = (
                 "has no unit, others have one in `attrs`: call it "
-                f"'{column.name} (UNIT)', or keep its name"
+                f"'{title} (UNIT)', or keep its name"
             )
-            table.columns[index] = replace(column, doubt=doubt)
+            column = replace(column, doubt=doubt)
+        columns.append(column)
+    index = getattr(frame, "index", None)
+    if time is not None:
+        columns = [column for column in columns if column not in clocks]
+        columns.append(column_in_memory(name, "time", time, "s"))
+    elif not clocks and dtype_kind(index) in "fmM":
+        title = str(getattr(index, "name", None) or "time")
+        unit = split_header(title)[1] or "s"
+        columns.insert(0, column_in_memory(name, title, index, unit))
+    table = table_of(name, columns)
+    table.has_found_offset = bool(attrs.get("holds_delay"))
     return table
 
 
-def _is_clock(entry: Entry) -> bool:
-    """Return whether a column is a time by its name or its unit."""
-    title, _, unit = entry
-    is_named = bool(words(title) & TIME_NAMES)
-    return is_named or time_unit(unit or split_header(title)[1]) is not None
+def _series_of(frame: Any) -> Iterable[tuple[str, Any]]:
+    """Return the columns of a frame of pandas or polars by their names."""
+    if hasattr(frame, "items"):
+        return cast(Iterable[tuple[str, Any]], frame.items())
+    return [(values.name, values) for values in frame.iter_columns()]
 
 
 # --- values ---

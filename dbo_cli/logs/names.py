@@ -267,13 +267,8 @@ def describe_columns(table: Table, layout: Layout) -> None:
     """
     for n, (kind, sample) in enumerate(layout.kinds):
         header, unit = layout.names[n], spell(layout.units[n])
-        unit_in_name = split_header(header)[1]
-        if (
-            unit_in_name
-            and unit
-            and unit_in_name != unit
-            and kind_of(unit) == kind_of(unit_in_name)
-        ):
+        named = split_header(header)[1] or unit
+        if named != unit and unit and kind_of(named) == kind_of(unit):
             raise InputError(
                 f"{table.name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
                 f"{layout.first}"

@@ -1,10 +1,11 @@
 """The clock of a log: stamps, units, rates, even and uneven steps, and what is asked or refused."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from dbo_cli.errors import DboWarning, InputError, UsageError
-from dbo_cli.logs import Reading, open_log
+from dbo_cli.logs import Reading, frame_table, open_log
 
 VOLTAGE = {"voltage": None}
 
@@ -89,3 +90,10 @@ def test_resampling_is_linear_and_even(tmp_path):
         read(path, resample=0.1)
     with pytest.raises(UsageError, match="`resample`"):
         read(path, resample=-1.0)
+
+
+def test_a_frame_with_a_load_in_tonnes_keeps_the_clock_of_its_index():
+    columns = {"force [t]": np.ones(5), "voltage_V": np.arange(5.0)}
+    index = pd.Index(np.arange(5) / 1e3, name="time_s")
+    with open_log(frame_table(pd.DataFrame(columns, index)), {"voltage": None}) as log:
+        np.testing.assert_array_equal(log.read().time, index)
