@@ -14,9 +14,12 @@ import numpy as np
 from dbo_cli.errors import InputError
 from dbo_cli.logs.table import LONGEST_CELL, TOO_LONG, Settings
 
-NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?"
-_POINT = re.compile(NUMBER, re.ASCII)
-_COMMA = re.compile(NUMBER.replace(r"\.", ","), re.ASCII)
+_NUMBER = r"[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][-+]?\d+)?"
+_NUMBERS = {
+    signs: re.compile(_NUMBER.replace(".,", signs), re.ASCII)
+    for signs in (".", ",", ".,")
+}
+"""How numbers are written, by the decimal signs that may stand in them."""
 _NOT_FINITE = ("nan", "inf", "infinity", "∞", "1.#qnan", "1.#ind", "1.#inf")
 MISSING = ("", "na", "n/a", "null", "none", "-", "--", *_NOT_FINITE)
 """Cells that stand where a number is missing, in lower case."""
@@ -61,16 +64,15 @@ def split_cells(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in cells]
 
 
-def is_number(cell: str, decimal: str) -> bool:
+def is_number(cell: str, decimal: str = ".,") -> bool:
     """Return whether a cell is written as a number, or as one that is not finite."""
-    pattern = _POINT if decimal == "." else _COMMA
-    return bool(pattern.fullmatch(cell)) or cell.lstrip("+-").lower() in _NOT_FINITE
+    is_finite = _NUMBERS[decimal].fullmatch(cell) is not None
+    return is_finite or cell.lstrip("+-").lower() in _NOT_FINITE
 
 
 def to_number(cell: str, decimal: str) -> float:
     """Read a cell as a number; NaN for other text."""
-    pattern = _POINT if decimal == "." else _COMMA
-    if not pattern.fullmatch(cell):
+    if not _NUMBERS[decimal].fullmatch(cell):
         return np.nan
     # Fortran writes 1.0D+00
     return float(cell.replace(",", ".").replace("D", "e").replace("d", "e"))
@@ -184,7 +186,7 @@ class Marks:
                 self.plain = self.plain or (row, cell)
             elif _GROUPED.fullmatch(cell):
                 self.grouped = self.grouped or (row, cell)
-            elif is_number(cell, ".") or is_number(cell, ","):
+            elif is_number(cell):
                 self.is_clear = self._doubtful_rows(row) <= _MOST_DOUBTFUL
 
     def _doubtful_rows(self, row: int) -> int:

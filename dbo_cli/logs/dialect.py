@@ -166,7 +166,7 @@ def _may_be_names(lines: Sequence[str], layout: Layout) -> bool:
     is_last = not any(line.strip() for line in lines[1:])
     if len(cells) < 2 or is_setting(cells[0]) or not is_last:
         return False
-    if any(is_number(cell, ".") or is_number(cell, ",") for cell in cells):
+    if any(is_number(cell) for cell in cells):
         return len(lines) == 1
     return len(cells) != layout.width
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.files import note_input
-from dbo_cli.logs.clock import Clock, find_clock
+from dbo_cli.logs.clock import find_clock
 from dbo_cli.logs.columns import ROLES, choose, named
 from dbo_cli.logs.fence import refuse_part
 from dbo_cli.logs.formats import reader_of
@@ -63,13 +63,23 @@ class Log:
     def __init__(
         self,
         source: Table,
-        clock: Clock,
-        columns: dict[str, Column],
+        roles: Mapping[str, str | None],
         reading: Reading,
+        units: Mapping[str, str | None],
+        optional: Sequence[str],
     ) -> None:
+        """Choose a clock and a column for every role, see ``open_log`` (InputError, UsageError)."""
+        typed = {role: text for role, text in roles.items() if role != "time"}
+        used = [named(source, text, role) for role, text in typed.items() if text]
+        self.clock = find_clock(source, reading, roles.get("time"), used)
+        self.clock.holds_delay = source.has_found_offset
+        clock_columns = [] if self.clock.column is None else [self.clock.column]
+        columns = choose(source, typed, clock_columns, units, optional)
+        for role, column in columns.items():
+            scale = reading.scale
+            columns[role] = scaled_column(source.name, role, column, scale, units)
         self.name = source.name
         self.columns = columns
-        self.clock = clock
         self.remarks = source.remarks
         self.doubtful: list[str] = []
         self._source = source
@@ -302,11 +312,14 @@ def open_log(
         twins = [role for role in _TWINS if role in roles or role in elsewhere]
         roles = {**dict.fromkeys(twins), **roles}
         optional = (*optional, *(role for role in twins if role in elsewhere))
-    opened = path if isinstance(path, Table) else os.fspath(path)
-    log = _open_file(opened, roles, reading, units, optional)
+    source = path if isinstance(path, Table) else open_table(os.fspath(path), reading)
     try:
+        log = Log(source, roles, reading, units, optional)
         if elsewhere:
-            with _open_second(log.name, elsewhere, twins, reading, units) as second:
+            file, roles = _elsewhere(log.name, elsewhere, twins)
+            whole = replace(reading, rows=None)
+            with open_table(file, whole) as table:
+                second = Log(table, roles, whole, units, twins)
                 log.join(second, elsewhere, reading.clock_offset)
         if reading.resample is not None:
             log.resample(reading.resample)
@@ -316,7 +329,7 @@ def open_log(
                 raise UsageError(f"`scale` {role}=...: give one of {listing}")
         _refuse_exchanged(log)
     except BaseException:
-        log.close()
+        source.close()
         raise
     return log
 
@@ -343,14 +356,10 @@ def _typed(column: Column) -> str:
     return shlex.quote(column.name) if column.name else f"number={column.number}"
 
 
-def _open_second(
-    name: str,
-    elsewhere: Mapping[str, str],
-    twins: Sequence[str],
-    reading: Reading,
-    units: Mapping[str, str | None],
-) -> Log:
-    """Open the second file that columns ``FILE::COLUMN`` stand in."""
+def _elsewhere(
+    name: str, elsewhere: Mapping[str, str], twins: Sequence[str]
+) -> tuple[str, dict[str, str | None]]:
+    """Return the second file of columns ``FILE::COLUMN``, and what was typed for its roles (UsageError)."""
     files = {text.rpartition("::")[0] for text in elsewhere.values()}
     if len(files) > 1:
         listing = ", ".join(sorted(files))
@@ -358,34 +367,7 @@ def _open_second(
     roles: dict[str, str | None] = dict.fromkeys(twins)
     for role, text in elsewhere.items():
         roles[role] = text.rpartition("::")[2]
-    return _open_file(files.pop(), roles, replace(reading, rows=None), units, twins)
-
-
-def _open_file(
-    name: str | Table,
-    roles: Mapping[str, str | None],
-    reading: Reading,
-    units: Mapping[str, str | None],
-    optional: Sequence[str],
-) -> Log:
-    """Open one file or table as a log."""
-    source = name if isinstance(name, Table) else open_table(name, reading)
-    try:
-        selectors = {role: text for role, text in roles.items() if role != "time"}
-        used = [named(source, text, role) for role, text in selectors.items() if text]
-        clock = find_clock(source, reading, roles.get("time"), used)
-        clock.holds_delay = source.has_found_offset
-        clock_columns = [] if clock.column is None else [clock.column]
-        picks = choose(source, selectors, clock_columns, units, optional)
-        columns = {}
-        for role, column in picks.items():
-            columns[role] = scaled_column(
-                source.name, role, column, reading.scale, units
-            )
-        return Log(source, clock, columns, reading)
-    except BaseException:
-        source.close()
-        raise
+    return files.pop(), roles
 
 
 def open_table(name: str, reading: Reading) -> Table:

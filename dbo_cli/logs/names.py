@@ -125,7 +125,7 @@ def _as_header(line: str, layout: Layout, above_units: bool) -> list[str] | None
         is_text = any(cell and not is_number(cell, ".") for cell in cells)
         if len(cells) != layout.width or not is_text:
             continue
-        figures = {cells[n] for n in layout.numeric if _is_figure(cells[n])}
+        figures = {cells[n] for n in layout.numeric if is_number(cells[n])}
         if above_units or not figures or (figures == {"1"} and _are_units(cells)):
             return cells  # 1 stands for no unit
     return None
@@ -158,7 +158,7 @@ def _is_name(word: str) -> bool:
 
 def are_names(cells: Sequence[str]) -> bool:
     """Return whether all cells are texts, and most of them have a unit or a known word."""
-    if any(_is_figure(cell) for cell in cells) or not all(cells):
+    if any(map(is_number, cells)) or not all(cells):
         return False
     recognised = [c for c in cells if split_header(c)[1] or words(c) & KNOWN_NAMES]
     return 2 * len(recognised) > len(cells)
@@ -215,10 +215,6 @@ def _are_units(cells: Sequence[str]) -> bool:
         nonempty = nonempty[1:]
     texts = [cell for cell in nonempty if not is_number(cell, ".")]
     return bool(texts) and all(map(is_unit, texts))
-
-
-def _is_figure(cell: str) -> bool:
-    return is_number(cell, ".") or is_number(cell, ",")
 
 
 def _fill_from_settings(layout: Layout, has_names: bool) -> None:
