@@ -33,12 +33,7 @@ from dbo_cli import model as room
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError, UsageError, require_positive
 from dbo_cli.files import write_text
-from dbo_cli.logs import (
-    Reading,
-    frame_table,
-    is_frame,
-    open_log,
-)
+from dbo_cli.logs import Reading, frame_table, is_frame, open_log, seconds_of
 from dbo_cli.recordings import (
     RECORDING_COLUMNS,
     TRACKED_COLUMNS,
@@ -48,7 +43,6 @@ from dbo_cli.recordings import (
     identified,
     pairs_of,
     recordings_of,
-    seconds_of,
     signal_of,
     tracked_of,
 )

@@ -16,19 +16,17 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError, warn
-from dbo_cli.logs import (
-    Reading,
-    Table,
-    as_numbers,
+from dbo_cli.logs import Block, Column, Reading, Table, open_log, open_table
+from dbo_cli.logs.frame import (
+    clock_of,
+    column_in_memory,
+    floats,
     frame_table,
     is_frame,
-    open_log,
-    open_table,
+    seconds_of,
     stated_unit,
     table_of,
 )
-from dbo_cli.logs.frame import cells_of, column_in_memory, dtype_kind
-from dbo_cli.logs.table import OVERLOAD, Block, Column
 from dbo_cli.model import Cascade, Quantity, State, steps_of
 from dbo_cli.units import (
     multiplied,
@@ -47,8 +45,6 @@ if TYPE_CHECKING:
 
 RECORDING_ROLES = ("voltage", "displacement")
 """The columns of a recording, beside its time; files, frames and arrays bring these."""
-TimeOrStep = float | Floats | None
-"""Seconds a sample, or the time of each sample (s)."""
 Columns = Mapping[str, str | None]
 """What was typed for each role; None: found by name and unit."""
 RECORDING_COLUMNS: Columns = dict.fromkeys(("time", *RECORDING_ROLES))
@@ -420,83 +416,11 @@ def signal_of(
         columns = dict.fromkeys(("time", roles[1]))
         units = {roles[1]: quantity.unit}
         return read_table(source, columns, Reading(sample_rate=sample_rate), units)[1]
-    values = in_unit(data, roles[0], quantity.unit, unit)
+    values, stated = floats(data, roles[0]), stated_unit(data, roles[0])
+    factor = to_model_unit(roles[0], stated, unit, quantity.unit)
+    warn_unstated(roles[0], stated, quantity.unit)
+    values = multiplied(values, factor)
     clock = clock_of(data, time, sample_rate, len(values))
     if isinstance(clock, np.ndarray):
         return Block(clock, {roles[1]: values}, steps_of(clock))
     return Block(None, {roles[1]: values}, clock)
-
-
-def in_unit(
-    values: Any, label: str, model_unit: str | None, given: str | None
-) -> Floats:
-    """Return numbers in the unit of a model (``to_model_unit``); InputError where they are in another."""
-    array, unit = floats(values, label), stated_unit(values, label)
-    factor = to_model_unit(label, unit, given, model_unit)
-    warn_unstated(label, unit, model_unit)
-    return cast(Floats, multiplied(array, factor))
-
-
-def floats(values: Any, name: str) -> Floats:
-    """Return a one-dimensional array of finite numbers.
-
-    Raises
-    ------
-    InputError
-        It has another shape, or holds what is no number: masked, missing, an overload.
-    """
-    try:
-        array = as_numbers(values)
-    except InputError:
-        array = np.empty(0)
-    if array.ndim != 1 or array.size == 0:
-        raise InputError(f"`{name}`: give one row of numbers, shape (n,)")
-    bad = np.flatnonzero(~(np.abs(array) < OVERLOAD))
-    if bad.size:
-        value = array[bad[0]]
-        text = "missing or masked" if np.isnan(value) else f"{value}, no finite number"
-        raise InputError(
-            f"`{name}`[{bad[0]}], row {bad[0] + 1}, is {text}: leave such rows out"
-        )
-    return array
-
-
-def clock_of(data: Any, time: Any, sample_rate: float | None, rows: int) -> TimeOrStep:
-    """Return the seconds between samples, or the time of each in s; None where neither is known.
-
-    The time index of a pandas object counts where neither is given: seconds if it
-    holds numbers other than a plain count, else durations or dates.
-
-    Raises
-    ------
-    UsageError
-        Both are given.
-    InputError
-        The time has another length, or is in another unit.
-    """
-    if time is not None and sample_rate is not None:
-        raise UsageError("`time` and `sample_rate` are both given: give one of them")
-    if sample_rate is not None:
-        return 1.0 / sample_rate
-    if time is None:
-        time = getattr(data, "index", None)
-        if getattr(getattr(time, "dtype", None), "kind", "O") not in "fmM":
-            return None
-    seconds = seconds_of(time)
-    if seconds is not None and len(seconds) != rows:
-        raise InputError(f"`time`: {len(seconds)} times for {rows} samples")
-    return seconds
-
-
-def seconds_of(time: Any) -> Floats | None:
-    """Return times as seconds; dates count from the first. None stays None."""
-    if time is None:
-        return None
-    cells, unit = cells_of(time), stated_unit(time, "time")
-    if dtype_kind(time) not in "mM" and unit not in (None, "s"):
-        raise InputError(
-            f"`time` is in {unit}: give seconds (`.to_numpy()` where the numbers are)"
-        )
-    if cells.dtype.kind == "M":
-        cells = (cells - cells[:1]) / np.timedelta64(1, "s")
-    return floats(cells, "time")

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from dbo_cli.logs.frame import (
-    as_numbers,
-    frame_table,
-    is_frame,
-    stated_unit,
-    table_of,
-)
+from dbo_cli.logs.frame import frame_table, is_frame, seconds_of
 from dbo_cli.logs.log import Log, open_log, open_table
 from dbo_cli.logs.table import Block, Column, Reading, Table, parse_rows
 from dbo_cli.logs.write import add_table, create
 
 __all__ = [
-    "Block", "Column", "Log", "Reading", "Table", "add_table", "as_numbers", "create",
-    "frame_table", "is_frame", "open_log", "open_table", "parse_rows", "stated_unit",
-    "table_of",
+    "Block", "Column", "Log", "Reading", "Table", "add_table", "create", "frame_table",
+    "is_frame", "open_log", "open_table", "parse_rows", "seconds_of",
 ]  # fmt: skip

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import is_time
-from dbo_cli.logs.table import Column, Table, columns_in
+from dbo_cli.logs.table import OVERLOAD, Column, Table, columns_in
 from dbo_cli.units import spell, split_header
 
 
@@ -111,27 +111,24 @@ def dtype_kind(values: Any) -> str:
     return str(kind or np.asarray(values).dtype.kind)
 
 
-def as_numbers(values: Any) -> Floats:
+def as_numbers(values: Any) -> Floats | None:
     """Return values as numbers, NaN where one is missing or masked.
 
-    Raises
-    ------
-    InputError
-        They are texts, dates, truth values or complex.
+    None of texts, dates, truth values and complex numbers.
     """
     kind = dtype_kind(values)
     if kind not in "iufO":
-        raise InputError("no numbers")
+        return None
     if isinstance(values, np.ma.MaskedArray):
         values = np.ma.filled(values.astype(np.float64), np.nan)
     elif hasattr(values, "isna"):
         values = values.to_numpy(na_value=np.nan)
     try:
         if kind == "O" and any(isinstance(value, str) for value in values):
-            raise InputError("no numbers")
+            return None
         return np.ascontiguousarray(np.asarray(values, dtype=np.float64))
     except (TypeError, ValueError):
-        raise InputError("no numbers") from None
+        return None
 
 
 def cells_of(values: Any) -> NDArray[Any]:
@@ -141,10 +138,8 @@ def cells_of(values: Any) -> NDArray[Any]:
         return np.asarray(values, "M8[ns]")
     if kind == "m":
         return np.asarray(values) / np.timedelta64(1, "s")
-    try:
-        return as_numbers(values)
-    except InputError:
-        return np.asarray(values, dtype=object)
+    numbers = as_numbers(values)
+    return np.asarray(values, dtype=object) if numbers is None else numbers
 
 
 def stated_unit(values: Any, role: str) -> str | None:
@@ -157,12 +152,76 @@ def stated_unit(values: Any, role: str) -> str | None:
     attrs = getattr(values, "attrs", None)
     title = str(getattr(values, "name", None) or "")
     header = split_header(title)[1]
+    if attrs is None and title:
+        return header
     if attrs is None:
-        unit = (
-            None if title else getattr(values, "units", getattr(values, "unit", None))
-        )
-        return spell(header if unit is None else str(unit))
+        unit = getattr(values, "units", getattr(values, "unit", None))
+        return None if unit is None else spell(str(unit))
     units = attrs.get("units", attrs.get("unit"))
     if isinstance(units, Mapping):
         units = units[title] if title in units else header or units.get(role)
     return header if units is None else spell(str(units))
+
+
+def floats(values: Any, name: str) -> Floats:
+    """Return a one-dimensional array of finite numbers.
+
+    Raises
+    ------
+    InputError
+        It has another shape, or holds what is no number: masked, missing, an overload.
+    """
+    array = as_numbers(values)
+    if array is None or array.ndim != 1 or array.size == 0:
+        raise InputError(f"`{name}`: give one row of numbers, shape (n,)")
+    bad = np.flatnonzero(~(np.abs(array) < OVERLOAD))
+    if bad.size:
+        value = array[bad[0]]
+        text = "missing or masked" if np.isnan(value) else f"{value}, no finite number"
+        raise InputError(
+            f"`{name}`[{bad[0]}], row {bad[0] + 1}, is {text}: leave such rows out"
+        )
+    return array
+
+
+def clock_of(
+    data: Any, time: Any, sample_rate: float | None, rows: int
+) -> float | Floats | None:
+    """Return the seconds between samples, or the time of each in s; None where neither is known.
+
+    The time index of a pandas object counts where neither is given: seconds if it
+    holds numbers other than a plain count, else durations or dates.
+
+    Raises
+    ------
+    UsageError
+        Both are given.
+    InputError
+        The time has another length, or is in another unit.
+    """
+    if time is not None and sample_rate is not None:
+        raise UsageError("`time` and `sample_rate` are both given: give one of them")
+    if sample_rate is not None:
+        return 1.0 / sample_rate
+    if time is None:
+        time = getattr(data, "index", None)
+        if dtype_kind(time) not in "fmM":
+            return None
+    seconds = seconds_of(time)
+    if seconds is not None and len(seconds) != rows:
+        raise InputError(f"`time`: {len(seconds)} times for {rows} samples")
+    return seconds
+
+
+def seconds_of(time: Any) -> Floats | None:
+    """Return times as seconds; dates count from the first. None stays None."""
+    if time is None:
+        return None
+    cells, unit = cells_of(time), stated_unit(time, "time")
+    if dtype_kind(time) not in "mM" and unit not in (None, "s"):
+        raise InputError(
+            f"`time` is in {unit}: give seconds (`.to_numpy()` where the numbers are)"
+        )
+    if cells.dtype.kind == "M":
+        cells = (cells - cells[:1]) / np.timedelta64(1, "s")
+    return floats(cells, "time")
