@@ -69,12 +69,12 @@ class Clock:
         Seconds between rows where they are even so far.
     first_stamp
         What time 0 is (ns since 1970, or since midnight), where stamps say it.
-    joined
-        How messages tell of seconds that are added to the clock of a second file.
     holds_delay
-        Whether a delay of the actuator is part of them.
-    typed
-        What the user typed in the place of what the file states.
+        Whether a delay of the actuator is part of the seconds that are added to the clock
+        of a second file.
+    note
+        How messages tell of these seconds, and of what was typed in the place of what the
+        file states.
     usual_step, irregular, first_irregular
         The median step (s); how many steps are zero or much longer, and the row of the first.
     """
@@ -89,9 +89,8 @@ class Clock:
     rate_beside: float | None = None
     step: float | None = None
     first_stamp: int | None = None
-    joined: str = ""
     holds_delay: bool = False
-    typed: str = ""
+    note: str = ""
     remarks: list[str] = field(default_factory=list)
     rows: int = 0
     first: float = 0.0
@@ -223,7 +222,7 @@ class Clock:
         about = "" if self.step else "about "
         text = f"{self.last - self.first + step:.4g} s at {about}{hertz(1.0 / step)}"
         text += " (no unit stated)" if self.assumption else ""
-        return text + self.joined + self.typed
+        return text + self.note
 
 
 def hertz(rate: float) -> str:
@@ -274,7 +273,7 @@ def find_clock(
         clock = Clock(name, "rate", rate=rate)
         if len(matches) == 1:
             clock.column = matches[0]
-            clock.typed = f" (`sample_rate`, in place of {matches[0].label})"
+            clock.note = f" (`sample_rate`, in place of {matches[0].label})"
         return clock
     if len(matches) > 1:
         which = " or ".join(f"{column.number} ('{column.name}')" for column in matches)
@@ -342,10 +341,10 @@ def _clock_of(source: Table, column: Column, spelled: str | None) -> Clock:
         return Clock(name, "stamps", column, unit="s")
     if spelled is not None:
         factor, stated = parse_time_unit(spelled), time_unit(column.unit)
-        typed = f" (`time_unit` {spelled}, in place of {stated})"
-        if stated is None or ratio(stated, "s") == factor:
-            typed = ""
-        return Clock(name, "column", column, factor, unit="", typed=typed)
+        clock = Clock(name, "column", column, factor, unit="")
+        if stated is not None and ratio(stated, "s") != factor:
+            clock.note = f" (`time_unit` {spelled}, in place of {stated})"
+        return clock
     if column.doubt:
         raise InputError(f"{name}: {column.label} {column.doubt}")
     unit = _stated_unit(name, column)

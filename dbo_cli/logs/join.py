@@ -80,7 +80,7 @@ def joined(
         time = time + seconds
     if clock_offset is not None:
         file = os.path.basename(guest_clock.name)
-        clock.joined = f", {file} moved by {seconds:.4g} s{how}"
+        clock.note = f", {file} moved by {seconds:.4g} s{how}{clock.note}"
     covered = _covered(at, time)
     if not covered.any():
         raise InputError(
