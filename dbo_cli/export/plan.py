@@ -13,9 +13,8 @@ from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import UsageError
 from dbo_cli.model import Cascade, Gears, Quantity, State
 from dbo_cli.model.delay import AFTER, whole_and_part
-from dbo_cli.model.dynamics import inverses_of
+from dbo_cli.model.dynamics import SectionInverse, inverses_of
 from dbo_cli.model.gears import Window, largest_step
-from dbo_cli.model.sections import SectionInverse
 
 COUNTS = 2.0**30
 """From the middle of a range to its end; that leaves a factor of two beyond it."""

@@ -279,8 +279,6 @@ class Gears(Keyed):
         slew: float | None,
     ) -> Run:
         """Run the kernel over a block; where no memory is known, the first sample is at rest."""
-        if x.size == 0:
-            return Run(x, state)
         steps = decay = _NO_NUMBERS
         if window is not None and slew is not None:
             steps = np.array(largest_step(slew, dt), dtype=np.float64).reshape(-1)
