@@ -226,7 +226,7 @@ def with_fewer_gears(forward: Cascade, gears: int) -> tuple[Cascade, Loss | None
         raise UsageError(f"`gears` {gears}: give 1 to {full.n}")
     if gears == full.n:
         return forward, None
-    low, high = forward.starts.inside.x_range
+    low, high = forward.starts.ends
     width = (high - low) / gears
     bare = Gears(full.dx, full.dy, full.x0, full.y0)
     sweep = low + width * np.arange(gears + 1.0)

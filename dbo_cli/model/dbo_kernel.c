@@ -709,24 +709,20 @@ void dbo_backlash_apply(const dbo_backlash *op, dbo_backlash_state *state, doubl
  * from the highest on, as they stand on the stack. */
 void dbo_backlash_decay(const dbo_backlash *op, dbo_backlash_state *state, size_t covered, const uint64_t *spare,
                         double drive) {
-    const int on_output = op->memory_on_output;
-    const double place = drive - (on_output ? op->y0 : op->x0);
-    const point span = begin_of(op, covered, 1);
-    double low = 0.0, high = on_output ? span.y : span.x, slack, target;
+    double low = 0.0, high = begin_of(op, covered, 1).y, slack, target;
     size_t end;
     int ones = 0;
     dbo_backlash_load(op, state, spare);
-    target = place - (on_output ? state->y : state->x);
+    target = (drive - op->y0) - state->y;
     slack = 1e-9 * high;
     end = state->set;
     for (size_t i = covered; i > 0 && target > 0.0; i--) {
-        const dbo_gear *gear = op->gears + row_of(op, i - 1, 1);
-        const double width = on_output ? gear->dy : gear->dx;
+        const double height = op->gears[row_of(op, i - 1, 1)].dy;
         const int stays = target - low >= (high - target) - slack;
         if (stays)
-            low += width;
+            low += height;
         else
-            high -= width;
+            high -= height;
         if (stays == ones) continue;
         ones = stays;
         if (i < end) {
@@ -745,18 +741,10 @@ void dbo_backlash_decay(const dbo_backlash *op, dbo_backlash_state *state, size_
 
 void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size_t covered, const uint64_t *spare,
                          double drive) {
-    const int on_output = op->memory_on_output;
-    const double place = drive - (on_output ? op->y0 : op->x0);
     walk w;
     dbo_backlash_decay(op, state, covered, spare, drive);
     w = begin(op, state, 1);
-    if (on_output) {
-        follow_output(&w, place, place >= w.y, 0);
-    } else {
-        const int rising = place >= w.x;
-        const goal to = {place, 0.0, 0.0, 0};
-        (void)pass_gears(&w, &to, rising, 1, 0, 1);
-    }
+    follow_output(&w, drive - op->y0, drive - op->y0 >= w.y, 0);
     finish(&w, state);
 }
 

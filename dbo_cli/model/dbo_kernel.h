@@ -139,8 +139,8 @@ void dbo_backlash_bits(const dbo_backlash *op, const dbo_backlash_state *state, 
 
 /* The state of an actuator that has been switched on and trimmed to `drive` and rests there: after an
  * oscillation of the drive that decays to it from the whole range of gears 0 to `covered` - 1, while others
- * stay as `spare` has them (words of bits; NULL: open). The drive is the input of a forward operator and the
- * output of an inverse (memory_on_output). Fills all of the state; `turns` and `memory` must be in place. */
+ * stay as `spare` has them (words of bits; NULL: open). The drive is the output: of an inverse operator alone.
+ * Fills all of the state; `turns` and `memory` must be in place. */
 void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size_t covered,
                          const uint64_t *spare, double drive);
 

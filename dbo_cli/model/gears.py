@@ -191,8 +191,13 @@ class Gears(Keyed):
         content = bits.to_bytes(8 * size, "little")
         return np.frombuffer(content, dtype="<u8").astype(np.uint64)
 
-    def settled(self, voltage: float) -> int:
+    def settled(
+        self, voltage: float, covered: int | None = None, spare: int = 0
+    ) -> int:
         """Return the bits after an oscillation that decays from the whole range to ``voltage``.
+
+        With ``covered`` from the range of the first so many gears alone, while others
+        stay as they are in the bits ``spare``.
 
         The oscillation turns at ``voltage + A`` and ``voltage - A``, both cut off at
         the ends of the range; A falls arbitrarily slowly to 0 and the first turn is the
@@ -202,12 +207,11 @@ class Gears(Keyed):
         from ``voltage``. A tie, as with even gears halfway, stays 1; a tolerance
         decides that, not rounding.
         """
-        if voltage <= self.x0:
-            return 0
-        if voltage >= self.x0 + self.width:
-            return (1 << self.n) - 1
-        words = self.words(0)
-        kernel.extension.backlash_decay(self.operator(True), words, float(voltage))
+        words = self.words(spare)
+        kernel.extension.backlash_settled(
+            self.operator(True, is_inverse=True), words,
+            self.n if covered is None else covered, float(voltage),
+        )  # fmt: skip
         return bits_of(words)
 
     def run(
