@@ -398,27 +398,26 @@ static PyType_Spec stepper_spec = {"dbo_cli.model._kernel.Stepper", sizeof(stepp
 
 FUNCTION(backlash_engagement) {
     operator taken;
-    Py_buffer words, x, rows, crossed;
+    Py_buffer x, rows, crossed;
     const dbo_backlash *op = &taken.op;
     dbo_backlash_state state;
     Py_ssize_t group_size;
     size_t columns;
     state.checkpoints = NULL;
-    if (!PyArg_ParseTuple(args, "O&w*y*w*w*n", operator_of, &taken, &words, &x, &rows, &crossed, &group_size))
-        return NULL;
+    if (!PyArg_ParseTuple(args, "O&y*w*w*n", operator_of, &taken, &x, &rows, &crossed, &group_size)) return NULL;
     if (group_size < 1 && too_short("group_size")) goto done;
     columns = (op->n + (size_t)group_size - 1) / (size_t)group_size;
     if (NUMBERS(rows) != NUMBERS(x) * columns && too_short("rows")) goto done;
     if (NUMBERS(crossed) != columns && too_short("crossed")) goto done;
-    if (!take_state(op, &state, &words)) goto done;
+    if (!take_turns(op, &state)) goto done;
     Py_BEGIN_ALLOW_THREADS
+    dbo_backlash_load(op, &state, NULL);
     dbo_backlash_engagement(op, &state, x.buf, rows.buf, crossed.buf, NUMBERS(x), (size_t)group_size);
-    dbo_backlash_bits(op, &state, words.buf);
     Py_END_ALLOW_THREADS
 done:
     PyMem_Free(state.checkpoints);
     operator_of(NULL, &taken);
-    return RELEASED(&words, &x, &rows, &crossed);
+    return RELEASED(&x, &rows, &crossed);
 }
 
 FUNCTION(memory_run) {

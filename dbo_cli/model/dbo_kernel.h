@@ -179,7 +179,7 @@ double dbo_backlash_step_fixed(const dbo_backlash *op, const dbo_fixed_step *fix
                                dbo_counts *counts);
 
 /* Rows phi with Y_B part of the output = sum phi_i dy_i; with `group_size` > 1 that many neighbours share
- * one column, their mean. `rows` is count x ceil(n/group_size), `crossed` is scratch for that many columns. */
+ * one column, their mean. `rows` is count x ceil(n/group_size), `crossed` has how many gears of each column are crossed. */
 void dbo_backlash_engagement(const dbo_backlash *op, dbo_backlash_state *state, const double *x,
                              double *rows, double *crossed, size_t count, size_t group_size);
 

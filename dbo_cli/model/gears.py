@@ -349,10 +349,8 @@ class Gears(Keyed):
             return [axes]
         return [axes, dataclasses.asdict(self.relaxation)]
 
-    def engagement(
-        self, x: ArrayLike, bits: int = 0, group_size: int = 1
-    ) -> tuple[Floats, int]:
-        """Return the part of the gears that is in the output of every sample, and the bits after.
+    def engagement(self, x: ArrayLike, group_size: int = 1) -> Floats:
+        """Return the part of the gears that is in the output of every sample, from B = 0 on.
 
         The rows phi (len(x) x n) fulfil y - y0 = phi @ dy: 1 for a crossed gear, 0 for
         an open one, a fraction for the engaged one, so that heights are linear unknowns
@@ -361,13 +359,12 @@ class Gears(Keyed):
         ``Relaxation.lags``).
         """
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        words = self.words(bits)
-        crossed = np.empty(-(-self.n // group_size))
+        crossed = np.zeros(-(-self.n // group_size))
         rows = np.empty((x.size, crossed.size))
         kernel.extension.backlash_engagement(
-            self.operator(True), words, x, rows, crossed, group_size
+            self.operator(True), x, rows, crossed, group_size
         )
-        return rows, bits_of(words)
+        return rows
 
 
 def bits_of(words: Words) -> int:
