@@ -239,7 +239,11 @@ def with_fewer_gears(forward: Cascade, gears: int) -> tuple[Cascade, Loss | None
     reduced = forward.with_stages(stages)
     ends = forward.input.min, forward.input.max
     x = np.concatenate([trial_moves(*ends, seed) for seed in range(TRIALS)])
-    step = None if full.relaxation is None else max(full.relaxation.tau)
+    step = None
+    if full.relaxation is not None:
+        step = max(full.relaxation.tau)
+    elif forward.amplifier is not None:
+        step = forward.amplifier.seconds
     error = reduced.static.simulate(x, dt=step)[0]
     error -= forward.static.simulate(x, dt=step)[0]
     rms = float(np.sqrt(np.mean(error**2)))
