@@ -76,14 +76,15 @@ class Starts:
         """
         if name not in (*START_NAMES, *KEPT_STARTS):
             raise ModelError(f"`state` {name}: give {', '.join(START_NAMES)} or a file")
-        if name == "below":
-            return 0
-        if name == "above":
-            return (1 << self.gears.n) - 1
-        if name == "full":
-            return self.full
-        if name == "empty":
-            return self.empty
+        all_crossed = (1 << self.gears.n) - 1
+        fixed = {
+            "below": 0,
+            "above": all_crossed,
+            "full": self.full,
+            "empty": self.empty,
+        }
+        if name in fixed:
+            return fixed[name]
         return self.gears.settled(voltage, self.covered, self.empty)
 
     def voltage_settled_at(self, output: float, low: float, high: float) -> float:
