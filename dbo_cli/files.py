@@ -21,7 +21,6 @@ import contextlib
 import errno
 import os
 import re
-import shutil
 import signal
 import stat
 import sys
@@ -59,7 +58,7 @@ class _Command:
 
 
 _command: _Command | None = None
-_unfinished: set[str] = set()  # temporary files and folders
+_unfinished: set[str] = set()  # temporary files
 _is_naming = False
 _late_signals: list[int] = []
 
@@ -151,22 +150,9 @@ def end_by_signal(number: int, frame: FrameType | None = None) -> None:
     os._exit(128 + number)
 
 
-@contextlib.contextmanager
-def unfinished(path: str) -> Iterator[None]:
-    """Have a temporary file or folder removed when the process is told to end meanwhile."""
-    _unfinished.add(path)
-    try:
-        yield
-    finally:
-        _unfinished.discard(path)
-
-
 def _remove(path: str) -> None:
     with contextlib.suppress(OSError):
-        if os.path.isdir(path):
-            shutil.rmtree(path)
-        else:
-            os.unlink(path)
+        os.unlink(path)
 
 
 def _identity(path: str, standard: object) -> FileId | None:

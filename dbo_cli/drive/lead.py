@@ -395,7 +395,7 @@ def rest_rows(model: Cascade, dt: float) -> int:
     slowest = 0.0
     for section in model.dynamics.sections:
         if isinstance(section, Lag):
-            fade = section.seconds
+            fade = section.lag
         else:
             fade = 1.0 / (2.0 * math.pi * section.frequency * section.damping)
         slowest = max(slowest, fade)

@@ -139,7 +139,7 @@ def _drive_gears(plan: Plan, sources: c.Sources) -> None:
         MARK="begun" if is_marked else "",
         SPARE="spare" if spare else "0",
         LAST=c.real(plan.forward.head.value(plan.first_drive)),
-        INSIDE=str(plan.forward.starts.inside.n),
+        INSIDE=str(plan.forward.starts.covered),
         STEP=step,
     )
 
@@ -174,7 +174,7 @@ def _look_gears_up(plan: Plan, sources: c.Sources) -> None:
     sources.add(
         "lookup.c",
         EMPTY=str(starts.empty),
-        INSIDE=str(starts.inside.n),
+        INSIDE=str(starts.covered),
         LAST=c.real(plan.forward.head.value(plan.first_drive)),
     )
 

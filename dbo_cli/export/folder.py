@@ -1,17 +1,16 @@
-"""The folder of an export: it appears whole or not at all, and only ever replaces an export."""
+"""The folder of an export: its files appear together or not at all, and only ever replace an export."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from dbo_cli.errors import OutputError
-from dbo_cli.files import check_outputs, unfinished
+from dbo_cli.files import Outputs, telling
 
 MANIFEST = "export.json"
 
@@ -30,39 +29,30 @@ def write_folder(
     manifest = {"format": "dbo-export", "version": 1, **figures, "files": names}
     text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
     target = Path(folder)
-    try:
-        if target.exists():
-            _require_export(target, [*names, f"{figures['name']}_test"])
-            check_outputs(*(str(target / name) for name in names))
-        with (
-            tempfile.TemporaryDirectory(dir=target.parent, prefix=".") as scratch,
-            unfinished(scratch),
-        ):
-            fresh, old = Path(scratch, "made"), Path(scratch, "old")
-            fresh.mkdir()
-            for name, content in {**files, MANIFEST: text}.items():
-                (fresh / name).write_text(content, encoding="utf-8", newline="\n")
-            if target.exists():
-                target.rename(old)
-            try:
-                fresh.rename(target)
-            except BaseException:  # the older export stays
-                if old.exists():
-                    old.rename(target)
-                raise
-    except OSError as problem:
-        reason = problem.strerror or problem
-        raise OutputError(f"{folder}: cannot be written: {reason}") from None
+    with telling(folder):
+        target.mkdir(exist_ok=True)
+        try:
+            older = _files_of_export(target, [*names, f"{figures['name']}_test"])
+            with Outputs() as outputs:
+                for name, content in {**files, MANIFEST: text}.items():
+                    outputs.write_bytes(target / name, content.encode())
+            for name in older - set(names):
+                (target / name).unlink()
+        finally:
+            with contextlib.suppress(OSError):
+                target.rmdir()  # empty: nothing was written
 
 
-def _require_export(target: Path, names: list[str]) -> None:
-    """Refuse to replace a folder that holds more than ``names``, an export's and object files."""
+def _files_of_export(target: Path, names: list[str]) -> set[str]:
+    """Return what is in a folder; refuse more than ``names``, an older export's and object files."""
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
         manifest = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
         if manifest["format"] == "dbo-export":
             names = [*names, *manifest["files"], f"{manifest['name']}_test"]
-    for name in sorted(os.listdir(target)):
+    present = set(os.listdir(target))
+    for name in sorted(present):
         if name not in names and not name.endswith(".o"):
             raise OutputError(
                 f"{target}: holds '{name}', which is not of an export: choose another folder"
             )
+    return present

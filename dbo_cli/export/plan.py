@@ -13,9 +13,8 @@ from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import UsageError
 from dbo_cli.model import Cascade, Gears, Quantity, State
 from dbo_cli.model.delay import AFTER, whole_and_part
-from dbo_cli.model.dynamics import inverses_of
+from dbo_cli.model.dynamics import SectionInverse, inverses_of
 from dbo_cli.model.gears import Window, largest_step
-from dbo_cli.model.sections import SectionInverse
 
 COUNTS = 2.0**30
 """From the middle of a range to its end; that leaves a factor of two beyond it."""
@@ -227,7 +226,7 @@ def with_fewer_gears(forward: Cascade, gears: int) -> tuple[Cascade, Loss | None
         raise UsageError(f"`gears` {gears}: give 1 to {full.n}")
     if gears == full.n:
         return forward, None
-    low, high = forward.starts.inside.x_range
+    low, high = forward.starts.ends
     width = (high - low) / gears
     bare = Gears(full.dx, full.dy, full.x0, full.y0)
     sweep = low + width * np.arange(gears + 1.0)
@@ -240,7 +239,11 @@ def with_fewer_gears(forward: Cascade, gears: int) -> tuple[Cascade, Loss | None
     reduced = forward.with_stages(stages)
     ends = forward.input.min, forward.input.max
     x = np.concatenate([trial_moves(*ends, seed) for seed in range(TRIALS)])
-    step = None if full.relaxation is None else max(full.relaxation.tau)
+    step = None
+    if full.relaxation is not None:
+        step = max(full.relaxation.tau)
+    elif forward.amplifier is not None:
+        step = forward.amplifier.seconds
     error = reduced.static.simulate(x, dt=step)[0]
     error -= forward.static.simulate(x, dt=step)[0]
     rms = float(np.sqrt(np.mean(error**2)))

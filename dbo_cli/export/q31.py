@@ -65,7 +65,7 @@ def q31_sources(plan: Plan) -> c.Sources:
         "SPARE": "spare" if spare else "0",
         "CHECKPOINTS": "state->checkpoints" if plan.checkpoints else "0",
         "MEMORY": "state->memory" if terms else "0",
-        "COVERED": str(starts.inside.n),
+        "COVERED": str(starts.covered),
         "FIRST_DRIVE": c.whole(round((first - gears.x0) / whole.y_axis.unit)),
         "FIRST_OUTPUT": c.whole(output),
         "LEAST": c.whole(low),

@@ -102,7 +102,7 @@ def _fine_fit(drive: Floats, output: Floats, segments: int) -> Fit:
 
 def _engaged(widths: Floats, drive: Floats, group: int) -> Floats:
     """Return the engaged part of each group of gears of slope 1."""
-    engaged, _ = Gears(widths, widths, 0.0, 0.0).engagement(drive, 0, group)
+    engaged = Gears(widths, widths, 0.0, 0.0).engagement(drive, group)
     return np.asarray(engaged, dtype=np.float64)
 
 

@@ -7,6 +7,10 @@ from dbo_cli.model.cascade import Outside as Outside
 from dbo_cli.model.cascade import Stage as Stage
 from dbo_cli.model.delay import Delay as Delay
 from dbo_cli.model.dynamics import Dynamics as Dynamics
+from dbo_cli.model.dynamics import Lag as Lag
+from dbo_cli.model.dynamics import Mode as Mode
+from dbo_cli.model.dynamics import Resonance as Resonance
+from dbo_cli.model.dynamics import Section as Section
 from dbo_cli.model.file import dumps_model as dumps_model
 from dbo_cli.model.file import dumps_set as dumps_set
 from dbo_cli.model.file import dumps_state as dumps_state
@@ -20,10 +24,6 @@ from dbo_cli.model.gears import Gears as Gears
 from dbo_cli.model.points import Points as Points
 from dbo_cli.model.points import Scale as Scale
 from dbo_cli.model.relaxation import Relaxation as Relaxation
-from dbo_cli.model.sections import Lag as Lag
-from dbo_cli.model.sections import Mode as Mode
-from dbo_cli.model.sections import Resonance as Resonance
-from dbo_cli.model.sections import Section as Section
 from dbo_cli.model.state import Quantity as Quantity
 from dbo_cli.model.state import Run as Run
 from dbo_cli.model.state import State as State

@@ -182,89 +182,70 @@ done:
     return Py_BuildValue("(nn)", (Py_ssize_t)counts.clipped, (Py_ssize_t)counts.first_clipped);
 }
 
-FUNCTION(backlash_decay) {
+/* The state after an oscillation that decays to a drive: of the first `covered` gears, others stay as they are. */
+FUNCTION(backlash_settled) {
     operator taken;
     Py_buffer words;
+    Py_ssize_t covered;
     dbo_backlash_state state;
     double drive;
     state.checkpoints = NULL;
-    state.memory = NULL;
-    if (!PyArg_ParseTuple(args, "O&w*d", operator_of, &taken, &words, &drive)) return NULL;
+    if (!PyArg_ParseTuple(args, "O&w*nd", operator_of, &taken, &words, &covered, &drive)) return NULL;
     taken.op.terms = 0;
-    if (take_state(&taken.op, &state, &words)) {
-        dbo_backlash_decay(&taken.op, &state, taken.op.n, NULL, drive);
-        dbo_backlash_bits(&taken.op, &state, words.buf);
-    }
+    if ((covered < 0 || (size_t)covered > taken.op.n) && too_short("covered")) goto done;
+    if (!take_state(&taken.op, &state, &words)) goto done;
+    dbo_backlash_decay(&taken.op, &state, (size_t)covered, words.buf, drive);
+    dbo_backlash_bits(&taken.op, &state, words.buf);
+done:
     PyMem_Free(state.checkpoints);
     operator_of(NULL, &taken);
     return RELEASED(&words);
 }
 
-/* The words of the settled state at a drive: of the gears inside the range, beside what others have in `spare`. */
-static void settled_words(const dbo_backlash *inside, dbo_backlash_state *state, const Py_buffer *spare, double drive,
-                          uint64_t *words) {
-    const double width = inside->gears[inside->n].x;
-    const uint64_t *others = spare->buf;
-    memset(words, 0, (size_t)spare->len);
-    if (drive >= inside->x0 + width)
-        for (size_t i = 0; i < inside->n; i++) words[i / 64] |= UINT64_C(1) << (i & 63);
-    else if (drive > inside->x0) {
-        dbo_backlash_decay(inside, state, inside->n, NULL, drive);
-        dbo_backlash_bits(inside, state, words);
-    }
-    for (size_t k = 0; k < (size_t)spare->len / sizeof(uint64_t); k++) words[k] |= others[k];
-}
-
-/* The drive that an inverse operator makes of an output at rest in a state; `none` are factors of 0. */
-static double rested(const dbo_backlash *op, dbo_backlash_state *state, const uint64_t *words, double output,
-                     const double *none) {
-    memset(state->memory, 0, op->terms * sizeof(double));
-    dbo_backlash_load(op, state, words);
-    return dbo_backlash_step(op, state, output, none, NULL, NULL);
-}
-
 /* The drive whose settled state leads to an output, from `below` to `above` or beyond them: halve the range until the
  * state of its middle does, or what is left is narrow: the output then steps over what is wanted, and the drive is
- * NaN. */
+ * NaN. Others than the first `covered` gears stay as they are in `spare`. */
 FUNCTION(backlash_settled_at) {
-    operator taken, inside;
+    operator taken;
     Py_buffer spare;
+    Py_ssize_t covered;
     const dbo_backlash *op = &taken.op;
-    dbo_backlash_state state, settled;
+    dbo_backlash_state state;
     double output, below, above, narrow, reached, drive = NAN;
-    double *numbers = NULL;
+    double *none = NULL; /* factors for a rest, and the memory */
     uint64_t *words = NULL, *again;
-    state.checkpoints = settled.checkpoints = NULL;
-    settled.memory = NULL;
-    if (!PyArg_ParseTuple(args, "O&O&y*dddd", operator_of, &taken, operator_of, &inside, &spare, &output, &below,
-                          &above, &narrow))
+    size_t size;
+    state.checkpoints = NULL;
+    if (!PyArg_ParseTuple(args, "O&y*ndddd", operator_of, &taken, &spare, &covered, &output, &below, &above, &narrow))
         return NULL;
-    inside.op.terms = 0;
-    if ((size_t)spare.len < STATE_WORDS(op->n) * sizeof(uint64_t) && too_short("spare")) goto done;
-    if (inside.op.n > op->n && too_short("gears")) goto done;
-    numbers = PyMem_Calloc(2 * op->terms + 1, sizeof(double)); /* memory, and factors for a rest */
-    words = PyMem_Malloc(2 * (size_t)spare.len);
-    if (!numbers || !words) {
+    size = STATE_WORDS(op->n) * sizeof(uint64_t);
+    if ((size_t)spare.len < size && too_short("spare")) goto done;
+    if ((covered < 0 || (size_t)covered > op->n) && too_short("covered")) goto done;
+    none = PyMem_Calloc(2 * op->terms + 1, sizeof(double));
+    words = PyMem_Malloc(2 * size);
+    if (!none || !words) {
         PyErr_NoMemory();
         goto done;
     }
-    again = words + (size_t)spare.len / sizeof(uint64_t);
-    state.memory = numbers;
-    if (!take_turns(op, &state) || !take_turns(&inside.op, &settled)) goto done;
-    settled_words(&inside.op, &settled, &spare, below, words);
-    reached = rested(op, &state, words, output, numbers + op->terms);
+    again = words + STATE_WORDS(op->n);
+    state.memory = none + op->terms;
+    if (!take_turns(op, &state)) goto done;
+    dbo_backlash_decay(op, &state, (size_t)covered, spare.buf, below);
+    reached = dbo_backlash_step(op, &state, output, none, NULL, NULL);
     if (reached <= below) drive = reached;
-    settled_words(&inside.op, &settled, &spare, above, words);
-    reached = rested(op, &state, words, output, numbers + op->terms);
+    dbo_backlash_decay(op, &state, (size_t)covered, spare.buf, above);
+    reached = dbo_backlash_step(op, &state, output, none, NULL, NULL);
     if (drive != drive && reached >= above) drive = reached;
     while (drive != drive && above - below > narrow) {
         const double middle = below + 0.5 * (above - below);
         if (!(below < middle && middle < above)) break; /* neighbours in float64 */
-        settled_words(&inside.op, &settled, &spare, middle, words);
-        reached = rested(op, &state, words, output, numbers + op->terms);
+        dbo_backlash_decay(op, &state, (size_t)covered, spare.buf, middle);
+        dbo_backlash_bits(op, &state, words);
+        reached = dbo_backlash_step(op, &state, output, none, NULL, NULL);
         if (below <= reached && reached <= above) {
-            settled_words(&inside.op, &settled, &spare, reached, again);
-            if (memcmp(words, again, (size_t)spare.len) == 0) drive = reached;
+            dbo_backlash_decay(op, &state, (size_t)covered, spare.buf, reached);
+            dbo_backlash_bits(op, &state, again);
+            if (memcmp(words, again, size) == 0) drive = reached;
         }
         if (reached > middle)
             below = middle;
@@ -272,12 +253,10 @@ FUNCTION(backlash_settled_at) {
             above = middle;
     }
 done:
-    PyMem_Free(numbers);
+    PyMem_Free(none);
     PyMem_Free(words);
     PyMem_Free(state.checkpoints);
-    PyMem_Free(settled.checkpoints);
     operator_of(NULL, &taken);
-    operator_of(NULL, &inside);
     if (!RELEASE(&spare)) return NULL;
     return Py_BuildValue("(ddd)", below, above, drive);
 }
@@ -419,27 +398,26 @@ static PyType_Spec stepper_spec = {"dbo_cli.model._kernel.Stepper", sizeof(stepp
 
 FUNCTION(backlash_engagement) {
     operator taken;
-    Py_buffer words, x, rows, crossed;
+    Py_buffer x, rows, crossed;
     const dbo_backlash *op = &taken.op;
     dbo_backlash_state state;
     Py_ssize_t group_size;
     size_t columns;
     state.checkpoints = NULL;
-    if (!PyArg_ParseTuple(args, "O&w*y*w*w*n", operator_of, &taken, &words, &x, &rows, &crossed, &group_size))
-        return NULL;
+    if (!PyArg_ParseTuple(args, "O&y*w*w*n", operator_of, &taken, &x, &rows, &crossed, &group_size)) return NULL;
     if (group_size < 1 && too_short("group_size")) goto done;
     columns = (op->n + (size_t)group_size - 1) / (size_t)group_size;
     if (NUMBERS(rows) != NUMBERS(x) * columns && too_short("rows")) goto done;
     if (NUMBERS(crossed) != columns && too_short("crossed")) goto done;
-    if (!take_state(op, &state, &words)) goto done;
+    if (!take_turns(op, &state)) goto done;
     Py_BEGIN_ALLOW_THREADS
+    dbo_backlash_load(op, &state, NULL);
     dbo_backlash_engagement(op, &state, x.buf, rows.buf, crossed.buf, NUMBERS(x), (size_t)group_size);
-    dbo_backlash_bits(op, &state, words.buf);
     Py_END_ALLOW_THREADS
 done:
     PyMem_Free(state.checkpoints);
     operator_of(NULL, &taken);
-    return RELEASED(&words, &x, &rows, &crossed);
+    return RELEASED(&x, &rows, &crossed);
 }
 
 FUNCTION(memory_run) {
@@ -502,14 +480,11 @@ done:
 FUNCTION(dynamics_undo) {
     Py_buffer numbers, weight, state, y, u;
     dbo_section_inverse section;
-    const double *c;
     if (!PyArg_ParseTuple(args, "y*y*w*y*w*", &numbers, &weight, &state, &y, &u)) return NULL;
     if (NUMBERS(numbers) != 8 && too_short("numbers")) goto done;
     if (state.len != sizeof(dbo_inverse_state) && too_short("state")) goto done;
     if (NUMBERS(y) != NUMBERS(u) + NUMBERS(weight) && too_short("y")) goto done;
-    c = numbers.buf;
-    section.aa = c[0], section.ab = c[1], section.ba = c[2], section.bb = c[3];
-    section.a_in = c[4], section.b_in = c[5], section.a_out = c[6], section.b_out = c[7];
+    memcpy(&section, numbers.buf, 8 * sizeof(double)); /* aa to b_out */
     section.ahead = NUMBERS(weight);
     section.weight = weight.buf;
     Py_BEGIN_ALLOW_THREADS
@@ -645,7 +620,7 @@ done:
 
 static PyMethodDef methods[] = {
     {"backlash_run", backlash_run, METH_VARARGS, "Equations (1)-(12) over a block of samples."},
-    {"backlash_decay", backlash_decay, METH_VARARGS, "The state after an oscillation that decays to a drive."},
+    {"backlash_settled", backlash_settled, METH_VARARGS, "The state after an oscillation that decays to a drive."},
     {"backlash_settled_at", backlash_settled_at, METH_VARARGS, "The drive whose settled state leads to an output."},
     {"backlash_engagement", backlash_engagement, METH_VARARGS, "Part of every gear in every sample."},
     {"memory_run", memory_run, METH_VARARGS, "Relaxation terms over a block of samples."},
@@ -659,7 +634,7 @@ static PyMethodDef methods[] = {
     {"between_even", between_even, METH_VARARGS, "Evenly spaced samples, shifted by a part of a step."},
     {NULL, NULL, 0, NULL}};
 
-#define INTERFACE 7 /* of the functions' arguments; kernel.py has the same number and refuses another */
+#define INTERFACE 8 /* of the functions' arguments; kernel.py has the same number and refuses another */
 
 static int add_types(PyObject *module) {
     PyObject *type;

@@ -9,21 +9,18 @@ u_k-1. At rest at the first sample, u is v.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
-from dbo_cli.model import kernel
 from dbo_cli.model.fields import Keyed, number, require_above_0
 from dbo_cli.model.gears import Window
 from dbo_cli.model.points import Curves
-from dbo_cli.model.relaxation import checked_steps
+from dbo_cli.model.relaxation import Relaxation
 from dbo_cli.model.state import Run, State
-
-AT_REST = 0.0, 1.0
-"""Output before, and share, of the first sample of a record: u is v."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +46,13 @@ class Amplifier(Keyed):
         """Refuse what is not a time."""
         require_above_0("seconds", self.seconds)
 
+    @cached_property
+    def _lag(self) -> Relaxation:
+        return Relaxation(0.0, (self.seconds,), (1.0,))
+
     def share(self, dt: float | Floats) -> Floats:
         """Return 1 - a for one time step (s), or for each (InputError: one is negative)."""
-        share: Floats = 1.0 - np.exp(-checked_steps(dt) / self.seconds)
+        share: Floats = 1.0 - self._lag.decay(dt)[:, 0]
         return share
 
     def shares(
@@ -66,8 +67,8 @@ class Amplifier(Keyed):
         """
         shares = np.array(np.broadcast_to(self.share(dt), (count,)))
         before = state.amplifier
-        if before is None:
-            before, shares[0] = AT_REST
+        if before is None:  # u is v
+            before, shares[0] = 0.0, 1.0
         still = np.flatnonzero(shares == 0.0)
         if still.size:
             raise InputError(
@@ -78,19 +79,12 @@ class Amplifier(Keyed):
 
     def run(self, x: Floats, state: State, dt: float | Floats) -> Run:
         """Return the voltage behind the amplifier for one block, and the state after it."""
-        if x.size == 0:
-            return Run(x, state)
-        decay = np.exp(-checked_steps(dt) / self.seconds)
-        memory, output = np.array([state.amplifier or 0.0]), np.empty(x.size)
-        kernel.extension.memory_run(
-            0.0, memory, state.amplifier is None, np.ascontiguousarray(x), output, decay
-        )
-        return Run(output, replace(state, amplifier=float(memory[0])))
+        before = None if state.amplifier is None else (state.amplifier,)
+        rows, after = self._lag.lags(x, dt, before)
+        return Run(rows[:, 0], replace(state, amplifier=after[0]))
 
     def undo(self, y: Floats, state: State, dt: float | Floats) -> Run:
         """Return the drive for one block of the voltage behind the amplifier, and the state after it."""
-        if y.size == 0:
-            return Run(y, state)
         before, shares = self.shares(state, dt, y.size)
         previous = np.concatenate([[before], y[:-1]])
         drive = previous + (y - previous) / shares

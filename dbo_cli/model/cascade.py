@@ -301,7 +301,7 @@ class Cascade:
             return min(max(self.head.inverse().value(at_gears), low), high)
 
         if state in ("empty", "full"):
-            at_end = starts.inside.x_range[1 if state == "full" else 0]
+            at_end = starts.ends[1 if state == "full" else 0]
             drive = drive_of(min(max(at_end, ends[0]), ends[1]))
             return State(starts.bits(at_end, state), drive=drive)
         output = self.tail.inverse().value(float(first))
@@ -371,8 +371,8 @@ class Cascade:
             if not isinstance(stage, Gears):
                 y, after, *_ = stage.run(y, after, steps)
                 continue
-            if not extend and self.starts.inside is not stage:
-                y = np.clip(y, *self.starts.inside.x_range)
+            if not extend and self.starts.covered < stage.n:
+                y = np.clip(y, *self.starts.ends)
             y, after, *_ = stage.run(y, after, steps, extend)
         if after.drive != last:  # the gears have it as they meet it
             after = after.behind(after.bits, after.memory, last)

@@ -602,19 +602,6 @@ INLINE double general_sample(const dbo_backlash *op, dbo_backlash_state *state, 
     return y;
 }
 
-static void run_general(const dbo_backlash *op, dbo_backlash_state *state, const double *x, double *y,
-                        size_t count, const double *decay, size_t decay_stride,
-                        const dbo_limits *limits, dbo_counts *counts) {
-    walk w = begin(op, state, 1);
-    for (size_t k = 0; k < count; k++) {
-        const double *a = decay + k * decay_stride;
-        double kappa = 0.0;
-        for (size_t j = 0; j < op->terms; j++) kappa += op->gain[j] * (1.0 - a[j]);
-        y[k] = general_sample(op, state, &w, x[k], a, 0, kappa, 0, limits, k, counts);
-    }
-    finish(&w, state);
-}
-
 dbo_fixed_step dbo_prepare_fixed_step(const dbo_backlash *op, const double *decay, double *rest,
                                       dbo_fixed_gear *gears, dbo_place *guide) {
     dbo_fixed_step fixed;
@@ -645,13 +632,17 @@ dbo_fixed_step dbo_prepare_fixed_step(const dbo_backlash *op, const double *deca
     return fixed;
 }
 
-INLINE void run_at_fixed_step(const dbo_backlash *op, const dbo_fixed_step *fixed,
-                              dbo_backlash_state *state, const double *x, double *y, size_t count,
-                              const dbo_limits *limits, dbo_counts *counts, const int grouped) {
+/* With `fixed`, a constant where this is inlined, all samples have its factors. */
+INLINE void run_general(const dbo_backlash *op, const dbo_fixed_step *fixed, dbo_backlash_state *state,
+                        const double *x, double *y, size_t count, const double *decay, size_t decay_stride,
+                        const dbo_limits *limits, dbo_counts *counts, const int grouped) {
     walk w = begin(op, state, grouped);
-    for (size_t k = 0; k < count; k++)
-        y[k] = general_sample(op, state, &w, x[k], fixed->decay, fixed->rest, fixed->kappa, fixed, limits, k,
-                              counts);
+    for (size_t k = 0; k < count; k++) {
+        const double *a = decay + k * decay_stride;
+        double kappa = fixed ? fixed->kappa : 0.0;
+        for (size_t j = 0; !fixed && j < op->terms; j++) kappa += op->gain[j] * (1.0 - a[j]);
+        y[k] = general_sample(op, state, &w, x[k], a, fixed ? fixed->rest : 0, kappa, fixed, limits, k, counts);
+    }
     finish(&w, state);
 }
 
@@ -659,9 +650,9 @@ void dbo_backlash_run_fixed(const dbo_backlash *op, const dbo_fixed_step *fixed,
                             dbo_backlash_state *state, const double *x, double *y, size_t count,
                             const dbo_limits *limits, dbo_counts *counts) {
     if (GROUPED(op))
-        run_at_fixed_step(op, fixed, state, x, y, count, limits, counts, 1);
+        run_general(op, fixed, state, x, y, count, fixed->decay, 0, limits, counts, 1);
     else
-        run_at_fixed_step(op, fixed, state, x, y, count, limits, counts, 0);
+        run_general(op, fixed, state, x, y, count, fixed->decay, 0, limits, counts, 0);
 }
 
 double dbo_backlash_step_fixed(const dbo_backlash *op, const dbo_fixed_step *fixed,
@@ -676,7 +667,7 @@ void dbo_backlash_run(const dbo_backlash *op, dbo_backlash_state *state, const d
                       size_t count, const double *decay, size_t decay_stride,
                       const dbo_limits *limits, dbo_counts *counts) {
     if (limits || (op->terms && op->memory_on_output))
-        run_general(op, state, x, y, count, decay, decay_stride, limits, counts);
+        run_general(op, 0, state, x, y, count, decay, decay_stride, limits, counts, 1);
     else if (op->terms && GROUPED(op))
         run_forward(op, state, x, y, count, decay, decay_stride, 1, 1);
     else if (op->terms)
@@ -709,24 +700,20 @@ void dbo_backlash_apply(const dbo_backlash *op, dbo_backlash_state *state, doubl
  * from the highest on, as they stand on the stack. */
 void dbo_backlash_decay(const dbo_backlash *op, dbo_backlash_state *state, size_t covered, const uint64_t *spare,
                         double drive) {
-    const int on_output = op->memory_on_output;
-    const double place = drive - (on_output ? op->y0 : op->x0);
-    const point span = begin_of(op, covered, 1);
-    double low = 0.0, high = on_output ? span.y : span.x, slack, target;
+    double low = 0.0, high = begin_of(op, covered, 1).y, slack, target;
     size_t end;
     int ones = 0;
     dbo_backlash_load(op, state, spare);
-    target = place - (on_output ? state->y : state->x);
+    target = (drive - op->y0) - state->y;
     slack = 1e-9 * high;
     end = state->set;
     for (size_t i = covered; i > 0 && target > 0.0; i--) {
-        const dbo_gear *gear = op->gears + row_of(op, i - 1, 1);
-        const double width = on_output ? gear->dy : gear->dx;
+        const double height = op->gears[row_of(op, i - 1, 1)].dy;
         const int stays = target - low >= (high - target) - slack;
         if (stays)
-            low += width;
+            low += height;
         else
-            high -= width;
+            high -= height;
         if (stays == ones) continue;
         ones = stays;
         if (i < end) {
@@ -745,43 +732,21 @@ void dbo_backlash_decay(const dbo_backlash *op, dbo_backlash_state *state, size_
 
 void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size_t covered, const uint64_t *spare,
                          double drive) {
-    const int on_output = op->memory_on_output;
-    const double place = drive - (on_output ? op->y0 : op->x0);
     walk w;
     dbo_backlash_decay(op, state, covered, spare, drive);
     w = begin(op, state, 1);
-    if (on_output) {
-        follow_output(&w, place, place >= w.y, 0);
-    } else {
-        const int rising = place >= w.x;
-        const goal to = {place, 0.0, 0.0, 0};
-        (void)pass_gears(&w, &to, rising, 1, 0, 1);
-    }
+    follow_output(&w, drive - op->y0, drive - op->y0 >= w.y, 0);
     finish(&w, state);
 }
 
 /* ---- features for identification -------------------------------------------------------------------- */
 
-/* How many gears of each column are crossed. */
-static void count_crossed(const dbo_backlash_state *state, double *crossed, size_t columns, size_t group_size) {
-    size_t depth = state->depth, i = 0, end = state->set > state->zero ? state->set : state->zero;
-    int ones = state->set == 0;
-    for (size_t j = 0; j < columns; j++) crossed[j] = 0.0;
-    for (;; ones = !ones) {
-        for (; i < end; i++)
-            if (ones) crossed[i / group_size] += 1.0;
-        if (depth == 0) break;
-        end = state->turns[--depth];
-    }
-}
-
-/* `crossed` counts the crossed gears of each column; counts are whole numbers, so there is no drift. */
+/* Counts are whole numbers, so there is no drift. */
 void dbo_backlash_engagement(const dbo_backlash *op, dbo_backlash_state *state, const double *x,
                              double *rows, double *crossed, size_t count, size_t group_size) {
     const size_t columns = (op->n + group_size - 1) / group_size;
     const double part = 1.0 / (double)group_size;
     walk w = begin(op, state, 1);
-    count_crossed(state, crossed, columns, group_size);
     for (size_t k = 0; k < count; k++, rows += columns) {
         const goal to = {x[k] - op->x0, 0.0, 0.0, 0};
         const int rising = to.u - w.x >= 0.0;

@@ -139,8 +139,8 @@ void dbo_backlash_bits(const dbo_backlash *op, const dbo_backlash_state *state, 
 
 /* The state of an actuator that has been switched on and trimmed to `drive` and rests there: after an
  * oscillation of the drive that decays to it from the whole range of gears 0 to `covered` - 1, while others
- * stay as `spare` has them (words of bits; NULL: open). The drive is the input of a forward operator and the
- * output of an inverse (memory_on_output). Fills all of the state; `turns` and `memory` must be in place. */
+ * stay as `spare` has them (words of bits; NULL: open). The drive is the output: of an inverse operator alone.
+ * Fills all of the state; `turns` and `memory` must be in place. */
 void dbo_backlash_settle(const dbo_backlash *op, dbo_backlash_state *state, size_t covered,
                          const uint64_t *spare, double drive);
 
@@ -179,7 +179,7 @@ double dbo_backlash_step_fixed(const dbo_backlash *op, const dbo_fixed_step *fix
                                dbo_counts *counts);
 
 /* Rows phi with Y_B part of the output = sum phi_i dy_i; with `group_size` > 1 that many neighbours share
- * one column, their mean. `rows` is count x ceil(n/group_size), `crossed` is scratch for that many columns. */
+ * one column, their mean. `rows` is count x ceil(n/group_size), `crossed` has how many gears of each column are crossed. */
 void dbo_backlash_engagement(const dbo_backlash *op, dbo_backlash_state *state, const double *x,
                              double *rows, double *crossed, size_t count, size_t group_size);
 

@@ -91,7 +91,7 @@ class Delay(Keyed):
         InputError
             The clock stands still, or the delay is more samples than can be held back.
         """
-        if x.size == 0 or self.seconds == 0.0:
+        if self.seconds == 0.0:
             return Run(x, state)
         past_times, past_values = state.delay or ((), ())
         steps = np.array(np.broadcast_to(dt, x.shape))

@@ -44,6 +44,8 @@ _SIDES: dict[Direction, str] = {"forward": "input", "inverse": "output"}
 # equal widths in a row are written once from this many on: two are shorter as they are
 SHORTEST_RUN = 3
 
+OPTIONAL = ("past", "fit", "candidates", "provenance")
+"""Keys of a model that are missing where nothing stands for them."""
 FIGURES = (
     "rmse expected_rmse line_rmse left_out_rmse left_out_line_rmse unknown_past_rmse "
     "fastest longest_rest longest_swing swings sensor_delay"
@@ -79,15 +81,14 @@ def read_cascades(path: str) -> dict[str, Cascade]:
         file, channel = path, ""
     name, values = fields.load(file, "model")
     with prefixed(name):
-        contents = {"": values}
         is_set = isinstance(values, dict) and values.get("format") == SET_FORMAT
-        if channel or is_set:
-            contents = fields.members(values, SET_FORMAT, "models", "a set of models")
-        paths = {key: f'models["{key}"]' if key or is_set else "" for key in contents}
+        if not channel and not is_set:
+            return {"": _model(values, "")}
+        contents = fields.members(values, SET_FORMAT, "models", "a set of models")
         if channel:
-            contents = {channel: member(contents, file, channel)}
-        models = {key: _model(each, paths[key]) for key, each in contents.items()}
-        return {"": models[channel]} if channel else models
+            content = member(contents, file, channel)
+            return {"": _model(content, f'models["{channel}"]')}
+        return {key: _model(each, f'models["{key}"]') for key, each in contents.items()}
 
 
 def member(
@@ -138,7 +139,7 @@ def _model(values: Any, path: str) -> Cascade:
         cascade,
         values,
         path,
-        ("fit", "candidates", "provenance", "past"),
+        OPTIONAL,
         direction=partial(fields.choice, choices=("forward", "inverse")),
         input=Quantity.read,
         output=Quantity.read,
@@ -216,6 +217,10 @@ def dumps_set(models: Mapping[str, Cascade]) -> str:
 
 def model_values(model: Cascade) -> Json:
     """Return the keys and values of a model file."""
+    candidates = []
+    for candidate in model.candidates:
+        stages = _stage_values(candidate.stages)
+        candidates.append({"weight": float(candidate.weight), "stages": stages})
     values: Json = {
         "format": MODEL_FORMAT,
         "version": VERSION,
@@ -223,20 +228,12 @@ def model_values(model: Cascade) -> Json:
         "input": model.input.keys(),
         "output": model.output.keys(),
         "stages": _stage_values(model.stages, model.direction),
+        "past": "" if model.auto_start == "settled" else model.auto_start,
+        "fit": dict(model.fit),
+        "candidates": candidates,
+        "provenance": dict(model.provenance),
     }
-    if model.auto_start != "settled":
-        values["past"] = model.auto_start
-    if model.fit:
-        values["fit"] = dict(model.fit)
-    if model.candidates:
-        values["candidates"] = []
-    for candidate in model.candidates:
-        stages = _stage_values(candidate.stages)
-        content = {"weight": float(candidate.weight), "stages": stages}
-        values["candidates"].append(content)
-    if model.provenance:
-        values["provenance"] = dict(model.provenance)
-    return values
+    return {key: value for key, value in values.items() if value or key not in OPTIONAL}
 
 
 def _stage_values(

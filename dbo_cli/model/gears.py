@@ -191,8 +191,13 @@ class Gears(Keyed):
         content = bits.to_bytes(8 * size, "little")
         return np.frombuffer(content, dtype="<u8").astype(np.uint64)
 
-    def settled(self, voltage: float) -> int:
+    def settled(
+        self, voltage: float, covered: int | None = None, spare: int = 0
+    ) -> int:
         """Return the bits after an oscillation that decays from the whole range to ``voltage``.
+
+        With ``covered`` from the range of the first so many gears alone, while others
+        stay as they are in the bits ``spare``.
 
         The oscillation turns at ``voltage + A`` and ``voltage - A``, both cut off at
         the ends of the range; A falls arbitrarily slowly to 0 and the first turn is the
@@ -202,12 +207,11 @@ class Gears(Keyed):
         from ``voltage``. A tie, as with even gears halfway, stays 1; a tolerance
         decides that, not rounding.
         """
-        if voltage <= self.x0:
-            return 0
-        if voltage >= self.x0 + self.width:
-            return (1 << self.n) - 1
-        words = self.words(0)
-        kernel.extension.backlash_decay(self.operator(True), words, float(voltage))
+        words = self.words(spare)
+        kernel.extension.backlash_settled(
+            self.operator(True, is_inverse=True), words,
+            self.n if covered is None else covered, float(voltage),
+        )  # fmt: skip
         return bits_of(words)
 
     def run(
@@ -279,8 +283,6 @@ class Gears(Keyed):
         slew: float | None,
     ) -> Run:
         """Run the kernel over a block; where no memory is known, the first sample is at rest."""
-        if x.size == 0:
-            return Run(x, state)
         steps = decay = _NO_NUMBERS
         if window is not None and slew is not None:
             steps = np.array(largest_step(slew, dt), dtype=np.float64).reshape(-1)
@@ -347,10 +349,8 @@ class Gears(Keyed):
             return [axes]
         return [axes, dataclasses.asdict(self.relaxation)]
 
-    def engagement(
-        self, x: ArrayLike, bits: int = 0, group_size: int = 1
-    ) -> tuple[Floats, int]:
-        """Return the part of the gears that is in the output of every sample, and the bits after.
+    def engagement(self, x: ArrayLike, group_size: int = 1) -> Floats:
+        """Return the part of the gears that is in the output of every sample, from B = 0 on.
 
         The rows phi (len(x) x n) fulfil y - y0 = phi @ dy: 1 for a crossed gear, 0 for
         an open one, a fraction for the engaged one, so that heights are linear unknowns
@@ -359,13 +359,12 @@ class Gears(Keyed):
         ``Relaxation.lags``).
         """
         x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
-        words = self.words(bits)
-        crossed = np.empty(-(-self.n // group_size))
+        crossed = np.zeros(-(-self.n // group_size))
         rows = np.empty((x.size, crossed.size))
         kernel.extension.backlash_engagement(
-            self.operator(True), words, x, rows, crossed, group_size
+            self.operator(True), x, rows, crossed, group_size
         )
-        return rows, bits_of(words)
+        return rows
 
 
 def bits_of(words: Words) -> int:

@@ -6,7 +6,7 @@ from typing import Any
 
 from dbo_cli.errors import DboError
 
-INTERFACE = 7
+INTERFACE = 8
 """Of the extension's functions, as ``_kernel.c`` has it: raised with every change of their arguments."""
 REMEDY = "type `pip install -e .` in the checkout (it needs a C compiler)"
 

@@ -12,7 +12,7 @@ from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.gears import Gears
 from dbo_cli.model.state import KEPT_STARTS, START_NAMES, State
-from dbo_cli.model.widths import CROSSING_TOLERANCE
+from dbo_cli.model.widths import CROSSING_TOLERANCE, on_binary_grid
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,15 +29,19 @@ class Starts:
     high: float
 
     @cached_property
-    def inside(self) -> Gears:
-        """The gears that a drive inside the range moves."""
-        gears = self.gears
-        count = self._count(self.high - max(self.low, gears.x0))
+    def covered(self) -> int:
+        """How many gears, the first ones, a drive inside the range moves."""
+        return self._count(self.high - max(self.low, self.gears.x0))
+
+    @cached_property
+    def ends(self) -> tuple[float, float]:
+        """The voltages between which it moves them."""
+        gears, count = self.gears, self.covered
         if count == gears.n:
-            return gears
+            return gears.x_range
         below = gears.dx[count : self._count(self.high - gears.x0)]
-        begin = gears.x0 + float(below.sum())
-        return Gears(gears.dx[:count], gears.dy[:count], begin)
+        low = gears.x0 + float(below.sum())
+        return low, low + math.fsum(on_binary_grid("dx", gears.dx[:count]).tolist())
 
     @cached_property
     def full(self) -> int:
@@ -47,7 +51,7 @@ class Starts:
     @cached_property
     def empty(self) -> int:
         """The bits of all gears, where the drive comes from the lower end of its range."""
-        return self.full + 1 - (1 << self.inside.n)
+        return self.full + 1 - (1 << self.covered)
 
     def _count(self, width: float) -> int:
         """Return how many gears, the first ones, span ``width``, to half a gear."""
@@ -72,15 +76,16 @@ class Starts:
         """
         if name not in (*START_NAMES, *KEPT_STARTS):
             raise ModelError(f"`state` {name}: give {', '.join(START_NAMES)} or a file")
-        if name == "below":
-            return 0
-        if name == "above":
-            return (1 << self.gears.n) - 1
-        if name == "full":
-            return self.full
-        if name == "empty":
-            return self.empty
-        return self.empty | self.inside.settled(voltage)
+        all_crossed = (1 << self.gears.n) - 1
+        fixed = {
+            "below": 0,
+            "above": all_crossed,
+            "full": self.full,
+            "empty": self.empty,
+        }
+        if name in fixed:
+            return fixed[name]
+        return self.gears.settled(voltage, self.covered, self.empty)
 
     def voltage_settled_at(self, output: float, low: float, high: float) -> float:
         """Return the voltage in [low, high] whose own settled state leads to ``output``.
@@ -95,13 +100,13 @@ class Starts:
             state = State(self.bits(voltage))
             return abs(float(self.gears.run([voltage], state).y[0]) - output)
 
-        below, above = self.inside.x_range
+        below, above = self.ends
         # a little beside the step, so that a voltage that is rounded on its way still
         # starts on the same side
         margin = CROSSING_TOLERANCE * (above - below)
         halved: tuple[float, float, float] = kernel.extension.backlash_settled_at(
-            self.gears.operator(True, is_inverse=True), self.inside.operator(True),
-            self.gears.words(self.empty), output, below, above, 0.001 * margin,
+            self.gears.operator(True, is_inverse=True), self.gears.words(self.empty),
+            self.covered, output, below, above, 0.001 * margin,
         )  # fmt: skip
         below, above, voltage = halved
         if not math.isnan(voltage):

@@ -28,15 +28,21 @@ def test_a_failure_leaves_what_stood_there(tmp_path, monkeypatch):
     folder = tmp_path / "fw"
     write_folder(str(folder), FILES, {"name": "a"})
     before = content(folder)
-    rename = Path.rename
 
-    def failing(self, target):
-        if self.name == "made":
-            raise OSError(28, "No space left on device")
-        return rename(self, target)
+    def failing(descriptor):
+        raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "rename", failing)
-    with pytest.raises(OutputError, match="No space"):
+    monkeypatch.setattr(os, "fsync", failing)
+    with pytest.raises(OutputError, match="disk is full"):
         write_folder(str(folder), {"b.c": "", **FILES}, {"name": "a"})
     assert content(folder) == before
     assert os.listdir(tmp_path) == ["fw"]
+
+
+def test_nothing_of_an_older_export_is_left(tmp_path):
+    folder = tmp_path / "fw"
+    write_folder(str(folder), FILES, {"name": "a"})
+    (folder / "a.o").write_text("")
+    (folder / "a_test").write_text("")
+    write_folder(str(folder), {"b.c": "int b;\n"}, {"name": "b"})
+    assert sorted(content(folder)) == ["b.c", "export.json"]

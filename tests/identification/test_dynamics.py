@@ -103,7 +103,7 @@ def test_a_resonance_and_a_lag_come_back(
     assert isinstance(resonance, Resonance)
     assert resonance.frequency == pytest.approx(frequency, rel=0.005)
     assert resonance.damping == pytest.approx(damping, rel=0.1)
-    assert sum(one.seconds for one in lags) == pytest.approx(lag, abs=2e-4)
+    assert sum(one.lag for one in lags) == pytest.approx(lag, abs=2e-4)
     assert delay == 0.0
     assert left_out < 0.003
 
@@ -129,7 +129,7 @@ def test_a_late_sensor_hides_no_resonance() -> None:
     resonance = sections[-1]
     assert isinstance(resonance, Resonance)
     assert resonance.frequency == pytest.approx(60.0, rel=0.005)
-    late = delay + sum(one.seconds for one in sections if isinstance(one, Lag))
+    late = delay + sum(one.lag for one in sections if isinstance(one, Lag))
     assert late == pytest.approx(0.02, rel=0.05)
 
 
