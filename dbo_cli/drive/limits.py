@@ -217,6 +217,8 @@ def voltage_in(name: str, figure: Figure, quantity: Quantity) -> float | None:
     if figure is None:
         return None
     largest = WRONG_UNIT * max(abs(quantity.min), abs(quantity.max))
+    if math.isinf(largest):  # no range says which unit was meant
+        largest = 0.0
     return parse_quantity(figure, quantity.unit, name, largest)
 
 
