@@ -137,16 +137,8 @@ def limits_in(
     unit: str | None, v_min: str | None, v_max: str | None, max_slew: str | None
 ) -> Limits:
     """Return the limits in the unit of the drive; infinite where not given."""
-    from dbo_cli.drive.limits import Limits, slew_in
-    from dbo_cli.units import parse_quantity
+    from dbo_cli.drive import Limits
+    from dbo_cli.model import Quantity
 
-    low, high = -math.inf, math.inf
-    if v_min is not None:
-        low = parse_quantity(v_min, unit, "v_min", 0.0)
-    if v_max is not None:
-        high = parse_quantity(v_max, unit, "v_max", 0.0)
-    if not low < high:
-        raise UsageError(f"`v_min` {v_min} must be below `v_max` {v_max}")
-    slew = None if max_slew is None else slew_in("max_slew", max_slew, unit)
-    ends = low, high
-    return Limits(rating=ends, move=ends, identified=ends, slew=slew, unit=unit)
+    anything = Quantity("voltage", unit, -math.inf, math.inf)
+    return Limits.within(anything, v_min, v_max, max_slew)

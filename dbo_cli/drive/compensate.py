@@ -111,14 +111,11 @@ class Driver:
         self._row_count += target.size
         if not target.size:
             return NO_ROWS
-        blocks = []
+        before = NO_ROWS
         if self._ahead is None:
             dt, before = self._begin(float(target[0]), dt, time)
-            blocks.append(before)
         assert self._ahead is not None
-        for due in self._ahead.take(dt, target, desired, time):
-            blocks.append(self._driven(dt, due))
-        return stacked(blocks)
+        return stacked([before, self._ahead.take(dt, target, desired, time)])
 
     def finish(self, return_rows: int = 0) -> tuple[Rows, Drive]:
         """Return the rows that were held back and the way back, and the figures of the whole drive.
@@ -137,15 +134,14 @@ class Driver:
         """
         if self._ahead is None:
             raise InputError(f"{self.name}: has no rows")
-        dt = self._ahead.dt
-        blocks = [self._driven(dt, due) for due in self._ahead.remaining()]
+        rows = self._ahead.remaining()
         self._judge.require_reached(self._step)
         voltage = self._way_back(return_rows)
         assert self._state is not None
         begin = self._state.time
         stamps = (begin or 0.0) + self._step * np.arange(1.0, voltage.size + 1.0)
-        blocks.append(self._played(stamps, voltage, "return", begin is not None))
-        return stacked(blocks), self._judge.concluded(self._state, self._step)
+        back = self._played(stamps, voltage, "return", begin is not None)
+        return stacked([rows, back]), self._judge.concluded(self._state, self._step)
 
     def _way_back(self, count: int) -> Floats:
         """Return the voltages from the last row to where the amplifier goes, ``count`` at least."""
@@ -294,19 +290,17 @@ class Driver:
         self._state, voltage, still_rows = planned
         count = voltage.size + still_rows
         stamps = (begin or 0.0) - step * np.arange(count, 0.0, -1.0)
-        blocks = []
-        if voltage.size:
-            before = stamps[: voltage.size]
-            blocks.append(self._played(before, voltage, "lead", time is not None))
-        else:
+        if not voltage.size:
             self._gate.require_reachable(*self.limits.move, dt)
-        self._ahead = Ahead(self.model, dt, self._state)
+        way, at_rest = np.split(stamps, [voltage.size])
+        rows = self._played(way, voltage, "lead", time is not None)
+        self._ahead = Ahead(self.model, dt, self._state, self._driven)
         if still_rows:
             still = np.full(still_rows, first)
-            at_rest = None if time is None else stamps[voltage.size :]
-            for due in self._ahead.take(step, still, still, at_rest, "lead"):
-                blocks.append(self._driven(step, due))
-        return dt, stacked(blocks)
+            stamped = None if time is None else at_rest
+            rested = self._ahead.take(step, still, still, stamped, "lead")
+            rows = stacked([rows, rested])
+        return dt, rows
 
     def _usual_step(self, dt: Steps) -> float:
         """Return the seconds a row at the beginning; 0 without a clock.
@@ -332,7 +326,7 @@ class Driver:
 
     # --- the way of a row ---
 
-    def _driven(self, dt: Steps, due: Due) -> Rows:
+    def _driven(self, due: Due, dt: Steps) -> Rows:
         """Return the drive of rows that are due, with which the static part reaches their target."""
         model, limits, target = self.model, self.limits, due.target
         if self._state is None:  # nothing leads to the move

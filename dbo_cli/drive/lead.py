@@ -36,9 +36,6 @@ LONGEST_REST = 10.0
 SLEW_SPARE = 0.9
 """Of the slew limit: what the digits of time stamps take away (since 1970, 0.2 us each)."""
 WAY_HALVINGS = 40  # of the move's range, to find where a move goes on: to 1e-12 of it
-SECANTS = 4
-"""Steps of a secant that begins there; what creeps on the way is a small part."""
-SECANT_SLACK = 1e-8  # of the move's range, around what a secant finds
 LONGEST_CHOSEN = 60.0  # s that the program may put before a move; a user may type more
 NO_VOLTAGES = np.zeros(0)
 HELD_STEPS = 1e-6
@@ -285,9 +282,10 @@ class Lead:
             after = static.run(way_to(end), state, dt).state
             return self._goes_on(first, dt, after) - end
 
-        end = self._goes_on(first, dt, state)
-        if self.model.gears.relaxation is not None:
-            end = _zero_of(missing, *limits.move, end)
+        if self.model.gears.relaxation is None:
+            end = self._goes_on(first, dt, state)
+        else:
+            end = _zero_of(missing, *limits.move)
         return way_to(end, "" if self.condition else "approach")
 
     def _goes_on(self, first: float, dt: float, state: State) -> float:
@@ -359,29 +357,15 @@ def _require_time(name: str, seconds: float, shortest: float, dt: float) -> None
         )
 
 
-def _zero_of(
-    falling: Callable[[float], float], low: float, high: float, guess: float
-) -> float:
+def _zero_of(falling: Callable[[float], float], low: float, high: float) -> float:
     """Return where a falling function is zero between two voltages, by halving.
 
-    A secant that begins at a guess finds it first, so that only halvings near it need the
-    function, which may have small steps where a swing takes a row more.
+    It may have small steps where a swing takes a row more.
     """
-    slack, previous, middle = SECANT_SLACK * (high - low), guess, guess
-    value = falling(guess)
-    zero = guess + value
-    for _ in range(SECANTS):
-        last, value = value, falling(zero)
-        if value == last:
-            break
-        zero, previous = zero - value * (zero - previous) / (value - last), zero
-    is_found = abs(zero - previous) < 0.1 * slack
+    middle = low
     for _ in range(WAY_HALVINGS):
         middle = 0.5 * (low + high)
-        is_below = middle < zero
-        if not is_found or abs(middle - zero) <= slack:
-            is_below = falling(middle) > 0.0
-        if is_below:
+        if falling(middle) > 0.0:
             low = middle
         else:
             high = middle

@@ -201,7 +201,9 @@ class RepeatedMove:
         voltage, step, count = recording.voltage, self.step, self.desired.size
         start = self.model.start(float(voltage[0]), self.lead.state)
         modelled = self.model.run(voltage, start, step).y
-        begin = self._first_row(recording, modelled)
+        begin = stamped = self._row_by_stamps(recording)
+        if not self.periodic:
+            begin = self._first_row(recording, modelled, stamped)
         rows = voltage.size - begin
         if rows < count:
             raise InputError(
@@ -212,33 +214,49 @@ class RepeatedMove:
         delay = self.model.sensor_delay
         measured, _ = without_delay(time, recording.measured, delay)
         if self.periodic:
-            return self._mean_period(voltage[begin:], measured[begin:])
+            drive, measured = self._mean_period(voltage, measured)
+            phase = self._phase(self._repeated(drive))
+            by_stamps = recording.time is not None and rows % count == 0
+            if by_stamps and min(phase, count - phase) * step <= ACTUATOR_LAG:
+                phase = 0  # what was learned may be as early
+            drive, measured = np.roll(drive, -phase), np.roll(measured, -phase)
+            return drive, self._repeated(drive), measured
         self._require_same_past(recording.name, voltage[:begin])
         move = slice(begin, begin + count)  # what stands behind is a return
         return voltage[move], modelled[move], measured[move]
 
-    def _mean_period(
-        self, voltage: Floats, measured: Floats
-    ) -> tuple[Floats, Floats, Floats]:
-        """Return drive, modelled and measured displacement of one period of a loop, from several."""
+    def _mean_period(self, voltage: Floats, measured: Floats) -> tuple[Floats, Floats]:
+        """Return the mean drive and displacement of the periods at the end that are alike."""
         count = self.desired.size
         rows = voltage.size // count * count
-        periods = voltage[:rows].reshape(-1, count)
+        periods = voltage[-rows:].reshape(-1, count)
         first = len(periods) - 1
         while first and self._is_same_drive(periods[first - 1], periods[-1]):
             first -= 1  # before that one, something else leads to the loop
         if first < len(periods) - 1:
             first += 1  # not settled yet
-        drive = periods[first:].mean(axis=0)
-        measured = measured[:rows].reshape(-1, count)[first:].mean(axis=0)
-        start = self.model.start(float(drive[0]), self.lead.state)
-        return drive, settled_run(self.model, drive, self.step, start), measured
+        displacement = measured[-rows:].reshape(-1, count)[first:].mean(axis=0)
+        return periods[first:].mean(axis=0), displacement
 
-    def _first_row(self, recording: Tracked, modelled: Floats) -> int:
+    def _repeated(self, drive: Floats) -> Floats:
+        """Return what the model makes of one period of a drive that was repeated for ever."""
+        start = self.model.start(float(drive[0]), self.lead.state)
+        return settled_run(self.model, drive, self.step, start)
+
+    def _phase(self, modelled: Floats) -> int:
+        """Return the row of a recorded period on which the trajectory's first one falls.
+
+        A recorder may begin anywhere in a loop: the period is laid where what the model
+        makes of it is closest to the trajectory.
+        """
+        spectrum = np.fft.rfft(modelled) * np.fft.rfft(self.desired).conj()
+        return int(np.argmax(np.fft.irfft(spectrum, modelled.size)))
+
+    def _first_row(self, recording: Tracked, modelled: Floats, stamped: int) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead.
 
-        A recorder may count from elsewhere: the trajectory is laid where what the model
-        makes of the recorded drive is closest to it.
+        A recorder may count from elsewhere than the stamps say: the trajectory is laid
+        where what the model makes of the recorded drive is closest to it.
         """
         desired, count = self.desired - self.desired.mean(), self.desired.size
         level = modelled - self.desired.mean()
@@ -250,23 +268,13 @@ class RepeatedMove:
         squares = squares[-places:] - squares[:places]
         square = float(np.sum(desired**2))
         misfit = squares - 2.0 * products + square
-        # in the last two periods of a loop what leads to it is over
-        begin = max(places - 1 - count, 0) if self.periodic else 0
-        row = begin + int(np.argmin(misfit[begin:]))
-        by_stamps = self._row_by_stamps(recording)
-        if self.periodic:  # which of the periods does not matter
-            row %= count
-            difference = min((row - by_stamps) % count, (by_stamps - row) % count)
-            is_whole, explained = (level.size - by_stamps) % count == 0, False
-        else:
-            difference, is_whole = abs(row - by_stamps), by_stamps < places
-            left = float(misfit[min(by_stamps, places - 1)])
-            enough = min(MUCH_CLOSER * left, DRIVE_RESIDUAL * square)
-            explained = enough <= float(misfit[row])
+        row = int(np.argmin(misfit))
+        if recording.time is None or stamped >= places:
+            return row
+        enough = min(MUCH_CLOSER * float(misfit[stamped]), DRIVE_RESIDUAL * square)
         # what was learned may be as early
-        is_near = difference * self.step <= ACTUATOR_LAG
-        is_stamped = recording.time is not None and is_whole
-        return by_stamps if is_stamped and (is_near or explained) else row
+        is_near = abs(row - stamped) * self.step <= ACTUATOR_LAG
+        return stamped if is_near or enough <= float(misfit[row]) else row
 
     def _row_by_stamps(self, recording: Tracked) -> int:
         """Return the row at the time of the trajectory's first; the first where there is no clock.

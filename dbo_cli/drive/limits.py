@@ -109,7 +109,8 @@ class Limits:
         high = high if highest is None else highest
         slew = None
         if max_slew is not None:
-            slew = slew_in("max_slew", max_slew, quantity.unit)
+            per_second = None if quantity.unit is None else f"{quantity.unit}/s"
+            slew = parse_quantity(max_slew, per_second, "max_slew", 0.0)
         if not low < high:
             raise UsageError(
                 f"`v_min` {low:.6g} must be below `v_max` {high:.6g}{quantity.suffix}"
@@ -217,19 +218,9 @@ def voltage_in(name: str, figure: Figure, quantity: Quantity) -> float | None:
     if figure is None:
         return None
     largest = WRONG_UNIT * max(abs(quantity.min), abs(quantity.max))
+    if math.isinf(largest):  # no range says which unit was meant
+        largest = 0.0
     return parse_quantity(figure, quantity.unit, name, largest)
-
-
-def slew_in(name: str, figure: float | str, unit: str | None) -> float:
-    """Return a typed slew limit in the unit of a drive per second.
-
-    Raises
-    ------
-    UsageError
-        It cannot be read; or it is a plain number and the unit of the drive has a prefix.
-    """
-    per_second = None if unit is None else f"{unit}/s"
-    return parse_quantity(figure, per_second, name, 0.0)
 
 
 def rounded_up(value: float, digits: int = 2) -> float:

@@ -8,7 +8,7 @@ undo dynamics and delay, rows wait until those after them are known.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -73,15 +73,28 @@ class Due(NamedTuple):
 class Ahead:
     """Undoes dynamics and delay of rows in blocks, which wait until the rows after them are known.
 
+    Parameters
+    ----------
+    model, dt, state
+        A forward model, seconds a row, and the state before the first row.
+    drive : callable
+        Drives rows that are due, with their time steps.
+
     Attributes
     ----------
     dt : float, array or None
         Seconds since the row before, of the last block.
     """
 
-    def __init__(self, model: Cascade, dt: Steps, state: State | str | None) -> None:
+    def __init__(
+        self,
+        model: Cascade,
+        dt: Steps,
+        state: State | str | None,
+        drive: Callable[[Due, Steps], Rows],
+    ) -> None:
         self.dt = dt
-        self._model = model
+        self._model, self._drive = model, drive
         inverter = model.inverter(dt)
         self._count = inverter.ahead
         self._undoing = inverter.behind(state) if isinstance(state, State) else None
@@ -95,33 +108,30 @@ class Ahead:
         desired: Floats,
         time: MaybeFloats,
         phase: str = "move",
-    ) -> Iterator[Due]:
-        """Take a block, what is asked for and what is desired; yield those that are due."""
+    ) -> Rows:
+        """Take a block, what is asked for and what is desired; return the rows that are due, driven."""
         self.dt = dt
         self._waiting.append((desired, time, phase))
+        return self._due(asked)
+
+    def remaining(self) -> Rows:
+        """Return the rows that are left: the last value goes on for ever."""
+        return self._due(np.repeat(self._asked[-1:], self._count))
+
+    def _due(self, asked: Floats) -> Rows:
+        """Return each block of which enough is known with what is asked for behind it."""
         if self._asked.size:
             asked = np.concatenate([self._asked, asked])
-        self._asked = asked
-        yield from self._due()
-
-    def remaining(self) -> Iterator[Due]:
-        """Yield the blocks that are left: the last value goes on for ever."""
-        after = np.repeat(self._asked[-1:], self._count)
-        self._asked = np.concatenate([self._asked, after])
-        yield from self._due()
-
-    def _due(self) -> Iterator[Due]:
-        """Yield each block of which enough is known behind it."""
-        while self._waiting:
-            desired, time, phase = self._waiting[0]
-            if self._asked.size < desired.size + self._count:
-                return
-            asked = self._asked[: desired.size + self._count]
-            self._asked = self._asked[desired.size :]
+        blocks = []
+        while self._waiting and asked.size >= self._waiting[0][0].size + self._count:
+            desired, time, phase = self._waiting.popleft()
+            read = asked[: desired.size + self._count]
+            asked = asked[desired.size :]
             inverter = self._model.inverter(self.dt)
-            target, self._undoing = inverter.run(asked, self._undoing)
-            self._waiting.popleft()
-            yield Due(target, asked, desired, time, phase)
+            target, self._undoing = inverter.run(read, self._undoing)
+            blocks.append(self._drive(Due(target, read, desired, time, phase), self.dt))
+        self._asked = asked
+        return stacked(blocks)
 
 
 class Simulator:
@@ -190,7 +200,7 @@ class Simulator:
             if isinstance(self.state, State):
                 dt = steps_behind(self.state.time, time, dt)
             if not self.model.is_forward:
-                self._ahead = Ahead(self._forward, dt, self.state)
+                self._ahead = Ahead(self._forward, dt, self.state, self._driven)
         if not x.size:
             return NO_ROWS
         if self._ahead is None:
@@ -199,13 +209,11 @@ class Simulator:
             run = self.model.run(x, start, dt, self.outside)
             self.state = run.state
             return self._counted(x, run.y, time)
-        return stacked([self._driven(due) for due in self._ahead.take(dt, x, x, time)])
+        return self._ahead.take(dt, x, x, time)
 
     def finish(self) -> Rows:
         """Return what was held back, as if the last value went on for ever; warn of rows outside."""
-        rows = NO_ROWS
-        if self._ahead is not None:
-            rows = stacked([self._driven(due) for due in self._ahead.remaining()])
+        rows = NO_ROWS if self._ahead is None else self._ahead.remaining()
         if isinstance(self.state, State):
             self.state = replace(self.state, model=self.model.digest)
         if self.outside_count:
@@ -226,13 +234,12 @@ class Simulator:
             self.state = replace(self.state, time=float(time[-1]))
         return Rows(time, x, y)
 
-    def _driven(self, due: Due) -> Rows:
+    def _driven(self, due: Due, dt: Steps) -> Rows:
         """Return rows with the drive that an inverse model makes, within its range where it is held."""
-        assert self._ahead is not None
         model, is_held = self._forward, self.outside == "hold"
         window = (model.input.min, model.input.max) if is_held else None
         self.state = model.start_drive(float(due.target[0]), self.state)
-        run = model.drive(due.target, self.state, self._ahead.dt, window)
+        run = model.drive(due.target, self.state, dt, window)
         self.state = run.state
         if run.clipped and not self.outside_count:
             self.first_outside = self.row_count + run.first_clipped + 1

@@ -19,6 +19,8 @@ from dbo_cli.errors import UsageError, require_positive
 from dbo_cli.model import Cascade
 
 Range = tuple[float, float]
+Axes = tuple[tuple[Floats, ...], str]
+"""One signal an axis, and what became of the move, in words."""
 
 RANGE_ROUNDING = 1e-8  # of the range: rounding reaches no further
 START = 2.0 / math.pi
@@ -106,10 +108,13 @@ def trajectory(
         "frequency": frequency, "lines": lines, "steps": steps, "dwell": dwell, "duration": duration,
     }  # fmt: skip
     _check_options(shape, figures, loop)
-    _check_numbers(rate, range, bandwidth, figures)
-    turn = 0
-    if bandwidth is not None:
-        turn = math.ceil(rate / bandwidth)
+    low, high = range
+    if not -math.inf < low < high < math.inf:
+        raise UsageError(
+            f"`range` {low:g}:{high:g}: give two finite numbers, the lower first"
+        )
+    require_positive(rate=rate, bandwidth=bandwidth, **figures)
+    turn = 0 if bandwidth is None else math.ceil(rate / bandwidth)
     if shape == "staircase":
         assert steps is not None
         assert dwell is not None
@@ -129,7 +134,7 @@ def trajectory(
                 f"{rate / FEWEST_CYCLE_ROWS:g}"
             )
         plan = _Plan(range, period, turn, count, loop, rate)
-    axes, note = SHAPES[shape].make(plan)
+    axes, note = SHAPES[shape][0](plan)
     return Trajectory(np.arange(axes[0].size) / rate, axes, note)
 
 
@@ -146,21 +151,6 @@ def _check_options(
     for name, value in [*figures.items(), ("loop", loop or None)]:
         if value is not None and name not in needed + possible:
             raise UsageError(f"`{name}`: a {shape} has none")
-
-
-def _check_numbers(
-    rate: float,
-    ends: Range,
-    bandwidth: float | None,
-    figures: dict[str, float | int | None],
-) -> None:
-    """Refuse numbers that are not above 0, and a range upside down."""
-    low, high = ends
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise UsageError(
-            f"`range` {low:g}:{high:g}: give two finite numbers, the lower first"
-        )
-    require_positive(rate=rate, bandwidth=bandwidth, **figures)
 
 
 def check_reach(move: Trajectory, models: Sequence[Cascade]) -> None:
@@ -259,7 +249,7 @@ def _between(ends: Range, share: Floats) -> Floats:
 # --- the shapes: the axes, and a note ---
 
 
-def _raster(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
+def _raster(plan: _Plan) -> Axes:
     """Return a line axis and a slow one, which stands still while a line is drawn."""
     turn, count = plan.turn, plan.cycles
     flat = plan.period - turn
@@ -292,7 +282,7 @@ def _raster(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
     return (fast, slow), note
 
 
-def _triangle(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
+def _triangle(plan: _Plan) -> Axes:
     """Return a triangle whose tips are turns that reach the ends of the range."""
     low, high = plan.ends
     half, turn = plan.period // 2, plan.turn
@@ -309,7 +299,7 @@ def _triangle(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
     return (np.clip(waves, low, high),), note
 
 
-def _sine(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
+def _sine(plan: _Plan) -> Axes:
     """Return cycles that begin and end at the lower end, at rest."""
     phase = _eased(plan.period, plan.cycles, plan.loop)
     wave = 0.5 - 0.5 * np.cos(2.0 * math.pi * phase)
@@ -319,7 +309,7 @@ def _sine(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
     return (_between(plan.ends, wave),), note
 
 
-def _spiral(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
+def _spiral(plan: _Plan) -> Axes:
     """Return an Archimedean spiral from the middle outwards, at a constant number of turns a second."""
     phase = _eased(plan.period, plan.cycles, False)
     angle = 2.0 * math.pi * phase
@@ -329,7 +319,7 @@ def _spiral(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
     return (x, y), f"{plan.cycles} turns, {plan.period / plan.rate:.6g} s each"
 
 
-def _staircase(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
+def _staircase(plan: _Plan) -> Axes:
     """Return levels that are held, up and down again: a dwell is a period, a rise a turn."""
     steps, dwell, rise = plan.cycles, plan.period, plan.turn
     up = np.arange(steps + 1.0) / steps
@@ -344,18 +334,11 @@ def _staircase(plan: _Plan) -> tuple[tuple[Floats, ...], str]:
     return (_between(plan.ends, stairs),), note
 
 
-class _Shape(NamedTuple):
-    """How a shape is made, what it needs, and what it takes besides."""
-
-    make: Callable[[_Plan], tuple[tuple[Floats, ...], str]]
-    needed: tuple[str, ...]
-    possible: tuple[str, ...] = ()
-
-
-SHAPES = {
-    "raster": _Shape(_raster, ("frequency", "lines"), ("loop",)),
-    "spiral": _Shape(_spiral, ("frequency", "duration")),
-    "staircase": _Shape(_staircase, ("steps", "dwell")),
-    "sine": _Shape(_sine, ("frequency",), ("duration", "loop")),
-    "triangle": _Shape(_triangle, ("frequency",), ("duration", "loop")),
+SHAPES: dict[str, tuple[Callable[[_Plan], Axes], tuple[str, ...], tuple[str, ...]]] = {
+    "raster": (_raster, ("frequency", "lines"), ("loop",)),
+    "spiral": (_spiral, ("frequency", "duration"), ()),
+    "staircase": (_staircase, ("steps", "dwell"), ()),
+    "sine": (_sine, ("frequency",), ("duration", "loop")),
+    "triangle": (_triangle, ("frequency",), ("duration", "loop")),
 }
+"""How a shape is made, what it needs, and what it takes besides."""

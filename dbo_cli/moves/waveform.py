@@ -244,13 +244,14 @@ def waveform(
         )
     exact = resampled / gain
     ends = _ends(form, exact, volts, gain, name)
-    allowed = _at_generator(limits, gain)
+    low, high = sorted(end / gain for end in limits.rating)
+    slew = None if limits.slew is None else limits.slew / abs(gain)
     values: Values = exact
     heard, meaning = exact, ""
     if form.codes is not None:
-        low, high = codes or form.codes
-        coding = Coding((int(low), int(high)), ends)
-        values = coding.encode(exact, allowed.rating)
+        lowest, highest = codes or form.codes
+        coding = Coding((int(lowest), int(highest)), ends)
+        values = coding.encode(exact, (low, high))
         heard = coding.decode(values)
         rounding = abs(gain) * float(np.abs(heard - exact).max())
         if rounding > allowance and np.ptp(exact) > 0.0:
@@ -262,8 +263,9 @@ def waveform(
             f"codes {coding.codes[0]} to {coding.codes[1]} mean {ends[0]:.6g} to {ends[1]:.6g} V; "
             f"rounding changes the drive by {rounding:.3g} V"
         )
-        if allowed.slew is not None:  # codes stand a step beside
-            allowed = replace(allowed, slew=allowed.slew + coding.step * rate)
+        if slew is not None:  # codes stand a step beside
+            slew += coding.step * rate
+    allowed = replace(limits, rating=(low, high), move=(low, high), slew=slew)
     Gate(allowed).admit(heard, 1.0 / rate, "return")
     data = form.write(values, rate, ends)
     line = _line(heard, rate, gain, shift)
@@ -357,16 +359,6 @@ def _at_points(
     resampled = np.interp(new, time, drive, period=period)
     back = np.interp(time, new, resampled, period=period)
     return resampled, rate, float(np.abs(back - drive).max())
-
-
-def _at_generator(limits: Limits, gain: float) -> Limits:
-    """Return the limits in front of an amplifier."""
-    low, high = sorted(end / gain for end in limits.rating)
-    slew = limits.slew
-    if slew is not None:
-        slew /= abs(gain)
-    ends = low, high
-    return Limits(rating=ends, move=ends, identified=ends, slew=slew, unit="V")
 
 
 def _line(volts: Floats, rate: float, gain: float, shift: float) -> str:

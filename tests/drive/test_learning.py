@@ -108,3 +108,25 @@ def test_a_recording_without_a_clock_begins_where_its_drive_does():
         drive = plan(model, wanted, DT, limits, state="empty", tracked=tracked)
         learned.append(drive.voltage)
     np.testing.assert_allclose(learned[1], learned[0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("begin", "rows"), [(0, 500), (170, 500), (440, 500), (20, 900), (170, 1170)]
+)
+def test_a_recording_of_a_loop_may_begin_anywhere_and_hold_one_period(begin, rows):
+    """A recorder is started while the loop runs: its first row is not the period's."""
+    model, plant = actuator(growth=1.5), actuator(growth=1.7)
+    phase = 2 * np.pi * np.arange(500) / 500
+    wanted, limits = (
+        5.0 + 2.0 * np.sin(phase) + np.cos(2 * phase),
+        Limits.within(model.input),
+    )
+    loop = plan(model, wanted, 1e-3, limits, periodic=True)
+    voltage = np.tile(loop.voltage, 8)
+    y = plant.run(voltage, plant.start(float(voltage[0])), 1e-3).y
+    learned = []
+    for stretch in (slice(2000, 4000), slice(2000 + begin, 2000 + begin + rows)):
+        tracked = [Tracked("pass.csv", voltage[stretch], y[stretch])]
+        drive = plan(model, wanted, 1e-3, limits, periodic=True, tracked=tracked)
+        learned.append(drive.voltage)
+    np.testing.assert_allclose(learned[1], learned[0], rtol=0, atol=1e-9)

@@ -85,3 +85,17 @@ def test_the_gate_looks_at_the_seam(monkeypatch):
     wanted = ripple(model, 200, 0.1, 1.0)
     with pytest.raises(GateError, match="60 to 20 V"):
         plan(model, wanted, DT, limits_of(model, 300.0), periodic=True)
+
+
+def test_a_run_in_that_grows_onto_a_limit_stays_inside_to_the_last_digit():
+    """In a long period it has risen before its last row, and begin + (end - begin) may be above the end."""
+    model = actuator(low=-20.0, high=80.0)
+    begin, top = -8.9, 55.3
+    assert begin + (top - begin) > top
+    limits = Limits.within(model.input, v_max=top)
+    phase = 2 * np.pi * np.arange(600_000) / 600_000
+    wanted = 5.0 + 5.0 * np.cos(phase)
+    options = {"periodic": True, "passes": 1, "start": begin, "on_limit": "clip"}
+    drive = plan(model, wanted, DT, limits, **options)
+    assert drive.clipped > 0
+    assert drive.voltage.max() == top
