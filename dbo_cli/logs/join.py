@@ -12,6 +12,7 @@ from dbo_cli.alignment import (
     ACTUATOR_LAG,
     USUAL_LAG,
     Alignment,
+    Trace,
     align_displacements,
     align_drives,
     are_apart,
@@ -154,15 +155,15 @@ def _side_by_side(
 
 def _beside_drive(
     rows: Block, time: Floats, table: Block
-) -> tuple[Alignment, Floats, Floats] | None:
+) -> tuple[Alignment, Trace, Trace] | None:
     """Return how the displacement of one log lies over the drive of another, and both; None if unknown."""
     drives = [table.values[role] for role in _DRIVES if role in table.values]
     sensors = [rows.values[role] for role in SENSORS if role in rows.values]
     if not drives or not sensors or rows.time is None:
         return None
-    signals = rows.time, sensors[0], time, drives[0]
-    found = align_displacements(*signals, rate=True, inverted=True)
-    return None if found is None else (found, sensors[0], drives[0])
+    sensor, drive = Trace(rows.time, sensors[0]), Trace(time, drives[0])
+    found = align_displacements(sensor, drive, rate=True, inverted=True)
+    return None if found is None else (found, sensor, drive)
 
 
 def _found(
@@ -178,17 +179,18 @@ def _found(
     assert rows.time is not None
     for role in _DRIVES:
         if role in rows.values and role in table.values:
-            by_drive = align_drives(rows.time, rows[role], time, table[role])
+            drive = Trace(rows.time, rows[role])
+            by_drive = align_drives(drive, Trace(time, table[role]))
             if by_drive is not None:
                 return by_drive, True
     pair = _beside_drive(rows, time, table)
     if pair is None:
         problem = "a drive and a displacement are needed that both move, over a time that both hold"
     else:
-        found, _, drive = pair
+        found, _, (_, voltage) = pair
         lag, ahead = found.lag, found.ahead
-        path = float(np.abs(np.diff(drive)).sum())
-        tolerable = _TOLERABLE * float(np.std(drive)) / path * float(np.ptp(time))
+        path = float(np.abs(np.diff(voltage)).sum())
+        tolerable = _TOLERABLE * float(np.std(voltage)) / path * float(np.ptp(time))
         problem = f"{ahead:.6g} s is uncertain by {2.0 * lag.deviation:.2g} s"
         if lag.residual > _EXPLAINED:
             share = 100.0 * (1.0 - lag.residual)
@@ -210,8 +212,7 @@ def _warn_if_apart(pair_name: str, rows: Block, time: Floats, table: Block) -> N
     clearly = found.step + _CLEARLY_APART * found.lag.deviation
     if -clearly <= found.ahead <= clearly + USUAL_LAG:
         return
-    assert rows.time is not None
-    if not are_apart(found, rows.time, sensor, time, drive):
+    if not are_apart(found, sensor, drive):
         return
     remedy = "try `clock_offset` auto"
     if 0.0 < found.ahead <= ACTUATOR_LAG:

@@ -46,7 +46,7 @@ def merits(pair: Pair, lag: int = 0, remove_offset: bool = False) -> dict[str, A
     remove_offset
         Take the mean error off before anything is said about it.
     """
-    desired, time, step = pair.desired, pair.time, pair.step()
+    desired, time, step = pair.desired, pair.time, pair.step
     error = pair.measured - desired
     offset = 0.0
     if remove_offset:
