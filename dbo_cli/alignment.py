@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,6 +48,13 @@ ACTUATOR_LAG = 0.05
 """Seconds that an actuator, its amplifier and its sensor may be late; more is a recorder's start."""
 DRIVE_RESIDUAL = 0.05
 """Part of the variance that a recorded drive may differ by, apart from its gain."""
+
+
+class Trace(NamedTuple):
+    """A signal of shape (rows,), with the time of each row (s)."""
+
+    time: Floats
+    values: Floats
 
 
 @dataclass(frozen=True)
@@ -90,29 +98,20 @@ def mean_step(time: Floats) -> float:
     return float(np.median(np.diff(time))) if step is None else step
 
 
-def align_drives(
-    time: Floats, signal: Floats, reference_time: Floats, reference: Floats
-) -> Alignment | None:
+def align_drives(drive: Trace, reference: Trace) -> Alignment | None:
     """Lay two recordings of one drive over each other; None where they are not of one drive.
 
-    Parameters
-    ----------
-    time, signal : array of shape (rows,)
-        Stamps (s) and drive of the one; gain and offset may differ.
-    reference_time, reference : array of shape (other rows,)
-        Those of the other.
+    Gain and offset may differ.
     """
-    found = aligned(time, signal, reference_time, reference, rate=True)
+    found = aligned(drive, reference, rate=True)
     if found is None or found.lag.residual > DRIVE_RESIDUAL:
         return None
-    return on_whole_rows(found, time, reference_time, WHOLE_BY_DRIVE)
+    return on_whole_rows(found, drive.time, reference.time, WHOLE_BY_DRIVE)
 
 
 def align_displacements(
-    time: Floats,
-    signal: Floats,
-    reference_time: Floats,
-    reference: Floats,
+    displacement: Trace,
+    reference: Trace,
     *,
     rate: bool = False,
     inverted: bool = False,
@@ -125,35 +124,23 @@ def align_displacements(
 
     Parameters
     ----------
-    time, signal : array of shape (rows,)
-        Stamps (s) and displacement.
-    reference_time, reference : array of shape (other rows,)
-        Those of the expected displacement, or of the drive.
+    displacement, reference
+        What was measured; and the expected displacement, or the drive.
     rate, inverted
         As in ``signals.lag``.
     """
-    found = aligned(time, signal, reference_time, reference, inverted=inverted)
+    found = aligned(displacement, reference, inverted=inverted)
     if found is None or found.lag.residual < SMALL_LOOP:
         return found
-    loop = aligned(
-        time,
-        signal,
-        reference_time,
-        reference,
-        rate=rate,
-        inverted=inverted,
-        loops=True,
-    )
+    loop = aligned(displacement, reference, rate=rate, inverted=inverted, loops=True)
     if loop is None or loop.lag.residual > LOOP_SHOWS * found.lag.residual:
         return found
     return loop
 
 
 def aligned(
-    time: Floats,
-    signal: Floats,
-    reference_time: Floats,
-    reference: Floats,
+    trace: Trace,
+    reference: Trace,
     *,
     rate: bool = False,
     inverted: bool = False,
@@ -164,14 +151,14 @@ def aligned(
     ``loops``: the signal may be made of plays of the reference, too. A rate counts
     where it shows, and where two clocks may differ by it.
     """
-    if min(len(time), len(reference_time)) < 2 or np.ptp(reference) == 0.0:
+    times = trace.time, reference.time
+    if min(map(len, times)) < 2 or np.ptp(reference.values) == 0.0:
         return None
-    longest = max(float(np.ptp(time)), float(np.ptp(reference_time)))
-    step = max(mean_step(time), mean_step(reference_time), longest / LONGEST)
+    longest = max(float(np.ptp(time)) for time in times)
+    step = max(*map(mean_step, times), longest / LONGEST)
     if not step > 0.0:
         return None
-    signal = _sampled(time, signal, step)
-    columns = _sampled(reference_time, reference, step)
+    signal, columns = _sampled(trace, step), _sampled(reference, step)
     begin = 0
     if loops:
         begin, columns = loop_columns(columns)
@@ -182,24 +169,18 @@ def aligned(
         running = lag(signal, columns, step, rate=True, inverted=inverted)
         if running is not None and running.residual < RATE_SHOWS * found.residual:
             found = running if abs(running.rate) <= RATE_SLACK else found
-    start = float(reference_time[0]) + begin * step
-    return Alignment(float(time[0]), start, found, step)
+    start = float(reference.time[0]) + begin * step
+    return Alignment(float(trace.time[0]), start, found, step)
 
 
-def are_apart(
-    found: Alignment,
-    time: Floats,
-    signal: Floats,
-    reference_time: Floats,
-    reference: Floats,
-) -> bool:
+def are_apart(found: Alignment, displacement: Trace, reference: Trace) -> bool:
     """Return whether an alignment explains a displacement clearly better than the stamps do.
 
     A loop is allowed for: of a single swing that repeats, the two do not tell.
     """
-    begin, columns = loop_columns(_sampled(reference_time, reference, found.step))
-    signal = _sampled(time, signal, found.step)
-    shift = begin - (found.start - float(reference_time[0])) / found.step
+    begin, columns = loop_columns(_sampled(reference, found.step))
+    signal = _sampled(displacement, found.step)
+    shift = begin - (found.start - float(reference.time[0])) / found.step
     residual = residual_at(signal, columns, shift)
     return residual > max(APART_SHOWS, found.lag.residual / CLEARLY_BETTER)
 
@@ -240,10 +221,11 @@ def _plays(level: Floats) -> Floats:
     return plays.reshape(-1, len(PLAYS))[: len(level)]
 
 
-def _sampled(time: Floats, values: Floats, step: float) -> Floats:
+def _sampled(trace: Trace, step: float) -> Floats:
     """Return a signal on an even grid of a step (s) from its first stamp on."""
-    own = even(time)
-    if own is not None and abs(own / step - 1.0) < SAME_STEP:
+    time, values = trace
+    even_step = even(time)
+    if even_step is not None and abs(even_step / step - 1.0) < SAME_STEP:
         return values
     grid = np.arange(time[0], time[-1] + 1e-6 * step, step)
     return np.interp(grid, time, values)

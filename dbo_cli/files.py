@@ -38,26 +38,9 @@ UNPRINTABLE = re.compile(
 """Control characters but tabs and new lines, marks of direction, and bytes of a name that are no text."""
 
 
-class _Command:
-    """The files of one command line."""
-
-    def __init__(self) -> None:
-        self.inputs: dict[FileId, dict[str, str]] = {}  # name by kind
-        self.outputs: dict[str, Output] = {}  # by what was typed
-
-    def require_apart(self) -> None:
-        """Refuse an output that is an input (OutputError)."""
-        for output in self.outputs.values():
-            names = self.inputs.get(output.identity or (0, 0), {})
-            for kind, name in names.items():
-                if kind != output.replaces:
-                    shown = "standard output" if output.is_stdout else output.path
-                    raise OutputError(
-                        f"{shown}: this is the {kind} {name}, which is read: write to another file"
-                    )
-
-
-_command: _Command | None = None
+_is_command = False  # whether a command line runs: a library's files are not noted
+_inputs: dict[FileId, dict[str, str]] = {}  # of the command line, name by kind
+_outputs: dict[str, Output] = {}  # of the command line, by what was typed
 _unfinished: set[str] = set()  # temporary files
 _is_naming = False
 _late_signals: list[int] = []
@@ -69,12 +52,14 @@ _late_signals: list[int] = []
 @contextlib.contextmanager
 def command() -> Iterator[None]:
     """Note inputs and outputs while a command line runs."""
-    global _command
-    _command = _Command()
+    global _is_command
+    _is_command = True
     try:
         yield
     finally:
-        _command = None
+        _is_command = False
+        _inputs.clear()
+        _outputs.clear()
 
 
 def note_input(path: str, kind: str) -> None:
@@ -92,21 +77,30 @@ def note_input(path: str, kind: str) -> None:
     OutputError
         It is an output, too.
     """
-    if _command is None:
+    if not _is_command:
         return
     identity = _identity(path, sys.stdin)
     if identity is not None:
         name = "standard input" if path == "-" else path
-        _command.inputs.setdefault(identity, {})[kind] = name
-        _command.require_apart()
+        _inputs.setdefault(identity, {})[kind] = name
+        _require_apart()
+
+
+def _require_apart() -> None:
+    """Refuse an output that is an input (OutputError)."""
+    for output in _outputs.values():
+        names = _inputs.get(output.identity or (0, 0), {})
+        for kind, name in names.items():
+            if kind != output.replaces:
+                shown = "standard output" if output.is_stdout else output.path
+                raise OutputError(
+                    f"{shown}: this is the {kind} {name}, which is read: write to another file"
+                )
 
 
 def missing_outputs() -> list[str]:
     """Return the files that the command was to write and that have not appeared."""
-    if _command is None:
-        return []
-    outputs = _command.outputs.values()
-    return [output.path for output in outputs if not output.has_appeared]
+    return [path for path, output in _outputs.items() if not output.has_appeared]
 
 
 def check_outputs(*paths: str | None, **replacing: str | None) -> None:
@@ -199,9 +193,9 @@ class Outputs:
             if is_same or (file.is_stdout and noted.is_stdout):
                 raise OutputError(f"{path}: two outputs go there: type two names")
         self._files.append(file)
-        if _command is not None:
-            _command.outputs[file.path] = file
-            _command.require_apart()
+        if _is_command:
+            _outputs[file.path] = file
+            _require_apart()
         return file
 
     def write_text(

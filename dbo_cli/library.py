@@ -46,7 +46,7 @@ from dbo_cli.recordings import (
     signal_of,
     tracked_of,
 )
-from dbo_cli.units import parse_quantity
+from dbo_cli.units import parse_quantity, quantity
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -405,7 +405,7 @@ class Model:
             signal[role],
             signal.dt,
             signal.time,
-            bandwidth=_figure("bandwidth", bandwidth, "Hz"),
+            bandwidth=quantity("bandwidth", bandwidth, "Hz"),
             periodic=periodic,
             passes=passes,
             tracked=tracked_of(
@@ -454,7 +454,7 @@ class Model:
             Limits.within(self.input, v_min, v_max, max_slew, extrapolate),
             state=room.state_of(state, self.actuator),
             from_=from_,
-            lookahead=_figure("lookahead", lookahead, "s"),
+            lookahead=quantity("lookahead", lookahead, "s", "auto"),
         )
 
     def plot(self) -> Figure:
@@ -588,18 +588,18 @@ def read_log(
     """
     import pandas as pd
 
-    reading = Reading(
+    reading = Reading.typed(
         sample_rate=_rate(sample_rate),
         time_unit=time_unit,
         scale=scale or {},
         rows=rows,
         skip_bad=skip_bad,
-        resample=_figure("resample", resample, "Hz"),
+        resample=resample,
         delimiter=delimiter,
         decimal=decimal,
         skip_lines=skip_lines,
         encoding=encoding,
-        clock_offset=_figure("clock_offset", clock_offset, "s"),
+        clock_offset=clock_offset,
     )
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
     roles: dict[str, str | None] = {}
@@ -719,13 +719,13 @@ def identify(
     options = Options(
         prior=shape,
         sign=sign,
-        skip=_figure("skip", skip, "s"),
+        skip=quantity("skip", skip, "s"),
         zero=zero,
-        sensor_delay=_figure("sensor_delay", sensor_delay, "s"),
+        sensor_delay=quantity("sensor_delay", sensor_delay, "s"),
         gears=gears,
         points=points,
         relaxation=_constants(relaxation),
-        delay=_figure("delay", delay, "s"),
+        delay=quantity("delay", delay, "s", "auto"),
         dynamics=dynamics,
         slopes=slopes,
         method=method,
@@ -835,8 +835,8 @@ def report(
         lag=lag,
         remove_offset=remove_offset,
         expected=expected_in(expected, unit),
-        max_rmse=_figure("max_rmse", max_rmse, unit),
-        max_nrmse_percent=_figure("max_nrmse_percent", max_nrmse_percent, "%"),
+        max_rmse=quantity("max_rmse", max_rmse, unit),
+        max_nrmse_percent=quantity("max_nrmse_percent", max_nrmse_percent, "%"),
         model=actuator,
     )
 
@@ -873,13 +873,6 @@ def _compared(
 # --- typed numbers ---
 
 
-def _figure(name: str, value: Figured | None, unit: str | None) -> Any:
-    """Return a typed figure in a unit; None and ``auto`` as they are."""
-    if value is None or value == "auto":
-        return value
-    return parse_quantity(value, unit, name)
-
-
 def _constants(values: Any) -> Any:
     """Return typed time constants in s, or ``auto``."""
     if isinstance(values, str):
@@ -889,6 +882,6 @@ def _constants(values: Any) -> Any:
 
 def _rate(value: Figured | None) -> float | None:
     """Return a typed rate in Hz; UsageError where it is not above 0."""
-    rate: float | None = _figure("sample_rate", value, "Hz")
+    rate: float | None = quantity("sample_rate", value, "Hz")
     require_positive(sample_rate=rate)
     return rate

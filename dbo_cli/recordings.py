@@ -285,7 +285,7 @@ def matched(
     ``desired`` is the column of that file; its drive is looked for beside it. Without a
     summary, nothing tells where the move of a drive ends.
     """
-    from dbo_cli.reports import match
+    from dbo_cli.reports import Pair, match
 
     roles = {"time": None, "trajectory": desired}
     roles["voltage"] = _drive_beside(trajectory, desired)
@@ -294,9 +294,10 @@ def matched(
     trajectory_units = {"measured": file.columns["trajectory"].unit}
     pairs, units, logs = pairs_of(sources, columns, reading, units=trajectory_units)
     values, drive = table["trajectory"], table.values.get("voltage")
+    move = Pair(trajectory, values, values, table.time, drive)
     matches = []
     for pair in pairs:
-        matched_pair = match(pair, values, table.time, by, trajectory, drive)
+        matched_pair = match(pair, move, by)
         if drive is not None and not has_summary:
             matched_pair = matched_pair.noted(
                 "rows of a way back count as the move: the drive's summary (`expected`) leaves them out"

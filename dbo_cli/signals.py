@@ -217,7 +217,11 @@ def lag(
     if np.ptp(signal) == 0.0 or np.ptp(columns[:, 0]) == 0.0:
         return None
     fits = []  # in rows
-    for start in _places(columns[:, 0], signal, inverted):
+    lags, strengths = _peaks(columns[:, 0], signal, inverted)
+    # of lags that are alike to rounding, the one nearest to none
+    height = np.round(strengths / strengths.max(), 9)
+    order = np.lexsort([np.abs(lags), -height])
+    for start in lags[order[:PLACES]].tolist():
         fit = _refined(signal, columns, start, rate, TRIED_ROWS)
         if fit is not None:
             fits.append(fit)
@@ -244,16 +248,6 @@ def lag(
 def _evidence(count: Integers | int, unexplained: Floats | float) -> Floats:
     """Return how strongly rows speak for a lag, of which a part is left unexplained."""
     return np.asarray(-count * np.log(np.clip(unexplained, 1e-12, 1.0)))
-
-
-def _places(reference: Floats, signal: Floats, inverted: bool) -> list[int]:
-    """Return the lags (rows) where two signals correlate most, the best first."""
-    lags, evidence = _peaks(reference, signal, inverted)
-    # of lags that are alike to rounding, the one nearest to none
-    height = np.round(evidence / evidence.max(), 9)
-    order = np.lexsort([np.abs(lags), -height])
-    places: list[int] = lags[order[:PLACES]].tolist()
-    return places
 
 
 def _peaks(
@@ -327,20 +321,16 @@ def _explains_more(
         gained = np.arange(begin, other_begin)
     if end - begin <= other_end - other_begin or not len(common):
         return False
-    expected, followed = _at(reference, common, shift), signal[common]
+    expected = between(reference, common.astype(np.float64) - shift)
+    followed = signal[common]
     expected, followed = expected - expected.mean(), followed - followed.mean()
     square = float(expected @ expected)
     if not square > 0.0:
         return False
     gain = float(followed @ expected) / square
-    expected = gain * _at(reference, gained, shift)
+    expected = gain * between(reference, gained.astype(np.float64) - shift)
     error = signal[gained] - expected
     return float(np.var(error)) < FOLLOWS * float(np.var(expected))
-
-
-def _at(reference: Floats, rows: Integers, shift: float) -> Floats:
-    """Return the reference at rows of a signal that is later by a lag (rows)."""
-    return between(reference, np.asarray(rows - shift, dtype=np.float64))
 
 
 def _rows_within(signal: Floats, reference: Floats, shift: float) -> tuple[int, int]:
@@ -374,11 +364,9 @@ def _refined(
         places = rows - sum(u * move for u, move in zip(unknown, moves, strict=True))
         inside = (places >= MARGIN) & (places <= len(columns) - 1.0 - MARGIN)
         if np.count_nonzero(inside) < fewest:
-            return (
-                None
-                if len(rows) >= FEWEST_SHARED
-                else _whole(signal, columns, int(start))
-            )
+            if len(rows) < FEWEST_SHARED:
+                return _whole(signal, columns, int(start))
+            return None
         at, target = places[inside], picked[inside]
         error = _unexplained(target, columns, at)
         later = _unexplained(target, columns, at - 0.5)
@@ -394,10 +382,8 @@ def _refined(
             change = change / too_far
         unknown = unknown + change
         deviation = _deviation(error, slopes / size, size)
-        if (
-            np.abs(change * size).max()
-            <= 1e-3 * np.sqrt(error @ error) + 1e-12 * size[0]
-        ):
+        settled = 1e-3 * np.sqrt(error @ error) + 1e-12 * size[0]
+        if np.abs(change * size).max() <= settled:
             break
     target = picked[inside]
     residual = float(np.mean(error**2)) / max(float(np.var(target)), 1e-300)
@@ -424,7 +410,10 @@ def _unexplained(target: Floats, columns: Floats, places: Floats) -> Floats:
     """Return what columns at places between their rows, and a constant, leave of a target."""
     table = between(columns, places)
     table = table - table.mean(axis=0)
-    basis = np.linalg.qr(table)[0] if table.shape[1] > 1 else _unit(table)
+    if table.shape[1] > 1:
+        basis = np.linalg.qr(table)[0]
+    else:
+        basis = table / max(math.sqrt(float(np.sum(table**2))), 1e-300)
     error: Floats = target - target.mean()
     error = error - basis @ (basis.T @ error)
     return error
@@ -441,12 +430,6 @@ def residual_at(signal: Floats, reference: Floats, shift: float) -> float:
         return math.inf
     error = _unexplained(target, columns, places[inside])
     return float(np.mean(error**2) / np.var(target))
-
-
-def _unit(column: Floats) -> Floats:
-    """Return a column of length 1."""
-    unit: Floats = column / max(math.sqrt(float(np.sum(column**2))), 1e-300)
-    return unit
 
 
 def between(values: Floats, places: Floats) -> Floats:

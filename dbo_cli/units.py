@@ -316,6 +316,13 @@ def parse_quantity(
         ) from None
 
 
+def quantity(name: str, value: Any, unit: str | None, *words: str) -> Any:
+    """Return a typed figure in ``unit`` (``parse_quantity``); None, and some words, as they are."""
+    if value is None or (isinstance(value, str) and value in words):
+        return value
+    return parse_quantity(value, unit, name)
+
+
 def split_quantity(text: str | float, name: str = "value") -> tuple[float, str | None]:
     """Return the number of a typed figure and the unit behind it, None for a plain number.
 

@@ -25,8 +25,7 @@ def compare(
 
     Example: dbo compare recorded.csv --validate other.csv
     """
-    from dbo_cli.compare import compare as compare_operators
-    from dbo_cli.compare import compared_text
+    from dbo_cli.compare import compare_operators, compared_text
     from dbo_cli.files import check_outputs, write_text
     from dbo_cli.recordings import recordings_of
     from dbo_cli.reports.words import json_text

@@ -18,6 +18,8 @@ from typer import Argument, Option
 
 from dbo_cli.cli.say import Level
 from dbo_cli.errors import UsageError
+from dbo_cli.units import parse_quantity
+from dbo_cli.units import quantity as quantity
 
 if TYPE_CHECKING:
     from dbo_cli.logs import Reading as Reading
@@ -123,21 +125,10 @@ def read_as(
     clock_offset: Text = rare("SECONDS|auto", "Added to the drive's clock.", READING),
 ) -> Reading:
     """Return how a log is to be read."""
+    typed = dict(locals(), scale=_scales(scale or []))
     from dbo_cli.logs import Reading
 
-    return Reading(
-        time_unit=time_unit,
-        sample_rate=quantity("sample_rate", sample_rate, "Hz"),
-        scale=_scales(scale or []),
-        rows=rows,
-        skip_bad=skip_bad,
-        resample=quantity("resample", resample, "Hz"),
-        delimiter=delimiter,
-        decimal=decimal,
-        skip_lines=skip_lines,
-        encoding=encoding,
-        clock_offset=quantity("clock_offset", clock_offset, "s", "auto"),
-    )
+    return Reading.typed(**typed)
 
 
 def _scales(texts: list[str]) -> dict[str, str | float]:
@@ -209,19 +200,8 @@ def number_of(name: str, text: str | None, kind: type, *words: str) -> Any:
     raise UsageError(f"`{name}` {text}: give {accepted}")
 
 
-def quantity(name: str, text: str | None, unit: str | None, *words: str) -> Any:
-    """Return a typed quantity in ``unit``, as a plain number or with a unit (``2kHz``), or a word."""
-    from dbo_cli.units import parse_quantity
-
-    if text is None or text in words:
-        return text
-    return parse_quantity(text, unit, name)
-
-
 def span(name: str, text: str, unit: str | None) -> tuple[float, float]:
     """Return the two numbers of ``LOW:HIGH``; a unit behind the second is that of both."""
-    from dbo_cli.units import parse_quantity
-
     low, colon, high = text.partition(":")
     if not colon:
         raise UsageError(f"`{name}` {text}: type LOW:HIGH, such as 0:5")

@@ -87,7 +87,7 @@ class DboModel:
         return count
 
 
-def compare(
+def compare_operators(
     logs: Sequence[Recording], validation: Sequence[Recording] = (), skip: float = 0.0
 ) -> dict[str, Any]:
     """Fit the DBO and its relatives to the same logs, and judge them alike.

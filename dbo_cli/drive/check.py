@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.alignment import RATE_SLACK, align_drives
+from dbo_cli.alignment import RATE_SLACK, Trace, align_drives
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.drive.limits import Gate, Limits
 from dbo_cli.drive.smooth import open_seam
@@ -293,7 +293,8 @@ def check_played(
     step = steps[0] or 1.0
     recorded_step = steps[1] or step
     time = recorded_step * np.arange(float(recorded.size))
-    found = align_drives(time, recorded, step * np.arange(float(drive.size)), drive)
+    meant_time = step * np.arange(float(drive.size))
+    found = align_drives(Trace(time, recorded), Trace(meant_time, drive))
     late, row = 0.0, time / step
     if found is not None:
         late, row = found.lag.seconds, np.round(found.reference_time(time) / step, 6)

@@ -13,6 +13,7 @@ from dbo_cli.alignment import (
     ACTUATOR_LAG,
     USUAL_LAG,
     Alignment,
+    Trace,
     align_displacements,
     align_drives,
     are_apart,
@@ -138,15 +139,15 @@ def _covered(at: Floats, time: Floats) -> NDArray[np.bool_]:
 
 def _beside_drive(
     at: Floats, rows: Block, time: Floats, guest: Block
-) -> tuple[Alignment, Floats, Floats] | None:
+) -> tuple[Alignment, Trace, Trace] | None:
     """Return how the displacement of one log lies over the drive of another, and both; None if unknown."""
     drives = [guest[role] for role in _DRIVES if role in guest.values]
     sensors = [rows[role] for role in SENSORS if role in rows.values]
     if not drives or not sensors:
         return None
-    signals = at, sensors[0], time, drives[0]
-    found = align_displacements(*signals, rate=True, inverted=True)
-    return None if found is None else (found, sensors[0], drives[0])
+    sensor, drive = Trace(at, sensors[0]), Trace(time, drives[0])
+    found = align_displacements(sensor, drive, rate=True, inverted=True)
+    return None if found is None else (found, sensor, drive)
 
 
 def _found(
@@ -161,17 +162,18 @@ def _found(
     """
     for role in _DRIVES:
         if role in rows.values and role in guest.values:
-            by_drive = align_drives(at, rows[role], time, guest[role])
+            drive = Trace(at, rows[role])
+            by_drive = align_drives(drive, Trace(time, guest[role]))
             if by_drive is not None:
                 return by_drive, True
     pair = _beside_drive(at, rows, time, guest)
     if pair is None:
         problem = "a drive and a displacement are needed that both move, over a time that both hold"
     else:
-        found, _, drive = pair
+        found, _, (_, voltage) = pair
         lag, ahead = found.lag, found.ahead
-        path = float(np.abs(np.diff(drive)).sum())
-        tolerable = _TOLERABLE * float(np.std(drive)) / path * float(np.ptp(time))
+        path = float(np.abs(np.diff(voltage)).sum())
+        tolerable = _TOLERABLE * float(np.std(voltage)) / path * float(np.ptp(time))
         problem = f"{ahead:.6g} s is uncertain by {2.0 * lag.deviation:.2g} s"
         if lag.residual > _EXPLAINED:
             share = 100.0 * (1.0 - lag.residual)
@@ -195,7 +197,7 @@ def _warn_if_apart(
     clearly = found.step + _CLEARLY_APART * found.lag.deviation
     if -clearly <= found.ahead <= clearly + USUAL_LAG:
         return
-    if not are_apart(found, at, sensor, time, drive):
+    if not are_apart(found, sensor, drive):
         return
     remedy = "try `clock_offset` auto"
     if 0.0 < found.ahead <= ACTUATOR_LAG:

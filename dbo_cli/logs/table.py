@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.fence import fenced
-from dbo_cli.units import spell, split_header
+from dbo_cli.units import quantity, spell, split_header
 
 ROWS_A_BLOCK = 65536
 OVERLOAD = 9.9e30
@@ -122,6 +122,15 @@ class Reading:
     skip_lines: int | None = None
     encoding: str | None = None
     clock_offset: float | str | None = None
+
+    @classmethod
+    def typed(cls, **options: Any) -> Reading:
+        """Return how a log is to be read, of options whose figures are numbers or texts with a unit."""
+        for name in ("sample_rate", "resample"):
+            options[name] = quantity(name, options.get(name), "Hz")
+        offset = options.get("clock_offset")
+        options["clock_offset"] = quantity("clock_offset", offset, "s", "auto")
+        return cls(**options)
 
 
 def parse_rows(rows: str | None) -> tuple[int, int]:

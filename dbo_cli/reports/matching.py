@@ -12,45 +12,33 @@ from dbo_cli.alignment import (
     RATE_SLACK,
     USUAL_LAG,
     Alignment,
+    Trace,
     align_displacements,
     align_drives,
     on_whole_rows,
 )
-from dbo_cli.arrays import Floats
 from dbo_cli.drive.check import tolerance_of
 from dbo_cli.errors import InputError
-from dbo_cli.reports.pair import Pair, clock_step, rows_text, stretch
+from dbo_cli.reports.pair import Pair, rows_text, stretch
 
 WHOLE_BY_DISPLACEMENT = 0.5
 """Rows: a displacement does not tell parts of one, since what is left of creep is a phase, too."""
 
 
-def match(
-    recording: Pair,
-    desired: Floats,
-    desired_time: Floats | None = None,
-    match: str = "auto",
-    trajectory_name: str = "the trajectory",
-    drive: Floats | None = None,
-) -> Pair:
+def match(recording: Pair, trajectory: Pair, by: str = "auto") -> Pair:
     """Give every row of a recording the desired value that belongs to it.
 
     Parameters
     ----------
     recording
-        The measured values, perhaps with a clock.
-    desired : array of shape (other rows,)
-        The trajectory, perhaps with rows before the move at negative times.
-    desired_time : array, optional
-        Seconds.
-    match : {"auto", "time", "rows"}
+        The measured values, perhaps with a clock and a drive.
+    trajectory
+        The desired values, perhaps with rows before the move at negative times; its
+        drive, by which "auto" lays a recording of it over.
+    by : {"auto", "time", "rows"}
         "rows": the first belongs to the first. "time": by two clocks that agree.
         "auto": by time where both have one, else by rows; a recorder that was started
         earlier or later is found, taken off and noted.
-    trajectory_name
-        How messages call the trajectory.
-    drive : array of shape (other rows,), optional
-        The drive of the trajectory's rows, by which "auto" lays a recording of it over.
 
     Raises
     ------
@@ -58,80 +46,79 @@ def match(
         The rates differ where rows are matched, a clock is missing, or no row of one
         belongs to a row of the other.
     """
-    name, recording = recording.name, replace(recording, on_drive_clock=True)
-    clocked = recording.time is not None and desired_time is not None
-    if match == "rows" or (match == "auto" and not clocked):
-        return _by_rows(recording, desired, desired_time, trajectory_name)
-    if recording.time is None or desired_time is None:
-        lacking = name if recording.time is None else trajectory_name
-        raise InputError(f"{lacking}: has no time: add `sample_rate`, or `match` rows")
-    if match == "auto":
-        recording = _on_one_clock(
-            recording, desired, desired_time, drive, trajectory_name
+    recording = replace(recording, on_drive_clock=True)
+    clockless = [pair.name for pair in (recording, trajectory) if pair.time is None]
+    if by == "rows" or (by == "auto" and clockless):
+        return _by_rows(recording, trajectory)
+    if clockless:
+        raise InputError(
+            f"{clockless[0]}: has no time: add `sample_rate`, or `match` rows"
         )
-    pair = _by_time(recording, desired, desired_time)
+    if by == "auto":
+        recording = _on_one_clock(recording, trajectory)
+    pair = _by_time(recording, trajectory)
     if not len(pair):
         raise InputError(
-            f"{name}: no row lies within the time of {trajectory_name}: try `match` rows"
+            f"{pair.name}: no row lies within the time of {trajectory.name}: try `match` rows"
         )
     outside = len(recording) - len(pair)
     if not outside:
         return pair
     return pair.noted(
-        f"{rows_text(outside)} outside the time of {trajectory_name} left out"
+        f"{rows_text(outside)} outside the time of {trajectory.name} left out"
     )
 
 
-def _by_rows(
-    recording: Pair, desired: Floats, clock: Floats | None, trajectory: str
-) -> Pair:
+def _by_rows(recording: Pair, trajectory: Pair) -> Pair:
     """Match row by row; the time is the trajectory's."""
-    step, desired_step = recording.step(), clock_step(clock)
+    step, desired_step = recording.step, trajectory.step
     if step is not None and desired_step is not None:
         if abs(step / desired_step - 1.0) > RATE_SLACK:
             raise InputError(
-                f"{recording.name}: {1.0 / step:.5g} Hz, {trajectory}: {1.0 / desired_step:.5g} Hz:"
+                f"{recording.name}: {1.0 / step:.5g} Hz, {trajectory.name}: {1.0 / desired_step:.5g} Hz:"
                 " rows do not correspond; type `match` time"
             )
-    count = min(len(recording), len(desired))
-    pair = replace(recording.taken(slice(0, count)), desired=desired[:count])
-    if clock is not None:
-        pair = replace(pair, time=clock[:count])
-    surplus = len(recording) - len(desired)
+    rows = slice(0, min(len(recording), len(trajectory)))
+    pair = replace(recording.taken(rows), desired=trajectory.desired[rows])
+    if trajectory.time is not None:
+        pair = replace(pair, time=trajectory.time[rows])
+    surplus = len(recording) - len(trajectory)
     if surplus:
         relation = "more" if surplus > 0 else "fewer"
-        pair = pair.noted(f"{rows_text(abs(surplus))} {relation} than in {trajectory}")
+        pair = pair.noted(
+            f"{rows_text(abs(surplus))} {relation} than in {trajectory.name}"
+        )
     return pair
 
 
-def _by_time(recording: Pair, desired: Floats, clock: Floats) -> Pair:
+def _by_time(recording: Pair, trajectory: Pair) -> Pair:
     """Match by time: the desired signal is interpolated at the recording's times."""
-    assert recording.time is not None
-    slack = 1e-6 * (clock_step(clock) or 0.0)
+    clock, slack = trajectory.clock, 1e-6 * (trajectory.step or 0.0)
     begin, end = clock[0] - slack, clock[-1] + slack
-    pair = recording.taken(stretch((recording.time >= begin) & (recording.time <= end)))
-    assert pair.time is not None
-    return replace(pair, desired=np.interp(pair.time, clock, desired))
+    time = recording.clock
+    pair = recording.taken(stretch((time >= begin) & (time <= end)))
+    return replace(pair, desired=np.interp(pair.clock, clock, trajectory.desired))
 
 
-def _on_one_clock(
-    recording: Pair, desired: Floats, clock: Floats, drive: Floats | None, name: str
-) -> Pair:
+def _on_one_clock(recording: Pair, trajectory: Pair) -> Pair:
     """Put a recording on the trajectory's clock, by the drive where both hold it."""
-    assert recording.time is not None
-    if drive is not None and recording.voltage is not None:
-        found = align_drives(recording.time, recording.voltage, clock, drive)
+    name = trajectory.name
+    if trajectory.voltage is not None and recording.voltage is not None:
+        found = align_drives(
+            Trace(recording.clock, recording.voltage),
+            Trace(trajectory.clock, trajectory.voltage),
+        )
         if found is not None:
             shifted = _shifted(recording, found, f"that of {name}, by the drive")
-            return replace(shifted, drive_error=_drive_error(shifted, clock, drive))
+            return replace(shifted, drive_error=_drive_error(shifted, trajectory))
         recording = recording.warned(f"its drive is not that of {name}")
-    found = _by_displacement(recording, desired, clock)
-    if found is None or -0.5 * (recording.step() or 0.0) <= found.ahead <= USUAL_LAG:
+    found = _by_displacement(recording, trajectory)
+    if found is None or -0.5 * (recording.step or 0.0) <= found.ahead <= USUAL_LAG:
         return recording
     shifted = _shifted(recording, found, f"that of {name}")
-    before = _scatter(_by_time(recording, desired, clock))
-    after = _scatter(_by_time(shifted, desired, clock))
-    is_sure = not _rival_holds(found, recording, clock)
+    before = _scatter(_by_time(recording, trajectory))
+    after = _scatter(_by_time(shifted, trajectory))
+    is_sure = not _rival_holds(found, recording, trajectory)
     is_sure = is_sure and after <= CLEARLY_BETTER * before
     if 0.0 < found.ahead <= ACTUATOR_LAG:
         if not is_sure:
@@ -150,15 +137,16 @@ def _on_one_clock(
     )
 
 
-def _drive_error(recording: Pair, clock: Floats, drive: Floats) -> float | None:
+def _drive_error(recording: Pair, trajectory: Pair) -> float | None:
     """Return how far the recorded drive is from the one to be played, of its range, if ``check`` refuses it.
 
     One that is off by more than half of the range is behind another gain.
     """
-    assert recording.time is not None and recording.voltage is not None
-    shared = (recording.time >= clock[0]) & (recording.time <= clock[-1])
+    drive, clock, time = trajectory.voltage, trajectory.clock, recording.clock
+    assert drive is not None and recording.voltage is not None
+    shared = (time >= clock[0]) & (time <= clock[-1])
     recorded = recording.voltage[shared]
-    played = np.interp(recording.time[shared], clock, drive)
+    played = np.interp(time[shared], clock, drive)
     error = float(np.abs(recorded - played).max(initial=0.0))
     span = float(np.ptp(drive))
     if tolerance_of(drive, recorded, None) < error < 0.5 * span:
@@ -166,21 +154,20 @@ def _drive_error(recording: Pair, clock: Floats, drive: Floats) -> float | None:
     return None
 
 
-def _rival_holds(found: Alignment, recording: Pair, clock: Floats) -> bool:
+def _rival_holds(found: Alignment, recording: Pair, trajectory: Pair) -> bool:
     """Return whether another lag explains the move, and the recording would hold all of it there, too."""
-    if found.lag.rival is None or recording.time is None:
+    if found.lag.rival is None:
         return False
     later = found.lag.rival - found.lag.seconds
-    first, last = found.recorded_time(clock[[0, -1]]) + later
-    slack = ACTUATOR_LAG
-    return bool(first > recording.time[0] - slack and last < recording.time[-1] + slack)
+    first, last = found.recorded_time(trajectory.clock[[0, -1]]) + later
+    time, slack = recording.clock, ACTUATOR_LAG
+    return bool(first > time[0] - slack and last < time[-1] + slack)
 
 
 def _shifted(recording: Pair, found: Alignment, other: str) -> Pair:
     """Return a recording with the times of another clock, and a note of it where they differ."""
-    assert recording.time is not None
-    time = found.reference_time(recording.time)
-    if np.abs(time - recording.time).max() <= 0.01 * found.step:
+    time = found.reference_time(recording.clock)
+    if np.abs(time - recording.clock).max() <= 0.01 * found.step:
         return recording
     side = "ahead of" if found.ahead > 0.0 else "behind"
     shifted = replace(recording, time=time, clock_offset=found.ahead)
@@ -196,23 +183,20 @@ def _scatter(pair: Pair) -> float:
     return float(np.std(pair.measured - pair.desired))
 
 
-def _by_displacement(
-    recording: Pair, desired: Floats, clock: Floats
-) -> Alignment | None:
+def _by_displacement(recording: Pair, trajectory: Pair) -> Alignment | None:
     """Return how the measured displacement lies over the move, on whole rows where clocks have one step.
 
     What stands before the move is left out, where it is not needed: there the displacement
     is less well known. A ramp that is late looks like one that is lower.
     """
-    assert recording.time is not None
+    clock, desired = trajectory.clock, trajectory.desired
+    measured = Trace(recording.clock, recording.measured)
     move = clock >= 0.0
     if not np.ptp(desired[move]) > 0.0:
         move = np.ones(len(clock), dtype=bool)
-    found = align_displacements(
-        recording.time, recording.measured, clock[move], desired[move]
-    )
+    found = align_displacements(measured, Trace(clock[move], desired[move]))
     if found is None or found.lag.rival is not None:
-        found = align_displacements(recording.time, recording.measured, clock, desired)
+        found = align_displacements(measured, Trace(clock, desired))
     if found is None:
         return None
-    return on_whole_rows(found, recording.time, clock, WHOLE_BY_DISPLACEMENT)
+    return on_whole_rows(found, measured.time, clock, WHOLE_BY_DISPLACEMENT)

@@ -46,7 +46,7 @@ def merits(pair: Pair, lag: int = 0, remove_offset: bool = False) -> dict[str, A
     remove_offset
         Take the mean error off before anything is said about it.
     """
-    desired, time, step = pair.desired, pair.time, pair.step()
+    desired, time, step = pair.desired, pair.time, pair.step
     error = pair.measured - desired
     offset = 0.0
     if remove_offset:
@@ -70,11 +70,11 @@ def merits(pair: Pair, lag: int = 0, remove_offset: bool = False) -> dict[str, A
         "loop_width": width,
         "loop_width_percent": percent_of(width, high - low),
         "lag_left_samples": lag_left,
-        "lag_left_s": _product(lag_left, step),
+        "lag_left_s": None if step is None or lag_left is None else lag_left * step,
         "desired_min": low,
         "desired_max": high,
         "lag_samples": lag,
-        "lag_s": _product(lag, step),
+        "lag_s": None if step is None else lag * step,
         "offset_removed": offset,
         "sample_period_s": step,
         "clock_offset_s": pair.clock_offset,
@@ -86,11 +86,6 @@ def merits(pair: Pair, lag: int = 0, remove_offset: bool = False) -> dict[str, A
 def percent_of(value: float | None, span: float) -> float | None:
     """Return a value in percent of a range; None where the range is 0."""
     return None if value is None or not span > 0.0 else 100.0 * value / span
-
-
-def _product(samples: float | None, step: float | None) -> float | None:
-    """Return a number of samples in seconds; None where no clock is known."""
-    return None if samples is None or step is None else samples * step
 
 
 def directions(values: Floats) -> NDArray[np.int8]:
@@ -146,10 +141,8 @@ def lag_of(desired: Floats, measured: Floats) -> float | None:
     """
     stride = -(-len(desired) // LAG_ROWS)
     shift = lag(measured[::stride], desired[::stride], float(stride))
-    if (
-        shift is None
-        or shift.residual > LARGEST_UNEXPLAINED
-        or math.isinf(shift.deviation)
-    ):
+    if shift is None or shift.residual > LARGEST_UNEXPLAINED:
+        return None
+    if math.isinf(shift.deviation):
         return None
     return shift.seconds if abs(shift.seconds) < len(desired) / 4.0 else None

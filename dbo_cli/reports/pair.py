@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -109,22 +110,24 @@ class Pair:
         """Return the pair with a further warning."""
         return replace(self, warnings=(*self.warnings, f"{self.name}: {warning}"))
 
+    @property
+    def clock(self) -> Floats:
+        """The time of each row (s), of a pair that has one."""
+        assert self.time is not None
+        return self.time
+
+    @cached_property
     def step(self) -> float | None:
-        """Return the seconds from row to row; None where no clock is known."""
-        return clock_step(self.time)
+        """The seconds from row to row; None where no clock is known."""
+        if self.time is None or len(self.time) < 2:
+            return None
+        step = mean_step(self.time)
+        return step if 0.0 < step < math.inf else None
 
 
 def rows_text(count: int) -> str:
     """Return a number of rows in words."""
     return "1 row" if count == 1 else f"{count:,} rows"
-
-
-def clock_step(time: Floats | None) -> float | None:
-    """Return the seconds from row to row of a clock; None without one."""
-    if time is None or len(time) < 2:
-        return None
-    step = mean_step(time)
-    return step if 0.0 < step < math.inf else None
 
 
 def stretch(inside: NDArray[np.bool_]) -> slice:
@@ -180,7 +183,7 @@ def _move_of(pair: Pair) -> Pair:
     begin, end = 0.0, math.inf
     move_time = None if pair.expected is None else pair.expected.move_time
     if pair.on_drive_clock and move_time is not None:
-        slack = 0.5 * (pair.step() or 0.0)
+        slack = 0.5 * (pair.step or 0.0)
         begin, end = move_time[0] - slack, move_time[1] + slack
     move = pair.taken(stretch((pair.time >= begin) & (pair.time <= end)))
     outside = len(pair) - len(move)

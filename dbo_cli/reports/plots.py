@@ -48,7 +48,7 @@ FIGURE_COLUMNS = 1000  # a curve keeps the least and the greatest value in each
 MOST_POINTS = 20_000  # of a loop that stays lines in an SVG; more become a picture
 LOOP_POINTS = 501  # each way of a model's loop
 
-Trace = tuple[Floats, Floats, str | None, dict[str, Any]]
+Line = tuple[Floats, Floats, str | None, dict[str, Any]]
 """Values along both axes, the name in the legend, and how the line looks."""
 
 
@@ -77,7 +77,7 @@ class Plot:
     key: str
     title: str
     labels: tuple[str, str]
-    curves: tuple[Trace, ...]
+    curves: tuple[Line, ...]
     size: tuple[float, float] = WIDE
     band: tuple[float, str] | None = None
     logarithmic: bool = False
@@ -216,7 +216,7 @@ def plots_of_log(
         name = axis_label(f"{first.capitalize()} displacement", unit)
     # many points become a picture inside the SVG, or the file takes megabytes
     picture = {"rasterized": len(measured) > MOST_POINTS}
-    curves: tuple[Trace, ...] = ((x, measured, None, SOLID | picture),)
+    curves: tuple[Line, ...] = ((x, measured, None, SOLID | picture),)
     if first == "model" or drive is None:
         curves = (
             (x, desired, first, SOLID | picture),
@@ -271,7 +271,7 @@ def spectrum_of(error: Floats, pair: Pair) -> tuple[Floats, Floats] | None:
     By Welch's method, the mean of each piece taken off. None without an even clock, with
     fewer than 64 rows, or where the error is constant.
     """
-    step, time = pair.step(), pair.time
+    step, time = pair.step, pair.time
     if step is None or time is None or len(error) < 64 or not np.ptp(error):
         return None
     if np.ptp(np.diff(time)) > 0.01 * step:

@@ -18,7 +18,8 @@ def move(time):
 def match(name, measured, desired, measured_time=None, desired_time=None, **options):
     """Match a recording of these columns."""
     recording = Pair(name, measured, measured, measured_time)
-    return matched(recording, desired, desired_time, **options)
+    trajectory = Pair("the trajectory", desired, desired, desired_time)
+    return matched(recording, trajectory, **options)
 
 
 def rmse(pair, **options):
@@ -47,7 +48,7 @@ def test_rows_before_time_0_take_no_part():
 
 def test_match_by_rows_takes_the_trajectory_s_time():
     times = np.arange(90) / 100.0, np.arange(-20, 80) / 100.0
-    pair = match("run", np.ones(90), np.zeros(100), *times, match="rows")
+    pair = match("run", np.ones(90), np.zeros(100), *times, by="rows")
     assert len(pair) == 90
     assert pair.time[0] == -0.2
     assert any("10 rows fewer" in note for note in pair.notes)
