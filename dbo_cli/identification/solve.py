@@ -371,7 +371,7 @@ class Equations:
         return table
 
     def products(self, fit: Fit) -> Floats:
-        """Return the products of all pairs of linearised columns; without a curve they are those of any fit."""
+        """Return the products of all pairs of linearised columns: without a curve those of any fit."""
         if self.curved or self._products is None:
             table = self.table(fit)
             self._products = table.T @ table
