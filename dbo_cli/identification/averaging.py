@@ -9,13 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.identification.basis import (
-    FINER_GROUPS,
-    PreparedLog,
-    Structure,
-    fitted_columns,
-    sums_of,
-)
+from dbo_cli.identification.basis import FINER_GROUPS, PreparedLog, Structure
 from dbo_cli.identification.cross_validation import error_left_out
 from dbo_cli.identification.problem import GOLDEN, Problem
 from dbo_cli.identification.search import CURVES, likelihood
@@ -123,7 +117,7 @@ def with_levels(
 
 
 def candidates(
-    problem: Problem, weighted: Sequence[tuple[float, Fit]]
+    problem: Problem, invented: Problem, weighted: Sequence[tuple[float, Fit]]
 ) -> list[tuple[float, Fit]]:
     """Return the fits that travel with a model: the heaviest, and those that add most to the spread.
 
@@ -133,7 +127,7 @@ def candidates(
     fits = [fit for _, fit in weighted]
     weights = np.asarray([weight for weight, _ in weighted])
     weights /= weights.sum()
-    predicted = np.stack(_predictions(problem, invented_log(problem), fits))
+    predicted = _predictions(problem, invented, fits)
     mean = np.einsum("k,kr->r", weights, predicted)
     adds = weights * np.mean((predicted - mean) ** 2, axis=1)
     heaviest = int(np.argmax(weights))
@@ -147,7 +141,7 @@ def candidates(
     ]
 
 
-def average_model(problem: Problem, average: Average) -> Fit:
+def average_model(problem: Problem, invented: Problem, average: Average) -> Fit:
     """Return the fit nearest to the mean prediction on the logs' drives and on an invented one.
 
     Where it is far from that mean, the best fit.
@@ -155,14 +149,13 @@ def average_model(problem: Problem, average: Average) -> Fit:
     best = average.fits[0]
     if len(average.fits) == 1:
         return best
-    invented = invented_log(problem)
-    predicted = np.stack(_predictions(problem, invented, average.fits))
+    predicted = _predictions(problem, invented, average.fits)
     mean = np.einsum("k,kr->r", average.weights, predicted)
     weights = np.full(len(mean), INVENTED_WEIGHT)
     weights[: len(problem.output)] = 1.0
     weights /= weights.sum()
     structure = _widest(average)
-    table = _table(problem, invented, *structure.frame)
+    table = np.vstack((problem.columns(structure), invented.columns(structure)))
     free = np.zeros((len(mean), 0))
     rows = FittedRows(
         table, mean, weights, free, problem.cells.shares, len(problem.taus)
@@ -176,28 +169,14 @@ def average_model(problem: Problem, average: Average) -> Fit:
     return best if misfit > MOST_MISFIT * error_left_out(best.residuals) else nearest
 
 
-def _predictions(
-    problem: Problem, invented: PreparedLog, fits: Sequence[Fit]
-) -> list[Floats]:
+def _predictions(problem: Problem, invented: Problem, fits: Sequence[Fit]) -> Floats:
     """Return what fits predict on the logs' rows and on an invented drive, memories settled before."""
-    tables: dict[tuple[float, float], Floats] = {}
     predicted = []
     for fit in fits:
-        frame = fit.structure.frame
-        if frame not in tables:
-            tables[frame] = _table(problem, invented, *frame)
-        predicted.append(fit.predict(tables[frame]))
-    return predicted
-
-
-def _table(
-    problem: Problem, invented: PreparedLog, delay: float, bend: float
-) -> Floats:
-    """Return the columns of the logs' rows and of an invented drive."""
-    sums = sums_of(invented, problem.cells, problem.taus, bend)
-    added = fitted_columns(invented, sums, problem.cells, delay)
-    logs = problem.columns(Structure(delay=delay, bend=bend))
-    return np.vstack((logs, added))
+        settled = replace(fit.structure, start="settled", level=None)
+        rows = [fit.predict(each.columns(settled)) for each in (problem, invented)]
+        predicted.append(np.concatenate(rows))
+    return np.stack(predicted)
 
 
 def _widest(average: Average) -> Structure:
@@ -215,10 +194,11 @@ def _widest(average: Average) -> Structure:
     )
 
 
-def invented_log(problem: Problem) -> PreparedLog:
-    """Return a drive of nested turns over the range, as fast as the logs' usual swings, resting at times.
+def invented_problem(problem: Problem) -> Problem:
+    """Return the problem of an invented drive: nested turns over the range, resting at times.
 
-    A long swing has 40 rows: what is faster is told by the logs' own rows.
+    It is as fast as the logs' usual swings. A long swing has 40 rows: what is faster is
+    told by the logs' own rows.
     """
     dt = float(max(problem.dt, problem.swing / SWING_ROWS))
     steps = max(round(problem.swing / dt), 4)
@@ -236,4 +216,5 @@ def invented_log(problem: Problem) -> PreparedLog:
     drive = (1.0 + 2.0 * BEYOND) * np.concatenate(parts) - BEYOND
     every = np.arange(len(drive))
     time = np.asarray(dt * every, dtype=np.float64)
-    return PreparedLog(drive, drive, time, float(dt), every, every + 1)
+    log = PreparedLog(drive, drive, time, dt, every, every + 1)
+    return replace(problem, logs=(log,))

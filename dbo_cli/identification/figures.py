@@ -12,7 +12,8 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError, LimitError
-from dbo_cli.identification.averaging import Average, invented_log
+from dbo_cli.identification.averaging import Average
+from dbo_cli.identification.basis import PreparedLog
 from dbo_cli.identification.clean import spiked_rows
 from dbo_cli.identification.cross_validation import (
     error_left_out,
@@ -62,6 +63,7 @@ def refuse_other_sign(logs: Sequence[Recording], options: Options) -> None:
 def stated(
     model: Cascade,
     problem: Problem,
+    invented: PreparedLog,
     average: Average,
     logs: Sequence[Recording],
     options: Options,
@@ -107,7 +109,6 @@ def stated(
         **model.fit,
         "noise_rms": sensor,
     }
-    invented = invented_log(problem)
     inside = np.clip(invented.drive, 0.0, 1.0)
     drive = problem.low + (problem.high - problem.low) * inside
     error = expected_error(replace(model, fit=figures), drive, invented.dt)

@@ -10,6 +10,7 @@ from dbo_cli.identification.averaging import (
     Average,
     average_model,
     candidates,
+    invented_problem,
     with_finer_past,
     with_levels,
 )
@@ -80,14 +81,16 @@ def _searched(logs: Sequence[Recording], options: Options) -> Cascade:
         dynamic = moving(problem, fits, slow, fast, options)
         problem, fits = dynamic.problem, dynamic.fits
     average = Average.of(fits)
-    fit = average_model(problem, average)
+    invented = invented_problem(problem)
+    fit = average_model(problem, invented, average)
     weighted = with_finer_past(problem, average)
     others = with_levels(weighted, fits, problem.different_swings)
     few = problem.one_amplitude or problem.different_swings < FEWEST_SWINGS
     if few and dynamic is None:
         others = search.unjudged(average.fits[0])
-    model = model_of(problem, fit, slow[0], options, candidates(problem, others))
+    others = candidates(problem, invented, others)
+    model = model_of(problem, fit, slow[0], options, others)
     if dynamic is not None:
         model = dynamic.applied(model)
     model = replace(model, auto_start=average.fits[0].structure.start)
-    return stated(model, problem, average, logs, options)
+    return stated(model, problem, invented.logs[0], average, logs, options)

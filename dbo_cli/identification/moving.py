@@ -192,9 +192,8 @@ def _around(problem: Problem, best: Fit, delay: float) -> list[Fit]:
         memories=tuple(memories) if len(problem.taus) else ("",),
         bends=(structure.bend,) if structure.bend else (),
         drift=structure.drift,
-        delay=delay,
-        start=structure.start,
-        level=structure.level,
+        delays=(),
+        base=Structure(delay=delay, start=structure.start, level=structure.level),
     )
     return Search(problem, choices).run()
 

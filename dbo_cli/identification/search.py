@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import numpy as np
 
 from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import (
-    SEGMENTS,
     SPARE_BEYOND,
     Cells,
     Structure,
     plays_at_start,
 )
-from dbo_cli.identification.cross_validation import (
-    DRIFT_PRICE,
-    cross_validate,
-    least_score,
-)
+from dbo_cli.identification.cross_validation import cross_validate, least_score
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options
 from dbo_cli.identification.solve import Equations, Fit
@@ -39,7 +33,6 @@ REFINED = (0.6, 0.8, 1.25, 1.6)
 """Times the best delay, tried in turn."""
 LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the range: where memories may have stood before the logs, beside the first value."""
-BEGUN_LEVELS = (None, 0.0, 0.5, 1.0)  # of these, tried with each start
 SETTLED_START = "settled"
 BEGUN_STARTS = (SETTLED_START, "empty", "full", "below", "above")
 """The last two where the gears go on beyond the range."""
@@ -58,7 +51,7 @@ OTHER_BENDS = (-0.25, 0.25)  # the same
 
 @dataclass
 class Choices:
-    """What is offered to the search."""
+    """What is offered to the search, beside a structure that it begins with."""
 
     slopes: tuple[str, ...] = RULES
     memories: tuple[str, ...] = ("", "t", "tr")
@@ -66,10 +59,8 @@ class Choices:
     curves: tuple[float, ...] = CURVES
     bends: tuple[float, ...] = BENDS
     drift: bool = False
-    segments: int = SEGMENTS
-    delay: float | None = None
-    start: str = SETTLED_START
-    level: float | None = None
+    delays: tuple[float, ...] = DELAYS
+    base: Structure = field(default_factory=Structure)
 
 
 def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
@@ -90,20 +81,17 @@ def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
         choices.memories = ("",)
     _take_options(choices, options)
     if problem.past.size:
-        choices.start, choices.level = _begun(problem, choices)
-    if choices.start in ("below", "above"):
+        choices.base = replace(choices.base, start=_begun(problem))
+    if choices.base.start in ("below", "above"):
         problem = replace(problem, cells=Cells.of(spare=SPARE_BEYOND))
     return problem, choices
 
 
-def _begun(problem: Problem, choices: Choices) -> tuple[str, float | None]:
-    """Return the start of the gears and the level of memories from which all rows are followed best.
+def _begun(problem: Problem) -> str:
+    """Return the start of the gears from which all rows are followed best, by a rough structure.
 
-    They are compared by a rough structure; a level costs what it costs in a score, and is
-    tried where there are enough swings to tell it from the loop. Settled gears and memories
-    stay where nothing is clearly better.
+    Settled gears stay where nothing is clearly better.
     """
-    settled = (SETTLED_START, None)
     different: dict[bytes, str] = {}
     for start in BEGUN_STARTS if problem.cells.spare else BEGUN_STARTS[:3]:
         plays = [
@@ -111,17 +99,14 @@ def _begun(problem: Problem, choices: Choices) -> tuple[str, float | None]:
             for log in problem.logs
         ]
         different.setdefault(np.concatenate(plays).tobytes(), start)
-    levels = BEGUN_LEVELS if choices.drift and len(problem.taus) else LEVELS[:1]
-    errors: dict[tuple[str, float | None], float] = {}
-    for start, level in product(different.values(), levels):
-        trials = [
-            replace(ROUGHEST, slopes=rule, start=start, level=level) for rule in RULES
-        ]
+    errors: dict[str, float] = {}
+    for start in different.values():
+        trials = [replace(ROUGHEST, slopes=rule, start=start) for rule in RULES]
         fits = [Equations(problem.rows(trial), trial).solve() for trial in trials]
-        price = DRIFT_PRICE * (level is not None)
-        errors[start, level] = math.exp(price) * min(fit.rmse for fit in fits)
+        errors[start] = min(fit.rmse for fit in fits)
     best = min(errors, key=errors.__getitem__)
-    return best if errors[best] < BETTER_START * errors[settled] else settled
+    clearly = errors[best] < BETTER_START * errors[SETTLED_START]
+    return best if clearly else SETTLED_START
 
 
 def _take_one_amplitude(problem: Problem, choices: Choices) -> None:
@@ -154,14 +139,16 @@ def _take_options(choices: Choices, options: Options) -> None:
     if options.slopes == "free":
         choices.smoothness = choices.smoothness[:2]
     if options.delay != "auto":
-        choices.delay = options.delay
+        choices.delays = ()
+        choices.base = replace(choices.base, delay=options.delay)
     if options.taus:
         choices.memories = ("t", "tr")
     if options.points != "auto":
         choices.bends = ()
         choices.curves = CURVES[:1]
         if options.points > 1:
-            choices.curves, choices.segments = CURVES[1:], options.points
+            choices.curves = CURVES[1:]
+            choices.base = replace(choices.base, segments=options.points)
 
 
 def likelihood(fit: Fit, least: float, swings: int) -> float:
@@ -187,18 +174,11 @@ class Search:
             No structure can be fitted.
         """
         choices = self.choices
-        base = Structure(
-            delay=choices.delay or 0.0,
-            segments=choices.segments,
-            start=choices.start,
-            level=choices.level,
-        )
         for memories in choices.memories:
             for slopes in choices.slopes:
                 for smooth in choices.smoothness:
-                    kind = replace(
-                        base, slopes=slopes, memories=memories, smooth_slopes=smooth
-                    )
+                    kind = replace(choices.base, slopes=slopes, memories=memories)
+                    kind = replace(kind, smooth_slopes=smooth)
                     self.path(kind, choices.curves)
         if not self.fits:
             raise FitError("no model can be fitted to the logs; leave out bad rows")
@@ -275,9 +255,9 @@ class Search:
         if choices.drift:
             trials.append(replace(structure, drift=not structure.drift))
         trials += self._pasts(structure)
-        if choices.delay is None and self.problem.clock:
+        if self.problem.clock:
             dt, swing = self.problem.dt, self.problem.swing
-            for fraction in DELAYS:
+            for fraction in choices.delays:
                 steps = max(round(swing * fraction / dt), 1)
                 trials.append(replace(structure, delay=steps * dt))
         for trial in trials:
@@ -288,7 +268,7 @@ class Search:
         """Return a structure with each past of the gears, known or not, and of memories at each level."""
         pasts = [(False, SETTLED_START)]
         if self.problem.past.size:
-            pasts += [(True, SETTLED_START), (False, self.choices.start)]
+            pasts += [(True, SETTLED_START), (False, self.choices.base.start)]
         levels = LEVELS if structure.memories and self.problem.clock else LEVELS[:1]
         trials = []
         for (past, start), level in product(dict.fromkeys(pasts), levels):
@@ -297,10 +277,8 @@ class Search:
 
     def _finer_delay(self, factor: float) -> None:
         """Try a delay beside the best one."""
-        if self.choices.delay is not None:
-            return
         delayed = [fit for fit in self.fits if fit.structure.delay > 0.0]
-        if delayed:
+        if delayed and self.choices.delays:
             best = min(delayed, key=lambda fit: fit.score).structure
             trial = replace(best, delay=best.delay * factor)
             self.path(trial, [best.smooth_curve])

@@ -231,6 +231,7 @@ class Equations:
         self.penalty = self._penalty()
         self.bounded = np.arange(self.size) < self.free
         self.positive = np.ones(self.size, bool)
+        self._products: Floats | None = None
 
     def _slope_map(self) -> Floats:
         """Return the matrix that makes slopes and gains of their unknowns.
@@ -273,7 +274,7 @@ class Equations:
         gains = np.arange(self.rows.cells, self.inner)
         self.penalty[gains, gains] += costs - self.gain_costs
         self.gain_costs = costs
-        return self._measured(fit)
+        return self._priced(fit)
 
     def _penalty(self) -> Floats:
         """Return the matrix of what smoothness costs, in units of the output's variance."""
@@ -312,14 +313,18 @@ class Equations:
         """Return the fit with what it leaves."""
         error = self.rows.output - fit.predict(self.columns)
         error -= times(self.rows.drift, fit.drift)
-        squares = float(self.rows.weights @ error**2) / self.variance
+        return self._priced(replace(fit, error=error))
+
+    def _priced(self, fit: Fit) -> Fit:
+        """Return the fit with the penalised squares of what it leaves."""
+        squares = float(self.rows.weights @ fit.error**2) / self.variance
         cost = self.structure.smooth_slopes * _bent(fit.slopes)
         cost += float(self.gain_costs @ fit.gains**2)
         past = fit.drift[len(fit.drift) - self.rows.past :]
         cost += PAST_COST * float(past @ past)
         if self.curved:
             cost += self.structure.smooth_curve * _bent(fit.curve)
-        return replace(fit, error=error, penalised=squares + cost)
+        return replace(fit, penalised=squares + cost)
 
     def between(self, fit: Fit, full_step: Fit, fraction: float) -> Fit:
         """Return a fit a part of the way to another one."""
@@ -354,7 +359,7 @@ class Equations:
         table = np.empty((len(u), self.size + 1))
         index = np.clip((u * self.segments).astype(np.int64), 0, self.segments - 1)
         steepness = fit.curve[index]
-        table[:, : self.inner] = self._stepped * steepness[:, None]
+        np.multiply(self._stepped, steepness[:, None], out=table[:, : self.inner])
         if self.curved:
             table[:, self.inner : self.free] = travelled(u, self.segments)
         table[:, self.free] = steepness
@@ -364,6 +369,13 @@ class Equations:
             table[:, -1] = self.rows.output
         table *= self.roots[:, None]
         return table
+
+    def products(self, fit: Fit) -> Floats:
+        """Return the products of all pairs of linearised columns: without a curve those of any fit."""
+        if self.curved or self._products is None:
+            table = self.table(fit)
+            self._products = table.T @ table
+        return self._products
 
     def step(self, gram: Floats) -> Floats:
         """Return the unknowns of least penalised squares of linearised rows."""
@@ -382,8 +394,7 @@ class Equations:
         fit = self.start(first)
         for number in range(STEPS):
             fit = self.believe(fit)
-            table = self.table(fit)
-            full_step = self.fit_of(self.step(table.T @ table))
+            full_step = self.fit_of(self.step(self.products(fit)))
             before = fit.penalised
             fit = self._shortened(fit, full_step, forced=number == 0 and first is None)
             if number and not fit.penalised < before * (1.0 - ENOUGH):
