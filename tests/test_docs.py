@@ -224,8 +224,6 @@ def logs(tmp_path, monkeypatch):
     phase = 2.0 * np.pi * np.arange(250) / 250.0
     figure = 6.0 - 2.0 * np.cos(phase), 6.0 - 2.0 * np.sin(2.0 * phase)
     write("figure.csv", "time_s,x_um,y_um", time[:250], *figure)
-    wanted = np.interp(time[:200], time[[0, 100, 199]], (2.0, 6.0, 3.0))
-    write("frames.csv", "time_s,Rx_um,Ry_um", time[:200], wanted, wanted)
 
 
 def record(name, gain):
