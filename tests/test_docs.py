@@ -132,7 +132,7 @@ def test_every_figure_is_shown():
 
 def test_pages_are_short_and_name_no_place_of_a_machine():
     assert len((ROOT / "README.md").read_text().split()) <= 450
-    assert sum(len(re.findall(r"\S*\w\S*", prose(path))) for path in PAGES) <= 12_000
+    assert sum(len(re.findall(r"\S*\w\S*", prose(path))) for path in PAGES) <= 11_000
     for path in TEXTS:
         place = r"(?<![\w.])/(?:work|tmp|root|home|opt)/"
         assert not re.search(place, path.read_text()), path.name
