@@ -48,14 +48,14 @@ def compensate(
         None, "auto: clip up to 1 % of the move, else exit 3.", LIMITS, default="auto"
     ),
     start: Texts = opt.FROM,
-    approach: Text = option("SECONDS|auto", "Time of a ramp to row 1.", MOVE),
-    condition: bool = flag("--condition", "Sweep the range first.", MOVE),
+    approach: Text = option("SECONDS|auto", "Smooth way to row 1.", MOVE),
+    condition: bool = flag("--condition", "Sweep the range first: keep it free.", MOVE),
     lead: Text = rare("SECONDS|auto", "Hold row 1 before the move.", MOVE),
-    return_to: Texts = option("VOLT", "Voltage after the move.", MOVE, "--return"),
+    return_to: Texts = option("VOLT", "Go there after the move.", MOVE, "--return"),
     periodic: bool = flag("--periodic", "The trajectory is one period.", MOVE),
-    passes: int = rare("N", "Passes before a --periodic one.", MOVE, default=0, min=0),
+    passes: int = rare("N", "Run-in of a --periodic one.", MOVE, default=0, min=0),
     tracked: Texts = option("LOG", "Learn from recordings of the last pass.", MOVE),
-    history: Text = rare("FILE", "With --tracked: errors of all passes.", OUTPUT),
+    history: Text = rare("FILE", "With --tracked: keeps each pass's error.", OUTPUT),
     absolute: bool = flag(
         "--absolute", "With --tracked: learn the mean error, too.", MOVE, hidden=True
     ),

@@ -8,7 +8,7 @@ from dbo_cli.cli.say import say_output
 
 
 def excite(
-    v_max: str = option("VOLT", "Highest voltage, or such as 4bar.", default=...),
+    v_max: str = option("VOLT", "Highest voltage; or with a unit: 4bar.", default=...),
     v_min: str = option("VOLT", "Lowest voltage; default 0.", LIMITS, default="0"),
     max_slew: Text = opt.MAX_SLEW,
     sample_rate: str = option("HZ", "Rows per second; default 1000.", default="1000"),

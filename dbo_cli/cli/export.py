@@ -18,13 +18,13 @@ def export(
         None, "double: exact (default); q31: integers, bounded error.", default="double"
     ),
     sample_rate: Text = option("HZ", "Steps per second, for a model that needs time."),
-    gears: int | None = option("N", "Fewer gears than the model has.", min=0),
+    gears: int | None = option("N", "Use so many gears, fewer than the model.", min=0),
     lookup: bool = flag("--lookup", "Table of all states; at most 12 gears."),
     v_min: Text = opt.V_MIN,
     v_max: Text = opt.V_MAX,
     max_slew: Text = opt.MAX_SLEW,
 ) -> None:
-    """Write a model's drive as C99, with a self-test.
+    """Write C99 that computes a model's drive, with a self-test.
 
     No allocation, no recursion, no library. The folder appears whole or not at all.
 

@@ -34,10 +34,12 @@ def identify(
         None, "Expected direction; exit 3 if the log differs."
     ),
     skip: str = opt.SKIP,
-    zero: str = rare("none|mean|first|VALUE", "Displacement called 0.", default="none"),
-    sensor_delay: str = rare("SECONDS", "Delay of the sensor.", READING, default="0"),
+    zero: str = rare("none|mean|first|VALUE", "What counts as 0.", default="none"),
+    sensor_delay: str = rare(
+        "SECONDS", "How late the sensor is.", READING, default="0"
+    ),
     gears: str = structure("N|auto", "Number of gears."),
-    points: str = structure("M|auto", "Segments of the asymmetry; 0 for none."),
+    points: str = structure("M|auto", "Segments of the curve behind the gears."),
     relaxation: str = structure("auto|0|T1,T2,...", "Time constants of creep in s."),
     delay: str = structure("SECONDS|auto", "Delay from drive to displacement."),
     dynamics: str = structure("auto|0|1|2", "Resonances; needs a sweep in the log."),

@@ -111,7 +111,7 @@ SKIP = option("SECONDS", "Skip the beginning of every log.", READING, default="0
 def read_as(
     *,
     sample_rate: Text = option("HZ", "Rate of a log without a time column.", READING),
-    scale: Texts = option("ROLE=FACTOR", "voltage=20, displacement=10um/V.", READING),
+    scale: Texts = option("ROLE=FACTOR", "Multiply: displacement=10um/V.", READING),
     rows: Text = rare("A:B", "Only data rows A to B, counted from 1.", READING),
     time_unit: Text = rare("UNIT", "Unit of the time: s, ms, us, min, h.", READING),
     skip_bad: bool = flag(

@@ -22,7 +22,7 @@ def simulate(
     log: str = opt.LOG,
     output: str = opt.OUTPUT_FILE,
     time: Text = opt.TIME,
-    input: Text = column("Input of the model."),
+    input: Text = column("The model's input: name or number."),
     state: str = opt.STATE,
     save_state: Text = opt.SAVE_STATE,
     outside: Literal["extend", "hold", "error"] = option(

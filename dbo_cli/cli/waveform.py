@@ -19,7 +19,7 @@ def waveform(
     gain: float = option("FACTOR", "Amplifier gain, divided out.", default=1.0),
     rate: Text = option("HZ", "Points per second; default: the drive's."),
     points: int | None = option("N", "Number of points, over the same time.", min=0),
-    loop: bool = flag("--loop", "The drive is one period: other points keep it."),
+    loop: bool = flag("--loop", "The drive is one period of a loop."),
     codes: Text = option("LOW:HIGH", "Range of codes; default: the format's."),
     volts: Text = option("LOW:HIGH", "Voltage at these codes; default: the drive's."),
     max_rounding: float = option(
@@ -33,7 +33,7 @@ def waveform(
 ) -> None:
     """Write a drive in the format of a generator or converter.
 
-    What is written keeps the limits. One line says what to set.
+    What is written keeps the limits. The line says what to set there.
 
     Example: dbo waveform drive.csv --to uint16 --gain 20 --volts 0:5 -o drive.bin
     """

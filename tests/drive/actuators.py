@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 import dbo_cli.model as dm
-from dbo_cli.drive import Driver, Lead
+from dbo_cli.drive import Driver, Lead, Limits
 from dbo_cli.drive.simulate import stacked
 
 
@@ -47,6 +47,11 @@ def actuator(
     ends = reach(model, low, high)
     reached = dm.Quantity("displacement", "um", min(ends), max(ends))
     return dm.Cascade("forward", voltage, reached, tuple(stages))
+
+
+def limits_of(model, *typed, **named):
+    """Return limits as they are typed."""
+    return Limits.within(model.input, *typed, **named)
 
 
 def _points(slopes, low, high):

@@ -5,19 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbo_cli.drive import Driver, Lead, Limits
+from dbo_cli.drive import Driver, Lead
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.model import Resonance
 
 from . import actuators as rig
+from .actuators import limits_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 RATE = 1000.0
 DT = 1.0 / RATE
-
-
-def limits_of(model, *typed, **named):
-    return Limits.within(model.input, *typed, **named)
 
 
 def played(model, voltage, dt=DT, state="auto"):

@@ -5,18 +5,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbo_cli.drive import Limits
 from dbo_cli.drive.lead import Lead
 from dbo_cli.errors import LimitError, UsageError
 
-from .actuators import actuator, actuators, plan, ripple
+from .actuators import actuator, actuators, limits_of, plan, ripple
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 DT = 2e-4
-
-
-def limits_of(model, *typed, **named):
-    return Limits.within(model.input, *typed, **named)
 
 
 @pytest.mark.parametrize("rows", [200, 40_000])

@@ -3,19 +3,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbo_cli.drive import Limits
 from dbo_cli.drive.limits import GateError
 from dbo_cli.drive.loops import Loop
 from dbo_cli.errors import InputError, LimitError, UsageError
 
-from .actuators import actuator, actuators, plan, ripple
+from .actuators import actuator, actuators, limits_of, plan, ripple
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 DT = 1e-3
-
-
-def limits_of(model, slew=None):
-    return Limits.within(model.input, max_slew=slew)
 
 
 def passes_of(model, drive, lead, passes, start="auto"):
@@ -50,11 +45,11 @@ def test_a_slew_limit_says_which_frequency_it_allows():
     model = actuator()
     wanted = ripple(model, 500, 0.8, 1.0)
     with pytest.raises(LimitError, match="Hz") as refused:
-        plan(model, wanted, DT, limits_of(model, 150.0), periodic=True)
+        plan(model, wanted, DT, limits_of(model, max_slew=150.0), periodic=True)
     allowed = float(str(refused.value).split("V/s allows ")[1].split(" ")[0])
     assert 0.2 < allowed < 2.0
     step = 1.0 / (500 * allowed)
-    drive = plan(model, wanted, step, limits_of(model, 150.0), periodic=True)
+    drive = plan(model, wanted, step, limits_of(model, max_slew=150.0), periodic=True)
     assert drive.lost_rms < 2e-3 * np.ptp(wanted)
 
 
@@ -84,7 +79,7 @@ def test_the_gate_looks_at_the_seam(monkeypatch):
     monkeypatch.setattr(Loop, "_closed", lambda loop, voltage: tooth)
     wanted = ripple(model, 200, 0.1, 1.0)
     with pytest.raises(GateError, match="60 to 20 V"):
-        plan(model, wanted, DT, limits_of(model, 300.0), periodic=True)
+        plan(model, wanted, DT, limits_of(model, max_slew=300.0), periodic=True)
 
 
 def test_a_run_in_that_grows_onto_a_limit_stays_inside_to_the_last_digit():

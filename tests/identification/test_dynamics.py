@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import dbo_cli.model as dm
 from dbo_cli.errors import FitError
 from dbo_cli.identification import Options, dynamics, identify
 from dbo_cli.identification.basis import Structure
@@ -14,33 +15,24 @@ from dbo_cli.identification.recording import Recording
 from dbo_cli.identification.sections import FastPart, FastRows, Fitted, Form, split
 from dbo_cli.identification.solve import Equations
 from dbo_cli.identification.stages import model_of
-from dbo_cli.model import (
-    Amplifier,
-    Cascade,
-    Delay,
-    Dynamics,
-    Gears,
-    Lag,
-    Mode,
-    Quantity,
-    Resonance,
-    Scale,
-)
 
 RATE = 2_000.0
 
 
-def plant(*sections: Lag | Resonance, delay: float = 0.0) -> Cascade:
+def plant(*sections: dm.Lag | dm.Resonance, delay: float = 0.0) -> dm.Cascade:
     """An actuator of 80 gears with dynamics."""
     widths = np.full(80, 100.0 / 80.0)
-    gears = Gears(widths, 0.1 * widths * np.linspace(0.6, 1.4, 80), 0.0, 0.0)
-    stages: list[object] = [gears, Scale(1.0, 0.5)]
+    gears = dm.Gears(widths, 0.1 * widths * np.linspace(0.6, 1.4, 80), 0.0, 0.0)
+    stages: list[object] = [gears, dm.Scale(1.0, 0.5)]
     if sections:
-        stages.append(Dynamics(sections))
+        stages.append(dm.Dynamics(sections))
     if delay:
-        stages.append(Delay(delay))
-    drive, moved = Quantity("voltage", "V", 0.0, 100.0), Quantity("x", "um", 0.5, 10.5)
-    return Cascade("forward", drive, moved, tuple(stages))
+        stages.append(dm.Delay(delay))
+    drive, moved = (
+        dm.Quantity("voltage", "V", 0.0, 100.0),
+        dm.Quantity("x", "um", 0.5, 10.5),
+    )
+    return dm.Cascade("forward", drive, moved, tuple(stages))
 
 
 def swept(slow_seconds: float = 2.0, crest: float = 1.0) -> np.ndarray:
@@ -56,18 +48,18 @@ def swept(slow_seconds: float = 2.0, crest: float = 1.0) -> np.ndarray:
     return np.concatenate([slow, way, rest, sweep, rest, way[::-1]])
 
 
-def recorded(model: Cascade, drive: np.ndarray, noise: float = 0.002) -> Recording:
+def recorded(model: dm.Cascade, drive: np.ndarray, noise: float = 0.002) -> Recording:
     moved, _ = model.simulate(drive, dt=1.0 / RATE, state="empty")
     moved = moved + np.random.default_rng(1).normal(0.0, noise, moved.size)
     return Recording("log.csv", drive, moved, np.arange(moved.size) / RATE)
 
 
-def rows_of(model: Cascade, crest: float = 1.0) -> FastRows:
+def rows_of(model: dm.Cascade, crest: float = 1.0) -> FastRows:
     _, fast = split([recorded(model, swept(crest=crest))])
     return FastRows(plant(), fast)
 
 
-def found(model: Cascade, wanted: str | int = "auto") -> tuple:
+def found(model: dm.Cascade, wanted: str | int = "auto") -> tuple:
     """Sections, delay, and what is left of blocks left out; no sections without a resonance."""
     rows = rows_of(model)
     best = dynamics.find(rows, wanted)
@@ -98,9 +90,11 @@ def test_the_sweep_is_told_from_the_loops() -> None:
 def test_a_resonance_and_a_lag_come_back(
     frequency: float, damping: float, lag: float
 ) -> None:
-    sections, delay, left_out = found(plant(Lag(lag), Resonance(frequency, damping)))
+    sections, delay, left_out = found(
+        plant(dm.Lag(lag), dm.Resonance(frequency, damping))
+    )
     *lags, resonance = sections
-    assert isinstance(resonance, Resonance)
+    assert isinstance(resonance, dm.Resonance)
     assert resonance.frequency == pytest.approx(frequency, rel=0.005)
     assert resonance.damping == pytest.approx(damping, rel=0.1)
     assert sum(one.lag for one in lags) == pytest.approx(lag, abs=2e-4)
@@ -109,9 +103,9 @@ def test_a_resonance_and_a_lag_come_back(
 
 
 def test_two_modes_that_add_up_have_an_antiresonance() -> None:
-    notch = Resonance(150.0, 0.02, Mode(120.0, 0.02))
-    sections, _, _ = found(plant(Resonance(60.0, 0.02), notch))
-    first, second = (one for one in sections if isinstance(one, Resonance))
+    notch = dm.Resonance(150.0, 0.02, dm.Mode(120.0, 0.02))
+    sections, _, _ = found(plant(dm.Resonance(60.0, 0.02), notch))
+    first, second = (one for one in sections if isinstance(one, dm.Resonance))
     assert first.frequency == pytest.approx(60.0, rel=0.005)
     assert second.antiresonance is not None
     assert second.frequency == pytest.approx(150.0, rel=0.01)
@@ -119,22 +113,22 @@ def test_two_modes_that_add_up_have_an_antiresonance() -> None:
 
 
 def test_no_resonance_is_found_where_there_is_none() -> None:
-    assert found(plant(Lag(1e-3)))[:2] == ((), 0.0)
-    sections, _, _ = found(plant(Lag(1e-3)), 0)
+    assert found(plant(dm.Lag(1e-3)))[:2] == ((), 0.0)
+    sections, _, _ = found(plant(dm.Lag(1e-3)), 0)
     assert sections == ()
 
 
 def test_a_late_sensor_hides_no_resonance() -> None:
-    sections, delay, _ = found(plant(Resonance(60.0, 0.02), delay=0.02))
+    sections, delay, _ = found(plant(dm.Resonance(60.0, 0.02), delay=0.02))
     resonance = sections[-1]
-    assert isinstance(resonance, Resonance)
+    assert isinstance(resonance, dm.Resonance)
     assert resonance.frequency == pytest.approx(60.0, rel=0.005)
-    late = delay + sum(one.lag for one in sections if isinstance(one, Lag))
+    late = delay + sum(one.lag for one in sections if isinstance(one, dm.Lag))
     assert late == pytest.approx(0.02, rel=0.05)
 
 
 def test_refining_keeps_what_fits_and_offers_one_more() -> None:
-    model = plant(Resonance(60.0, 0.02), Resonance(150.0, 0.02))
+    model = plant(dm.Resonance(60.0, 0.02), dm.Resonance(150.0, 0.02))
     begun = Fitted(Form(1), np.log([61.0, 0.03, 1e-6]))
     refined = dynamics.refine(rows_of(model), begun)
     frequencies = [one.frequency for one in refined.resonances]
@@ -148,10 +142,10 @@ def test_refining_keeps_what_fits_and_offers_one_more() -> None:
 def test_a_lag_stands_before_the_gears_unless_a_large_sweep_shows_it_behind(
     crest: float, is_behind: bool, is_found_before: bool
 ) -> None:
-    resonance = Resonance(60.0, 0.05)
-    model = plant(*((Lag(2e-3), resonance) if is_behind else (resonance,)))
+    resonance = dm.Resonance(60.0, 0.05)
+    model = plant(*((dm.Lag(2e-3), resonance) if is_behind else (resonance,)))
     if not is_behind:
-        model = model.with_stages((Amplifier(2e-3), *model.stages))
+        model = model.with_stages((dm.Amplifier(2e-3), *model.stages))
     begun = Fitted(Form(1), np.log([61.0, 0.05, 2e-3]))
     refined = dynamics.refine(rows_of(model, crest), begun)
     assert (refined.amplifier > 0.0) == is_found_before

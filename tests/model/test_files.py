@@ -128,6 +128,8 @@ BROKEN = [
     (lambda m: m["stages"][4]["sections"][0].update(damping=1.0), "stages[4].sections[0].damping", True),
     (lambda m: m["stages"][4]["sections"][2].update(lead=1.0), "stages[4].sections[2].lead", False),
     (lambda m: m["stages"].reverse(), "stages: ", False),
+    (lambda m: m["stages"].insert(2, m["stages"][1]), "stages: wrong order", True),
+    (lambda m: m["stages"].append(m["stages"][5]), "stages: wrong order", False),
     (lambda m: m["candidates"][1]["stages"][0].update(y0="a"), "candidates[1].stages[0].y0", True),
     (lambda m: m["candidates"][1].update(stages=[]), "candidates[1].stages", True),
 ]  # fmt: skip

@@ -141,20 +141,3 @@ def test_starts():
         model.start(5.0, "sideways")
     assert model.start_drive(5.0, "full").drive == pytest.approx(10.0)
     assert model.start_drive(5.0, "full", 0.0, 9.0).drive == 9.0
-
-
-@pytest.mark.parametrize(
-    "stages",
-    [
-        (dm.Scale(1.0, 0.0),),
-        (dm.Gears([1], [1]), dm.Gears([1], [1])),
-        (dm.Gears([1], [1]), dm.Delay(1.0), dm.Scale(1.0, 0.0)),
-        (dm.Dynamics((dm.Lag(1.0),)), dm.Gears([1], [1])),
-        (dm.Gears([1], [1]), dm.Amplifier(1.0)),
-        (dm.Amplifier(1.0), dm.Amplifier(1.0), dm.Gears([1], [1])),
-    ],
-)
-def test_bad_cascades_are_named(stages):
-    with pytest.raises(ModelError) as problem:
-        dm.Cascade("forward", VOLTAGE, DISPLACEMENT, stages)
-    assert str(problem.value).startswith("stages: wrong order")

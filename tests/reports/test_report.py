@@ -50,6 +50,12 @@ def test_a_limit_at_the_value_is_kept_and_an_undefined_one_is_missed():
     assert still.passed is False
 
 
+def test_one_row_has_no_loop():
+    figures = Report.of([Pair("run", np.array([3.0]), np.array([5.0]))]).logs[0]
+    assert (figures["samples"], figures["rmse"]) == (1, 2.0)
+    assert figures["loop_width"] is None
+
+
 SUMMARY = {
     "version": 1,
     "format": "dbo-summary",
