@@ -27,6 +27,7 @@ RULES = {
     "search.LEVELS=(None,)": "memories at rest at a log's first value",
     "search.BETTER_START=0.0": "gears settled before each log, or unknown",
     "search.BEGUN_STARTS=('settled', 'empty', 'full')": "no start from beyond a log's range",
+    "search.BEGUN_LEVELS=(None,)": "starts compared with memories at rest",
     "search.CURVES=(10.0,)": "one smoothness of the curve for four",
     "search.SLOPE_SMOOTHNESS=(2e-4,)": "one smoothness of the slopes for three",
     "search.RULES=('growing',)": "slopes that grow only",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -15,7 +16,11 @@ from dbo_cli.identification.basis import (
     Structure,
     plays_at_start,
 )
-from dbo_cli.identification.cross_validation import cross_validate, least_score
+from dbo_cli.identification.cross_validation import (
+    DRIFT_PRICE,
+    cross_validate,
+    least_score,
+)
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options
 from dbo_cli.identification.solve import Equations, Fit
@@ -33,6 +38,8 @@ REFINED = (0.6, 0.8, 1.25, 1.6)
 """Times the best delay, tried in turn."""
 LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the range: where memories may have stood before the logs, beside the first value."""
+BEGUN_LEVELS = (None, 0.0, 0.5, 1.0)
+"""Of these, tried with each start: logs of a decay on an actuator that creeps need them."""
 SETTLED_START = "settled"
 BEGUN_STARTS = (SETTLED_START, "empty", "full", "below", "above")
 """The last two where the gears go on beyond the range."""
@@ -81,17 +88,21 @@ def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
         choices.memories = ("",)
     _take_options(choices, options)
     if problem.past.size:
-        choices.base = replace(choices.base, start=_begun(problem))
+        start, level = _begun(problem, choices)
+        choices.base = replace(choices.base, start=start, level=level)
     if choices.base.start in ("below", "above"):
         problem = replace(problem, cells=Cells.of(spare=SPARE_BEYOND))
     return problem, choices
 
 
-def _begun(problem: Problem) -> str:
-    """Return the start of the gears from which all rows are followed best, by a rough structure.
+def _begun(problem: Problem, choices: Choices) -> tuple[str, float | None]:
+    """Return the start of the gears and the level of memories from which all rows are followed best.
 
-    Settled gears stay where nothing is clearly better.
+    They are compared by a rough structure; a level costs what it costs in a score, and is
+    tried where there are enough swings to tell it from the loop. Settled gears and memories
+    stay where nothing is clearly better.
     """
+    settled = (SETTLED_START, None)
     different: dict[bytes, str] = {}
     for start in BEGUN_STARTS if problem.cells.spare else BEGUN_STARTS[:3]:
         plays = [
@@ -99,14 +110,17 @@ def _begun(problem: Problem) -> str:
             for log in problem.logs
         ]
         different.setdefault(np.concatenate(plays).tobytes(), start)
-    errors: dict[str, float] = {}
-    for start in different.values():
-        trials = [replace(ROUGHEST, slopes=rule, start=start) for rule in RULES]
+    levels = BEGUN_LEVELS if choices.drift and len(problem.taus) else LEVELS[:1]
+    errors: dict[tuple[str, float | None], float] = {}
+    for start, level in product(different.values(), levels):
+        trials = [
+            replace(ROUGHEST, slopes=rule, start=start, level=level) for rule in RULES
+        ]
         fits = [Equations(problem.rows(trial), trial).solve() for trial in trials]
-        errors[start] = min(fit.rmse for fit in fits)
+        price = DRIFT_PRICE * (level is not None)
+        errors[start, level] = math.exp(price) * min(fit.rmse for fit in fits)
     best = min(errors, key=errors.__getitem__)
-    clearly = errors[best] < BETTER_START * errors[SETTLED_START]
-    return best if clearly else SETTLED_START
+    return best if errors[best] < BETTER_START * errors[settled] else settled
 
 
 def _take_one_amplitude(problem: Problem, choices: Choices) -> None:

@@ -87,7 +87,7 @@ def test_a_run_in_that_grows_onto_a_limit_stays_inside_to_the_last_digit():
     model = actuator(low=-20.0, high=80.0)
     begin, top = -8.9, 55.3
     assert begin + (top - begin) > top
-    limits = Limits.within(model.input, v_max=top)
+    limits = limits_of(model, v_max=top)
     phase = 2 * np.pi * np.arange(600_000) / 600_000
     wanted = 5.0 + 5.0 * np.cos(phase)
     options = {"periodic": True, "passes": 1, "start": begin, "on_limit": "clip"}
