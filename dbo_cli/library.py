@@ -77,8 +77,7 @@ class Fit(TypedDict, total=False):
     """The figures of an identification; lengths in the unit of the model's output.
 
     ``rmse`` on the logs, ``left_out_rmse`` on parts left out, ``expected_rmse`` on a new
-    move with an unknown past, ``noise_rms`` of the sensor, which is in none of these two;
-    ``unknown_past_rmse`` as left out, with the rows that other pasts would change;
+    move whose past is known, ``noise_rms`` of the sensor, which is in none of these two;
     ``line_rmse`` of a straight line on the logs, ``left_out_line_rmse`` on parts left
     out; ``unexplained`` share of the displacement within swings. ``fastest`` drive per s,
     ``longest_rest`` and ``longest_swing`` (s) of the logs.
@@ -89,7 +88,6 @@ class Fit(TypedDict, total=False):
     rmse: float
     line_rmse: float
     left_out_rmse: float
-    unknown_past_rmse: float
     left_out_line_rmse: float
     unexplained: float
     noise_rms: float

@@ -296,7 +296,7 @@ class Judge:
             unsettled = self.unsettled or 0.0
             missed = math.hypot(self._lost_rms, unsettled, self.rounding)
             if self.lead.condition:
-                missed = math.hypot(missed, expected.unswept)
+                missed = math.hypot(missed, expected.past)
                 unrested = math.hypot(expected.rms(past_known=True), missed)
             error = math.hypot(expected.rms(past_known, past_known), missed)
             if not past_known:

@@ -90,16 +90,6 @@ def least_score(problem: Problem, fit: Fit) -> float:
     return score(problem, fit, [fit.error[mask] for mask in problem.parts])
 
 
-def rmse_where_known(problem: Problem, residuals: Sequence[Floats]) -> float:
-    """Return the RMS of what is left of parts left out, in units of the fit.
-
-    Rows weigh the less, the more another past of the gears would change them.
-    """
-    weights = np.concatenate([problem.known[mask] for mask in problem.parts])
-    squares = np.concatenate(residuals) ** 2
-    return math.sqrt(float(np.average(squares, weights=weights)))
-
-
 def line_left_out(problem: Problem, straight: bool) -> float:
     """Return what a line or, where that is better, an offset leaves of the parts: RMS, in units of the fit.
 

@@ -18,10 +18,9 @@ from dbo_cli.identification.clean import spiked_rows
 from dbo_cli.identification.cross_validation import (
     error_left_out,
     line_left_out,
-    rmse_where_known,
     unexplained_share,
 )
-from dbo_cli.identification.problem import Problem, known_weights
+from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import (
     Options,
     Recording,
@@ -71,8 +70,8 @@ def stated(
     """Return the model with what is left of parts left out, and the error to expect on an invented move.
 
     The sensor's noise is no error of the actuator. But for it, no part that was left out
-    is predicted better than the logs are followed, row by row: where their past no longer
-    shows, and for an unknown past from the first row on.
+    is predicted better than the logs are followed, row by row. All rows count: what an
+    unknown past may have changed is seldom what the first ones are missed by.
 
     Raises
     ------
@@ -81,12 +80,11 @@ def stated(
         within swings.
     """
     residuals, size = average.residuals, abs(problem.scale)
-    past_unknown = size * error_left_out(residuals)
-    past_known = size * rmse_where_known(problem, residuals)
+    left_out = size * error_left_out(residuals)
     line = size * line_left_out(problem, average.fits[0].structure.drift)
     unexplained = unexplained_share(problem, residuals)
     if not options.force:
-        refuse_no_better(past_unknown, line, logs)
+        refuse_no_better(left_out, line, logs)
         if unexplained > UNRELATED:
             raise FitError(
                 f"{_names(logs)}: within swings of the drive {min(unexplained, 1.0):.0%} of the displacement "
@@ -95,15 +93,10 @@ def stated(
     errors = residuals_of(model, logs)
     sensor = noise_rms(errors)
     averaged = sensor**2 / rows_a_mean(problem, logs)
-
-    def without_noise(left_out: float, is_known: bool) -> float:
-        followed = pooled(errors_of(model, logs, errors, is_known)) ** 2 - sensor**2
-        return math.sqrt(max(left_out**2 - averaged, followed, 0.0))
-
+    followed = pooled(errors_of(logs, errors)) ** 2 - sensor**2
     figures = {
         "method": "least-squares",
-        "left_out_rmse": without_noise(past_known, True),
-        "unknown_past_rmse": without_noise(past_unknown, False),
+        "left_out_rmse": math.sqrt(max(left_out**2 - averaged, followed, 0.0)),
         "left_out_line_rmse": line,
         "unexplained": unexplained,
         **model.fit,
@@ -113,7 +106,7 @@ def stated(
     drive = problem.low + (problem.high - problem.low) * inside
     error = expected_error(replace(model, fit=figures), drive, invented.dt)
     figures |= {
-        "expected_rmse": None if error is None else error.rms(memory_known=True),
+        "expected_rmse": None if error is None else error.known,
         "one_amplitude": problem.one_amplitude,
         "swings": problem.swing_count,
     }
@@ -145,7 +138,7 @@ def measured(
     model: Cascade, logs: Sequence[Recording], options: Options, notes: Sequence[str]
 ) -> Cascade:
     """Return the model with its figures on the logs; refuse (FitError) what is no better than a line."""
-    errors = errors_of(model, logs, residuals_of(model, logs))
+    errors = errors_of(logs, residuals_of(model, logs))
     rmse, line = pooled(errors), line_rmse(logs)
     if not options.force and "left_out_line_rmse" not in model.fit:
         refuse_no_better(rmse, line, logs)  # no part was left out
@@ -249,34 +242,25 @@ def residuals_of(model: Cascade, logs: Sequence[Recording]) -> list[Floats]:
 
 
 def errors_of(
-    model: Cascade,
-    logs: Sequence[Recording],
-    residuals: Sequence[Floats],
-    past_known: bool = False,
+    logs: Sequence[Recording], residuals: Sequence[Floats]
 ) -> list[dict[str, Any]]:
     """Return what is left of each log beside an offset, and a straight drift where swings can tell it.
 
     Name, rows that count, RMS error, and how far the drift goes along the log, in the
-    displacement's unit. With ``past_known`` rows weigh the less, the more of the range is
-    not swept yet: gears that wide still hold what was before the log.
+    displacement's unit.
     """
     errors = []
     for log, error in zip(logs, residuals, strict=True):
-        voltage, weights = log.voltage[log.usable], np.ones(len(error))
-        if past_known:
-            swept = np.maximum.accumulate(voltage) - np.minimum.accumulate(voltage)
-            share = swept / model.input.span
-            weights = known_weights(0.5 * np.maximum(1.0 - share, 0.0))
-        error = error - np.average(error, weights=weights)
-        drift = 0.0
-        if log.time is not None and len(Swings.of(voltage).sizes) >= FEWEST_SWINGS:
+        error = error - error.mean()
+        swings, drift = Swings.of(log.voltage[log.usable]), 0.0
+        if log.time is not None and len(swings.sizes) >= FEWEST_SWINGS:
             time = log.time[log.usable]
-            time = time - float(np.average(time, weights=weights))
-            squares = max(float(np.sum(weights * time**2)), 1e-300)
-            rate = float(np.sum(weights * time * error)) / squares
+            time = time - time.mean()
+            squares = max(float(np.sum(time**2)), 1e-300)
+            rate = float(np.sum(time * error)) / squares
             error = error - rate * time
             drift = rate * float(np.ptp(time))
-        rmse = math.sqrt(float(np.average(error**2, weights=weights)))
+        rmse = math.sqrt(float(np.mean(error**2)))
         name = os.path.basename(log.name)
         errors.append({"name": name, "rows": len(error), "rmse": rmse, "drift": drift})
     return errors

@@ -245,7 +245,7 @@ def _refreshed(
     """Return the prior's model, candidates and figures with the change."""
     gain, offset = change.gain, change.offset
     fit: dict[str, Any] = dict(prior.fit)
-    for key in ("expected_rmse", "left_out_rmse", "unknown_past_rmse"):
+    for key in ("expected_rmse", "left_out_rmse"):
         if isinstance(fit.get(key), float):
             fit[key] = max(gain * fit[key], rmse)
     fit |= {

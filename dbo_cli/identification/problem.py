@@ -136,7 +136,8 @@ class Problem:
     @cached_property
     def known(self) -> Floats:
         """The weight of each fitted row, the less the more another past of the gears would change it."""
-        return known_weights(np.sqrt(np.sum(self.past**2, axis=1)))
+        squares = np.sum(self.past**2, axis=1)
+        return np.asarray(KNOWN**2 / (KNOWN**2 + squares))
 
     @cached_property
     def parts(self) -> list[Booleans]:
@@ -218,12 +219,6 @@ class Problem:
             len(self.taus),
             past.shape[1],
         )
-
-
-def known_weights(past: Floats) -> Floats:
-    """Return the weight of rows to which an unknown past may add so much, in parts of the range."""
-    weights: Floats = KNOWN**2 / (KNOWN**2 + past**2)
-    return weights
 
 
 def prepare(recordings: Sequence[Recording], options: Options) -> Problem:

@@ -3,9 +3,9 @@
     known^2 = left_out^2 + sum_k w_k mean (y_k - y)^2
 
 over the model's candidates, played on this move. An unknown past adds the spread over
-starts, the mean of (y_s - y)^2 over empty, full and settled, and what the model leaves of
-its logs' first rows; and what memories may hold that came to rest at any voltage of the
-range, equally likely.
+starts, the mean of (y_s - y)^2 over empty, full and settled (at an end of the range these
+are one, and a start that a model keeps may be another), and what memories may hold that
+came to rest at any voltage of the range, equally likely.
 """
 
 from __future__ import annotations
@@ -33,15 +33,13 @@ class ExpectedError:
     Attributes
     ----------
     known : where nothing before the move is unknown
-    past : what an unknown past of the gears adds
+    past : what an unknown past of the gears adds that nothing before the move has swept
     memory : what memories add that have not come to rest
-    unswept : of the past, what a sweep that was played before the move has left
     """
 
     known: float
     past: float
     memory: float
-    unswept: float
 
     def rms(self, past_known: bool = False, memory_known: bool = False) -> float:
         """Return the whole error, whether the past of the gears and that of memories are known or not."""
@@ -78,16 +76,13 @@ def expected_error(
     squares = float(left) ** 2
     for weight, candidate in model.candidate_models:
         squares += weight * _mean_square(simulated(candidate) - expected)
-    past = max(float(model.fit.get("unknown_past_rmse") or 0.0) ** 2 - left**2, 0.0)
-    unswept = 0.0
-    if model.input.min < float(drive[0]) < model.input.max:
-        for start in STARTS:
-            unswept += _mean_square(simulated(model, start) - expected) / len(STARTS)
-    past += unswept
+    past = 0.0
+    for start in STARTS:
+        past += _mean_square(simulated(model, start) - expected) / len(STARTS)
     memory = 0.0
     if model.gears.relaxation is not None:
         memory = _spread_of_memory(model, drive, steps, begin)
-    return ExpectedError(*map(math.sqrt, (squares, past, memory, unswept)))
+    return ExpectedError(*map(math.sqrt, (squares, past, memory)))
 
 
 def _spread_of_memory(

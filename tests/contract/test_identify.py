@@ -4,6 +4,7 @@ import json
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
@@ -391,6 +392,26 @@ def test_memories_that_may_have_rested_elsewhere_are_in_the_stated_error():
     # 100 V times 0.02 um/V, equally likely anywhere: a twelfth of the square
     unknown = error.rms(past_known=True)
     assert unknown == pytest.approx(2.0 / np.sqrt(12.0), rel=0.01)
+
+
+def test_a_kept_start_may_be_wrong_at_an_end_of_the_range_too():
+    from dbo_cli.model import Candidate, Cascade, Gears, Quantity
+    from dbo_cli.model.expect import expected_error
+
+    width = np.full(120, 1.0)
+    gears = Gears(width, 0.1 * width, -10.0, -1.0)
+    volts = Quantity("voltage", "V", 0.0, 100.0)
+    model = Cascade("forward", volts, Quantity("d", "um", 0.0, 12.0), (gears,),
+                    fit={"left_out_rmse": 0.01}, candidates=(Candidate(1.0, (gears,)),),
+                    auto_start="above")  # fmt: skip
+    drive = 5.0 - 5.0 * np.cos(TIME)
+    kept, settled = (
+        model.simulate(drive, dt=0.01, state=s)[0] for s in ("auto", "settled")
+    )
+    off = float(np.sqrt(np.mean((kept - settled) ** 2)))
+    error = expected_error(model, drive, 0.01)
+    assert error.rms() == pytest.approx(np.hypot(0.01, off), rel=0.01)
+    assert expected_error(replace(model, auto_start="settled"), drive, 0.01).past == 0.0
 
 
 def test_the_range_is_that_of_the_drive_and_not_of_its_noise():
