@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.identification.basis import points_of
+from dbo_cli.identification.basis import SPARE, Cells, points_of
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.solve import LEAST_WITH_NEGATIVE, Fit
@@ -25,6 +25,7 @@ from dbo_cli.model import (
 )
 
 FLATTEST = 1e-9  # of the mean slope of the range: a gear must rise
+LAST = 0.05  # of the gears inside the range: those beyond it have their mean slope
 
 
 def stages_of(problem: Problem, fit: Fit, zero: float = 0.0) -> tuple[Stage, ...]:
@@ -60,11 +61,10 @@ def _gears_of(problem: Problem, fit: Fit, height: float, base: float) -> Gears:
     both = np.zeros(2 * terms)
     both[: fit.gains.size] = fit.gains
     lags, rests = both[:terms], both[terms:]
-    counts = cells.gears.copy()
-    counts[-1] += 2 * cells.spare
-    mean = float(fit.slopes @ cells.shares) + float(rests.sum())
+    fitted = _gear_slopes(cells, fit.slopes)
+    mean = float(fitted.mean()) + float(rests.sum())
     least = float(rests.sum()) + LEAST_WITH_NEGATIVE * mean * bool(rests.any())
-    slopes = np.maximum(fit.slopes + rests.sum(), max(least, FLATTEST))
+    slopes = np.maximum(fitted + rests.sum(), max(least, FLATTEST))
     empty = fit.offset - float(fit.slopes @ cells.widths) / 2.0
     empty -= cells.overshoot * float(slopes[-1])
     gains = height * (lags - rests) / span
@@ -74,12 +74,25 @@ def _gears_of(problem: Problem, fit: Fit, height: float, base: float) -> Gears:
         taus = tuple(problem.taus[used].tolist())
         relaxation = Relaxation(problem.low, taus, tuple(gains[used].tolist()))
     return Gears(
-        np.full(int(counts.sum()), span / cells.inside),
-        np.repeat(slopes, counts) * (height / cells.inside),
+        np.full(len(slopes), span / cells.inside),
+        slopes * (height / cells.inside),
         problem.low - cells.overshoot * span,
         base + height * empty,
         relaxation,
     )
+
+
+def _gear_slopes(cells: Cells, slopes: Floats) -> Floats:
+    """Return the slope of each gear; those beyond the range have the mean of the last ones inside.
+
+    Few rows show the last cell's own slope, which a curve may hide there. Where the drive
+    came from beyond its range, the logs do show the gears there: they are the last cell's.
+    """
+    inside = np.repeat(slopes, cells.gears)
+    last = slopes[-1]
+    if cells.overshoot <= SPARE:
+        last = inside[-round(LAST * cells.inside) :].mean()
+    return np.append(inside, np.full(2 * cells.spare, last))
 
 
 def model_of(
