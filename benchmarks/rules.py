@@ -42,6 +42,7 @@ RULES = {
     "solve.PAST_COST=1e6": "no unknown past",
     "problem.KNOWN=1e3": "rows of an unknown past count as others do",
     "solve.BELIEF=0.0": "gains at no cost",
+    "stages.LAST=0.0005": "gears beyond the range go on as the last one inside",
     "clean.SPIKE_SIGMAS=1e9": "spikes kept",
     "clean.STUCK_PATH=1e9": "a sensor that stands still kept",
 }

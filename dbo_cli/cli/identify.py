@@ -39,7 +39,7 @@ def identify(
         "SECONDS", "How late the sensor is.", READING, default="0"
     ),
     gears: str = structure("N|auto", "Number of gears."),
-    points: str = structure("M|auto", "Segments of the curve behind the gears."),
+    points: str = structure("M|auto", "Segments of the curve; 0 for none."),
     relaxation: str = structure("auto|0|T1,T2,...", "Time constants of creep in s."),
     delay: str = structure("SECONDS|auto", "Delay from drive to displacement."),
     dynamics: str = structure("auto|0|1|2", "Resonances; needs a sweep in the log."),

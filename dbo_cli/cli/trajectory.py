@@ -32,7 +32,7 @@ def trajectory(
     duration: Text = option("SECONDS", "Length of other shapes; default one cycle."),
     loop: bool = flag("--loop", "One closed period, for compensate --periodic."),
     bandwidth: Text = option("HZ", "Round corners, start and stop to this bandwidth."),
-    model: Texts = option("MODEL", "Refuse what it does not reach; twice: x, y."),
+    model: Texts = option("MODEL", "Keep its range and bandwidth; twice: x, y."),
 ) -> None:
     """Write a move: raster, spiral, staircase, sine or triangle.
 
