@@ -10,7 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.linalg import LinAlgError, cholesky, solve_triangular
+from scipy.linalg.lapack import dposv
 from scipy.optimize import nnls
 
 from dbo_cli.arrays import Booleans, Floats
@@ -175,12 +176,8 @@ def _guessed(
     least = EXACT * float(np.abs(right).max())
     for _ in range(TURNS):
         x, some = np.zeros(len(right)), np.flatnonzero(guess)
-        try:
-            factor = cho_factor(matrix[np.ix_(some, some)])
-        except (LinAlgError, ValueError):
-            return None
-        x[some] = cho_solve(factor, right[some])
-        if not np.isfinite(x).all():
+        _, x[some], failed = dposv(matrix[np.ix_(some, some)], right[some])
+        if failed or not np.isfinite(x).all():
             return None
         gradient = matrix @ x - right
         wrong = bounded & np.where(guess, x < 0.0, gradient < -least)

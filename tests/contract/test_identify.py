@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -151,6 +152,16 @@ def test_a_structure_that_is_typed_is_taken():
     assert stages[kinds.index("delay")]["seconds"] == 0.004
     relaxation = stages[kinds.index("backlash")]["relaxation"]
     assert relaxation["tau"] == pytest.approx([0.01, 0.3])
+
+
+def test_a_library_of_many_threads_writes_the_file_of_the_shell():
+    """The same numbers from both, however many threads linear algebra has in a process."""
+    moved_log()
+    done("identify", "log.csv", "-o", "shell.json")
+    script = "import dbo_cli; dbo_cli.identify('log.csv').save('library.json')"
+    many = {**os.environ, "OPENBLAS_NUM_THREADS": "2"}
+    subprocess.run([sys.executable, "-c", script], env=many, check=True)
+    assert Path("library.json").read_bytes() == Path("shell.json").read_bytes()
 
 
 def test_a_model_with_memory_is_better_where_there_is_creep():
