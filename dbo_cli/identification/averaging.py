@@ -13,7 +13,7 @@ from dbo_cli.identification.basis import FINER_GROUPS, PreparedLog, Structure
 from dbo_cli.identification.cross_validation import error_left_out
 from dbo_cli.identification.problem import GOLDEN, Problem
 from dbo_cli.identification.search import CURVES, likelihood
-from dbo_cli.identification.solve import Equations, Fit, FittedRows
+from dbo_cli.identification.solve import Equations, FittedRows, Solution
 from dbo_cli.model.cascade import MOST_CANDIDATES
 
 WIDTH = 0.15  # of the score: a fit that is worse by so much weighs exp(-1)
@@ -31,11 +31,11 @@ MOST_MISFIT = 0.5  # of the error left out: farther from the mean, one fit is be
 class Average:
     """Fits and their weights, which have the sum 1."""
 
-    fits: tuple[Fit, ...]
+    fits: tuple[Solution, ...]
     weights: Floats
 
     @staticmethod
-    def of(fits: Sequence[Fit]) -> Average:
+    def of(fits: Sequence[Solution]) -> Average:
         """Weigh fits that begin as the best one does by their scores."""
         start = min(fits, key=lambda fit: fit.score).structure.start
         fits = [fit for fit in fits if fit.structure.start == start]
@@ -65,7 +65,7 @@ class Average:
         return max(total, key=lambda key: total[key])
 
 
-def with_finer_past(problem: Problem, average: Average) -> list[tuple[float, Fit]]:
+def with_finer_past(problem: Problem, average: Average) -> list[tuple[float, Solution]]:
     """Return the fits of an average, and the best one's structure with a past of more groups of cells.
 
     What a coarse past leaves, memories take, and the zero moves. More groups would make
@@ -83,8 +83,8 @@ def with_finer_past(problem: Problem, average: Average) -> list[tuple[float, Fit
 
 
 def with_levels(
-    weighted: Sequence[tuple[float, Fit]], fits: Sequence[Fit], swings: int
-) -> list[tuple[float, Fit]]:
+    weighted: Sequence[tuple[float, Solution]], fits: Sequence[Solution], swings: int
+) -> list[tuple[float, Solution]]:
     """Return weighted fits and, as heavy together, where memories may have stood before the logs.
 
     The level moves the zero. It shows in the first part, which the others do not predict
@@ -101,7 +101,7 @@ def with_levels(
         How many differ.
     """
     best = weighted[0][1].structure
-    levels: dict[float | None, Fit] = {}
+    levels: dict[float | None, Solution] = {}
     for fit in sorted(fits, key=lambda fit: fit.rmse):
         structure = fit.structure
         same = structure.memories == best.memories and structure.past == best.past
@@ -117,8 +117,8 @@ def with_levels(
 
 
 def candidates(
-    problem: Problem, invented: Problem, weighted: Sequence[tuple[float, Fit]]
-) -> list[tuple[float, Fit]]:
+    problem: Problem, invented: Problem, weighted: Sequence[tuple[float, Solution]]
+) -> list[tuple[float, Solution]]:
     """Return the fits that travel with a model: the heaviest, and those that add most to the spread.
 
     The heaviest has the weight of all that stay behind; the weights add up to 1. The
@@ -141,7 +141,7 @@ def candidates(
     ]
 
 
-def average_model(problem: Problem, invented: Problem, average: Average) -> Fit:
+def average_model(problem: Problem, invented: Problem, average: Average) -> Solution:
     """Return the fit nearest to the mean prediction on the logs' drives and on an invented one.
 
     Where it is far from that mean, the best fit.
@@ -160,7 +160,7 @@ def average_model(problem: Problem, invented: Problem, average: Average) -> Fit:
     rows = FittedRows(
         table, mean, weights, free, problem.cells.shares, len(problem.taus)
     )
-    nearest: Fit | None = None
+    nearest: Solution | None = None
     for smooth in CURVES:
         curved = replace(structure, smooth_curve=smooth)
         nearest = Equations(rows, curved).solve(nearest)
@@ -169,7 +169,9 @@ def average_model(problem: Problem, invented: Problem, average: Average) -> Fit:
     return best if misfit > MOST_MISFIT * error_left_out(best.residuals) else nearest
 
 
-def _predictions(problem: Problem, invented: Problem, fits: Sequence[Fit]) -> Floats:
+def _predictions(
+    problem: Problem, invented: Problem, fits: Sequence[Solution]
+) -> Floats:
     """Return what fits predict on the logs' rows and on an invented drive, memories settled before."""
     predicted = []
     for fit in fits:

@@ -10,7 +10,7 @@ import numpy as np
 
 from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.identification.problem import Problem
-from dbo_cli.identification.solve import Equations, Fit
+from dbo_cli.identification.solve import Equations, Solution
 
 FLOOR = 1e-4  # of the output's standard deviation: a smaller error is as good
 PRICE = 0.1
@@ -22,7 +22,7 @@ No new move has them: what a slow memory explains nearly as well is neither.
 """
 
 
-def cross_validate(problem: Problem, fit: Fit, equations: Equations) -> Fit:
+def cross_validate(problem: Problem, fit: Solution, equations: Equations) -> Solution:
     """Return the fit with what it leaves of each part left out, and its score.
 
     A fit without a part is one step from the fit to all rows. ``equations`` are the fit's.
@@ -66,7 +66,7 @@ def error_left_out(residuals: Sequence[Floats]) -> float:
     return math.sqrt(float(np.mean([np.mean(error**2) for error in residuals])))
 
 
-def score(problem: Problem, fit: Fit, residuals: Sequence[Floats]) -> float:
+def score(problem: Problem, fit: Solution, residuals: Sequence[Floats]) -> float:
     """Return the logarithm of what is left of a part, the mean of the RMS errors, and the price of the terms.
 
     Not the mean of their squares, since a part that nothing predicts must not decide alone.
@@ -85,7 +85,7 @@ def score(problem: Problem, fit: Fit, residuals: Sequence[Floats]) -> float:
     return math.log(max(float(np.mean(errors)), floor)) + price
 
 
-def least_score(problem: Problem, fit: Fit) -> float:
+def least_score(problem: Problem, fit: Solution) -> float:
     """Return what the score can be at best: no part is predicted better than it is fitted."""
     return score(problem, fit, [fit.error[mask] for mask in problem.parts])
 

@@ -20,8 +20,8 @@ from dbo_cli.identification.sections import (
     LEAST_DAMPING,
     MOST_BESIDE,
     Band,
+    FastDynamics,
     FastRows,
-    Fitted,
     Form,
     fitted,
     peak_of,
@@ -44,7 +44,7 @@ SEEN_DELAY = 0.1  # periods of the highest frequency: less is fitted as a lag
 UNEXPLAINED = 0.1  # of what the fast rows do: more is a warning
 
 
-def find(rows: FastRows, order: str | int) -> Fitted:
+def find(rows: FastRows, order: str | int) -> FastDynamics:
     """Return the dynamics that the fast rows ask for, with ``order`` resonances or "auto".
 
     A sensor that is late by half a period of a resonance turns its phase around: without
@@ -60,7 +60,9 @@ def find(rows: FastRows, order: str | int) -> Fitted:
     return delayed if delayed.left_out <= EARNED * best.left_out else best
 
 
-def refine(rows: FastRows, found: Fitted, order: str | int = "auto") -> Fitted:
+def refine(
+    rows: FastRows, found: FastDynamics, order: str | int = "auto"
+) -> FastDynamics:
     """Return dynamics fitted again beside a static model that knew those ``found``.
 
     The lag may stand before the gears. What hides a weak second resonance from the first
@@ -76,7 +78,7 @@ def refine(rows: FastRows, found: Fitted, order: str | int = "auto") -> Fitted:
 # --- which dynamics ---
 
 
-def _chosen(rows: FastRows, order: str | int, delay: float) -> Fitted:
+def _chosen(rows: FastRows, order: str | int, delay: float) -> FastDynamics:
     """Return the dynamics that earn their place, or with as many resonances as are asked for."""
     pure_delay = [delay] if delay else []
     starts = []
@@ -94,7 +96,7 @@ def _chosen(rows: FastRows, order: str | int, delay: float) -> Fitted:
     return best
 
 
-def _with_amplifier(rows: FastRows, behind: Fitted) -> Fitted:
+def _with_amplifier(rows: FastRows, behind: FastDynamics) -> FastDynamics:
     """Return dynamics with the lag before the gears, unless it earns its place behind them.
 
     The actuator is the capacity that an amplifier charges. In a sweep of 1 % of the range
@@ -111,7 +113,9 @@ def _with_amplifier(rows: FastRows, behind: Fitted) -> Fitted:
     return behind if _earned(rows, behind, before) else before
 
 
-def _one_more(rows: FastRows, best: Fitted, always: bool = False) -> Fitted | None:
+def _one_more(
+    rows: FastRows, best: FastDynamics, always: bool = False
+) -> FastDynamics | None:
     """Return dynamics with one more resonance, or None where it does not earn its place.
 
     It comes with an antiresonance where that earns its own, as two modes that add up
@@ -144,7 +148,7 @@ def _one_more(rows: FastRows, best: Fitted, always: bool = False) -> Fitted | No
     return more if always or _earned(rows, more, best) else None
 
 
-def _earned(rows: FastRows, more: Fitted, best: Fitted) -> bool:
+def _earned(rows: FastRows, more: FastDynamics, best: FastDynamics) -> bool:
     """Return whether the error left out asks for more, all of it inside the swept band."""
     for resonance in more.resonances:
         if not _is_inside(resonance, rows.band):
@@ -158,7 +162,7 @@ def _earned(rows: FastRows, more: Fitted, best: Fitted) -> bool:
     return gained >= max(SURE * best.noise, MOST_OF_IT * excess)
 
 
-def _is_noise(rows: FastRows, best: Fitted) -> bool:
+def _is_noise(rows: FastRows, best: FastDynamics) -> bool:
     """Return whether what is left beyond white noise cannot pay for another resonance."""
     beyond = best.rmse**2 - best.noise
     return beyond <= min(WHITE, SURE / rows.count) * best.noise
@@ -180,7 +184,7 @@ def _is_inside(resonance: Resonance, band: Band) -> bool:
 # --- warnings ---
 
 
-def figures_of(rows: FastRows, best: Fitted) -> dict[str, Any]:
+def figures_of(rows: FastRows, best: FastDynamics) -> dict[str, Any]:
     """Return what the model file says of the dynamics."""
     return {
         "rmse": best.rmse,
@@ -190,7 +194,7 @@ def figures_of(rows: FastRows, best: Fitted) -> dict[str, Any]:
     }
 
 
-def unexplained(rows: FastRows, best: Fitted) -> list[str]:
+def unexplained(rows: FastRows, best: FastDynamics) -> list[str]:
     """Return a warning for each fast part of which much is not explained; noise aside."""
     warnings = []
     for signals in rows.signals:

@@ -29,8 +29,14 @@ from dbo_cli.identification.dynamics import (
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.search import CURVES, Choices, Search
-from dbo_cli.identification.sections import FastPart, FastRows, Fitted, even_step, swept
-from dbo_cli.identification.solve import Fit
+from dbo_cli.identification.sections import (
+    FastDynamics,
+    FastPart,
+    FastRows,
+    even_step,
+    swept,
+)
+from dbo_cli.identification.solve import Solution
 from dbo_cli.identification.stages import model_of, with_changed_stages
 from dbo_cli.model import (
     Amplifier,
@@ -70,7 +76,7 @@ class Moving:
     """
 
     problem: Problem
-    fits: list[Fit]
+    fits: list[Solution]
     sections: tuple[Section, ...]
     amplifier: float
     delay: float
@@ -97,7 +103,7 @@ class Moving:
 
 def moving(
     problem: Problem,
-    fits: list[Fit],
+    fits: list[Solution],
     logs: Sequence[Recording],
     fast: Sequence[FastPart],
     options: Options,
@@ -152,8 +158,8 @@ def moving(
 
 
 def without_fast_memories(
-    problem: Problem, fit: Fit, shortest: float
-) -> tuple[Problem, Fit]:
+    problem: Problem, fit: Solution, shortest: float
+) -> tuple[Problem, Solution]:
     """Return problem and fit whose memories of less than ``shortest`` (s) are immediate.
 
     A memory of milliseconds stands in a slow fit for what dynamics say better. At once,
@@ -172,7 +178,7 @@ def without_fast_memories(
     return replace(problem, taus=problem.taus[slow]), steeper
 
 
-def lateness(found: Fitted) -> float:
+def lateness(found: FastDynamics) -> float:
     """Return how late slow moves are behind a delay, a lag and resonances (s)."""
     seconds = found.delay + found.lag
     for resonance in found.resonances:
@@ -183,7 +189,7 @@ def lateness(found: Fitted) -> float:
     return float(seconds)
 
 
-def _around(problem: Problem, best: Fit, delay: float) -> list[Fit]:
+def _around(problem: Problem, best: Solution, delay: float) -> list[Solution]:
     """Return fits of the best structure's kind with a known delay."""
     structure = best.structure
     memories = dict.fromkeys(("", "t", structure.memories))
@@ -205,7 +211,7 @@ def _with_creep(
     problem: Problem,
     logs: Sequence[Recording],
     structure: Structure,
-) -> tuple[Problem, list[Fit], tuple[Lag, ...]]:
+) -> tuple[Problem, list[Solution], tuple[Lag, ...]]:
     """Return the logs freed of creep, fits to them without memories, and the creep; no fits without creep.
 
     The gears' own relaxation follows the drive. Where the loop is wide the two differ by
@@ -252,7 +258,7 @@ def _freed(problem: Problem, creep: tuple[Lag, ...]) -> Problem:
 
 
 def _shares(
-    problem: Problem, logs: Sequence[Recording], fit: Fit, taus: Floats
+    problem: Problem, logs: Sequence[Recording], fit: Solution, taus: Floats
 ) -> Floats:
     """Return the shares of creep with which a fit comes nearest to the logs, one for each time constant."""
     model = model_of(problem, fit, logs[0], Options())

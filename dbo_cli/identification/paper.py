@@ -18,7 +18,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import Structure
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.identification.solve import Equations, Fit, FittedRows
+from dbo_cli.identification.solve import Equations, FittedRows, Solution
 from dbo_cli.identification.stages import with_reach, zero_of
 from dbo_cli.model import Cascade, Gears, Points, Quantity, Scale
 
@@ -89,7 +89,7 @@ def identify_paper(recording: Recording, options: Options) -> Cascade:
     return with_reach(model)
 
 
-def _fine_fit(drive: Floats, output: Floats, segments: int) -> Fit:
+def _fine_fit(drive: Floats, output: Floats, segments: int) -> Solution:
     """Fit a fine operator and a curve behind it to a cycle, both 0 to 1; slopes may only grow."""
     engaged = _engaged(FINE_WIDTHS, np.tile(drive, 2), GROUP)[drive.size :]
     count, cells = engaged.shape

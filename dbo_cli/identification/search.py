@@ -23,7 +23,7 @@ from dbo_cli.identification.cross_validation import (
 )
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options
-from dbo_cli.identification.solve import Equations, Fit
+from dbo_cli.identification.solve import Equations, Solution
 
 RULES = ("growing", "falling")  # for the slopes
 CURVES = (np.inf, 1e1, 1e-1, 1e-4)
@@ -165,7 +165,7 @@ def _take_options(choices: Choices, options: Options) -> None:
             choices.base = replace(choices.base, segments=options.points)
 
 
-def likelihood(fit: Fit, least: float, swings: int) -> float:
+def likelihood(fit: Solution, least: float, swings: int) -> float:
     """Return the likelihood of a Gaussian error of one size a swing, over that of the ``least`` RMS error."""
     return float(min(least / max(fit.rmse, 1e-300), 1.0) ** swings)
 
@@ -175,11 +175,11 @@ class Search:
 
     def __init__(self, problem: Problem, choices: Choices) -> None:
         self.problem, self.choices = problem, choices
-        self.fits: list[Fit] = []
+        self.fits: list[Solution] = []
         self.tried: set[Structure] = set()
         self.best = np.inf
 
-    def run(self) -> list[Fit]:
+    def run(self) -> list[Solution]:
         """Return all fits, the best first.
 
         Raises
@@ -225,7 +225,7 @@ class Search:
                 self.best = min(self.best, judged.score)
                 self.fits.append(judged)
 
-    def unjudged(self, best: Fit) -> list[tuple[float, Fit]]:
+    def unjudged(self, best: Solution) -> list[tuple[float, Solution]]:
         """Return weight and fit of structures that the logs cannot tell from the best one.
 
         They explain the logs nearly alike, and differ where these show nothing: in smaller
@@ -253,15 +253,15 @@ class Search:
             weighted.append((weight, fit))
         return weighted
 
-    def _best_kinds(self) -> list[Fit]:
+    def _best_kinds(self) -> list[Solution]:
         """Return the best fit of each of the best kinds of slopes and memories."""
-        best: dict[tuple[str, str, bool], Fit] = {}
+        best: dict[tuple[str, str, bool], Solution] = {}
         for fit in sorted(self.fits, key=lambda fit: fit.score):
             kind = fit.structure
             best.setdefault((kind.slopes, kind.memories, kind.past), fit)
         return list(best.values())
 
-    def _neighbours(self, fit: Fit) -> None:
+    def _neighbours(self, fit: Solution) -> None:
         """Fit what differs from a good fit in one thing."""
         structure, choices = fit.structure, self.choices
         trials = [replace(structure, bend=bend) for bend in (0.0, *choices.bends)]

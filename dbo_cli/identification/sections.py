@@ -145,7 +145,7 @@ class Form:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class FastDynamics:
     """Dynamics of the fast rows.
 
     Attributes
@@ -232,7 +232,7 @@ class Signals:
         residuals: Floats = signal - self._drift @ (self._drift.T @ signal)
         return residuals
 
-    def modelled(self, trial: Fitted) -> Floats:
+    def modelled(self, trial: FastDynamics) -> Floats:
         """Return the prediction through lags, resonances and delay."""
         predicted = self.behind_amplifier(trial.amplifier)
         sections = Dynamics((Lag(trial.lag), *trial.resonances))
@@ -241,7 +241,7 @@ class Signals:
             modelled = Delay(trial.delay).run(modelled, State(), self.dt).y
         return np.asarray(modelled, dtype=np.float64)
 
-    def residuals(self, trial: Fitted) -> Floats:
+    def residuals(self, trial: FastDynamics) -> Floats:
         """Return what the best gain, offset and drift of the prediction leave of the measured."""
         modelled = self.free(self.modelled(trial))
         measured = self.free(self.measured)
@@ -273,10 +273,10 @@ class FastRows:
 
     def residuals(self, form: Form, parameters: Floats) -> list[Floats]:
         """Return what dynamics leave of each part."""
-        trial = Fitted(form, parameters)
+        trial = FastDynamics(form, parameters)
         return [signals.residuals(trial) for signals in self.signals]
 
-    def sections(self, best: Fitted) -> tuple[Section, ...]:
+    def sections(self, best: FastDynamics) -> tuple[Section, ...]:
         """Return the sections, a lag first where there is one."""
         if best.lag <= NO_LAG * self.step:
             return tuple(best.resonances)
@@ -289,7 +289,7 @@ def swept(fast: Sequence[FastPart]) -> Band:
     return min(lows), max(highs)
 
 
-def fitted(rows: FastRows, starts: Sequence[Floats], form: Form) -> Fitted:
+def fitted(rows: FastRows, starts: Sequence[Floats], form: Form) -> FastDynamics:
     """Return the best of several refinements, with its error on blocks left out."""
     low, high = _bounds(rows, form)
 
@@ -309,7 +309,7 @@ def fitted(rows: FastRows, starts: Sequence[Floats], form: Form) -> Fitted:
     parameters, count = np.array(best.x), 2 * form.resonances
     pairs = parameters[:count].reshape(-1, 2)
     parameters[:count] = pairs[np.argsort(pairs[:, 0])].ravel()
-    return Fitted(
+    return FastDynamics(
         form,
         parameters,
         float(np.sqrt(np.mean(best.fun**2))),
@@ -360,7 +360,7 @@ def spectra(
     return frequency[driven], power[driven], both[driven]
 
 
-def peak_of(rows: FastRows, best: Fitted) -> float:
+def peak_of(rows: FastRows, best: FastDynamics) -> float:
     """Return where the measured departs most from the best found (Hz), away from its resonances."""
     signals = rows.longest
     modelled, residuals = signals.modelled(best), signals.residuals(best)

@@ -65,7 +65,7 @@ class FittedRows:
 
 
 @dataclass(frozen=True)
-class Fit:
+class Solution:
     """Unknowns of one structure, in normalised units.
 
     Attributes
@@ -260,7 +260,7 @@ class Equations:
         ratios: Floats = squares[0] / np.maximum(squares[1:], RIDGE * squares[0])
         return ratios
 
-    def believe(self, fit: Fit) -> Fit:
+    def believe(self, fit: Solution) -> Solution:
         """Set what gains cost beside the error of a fit; return the fit so measured.
 
         A gain is believed as far as the logs show it: the more a fit leaves and the less
@@ -291,11 +291,11 @@ class Equations:
 
     # --- fits ---
 
-    def fit_of(self, x: Floats) -> Fit:
+    def fit_of(self, x: Floats) -> Solution:
         """Return the unknowns with their names, and what they leave."""
         curve = x[self.inner : self.free] if self.curved else np.ones(1)
         mapped = times(self.slope_map, x[: self.inner])
-        fit = Fit(
+        fit = Solution(
             self.structure,
             mapped[: self.rows.cells],
             mapped[self.rows.cells :],
@@ -306,13 +306,13 @@ class Equations:
         )
         return self._measured(fit)
 
-    def _measured(self, fit: Fit) -> Fit:
+    def _measured(self, fit: Solution) -> Solution:
         """Return the fit with what it leaves."""
         error = self.rows.output - fit.predict(self.columns)
         error -= times(self.rows.drift, fit.drift)
         return self._priced(replace(fit, error=error))
 
-    def _priced(self, fit: Fit) -> Fit:
+    def _priced(self, fit: Solution) -> Solution:
         """Return the fit with the penalised squares of what it leaves."""
         squares = float(self.rows.weights @ fit.error**2) / self.variance
         cost = self.structure.smooth_slopes * _bent(fit.slopes)
@@ -323,7 +323,7 @@ class Equations:
             cost += self.structure.smooth_curve * _bent(fit.curve)
         return replace(fit, penalised=squares + cost)
 
-    def between(self, fit: Fit, full_step: Fit, fraction: float) -> Fit:
+    def between(self, fit: Solution, full_step: Solution, fraction: float) -> Solution:
         """Return a fit a part of the way to another one."""
         values = {}
         for name in ("slopes", "gains", "curve", "offset", "drift"):
@@ -331,7 +331,7 @@ class Equations:
             values[name] = here + fraction * (there - here)
         return self._measured(replace(fit, **values))
 
-    def start(self, first: Fit | None) -> Fit:
+    def start(self, first: Solution | None) -> Solution:
         """Return where Gauss-Newton begins: at a straight line, or at another fit's unknowns."""
         curve = np.ones(self.segments)
         if first is not None:
@@ -339,7 +339,7 @@ class Equations:
                 curve = first.curve
             return self._measured(replace(first, structure=self.structure, curve=curve))
         level = self.columns[:, : self.rows.cells].sum(axis=1)
-        fit = Fit(
+        fit = Solution(
             self.structure,
             np.ones(self.rows.cells),
             np.zeros(self.inner - self.rows.cells),
@@ -350,7 +350,7 @@ class Equations:
         )
         return self._measured(fit)
 
-    def table(self, fit: Fit) -> Floats:
+    def table(self, fit: Solution) -> Floats:
         """Return the linearised rows at a fit, weighted, the target last: (rows, unknowns + 1)."""
         u = fit.inner(self.columns)
         table = np.empty((len(u), self.size + 1))
@@ -367,7 +367,7 @@ class Equations:
         table *= self.roots[:, None]
         return table
 
-    def products(self, fit: Fit) -> Floats:
+    def products(self, fit: Solution) -> Floats:
         """Return the products of all pairs of linearised columns: without a curve those of any fit."""
         if self.curved or self._products is None:
             table = self.table(fit)
@@ -386,7 +386,7 @@ class Equations:
         self.positive = (x > 0.0) | ~self.bounded
         return x + lowest
 
-    def solve(self, first: Fit | None = None) -> Fit:
+    def solve(self, first: Solution | None = None) -> Solution:
         """Return the fit at the least penalised squares that Gauss-Newton reaches."""
         fit = self.start(first)
         for number in range(STEPS):
@@ -400,7 +400,7 @@ class Equations:
                 break
         return fit
 
-    def _shortened(self, fit: Fit, full_step: Fit, forced: bool) -> Fit:
+    def _shortened(self, fit: Solution, full_step: Solution, forced: bool) -> Solution:
         """Return the first fit on the way back from a goal that is better than where it began."""
         if forced or full_step.penalised < fit.penalised:
             return full_step

@@ -11,7 +11,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.identification.basis import SPARE, Cells, points_of
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.identification.solve import LEAST_WITH_NEGATIVE, Fit
+from dbo_cli.identification.solve import LEAST_WITH_NEGATIVE, Solution
 from dbo_cli.model import (
     Candidate,
     Cascade,
@@ -28,7 +28,7 @@ FLATTEST = 1e-9  # of the mean slope of the range: a gear must rise
 LAST = 0.05  # of the gears inside the range: those beyond it have their mean slope
 
 
-def stages_of(problem: Problem, fit: Fit, zero: float = 0.0) -> tuple[Stage, ...]:
+def stages_of(problem: Problem, fit: Solution, zero: float = 0.0) -> tuple[Stage, ...]:
     """Return the stages of a fit; ``zero`` is taken off the displacement.
 
     The gears' output is in the displacement's unit, but for sign and offset.
@@ -54,7 +54,7 @@ def stages_of(problem: Problem, fit: Fit, zero: float = 0.0) -> tuple[Stage, ...
     return tuple(stages)
 
 
-def _gears_of(problem: Problem, fit: Fit, height: float, base: float) -> Gears:
+def _gears_of(problem: Problem, fit: Solution, height: float, base: float) -> Gears:
     """Return the gears and their relaxation: output is ``base + height * u``."""
     cells, span = problem.cells, problem.high - problem.low
     terms = len(problem.taus)
@@ -97,10 +97,10 @@ def _gear_slopes(cells: Cells, slopes: Floats) -> Floats:
 
 def model_of(
     problem: Problem,
-    fit: Fit,
+    fit: Solution,
     log: Recording,
     options: Options,
-    others: Sequence[tuple[float, Fit]] = (),
+    others: Sequence[tuple[float, Solution]] = (),
 ) -> Cascade:
     """Return the forward model of a fit, with ``others`` (weight and fit) as candidates."""
     zero = zero_of(log, options)

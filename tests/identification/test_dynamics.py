@@ -12,7 +12,13 @@ from dbo_cli.identification.basis import Structure
 from dbo_cli.identification.moving import without_fast_memories
 from dbo_cli.identification.problem import prepare
 from dbo_cli.identification.recording import Recording
-from dbo_cli.identification.sections import FastPart, FastRows, Fitted, Form, split
+from dbo_cli.identification.sections import (
+    FastDynamics,
+    FastPart,
+    FastRows,
+    Form,
+    split,
+)
 from dbo_cli.identification.solve import Equations
 from dbo_cli.identification.stages import model_of
 
@@ -129,7 +135,7 @@ def test_a_late_sensor_hides_no_resonance() -> None:
 
 def test_refining_keeps_what_fits_and_offers_one_more() -> None:
     model = plant(dm.Resonance(60.0, 0.02), dm.Resonance(150.0, 0.02))
-    begun = Fitted(Form(1), np.log([61.0, 0.03, 1e-6]))
+    begun = FastDynamics(Form(1), np.log([61.0, 0.03, 1e-6]))
     refined = dynamics.refine(rows_of(model), begun)
     frequencies = [one.frequency for one in refined.resonances]
     assert frequencies == pytest.approx([60.0, 150.0], rel=0.01)
@@ -146,7 +152,7 @@ def test_a_lag_stands_before_the_gears_unless_a_large_sweep_shows_it_behind(
     model = plant(*((dm.Lag(2e-3), resonance) if is_behind else (resonance,)))
     if not is_behind:
         model = model.with_stages((dm.Amplifier(2e-3), *model.stages))
-    begun = Fitted(Form(1), np.log([61.0, 0.05, 2e-3]))
+    begun = FastDynamics(Form(1), np.log([61.0, 0.05, 2e-3]))
     refined = dynamics.refine(rows_of(model, crest), begun)
     assert (refined.amplifier > 0.0) == is_found_before
     assert refined.amplifier + refined.lag == pytest.approx(2e-3, rel=0.1)

@@ -18,7 +18,7 @@ from dbo_cli.identification.basis import (
 from dbo_cli.identification.clean import clean
 from dbo_cli.identification.problem import Problem, prepare
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.identification.solve import Equations, Fit, FittedRows, minimum
+from dbo_cli.identification.solve import Equations, FittedRows, Solution, minimum
 from dbo_cli.identification.stages import model_of
 
 TIME = np.arange(4000) / 200.0
@@ -89,7 +89,7 @@ def test_a_solution_beyond_all_numbers_is_refused() -> None:
 
 
 def test_a_fit_without_a_score_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unjudged(problem: Problem, fit: Fit, equations: Equations) -> Fit:
+    def unjudged(problem: Problem, fit: Solution, equations: Equations) -> Solution:
         score = fit.rmse if fit.structure.bend else np.nan
         return replace(
             fit, score=score, residuals=tuple(fit.error for _ in problem.parts)
