@@ -269,9 +269,17 @@ def _unswept(log: PreparedLog, reach: Floats, start: Floats) -> Floats:
 
 
 def sums_of(
-    log: PreparedLog, cells: Cells, taus: Floats, bend: float, start: str = "settled"
+    log: PreparedLog,
+    cells: Cells,
+    taus: Floats,
+    bend: float,
+    start: str = "settled",
+    sums: Floats | None = None,
 ) -> Floats:
-    """Return the sums of plays, lags and what is beyond the gears over the rows before each row."""
+    """Return the sums of plays, lags and what is beyond the gears over the rows before each row.
+
+    Earlier ``sums`` are written over: a long log's new memory takes as long as its sums.
+    """
     compiled = kernel.extension
     drive, reach = log.drive, cells.reach
     if bend:
@@ -285,7 +293,8 @@ def sums_of(
     seconds = tuple(taus.tolist()) or (1.0,)  # the kernel wants one at least
     lag = Relaxation(0.0, seconds, (0.0,) * len(seconds))
     memory: Sequence[float] | None = None
-    sums = np.zeros((len(drive) + 1, len(reach) + len(taus) + 1))
+    if sums is None:
+        sums = np.zeros((len(drive) + 1, len(reach) + len(taus) + 1))
     for first in range(0, len(drive), BLOCK_ROWS):
         rows = slice(first, first + BLOCK_ROWS)
         x = np.ascontiguousarray(inside[rows])

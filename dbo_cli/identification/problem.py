@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import zip_longest
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -189,8 +190,9 @@ class Problem:
     def _sums_of(self, bend: float, start: str) -> list[Floats]:
         """Return the sums that columns of all delays are made of, the last ones stored."""
         if (bend, start) != self._sums[0]:
-            cells, taus = self.cells, self.taus
-            sums = [sums_of(log, cells, taus, bend, start) for log in self.logs]
+            sums = []
+            for log, last in zip_longest(self.logs, self._sums[1]):
+                sums.append(sums_of(log, self.cells, self.taus, bend, start, last))
             self._sums = (bend, start), sums
         return self._sums[1]
 
