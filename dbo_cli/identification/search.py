@@ -32,7 +32,7 @@ SMOOTHER = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
 """Of one amplitude, tried in turn: beyond, creep hides what smoothness costs."""
 ONE_AMPLITUDE_CURVE = 1e-1
 AS_GOOD = 1.2  # of the roughest one's error: so much may smoothness cost
-BENDS = (-0.4, -0.25, -0.12, 0.12, 0.25, 0.4)
+BENDS = (-0.25, -0.12, 0.12, 0.25)
 DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
 REFINED = (0.6, 0.8, 1.25, 1.6)
 """Times the best delay, tried in turn."""
@@ -45,10 +45,11 @@ BEGUN_STARTS = (SETTLED_START, "empty", "full", "below", "above")
 """The last two where the gears go on beyond the range."""
 BETTER_START = 0.8
 """Of the settled start's error: the search begins with another one."""
-ROUGHEST = Structure(smooth_slopes=2e-4, smooth_curve=1e-4)  # tells starts apart
+ROUGHEST = Structure("free", smooth_slopes=2e-4, smooth_curve=1e-4)
+"""Tells starts apart."""
 FINER_LEVEL = 0.125  # beside the best one, tried below and above
 ROUNDS = (2, 1)  # of neighbours: of how many kinds of structures
-HOPELESS = 1.0  # of the score: a fit that is worse at best weighs nothing
+HOPELESS = 0.5  # of the score: a fit that is worse at best weighs nothing
 FEWEST_SWINGS = 4  # with fewer neither bend nor drift can be told from the loop
 ONE_WAY = 2  # swings, up and down once: a curve cannot be told from the loop, either
 SLOWEST = 3.0  # swings: the slowest memory that a log of one amplitude can tell
@@ -113,12 +114,10 @@ def _begun(problem: Problem, choices: Choices) -> tuple[str, float | None]:
     levels = BEGUN_LEVELS if choices.drift and len(problem.taus) else LEVELS[:1]
     errors: dict[tuple[str, float | None], float] = {}
     for start, level in product(different.values(), levels):
-        trials = [
-            replace(ROUGHEST, slopes=rule, start=start, level=level) for rule in RULES
-        ]
-        fits = [Equations(problem.rows(trial), trial).solve() for trial in trials]
+        trial = replace(ROUGHEST, start=start, level=level)
+        fit = Equations(problem.rows(trial), trial).solve()
         price = DRIFT_PRICE * (level is not None)
-        errors[start, level] = math.exp(price) * min(fit.rmse for fit in fits)
+        errors[start, level] = math.exp(price) * fit.rmse
     best = min(errors, key=errors.__getitem__)
     return best if errors[best] < BETTER_START * errors[settled] else settled
 
