@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.identification.basis import FINER_GROUPS, PreparedLog, Structure
+from dbo_cli.identification.basis import PreparedLog, Structure
 from dbo_cli.identification.cross_validation import error_left_out
 from dbo_cli.identification.problem import GOLDEN, Problem
 from dbo_cli.identification.search import CURVES, likelihood
@@ -65,27 +65,10 @@ class Average:
         return max(total, key=lambda key: total[key])
 
 
-def with_finer_past(problem: Problem, average: Average) -> list[tuple[float, Solution]]:
-    """Return the fits of an average, and the best one's structure with a past of more groups of cells.
-
-    What a coarse past leaves, memories take, and the zero moves. More groups would make
-    short logs' models worse: they follow these, too, where it is not the past.
-    """
-    best = average.fits[0]
-    weights = average.weights
-    if not problem.past.size:
-        return list(zip(weights.tolist(), average.fits, strict=True))
-    structure = replace(best.structure, past=True, start="settled")
-    finer = Equations(problem.rows(structure, FINER_GROUPS), structure).solve()
-    likely = likelihood(finer, best.rmse, problem.different_swings)
-    weights = np.append(weights, likely) / (1.0 + likely)
-    return list(zip(weights.tolist(), (*average.fits, finer), strict=True))
-
-
 def with_levels(
-    weighted: Sequence[tuple[float, Solution]], fits: Sequence[Solution], swings: int
+    average: Average, fits: Sequence[Solution], swings: int
 ) -> list[tuple[float, Solution]]:
-    """Return weighted fits and, as heavy together, where memories may have stood before the logs.
+    """Return the fits of an average and, as heavy together, where memories may have stood before the logs.
 
     The level moves the zero. It shows in the first part, which the others do not predict
     when it is left out; so levels are weighed by how all rows are followed: the likelihood
@@ -93,14 +76,15 @@ def with_levels(
 
     Parameters
     ----------
-    weighted
-        The first one's kind is taken at all levels.
+    average
+        The best one's kind is taken at all levels.
     fits
         All there are.
     swings
         How many differ.
     """
-    best = weighted[0][1].structure
+    weighted = list(zip(average.weights.tolist(), average.fits, strict=True))
+    best = average.fits[0].structure
     levels: dict[float | None, Solution] = {}
     for fit in sorted(fits, key=lambda fit: fit.rmse):
         structure = fit.structure
@@ -109,7 +93,7 @@ def with_levels(
         if same and not structure.drift:
             levels.setdefault(structure.level, fit)
     if len(levels) < 2:
-        return list(weighted)
+        return weighted
     least = min(fit.rmse for fit in levels.values())
     likely = [(likelihood(fit, least, swings), fit) for fit in levels.values()]
     total = sum(weight for weight, _ in likely)

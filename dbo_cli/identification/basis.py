@@ -31,7 +31,6 @@ RISING = 1e-6  # of a step: what a clock that repeats stamps rises by at least
 BLOCK_ROWS = 256  # of the full rate: their sums stay in a near cache
 LANES = 8  # plays in a group of the kernel
 PAST_GROUPS = 5  # of cells, each with a past of its own
-FINER_GROUPS = 24  # of a candidate: coarse ones leave some of a past to memories
 LEAST_PAST = 1e-3  # of the range: a past that adds less is none
 
 
@@ -233,29 +232,27 @@ def fitted_columns(
     return np.hstack((engaged, lags, table[:, :1] + overshoot - lags))
 
 
-def past_columns(log: PreparedLog, cells: Cells, groups: int) -> Floats:
+def past_columns(log: PreparedLog, cells: Cells) -> Floats:
     """Return what another past than the settled one may add to a log's output; (rows, k).
 
     A play of reach r that begins at z0 is clip(z0, M - r, m + r), with the highest and
     lowest drive M and m so far, until these are 2 r apart; then z0 is forgotten. A column
     is the engaged parts of a group of cells after a drive from far below, or from far
     above, less those of the settled start: a mean slope of 1 is the most that it can be
-    multiplied by, and a past costs the same in any number of groups. What stays to the end
-    is an offset, which is taken off.
+    multiplied by. What stays to the end is an offset, which is taken off.
     """
     settled = plays_at_start(float(log.drive[0]), cells.reach)
-    scale = np.sqrt(groups / PAST_GROUPS)
-    group = np.arange(cells.count) * groups // cells.count
+    group = np.arange(cells.count) * PAST_GROUPS // cells.count
     columns = []
     for start in ("below", "above"):
         plays = plays_at_start(float(log.drive[0]), cells.reach, start)
         added = _unswept(log, cells.reach, plays) - _unswept(log, cells.reach, settled)
         engaged = -np.diff(added, axis=1)
-        for number in range(groups):
+        for number in range(PAST_GROUPS):
             column = engaged[:, group == number].sum(axis=1)
             column -= column[-1]
             if np.abs(column).max() > LEAST_PAST:
-                columns.append(scale * column)
+                columns.append(column)
     return np.array(columns).reshape(-1, len(log.rows)).T
 
 

@@ -13,7 +13,6 @@ from dbo_cli.identification.averaging import (
     average_model,
     candidates,
     invented_problem,
-    with_finer_past,
     with_levels,
 )
 from dbo_cli.identification.clean import clean
@@ -98,8 +97,7 @@ def _searched(logs: Sequence[Recording], options: Options) -> Cascade:
     average = Average.of(fits)
     invented = invented_problem(problem)
     fit = average_model(problem, invented, average)
-    weighted = with_finer_past(problem, average)
-    others = with_levels(weighted, fits, problem.different_swings)
+    others = with_levels(average, fits, problem.different_swings)
     few = problem.one_amplitude or problem.different_swings < FEWEST_SWINGS
     if few and dynamic is None:
         others = search.unjudged(average.fits[0])

@@ -13,7 +13,6 @@ from scipy.linalg import block_diag
 
 from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.identification.basis import (
-    PAST_GROUPS,
     Cells,
     PreparedLog,
     Structure,
@@ -127,11 +126,7 @@ class Problem:
     @cached_property
     def past(self) -> Floats:
         """What an unknown past of each log may add to the fitted rows; (rows, k)."""
-        return self.past_of(PAST_GROUPS)
-
-    def past_of(self, groups: int) -> Floats:
-        """Return the same by so many groups of cells."""
-        tables = [past_columns(log, self.cells, groups) for log in self.logs]
+        tables = [past_columns(log, self.cells) for log in self.logs]
         return np.asarray(block_diag(*tables))
 
     @cached_property
@@ -206,12 +201,10 @@ class Problem:
             tables.append(table[:, int(index == 0) : 1 + straight])
         return np.asarray(block_diag(*tables))
 
-    def rows(self, structure: Structure, groups: int = PAST_GROUPS) -> FittedRows:
-        """Return the rows that a structure is fitted to, with a past of so many groups of cells."""
+    def rows(self, structure: Structure) -> FittedRows:
+        """Return the rows that a structure is fitted to."""
         drift = self.drift(structure.drift)
-        past = np.zeros((len(drift), 0))
-        if structure.past:
-            past = self.past if groups == PAST_GROUPS else self.past_of(groups)
+        past = self.past if structure.past else np.zeros((len(drift), 0))
         return FittedRows(
             self.columns(structure),
             self.output,
