@@ -63,6 +63,8 @@ class Lead:
         Sweep the move's range first.
     rest : float, str or "auto", optional
         Seconds at the first value; auto: as many as dynamics and delay need.
+    hold : int
+        Rows by which what stands before the move is longer: another channel needs them.
     standing : float or None
         Where the amplifier stands, as typed or as a state left it; None where neither is known.
 
@@ -83,6 +85,7 @@ class Lead:
     approach: Seconds = None
     condition: bool = False
     rest: Seconds = None
+    hold: int = 0
     standing: float | None = field(init=False)
 
     def __post_init__(self) -> None:
@@ -123,7 +126,7 @@ class Lead:
     # --- the rows before a move; ``first`` is its first displacement, ``dt`` the seconds a row ---
 
     def planned(
-        self, first: float, dt: float, time: float | None = None, hold: int = 0
+        self, first: float, dt: float, time: float | None
     ) -> tuple[State | None, Floats, int]:
         """Return what stands before the move.
 
@@ -133,8 +136,6 @@ class Lead:
             The first displacement of the move, and the seconds a row.
         time
             Stamp (s) of that row: the voltage of a state was held until what stands before it.
-        hold
-            Rows at the beginning that are added to it.
 
         Returns
         -------
@@ -167,12 +168,12 @@ class Lead:
             state = self.model.start(standing, state)
             before = np.array([standing])
         if moves:
-            return *self._way_in(first, dt, state, before, hold, untyped), still
+            return *self._way_in(first, dt, state, before, untyped), still
         _require_short(untyped, "lead", untyped)
         begin = None
         if isinstance(state, State):
             begin = self._state_after(before, state, dt)
-        return begin, NO_VOLTAGES, still + hold
+        return begin, NO_VOLTAGES, still + self.hold
 
     def _held(self, state: State, time: float | None, dt: float) -> State:
         """Return a state after the pause behind its last row, in which the voltage was held."""
@@ -189,7 +190,6 @@ class Lead:
         dt: float,
         state: State | str,
         before: Floats,
-        hold: int,
         untyped: float,
     ) -> tuple[State, Floats]:
         """Return the state before the first row, and the voltages that lead to the move.
@@ -206,13 +206,13 @@ class Lead:
                 seconds = "auto"
         before = np.concatenate([before, swept])
         stands = before[:1] if before.size else np.array([self.standing])
-        before = np.concatenate([np.repeat(stands, hold), before])
+        before = np.concatenate([np.repeat(stands, self.hold), before])
         if not isinstance(state, State):
             state = self.model.start(float(before[0]), state)
         path = self._way(first, dt, self._state_after(before, state, dt), seconds)
         voltage = np.concatenate([before, path])
         still = rest_rows(self.model, dt)
-        swing = (voltage.size - hold - still) * dt
+        swing = (voltage.size - self.hold - still) * dt
         untyped += still * dt
         if not isinstance(self.approach, float):
             untyped += swing

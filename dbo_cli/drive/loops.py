@@ -52,8 +52,6 @@ class Loop:
         Of run-in.
     name
         Of the trajectory.
-    hold
-        Rows for which the amplifier stands still before a way to the loop.
 
     Attributes
     ----------
@@ -79,7 +77,7 @@ class Loop:
     """
 
     def __init__(
-        self, lead: Lead, period: Floats, dt: float, passes: int, name: str, hold: int
+        self, lead: Lead, period: Floats, dt: float, passes: int, name: str
     ) -> None:
         if not isinstance(passes, int | np.integer) or passes < 0:
             raise UsageError(f"`passes` {passes}: give a whole number of passes")
@@ -95,7 +93,7 @@ class Loop:
         if seam:
             raise InputError(f"{name}: {seam}")
         self.lead, self.model, self.limits = lead, lead.model, lead.limits
-        self.dt, self.passes, self.name, self.hold = dt, passes, name, hold
+        self.dt, self.passes, self.name = dt, passes, name
         self.target = self.model.inverter(dt).loop(period)
         self._settle()
 
@@ -175,7 +173,7 @@ class Loop:
         seconds = self.lead.approach
         if seconds is not None:
             ascent = ramp("approach", begin, float(period[0]), dt, seconds, limits)
-            still = np.full(1 + self.hold, begin)
+            still = np.full(1 + self.lead.hold, begin)
             return np.concatenate([still, ascent, np.tile(period, passes)])
         if not passes:
             return np.empty(0)
