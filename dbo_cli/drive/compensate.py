@@ -145,8 +145,7 @@ class Driver:
         assert last is not None
         if self.return_to is not None:
             self.limits.require_start(self.return_to, "`return_`")
-            end = self.return_to
-            voltage = ramp("return", last, end, self._step, "auto", self.limits)
+            voltage = ramp(last, self.return_to, self._step, "auto", self.limits)
         if voltage.size:
             last = float(voltage[-1])
         short = max(self.return_rows - voltage.size, 0)

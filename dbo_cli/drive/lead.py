@@ -18,7 +18,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.limits import Figure, Limits, rounded_up, voltage_in
 from dbo_cli.drive.smooth import swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
-from dbo_cli.model import Cascade, Lag, State
+from dbo_cli.model import Cascade, State
 from dbo_cli.units import parse_quantity
 
 Seconds = float | str | None
@@ -212,6 +212,8 @@ class Lead:
         path = self._way(first, dt, self._state_after(before, state, dt), seconds)
         voltage = np.concatenate([before, path])
         still = rest_rows(self.model, dt)
+        if not self.condition:
+            require_time(seconds, (path.size - still) * dt, dt)
         swing = (voltage.size - self.hold - still) * dt
         untyped += still * dt
         if not isinstance(self.approach, float):
@@ -248,34 +250,28 @@ class Lead:
             end = self._goes_on(first, dt, self.model.start(low, "empty"))
             distance = abs(begin - low) + 2.0 * (high - low) + abs(end - low)
             shortest = _rows(distance, dt, dt, limits) * dt
-            _require_time("approach", seconds, shortest, dt)
+            require_time(seconds, shortest, dt)
             inwards = seconds * abs(begin - low) / distance
             sweeping = seconds * (high - low) / distance
         count = _rows(high - low, dt, sweeping, limits)
         swept = swings([low, high, low], [count, count])
         if standing is None:
             return swept
-        inward = ramp("", standing, low, dt, inwards, limits)
+        inward = ramp(standing, low, dt, inwards, limits)
         return np.concatenate([inward, swept[1:]])
 
     def _way(self, first: float, dt: float, state: State, seconds: Seconds) -> Floats:
         """Return the voltages from where a state stands to where the move goes on, with a rest there.
 
         What creeps meanwhile is counted: behind these rows the inverse begins the move at
-        the voltage at which they end. The last swing behind a sweep takes what the slew
-        limit needs.
-
-        Raises
-        ------
-        LimitError
-            The typed seconds are too few for the slew limit.
+        the voltage at which they end.
         """
         static, limits = self.model.static, self.limits
         begin, still = state.drive, rest_rows(self.model, dt)
         assert begin is not None
 
-        def way_to(end: float, name: str = "") -> Floats:
-            swing = ramp(name, begin, end, dt, seconds, limits)
+        def way_to(end: float) -> Floats:
+            swing = ramp(begin, end, dt, seconds, limits)
             return np.concatenate([swing, np.full(still, end)])
 
         def missing(end: float) -> float:
@@ -286,7 +282,7 @@ class Lead:
             end = self._goes_on(first, dt, state)
         else:
             end = _zero_of(missing, *limits.move)
-        return way_to(end, "" if self.condition else "approach")
+        return way_to(end)
 
     def _goes_on(self, first: float, dt: float, state: State) -> float:
         """Return the voltage at which the move goes on behind a state."""
@@ -323,17 +319,9 @@ def _require_short(untyped: float, option: str, seconds: float) -> None:
 
 
 def ramp(
-    name: str, begin: float, end: float, dt: float, seconds: Seconds, limits: Limits
+    begin: float, end: float, dt: float, seconds: Seconds, limits: Limits
 ) -> Floats:
-    """Return the voltages after ``begin`` of a swing to ``end``, as slow as the slew limit needs.
-
-    ``name`` is the option whose seconds these are; empty: more than they are may be needed.
-
-    Raises
-    ------
-    LimitError
-        The typed seconds are too few for the slew limit.
-    """
+    """Return the voltages after ``begin`` of a swing to ``end``, as slow as the slew limit needs."""
     if begin == end:
         return NO_VOLTAGES
     shortest = SHORTEST_SWING
@@ -342,17 +330,14 @@ def ramp(
     elif limits.slew is None:
         span = limits.rating[1] - limits.rating[0]
         shortest = max(SHORTEST_SWING, SWEEP_SECONDS * abs(end - begin) / span)
-    count = _rows(end - begin, dt, shortest, limits)
-    if name and isinstance(seconds, float):
-        _require_time(name, seconds, count * dt, dt)
-    return swings([begin, end], [count])[1:]
+    return swings([begin, end], [_rows(end - begin, dt, shortest, limits)])[1:]
 
 
-def _require_time(name: str, seconds: float, shortest: float, dt: float) -> None:
+def require_time(seconds: Seconds, shortest: float, dt: float) -> None:
     """Refuse typed seconds that are too few for the slew limit, and say how many are not (LimitError)."""
-    if shortest > seconds + dt:
+    if isinstance(seconds, float) and shortest > seconds + dt:
         raise LimitError(
-            f"`{name}` {seconds:g}: too fast for `max_slew`; give at least {rounded_up(shortest, 4):.9g} s "
+            f"`approach` {seconds:g}: too fast for `max_slew`; give at least {rounded_up(shortest, 4):.9g} s "
             "for the whole way, or auto"
         )
 
@@ -376,13 +361,7 @@ def rest_rows(model: Cascade, dt: float) -> int:
     """Return the rows (0 without dynamics) after which lags and resonances have died away."""
     if model.dynamics is None:
         return 0
-    slowest = 0.0
-    for section in model.dynamics.sections:
-        if isinstance(section, Lag):
-            fade = section.lag
-        else:
-            fade = 1.0 / (2.0 * math.pi * section.frequency * section.damping)
-        slowest = max(slowest, fade)
+    slowest = max(section.fade for section in model.dynamics.sections)
     return math.ceil(min(QUIET * slowest, LONGEST_REST) / dt)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.judge import ALLOWED_PART
-from dbo_cli.drive.lead import Lead, ramp
+from dbo_cli.drive.lead import Lead, ramp, require_time
 from dbo_cli.drive.smooth import MOST_SIGNAL_ROWS, open_seam, soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 from dbo_cli.model import Cascade, Run, State
@@ -172,7 +172,8 @@ class Loop:
         dt, limits, passes = self.dt, self.limits, self.passes
         seconds = self.lead.approach
         if seconds is not None:
-            ascent = ramp("approach", begin, float(period[0]), dt, seconds, limits)
+            ascent = ramp(begin, float(period[0]), dt, seconds, limits)
+            require_time(seconds, ascent.size * dt, dt)
             still = np.full(1 + self.lead.hold, begin)
             return np.concatenate([still, ascent, np.tile(period, passes)])
         if not passes:

@@ -93,6 +93,11 @@ class Resonance(Mode):
     OPTIONAL: ClassVar = ("antiresonance",)
 
     @property
+    def fade(self) -> float:
+        """Seconds in which it dies away to 1/e."""
+        return 1.0 / (2.0 * math.pi * self.frequency * self.damping)
+
+    @property
     def highest(self) -> float:
         """The higher of the resonance's and the antiresonance's frequency (Hz)."""
         if self.antiresonance is None:
@@ -170,6 +175,11 @@ class Lag(Keyed):
             raise ModelError(
                 f"lead: {self.lead!r} is not from 0 to less than the lag of {self.lag!r} s"
             )
+
+    @property
+    def fade(self) -> float:
+        """Seconds in which it dies away to 1/e."""
+        return self.lag
 
     @property
     def output(self) -> SectionOutput:

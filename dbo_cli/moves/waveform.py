@@ -265,7 +265,7 @@ def waveform(
         )
         if slew is not None:  # codes stand a step beside
             slew += coding.step * rate
-    allowed = replace(limits, rating=(low, high), move=(low, high), slew=slew)
+    allowed = replace(limits, rating=(low, high), slew=slew, extrapolate=True)
     Gate(allowed).admit(heard, 1.0 / rate, "return")
     data = form.write(values, rate, ends)
     line = _line(heard, rate, gain, shift)
