@@ -7,20 +7,15 @@ of a model, with their time, and back.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-from difflib import get_close_matches
-from functools import wraps
+from collections.abc import Mapping, Sequence
 from html import escape
-from inspect import signature
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
     Any,
     Final,
     Literal,
-    ParamSpec,
     TypedDict,
-    TypeVar,
     Unpack,
     cast,
     overload,
@@ -59,8 +54,6 @@ if TYPE_CHECKING:
     from dbo_cli.logs import Table
     from dbo_cli.reports import Report
 
-P = ParamSpec("P")
-R = TypeVar("R")
 Signal = ArrayLike
 """An array, a Series of pandas or polars, or one of their frames, which is read as a file is."""
 Logs = Signal | Path | Sequence[Signal | Path]
@@ -128,22 +121,6 @@ class Move(TypedDict, total=False):
     history: str | Path | Sequence[PassRecord]
     absolute: bool
     state: StateLike
-
-
-def with_known_options(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a function that answers a keyword that it does not have with those that are near."""
-    known = [name for name in signature(function).parameters if name != "self"]
-
-    @wraps(function)
-    def call(*values: P.args, **options: P.kwargs) -> R:
-        for option in options:
-            if option not in known:
-                similar = get_close_matches(option, known, 2, 0.5) or known
-                text = " or ".join(f"`{name}`" for name in similar)
-                raise UsageError(f"{function.__name__}: no `{option}`: give {text}")
-        return function(*values, **options)
-
-    return call
 
 
 class Model:
@@ -231,7 +208,6 @@ class Model:
         return_state: Literal[True],
     ) -> tuple[Floats, room.State]: ...
 
-    @with_known_options
     def simulate(
         self,
         x: Signal,
@@ -304,7 +280,6 @@ class Model:
         **move: Unpack[Move],
     ) -> Drive: ...
 
-    @with_known_options
     def compensate(
         self,
         wanted: Signal,
@@ -418,7 +393,6 @@ class Model:
             write_text(file, dumps_history(drive.history))
         return drive if details else drive.voltage
 
-    @with_known_options
     def controller(
         self,
         sample_rate: Figured,
@@ -528,7 +502,6 @@ def _models_in(path: str | Path) -> ModelSet:
 # --- logs ---
 
 
-@with_known_options
 def read_log(
     path: str | Path,
     *,
@@ -623,7 +596,6 @@ def read_log(
     return frame
 
 
-@with_known_options
 def identify(
     data: Logs,
     displacement: Signal | None = None,
@@ -741,7 +713,6 @@ def _listed(data: Logs | None) -> list[Any]:
     return list(data) if isinstance(data, (list, tuple)) else [data]
 
 
-@with_known_options
 def report(
     desired: Signal,
     measured: Signal | None = None,

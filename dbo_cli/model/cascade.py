@@ -520,85 +520,64 @@ class Cascade:
     ) -> Run:
         """Return the drive before an amplifier, whose limits reach through amplifier, head and gears.
 
-        Rows are undone in blocks as if there were no limits. From the first one on that a
-        limit may hold back, each is undone within its own window; then blocks grow again.
+        Rows are undone as if there were no limits; from the first one on that a limit may
+        hold back, each is undone within its own window.
         """
         assert self.amplifier is not None
-        _, shares = self.amplifier.shares(state, dt, output.size)
-        if window is None:
-            return self._undo_freely(output, state, dt)[0]
-        step = largest_step(slew, dt)
-        changes = np.broadcast_to(np.inf if step is None else step, output.shape)
-        drive = np.empty_like(output)
-        row, size, clipped, first_clipped = 0, output.size, 0, 0
-        while row < output.size:
-            rows = slice(row, row + size)
-            block = output[rows]
-            steps = dt[rows] if isinstance(dt, np.ndarray) else dt
-            done = self._undo_block(
-                block, state, steps, shares[rows], changes[rows], window
-            )
-            count = done.y.size
-            drive[row : row + count] = done.y
-            if done.clipped and not clipped:
-                first_clipped = row
-            clipped += done.clipped
-            row, state = row + count, done.state
-            size = 1 if done.clipped or count < block.size else 2 * size
-        return Run(drive, state, clipped, first_clipped)
-
-    def _undo_freely(
-        self, output: Floats, state: State, dt: float | Floats
-    ) -> tuple[Run, Floats]:
-        """Return the drive as if there were no limits, and the voltage at the gears."""
-        assert self.amplifier is not None
+        before, shares = self.amplifier.shares(state, dt, output.size)
         done = self.gears.undo(output, state, dt)
         amplified = self.head.inverse()(done.y)
-        run = self.amplifier.undo(amplified, done.state, dt)
-        last = float(run.y[-1])
-        return Run(run.y, replace(run.state, drive=last)), done.y
-
-    def _undo_block(
-        self,
-        output: Floats,
-        state: State,
-        dt: float | Floats,
-        shares: Floats,
-        changes: Floats,
-        window: Window,
-    ) -> Run:
-        """Return the drive of one row within its window, or of the rows before the first that is held.
-
-        ``shares`` are 1 - a and ``changes`` the largest changes of the drive, row by row.
-        """
-        before = state.amplifier or 0.0
-        stands = np.array([math.nan if state.drive is None else state.drive])
-        if output.size == 1:
-            low, high = (
-                float(end[0]) for end in allowed_drive(stands, changes, window)
-            )
-            row = before, float(shares[0]), low, high
-            done = self.gears.undo(output, state, dt, window_behind(self.head, *row))
-            drive, amplified = drive_before(self.head, float(done.y[0]), *row)
-            after = replace(done.state, amplifier=amplified, drive=drive)
-            return Run(np.array([drive]), after, done.clipped)
-        free, voltage = self._undo_freely(output, state, dt)
-        previous = np.concatenate([[before], self.head.inverse()(voltage)[:-1]])
-        lows, highs = allowed_drive(
-            np.concatenate([stands, free.y[:-1]]), changes, window
-        )
+        free = self.amplifier.undo(amplified, done.state, dt)
+        free = free._replace(state=replace(free.state, drive=float(free.y[-1])))
+        if window is None:
+            return free
+        step = largest_step(slew, dt)
+        changes = np.broadcast_to(np.inf if step is None else step, output.shape)
+        last = math.nan if state.drive is None else state.drive
+        lasts = np.concatenate([[last], free.y[:-1]])
+        lows, highs = allowed_drive(lasts, changes, window)
+        previous = np.concatenate([[before], amplified[:-1]])
         ends = [
             self.head(previous + shares * (end - previous)) for end in (lows, highs)
         ]
         held = (free.y < lows) | (free.y > highs)
-        held |= (voltage < np.minimum(*ends)) | (voltage > np.maximum(*ends))
+        held |= (done.y < np.minimum(*ends)) | (done.y > np.maximum(*ends))
         if not held.any():
             return free
-        count = int(np.argmax(held))
-        if count == 0:
-            return Run(free.y[:0], state)
-        steps = dt[:count] if isinstance(dt, np.ndarray) else dt
-        return self._undo_freely(output[:count], state, steps)[0]
+        first = int(np.argmax(held))
+        steps = np.broadcast_to(dt, output.shape)
+        if first:
+            begin = dt if isinstance(dt, float) else dt[:first]
+            state = self._undo_amplified(output[:first], state, begin, None, None).state
+        drive, clipped, first_clipped = free.y, 0, 0
+        for k in range(first, output.size):
+            row = slice(k, k + 1)
+            done = self._undo_row(
+                output[row], state, steps[k], shares[k], changes[row], window
+            )
+            drive[k], state = done.y[0], done.state
+            if done.clipped and not clipped:
+                first_clipped = k
+            clipped += done.clipped
+        return Run(drive, state, clipped, first_clipped)
+
+    def _undo_row(
+        self,
+        output: Floats,
+        state: State,
+        dt: float,
+        share: float,
+        change: Floats,
+        window: Window,
+    ) -> Run:
+        """Return the drive of one row within its window and change; ``share`` is 1 - a of the amplifier."""
+        last = np.array([math.nan if state.drive is None else state.drive])
+        low, high = allowed_drive(last, change, window)
+        row = state.amplifier or 0.0, float(share), float(low[0]), float(high[0])
+        done = self.gears.undo(output, state, float(dt), window_behind(self.head, *row))
+        drive, amplified = drive_before(self.head, float(done.y[0]), *row)
+        after = replace(done.state, amplifier=amplified, drive=drive)
+        return Run(np.array([drive]), after, done.clipped)
 
     def inner_limits(
         self, window: Window, slew: float | None

@@ -356,24 +356,11 @@ def test_a_state_is_of_its_model(creep):
         creep.controller(sample_rate=1000.0, state="no.json")
 
 
-NEAR = {
-    "compensate": {"vmax": "v_max", "max_slope": "max_slew", "colour": "approach"},
-    "simulate": {"states": "state"},
-    "controller": {"vmin": "v_min"},
-    "identify": {"delays": "delay", "unit": "voltage_unit"},
-    "report": {"max_rms": "max_rmse"},
-    "read_log": {"samplerate": "sample_rate"},
-}
-
-
-@pytest.mark.parametrize("verb", NEAR)
-def test_a_wrong_word_is_answered_with_what_is_near(verb, creep):
+@pytest.mark.parametrize("verb", ["compensate", "simulate", "identify", "report"])
+def test_a_wrong_word_is_named(verb, creep):
     call = getattr(creep, verb, None) or getattr(dbo, verb)
-    for word, near in NEAR[verb].items():
-        with pytest.raises(dbo.UsageError) as refusal:
-            call([1.0, 2.0, 3.0], **{word: 1.0})
-        assert str(refusal.value).startswith(f"{verb}: no `{word}`")
-        assert f"`{near}`" in str(refusal.value)
+    with pytest.raises(TypeError, match="vmax"):
+        call([1.0, 2.0, 3.0], vmax=1.0)
 
 
 # --- the property: library and shell are one ---
