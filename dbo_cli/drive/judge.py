@@ -233,7 +233,7 @@ class Judge:
         high = max(span[1] for span in voltages)
         lowest, highest = self.limits.identified
         texts = self._start_warnings()
-        error = known_error = unrested = expected = None
+        error = error_from_rest = unrested = expected = None
         if self.limits.extrapolate and not lowest <= low <= high <= highest:
             texts.append(
                 f"the drive goes from {low:.6g} to {high:.6g}{self.limits.suffix}, beyond the identified "
@@ -243,14 +243,15 @@ class Judge:
             expected = expect.expected_error(self.model, voltage, steps, lead_rows)
         past_known = self.lead.past_known
         if expected is not None:
-            unsettled = self.unsettled or 0.0
-            missed = math.hypot(self._lost_rms, unsettled, self.rounding)
+            known, past, memory = expected
+            missed = math.hypot(self._lost_rms, self.unsettled or 0.0, self.rounding)
             if self.lead.condition:
-                missed = math.hypot(missed, expected.past)
-                unrested = math.hypot(expected.rms(past_known=True), missed)
-            error = math.hypot(expected.rms(past_known, past_known), missed)
+                missed = math.hypot(missed, past)
+                unrested = math.hypot(math.hypot(known, memory), missed)
+            error = math.hypot(known, missed)
             if not past_known:
-                known_error = math.hypot(expected.known, missed)
+                error_from_rest = error
+                error = math.hypot(math.hypot(*expected), missed)
         texts += expect.move_warnings(self.model, voltage, steps)
         texts += self._end_warnings(error, state)
         warnings = [f"{self.name}: {text}" for text in texts]
@@ -273,7 +274,7 @@ class Judge:
             lost_rms=self._lost_rms,
             lost_most=self._largest,
             expected_error=error,
-            expected_known=known_error,
+            expected_known=error_from_rest,
             expected_unrested=unrested,
             starts_at=self._first if asks_start else None,
             past_known=past_known,

@@ -419,13 +419,11 @@ class Cascade:
             return _inverter(None, None, 0.0)
         if dt is None:
             raise ModelError(_TIME_IS_NEEDED)
-        if isinstance(dt, np.ndarray):
+        if isinstance(dt, np.ndarray) or not dt > 0.0:
             raise InputError(
-                "the model's delay and dynamics need an even clock: add `resample` HZ, or behind a pause "
-                "leave `state` out"
+                "the model's delay and dynamics need an even clock that advances: add `resample` HZ, or "
+                "behind a pause leave `state` out"
             )
-        if not dt > 0.0:
-            raise InputError(f"time step: {dt!r} s is not greater than 0")
         return _inverter(self.dynamics, self.delay, float(dt))
 
     def follow_loop(self, y: Floats, dt: float) -> Floats:

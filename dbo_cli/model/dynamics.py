@@ -55,13 +55,6 @@ LEFT_OVER = 1e-17  # of the whole sum over the future: less than rounding does t
 LONGEST_AHEAD = 2000
 
 
-class SectionOutput(NamedTuple):
-    """What a section's output has besides p: parts of the lead u - p and of q (``dbo_section_output``)."""
-
-    by_lead: float = 0.0
-    by_q: float = 0.0
-
-
 @dataclass(frozen=True)
 class Mode(Keyed):
     """The polynomial 1 + 2 zeta s/omega + s^2/omega^2.
@@ -105,13 +98,13 @@ class Resonance(Mode):
         return max(self.frequency, self.antiresonance.frequency)
 
     @property
-    def output(self) -> SectionOutput:
-        """What the numerator adds to p."""
+    def output(self) -> tuple[float, float]:
+        """What the numerator adds to p: parts of the lead u - p and of q (``dbo_section_output``)."""
         if self.antiresonance is None:
-            return SectionOutput()
+            return 0.0, 0.0
         ratio = self.frequency / self.antiresonance.frequency
         damping = self.antiresonance.damping - ratio * self.damping
-        return SectionOutput(ratio * ratio, 2.0 * ratio * damping)
+        return ratio * ratio, 2.0 * ratio * damping
 
     def step(self, dt: Floats) -> Floats:
         """Return how p and q change in each time step (s), shape (6, steps).
@@ -182,9 +175,9 @@ class Lag(Keyed):
         return self.lag
 
     @property
-    def output(self) -> SectionOutput:
-        """What the numerator adds to p."""
-        return SectionOutput(by_lead=self.lead / self.lag)
+    def output(self) -> tuple[float, float]:
+        """What the numerator adds to p, as of ``Resonance``."""
+        return self.lead / self.lag, 0.0
 
     def step(self, dt: Floats) -> Floats:
         """Return how p changes in each time step (s), as of ``Resonance``; a lag has no q."""
@@ -262,8 +255,6 @@ def section_inverse(section: Section, dt: float) -> SectionInverse:
     if isinstance(section, Lag):
         numbers = _with_one(matrix[0, 0], drive[0], out[0])
         return SectionInverse(numbers, np.zeros(0), np.array([[1.0, 0.0], [0.0, 0.0]]))
-    if section.highest * dt > HIGHEST_PART:
-        raise _unresolved(section, dt)
     numbers = np.concatenate([matrix.reshape(-1), drive, out])
     half = 0.5 * (matrix[0, 0] + matrix[1, 1])
     det = float(np.linalg.det(matrix))
@@ -272,13 +263,19 @@ def section_inverse(section: Section, dt: float) -> SectionInverse:
     if root > 0.0:
         outer = half + math.copysign(math.sqrt(root), half)
         inner, outer = sorted([det / outer, outer], key=abs)
+    refusal = InputError(
+        f"the model's resonance at {section.frequency:.6g} Hz is too fast to be undone at {1.0 / dt:.6g} Hz "
+        f"(`resample` {6.0 * section.highest:.6g} or more)"
+    )
+    if section.highest * dt > HIGHEST_PART:
+        raise refusal
     if abs(outer) < 1.0 and section.antiresonance is not None:
         return SectionInverse(numbers, np.zeros(0), np.eye(2))
-    if not abs(inner) < 1.0 < abs(outer):
-        raise _unresolved(section, dt)
-    count = math.ceil(math.log(LEFT_OVER) / -math.log(abs(outer)))
+    count = math.inf
+    if abs(inner) < 1.0 < abs(outer):
+        count = math.ceil(math.log(LEFT_OVER) / -math.log(abs(outer)))
     if count > LONGEST_AHEAD:
-        raise _unresolved(section, dt)
+        raise refusal
     inside_row, inside_drive = _eigenpart(recursion, inner)
     _, outside_drive = _eigenpart(recursion, outer)
     weight = -outside_drive * outer ** -np.arange(1.0, count + 1.0)
@@ -295,17 +292,6 @@ def _eigenpart(
     right = np.array([matrix[0, 1], zero - matrix[0, 0]])
     row = left_vector * (float(out @ right) / float(left_vector @ right))
     return row, float(row @ drive)
-
-
-def _unresolved(section: Resonance, dt: float) -> InputError:
-    """Return the refusal of a clock that does not resolve a section, with the rate that does."""
-    name = f"resonance at {section.frequency:.6g} Hz"
-    if section.antiresonance is not None:
-        name += f" with its antiresonance at {section.antiresonance.frequency:.6g} Hz"
-    return InputError(
-        f"the model's {name} is too fast to be undone at {1.0 / dt:.6g} Hz"
-        f" (`resample` {6.0 * section.highest:.6g} or more)"
-    )
 
 
 # --- the stage ---
@@ -402,9 +388,9 @@ class Dynamics(Keyed):
         memories = []
         each = zip(inverses_of(self.sections, dt), sections, self.sections, strict=True)
         for inverse, (p, q, u), section in each:
-            output = section.output
+            by_lead, by_q = section.output
             a, b = (inverse.from_state @ np.array([u - p, q])).tolist()
-            memories.append((p + (output.by_lead * (u - p) + output.by_q * q), a, b))
+            memories.append((p + (by_lead * (u - p) + by_q * q), a, b))
         return tuple(memories)
 
     def loop(self, x: Floats, dt: float) -> Floats:

@@ -68,12 +68,11 @@ def load(path: str, noun: str) -> tuple[str, Any]:
     except OSError as problem:
         reason = problem.strerror or problem
         raise InputError(f"{name}: cannot be read: {reason}") from None
-    except json.JSONDecodeError as problem:
+    except (ValueError, RecursionError) as problem:
+        line = getattr(problem, "lineno", 1)
         raise ModelError(
-            f"{name}: line {problem.lineno}: not the JSON of a {noun}, or the file ends too early"
+            f"{name}: line {line}: not the JSON of a {noun}, or the file ends too early"
         ) from None
-    except (ValueError, RecursionError):
-        raise ModelError(f"{name}: not the JSON of a {noun}") from None
 
 
 def contents(values: Any, path: str, form: str, noun: str) -> Json:
