@@ -102,8 +102,8 @@ class Controller:
         self._begin = state
         self._stepper: Any = None
         self._pending: Planned | None = None
-        self._to_gears = model.tail.inverse()
-        self._from_gears = model.head.inverse()
+        self._to_gears = model.tail.inverse
+        self._from_gears = model.head.inverse
         self._amplifier = model.amplifier
         self._output = 0.0  # of the amplifier, now
         if model.amplifier is not None:

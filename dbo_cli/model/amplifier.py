@@ -118,7 +118,7 @@ def drive_before(
     head: Curves, voltage: float, before: float, share: float, low: float, high: float
 ) -> tuple[float, float]:
     """Return a row's drive for a voltage at the gears, and the amplifier's output; see ``window_behind``."""
-    output = head.inverse().value(voltage)
+    output = head.inverse.value(voltage)
     drive = before + (output - before) / share
     return min(max(drive, low), high), output  # rounding on the way back
 

@@ -298,13 +298,13 @@ class Cascade:
         starts, ends = self.starts, self.head.ends(low, high)
 
         def drive_of(at_gears: float) -> float:
-            return min(max(self.head.inverse().value(at_gears), low), high)
+            return min(max(self.head.inverse.value(at_gears), low), high)
 
         if state in ("empty", "full"):
             at_end = starts.ends[1 if state == "full" else 0]
             drive = drive_of(min(max(at_end, ends[0]), ends[1]))
             return State(starts.bits(at_end, state), drive=drive)
-        output = self.tail.inverse().value(float(first))
+        output = self.tail.inverse.value(float(first))
         name = self._start_name(state)
         if name != "settled":
             bits = starts.bits(0.0, name)
@@ -395,7 +395,7 @@ class Cascade:
         """The range of this model's input: what it was identified on, or less where its gears end."""
         low, high = self.input.min, self.input.max
         if self.is_forward:
-            least, most = self.head.inverse().ends(*self.gears.x_range)
+            least, most = self.head.inverse.ends(*self.gears.x_range)
             low, high = max(low, least), min(high, most)
         slack = NEGLIGIBLE * self.input.span
         return low - slack, high + slack
@@ -472,7 +472,7 @@ class Cascade:
             if missed and window is not None:
                 clipped = int(not window[0] < state.first < window[1])
             y = np.concatenate([reached, y[1:]])
-        output = self.tail.inverse()(y)
+        output = self.tail.inverse(y)
         if self.amplifier is None:
             result = self._undo_gears(output, state, steps, window, slew)
         else:
@@ -502,7 +502,7 @@ class Cascade:
             at_gears = self.head.value(state.drive)
             state = state.behind(state.bits, state.memory, at_gears)
         result = self.gears.undo(output, state, steps, inner, inner_slew)
-        voltage = self.head.inverse()(result.y)
+        voltage = self.head.inverse(result.y)
         if window is not None and self.head:
             # rounding on the way back through the points
             voltage = np.clip(voltage, *window)
@@ -524,7 +524,7 @@ class Cascade:
         assert self.amplifier is not None
         before, shares = self.amplifier.shares(state, dt, output.size)
         done = self.gears.undo(output, state, dt)
-        amplified = self.head.inverse()(done.y)
+        amplified = self.head.inverse(done.y)
         free = self.amplifier.undo(amplified, done.state, dt)
         free = free._replace(state=replace(free.state, drive=float(free.y[-1])))
         if window is None:

@@ -342,7 +342,7 @@ class Dynamics(Keyed):
         memory = np.array(state.sections or at_rest, dtype=np.float64)
         y = np.empty(x.size)
         if isinstance(dt, np.ndarray):
-            rows = _step_rows(self.sections, checked_steps(dt))
+            rows = _step_rows(self.sections, dt)
         else:
             rows = _even_row(self.sections, dt)
         signal = np.ascontiguousarray(x, dtype=np.float64)
@@ -420,16 +420,15 @@ class Dynamics(Keyed):
         return [sections]
 
 
-def _step_rows(sections: tuple[Section, ...], steps: Floats) -> Floats:
+def _step_rows(sections: tuple[Section, ...], dt: Any) -> Floats:
     """Return the kernel's numbers, six for each section, in a row for each time step (s)."""
+    steps = checked_steps(dt)
     rows = np.vstack([section.step(steps) for section in sections])
     return np.ascontiguousarray(rows.T)
 
 
-@lru_cache(maxsize=32)
-def _even_row(sections: tuple[Section, ...], dt: float) -> Floats:
-    """Return ``_step_rows`` of one step; every block of a stream asks for it."""
-    return _step_rows(sections, checked_steps(dt))
+# of one time step; every block of a stream asks for it
+_even_row = lru_cache(maxsize=32)(_step_rows)
 
 
 @lru_cache(maxsize=32)

@@ -129,6 +129,9 @@ def _model(values: Any, path: str) -> Cascade:
     if values.get("direction") == "inverse":
         direction = "inverse"
 
+    def candidate(values: Any, path: str) -> Any:
+        return build(Candidate, values, path, weight=number, stages=_stages)
+
     def cascade(past: str = "settled", **keys: Any) -> Cascade:
         return Cascade(**keys, auto_start=past)
 
@@ -142,7 +145,7 @@ def _model(values: Any, path: str) -> Cascade:
         output=Quantity.read,
         stages=partial(_stages, direction=direction),
         fit=_fit,
-        candidates=partial(fields.listed, read=_candidate),
+        candidates=partial(fields.listed, read=candidate),
         provenance=fields.notes,
         past=partial(fields.choice, choices=KEPT_STARTS),
     )
@@ -155,10 +158,6 @@ def _fit(values: Any, path: str) -> Json:
     for key in FIGURES:
         fields.unless_null(fields.magnitude)(figures.get(key), f"{path}.{key}")
     return figures
-
-
-def _candidate(values: Any, path: str) -> Any:
-    return build(Candidate, values, path, weight=number, stages=_stages)
 
 
 def _stages(
@@ -195,7 +194,7 @@ def _mirrored(stage: type[Stage], keys: Json) -> Json:
     Mirrored twice, they are those of the stage.
     """
     if stage is Scale:
-        return Scale(**keys).inverse().keys()
+        return Scale(**keys).inverse.keys()
     if stage is Delay:
         return {"seconds": -keys["seconds"]}
     return {key: keys[_EXCHANGED.get(key, key)] for key in keys}
@@ -307,7 +306,7 @@ def read_state(path: str, model: Cascade) -> State:
 def parse_state(values: object, model: Cascade, name: str = "the state") -> State:
     """Return the state that JSON values describe (ModelError: they do not, or it is another model's)."""
     with prefixed(name):
-        return _state(fields.contents(values, "", STATE_FORMAT, "a state"), model)
+        return _state(values, model)
 
 
 def state_of(state: State | str | Path, model: Cascade) -> State | str:
@@ -330,8 +329,9 @@ def state_of(state: State | str | Path, model: Cascade) -> State | str:
     return name if name in START_NAMES else read_state(name, model)
 
 
-def _state(values: Json, model: Cascade) -> State:
+def _state(values: object, model: Cascade) -> State:
     """Return the state that an object describes, which must be one of ``model``."""
+    values = fields.contents(values, "", STATE_FORMAT, "a state")
     amplifier = {}
     if model.amplifier is not None:
         amplifier["amplifier"] = fields.unless_null(number)

@@ -68,6 +68,8 @@ class Gears(Keyed):
 
     Attributes
     ----------
+    gain, reference : array, float
+        Of the relaxation; without one, no gain.
     x_range, y_range : (float, float)
         Input and output at B = 0 and at B = 2^n - 1, after a rest.
 
@@ -103,17 +105,16 @@ class Gears(Keyed):
         heights = on_binary_grid("dy", self.dy)
         self.width = math.fsum(widths.tolist())
         self.height = math.fsum(heights.tolist())
-        gains: tuple[float, ...] = ()
-        if relaxation is not None:
-            gains = relaxation.gain
-            relaxation.require_slopes(heights / widths, self.height / self.width)
-        self.gain = np.array(gains, dtype=np.float64)
-        self.table = gear_table(widths, heights, self._rounding(widths, heights))
         low, high = self.x0, self.x0 + self.width
         bottom, top = self.y0, self.y0 + self.height
+        self.gain, self.reference = np.empty(0), 0.0
         if relaxation is not None:
+            self.gain = np.array(relaxation.gain, dtype=np.float64)
+            self.reference = relaxation.reference
+            relaxation.require_slopes(heights / widths, self.height / self.width)
             bottom += relaxation.at_rest(low)
             top += relaxation.at_rest(high)
+        self.table = gear_table(widths, heights, self._rounding(widths, heights))
         self.x_range, self.y_range = (low, high), (bottom, top)
         for key, (low, high) in (("x0", self.x_range), ("y0", self.y_range)):
             if not low < high:
@@ -163,25 +164,15 @@ class Gears(Keyed):
         return table
 
     @functools.cached_property
-    def kernel_rows(self) -> tuple[Floats, Places]:
-        """The kernel's table and its guide, a row for each gear."""
-        return kernel_table(self.table)
-
-    @functools.cached_property
-    def _exchanged_rows(self) -> tuple[Floats, Places]:
-        return kernel_table(self.exchanged)
+    def _rows(self) -> tuple[tuple[Floats, Places], tuple[Floats, Places]]:
+        """The kernel's table and its guide, a row for each gear; and those of the inverse."""
+        return kernel_table(self.table), kernel_table(self.exchanged)
 
     def operator(self, extend: bool, is_inverse: bool = False) -> tuple[Any, ...]:
         """Return the kernel's first arguments, the same for all blocks; memory follows the voltage."""
-        rows, origins = self.kernel_rows, (self.x0, self.y0)
-        if is_inverse:
-            rows, origins = self._exchanged_rows, (self.y0, self.x0)
+        rows = self._rows[is_inverse]
+        origins = (self.y0, self.x0) if is_inverse else (self.x0, self.y0)
         return *rows, *origins, extend, self.gain, self.reference, is_inverse
-
-    @property
-    def reference(self) -> float:
-        """The voltage at which nothing is remembered."""
-        return 0.0 if self.relaxation is None else self.relaxation.reference
 
     def words(self, bits: int) -> Words:
         """Return the kernel's buffer with the bits of a state in it (ModelError where they are too many)."""

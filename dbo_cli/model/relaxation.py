@@ -106,10 +106,9 @@ class Relaxation(Keyed):
         InputError
             A time step is negative or not a number.
         """
-        if isinstance(dt, float):
-            return _even_decay(self.tau, dt)
-        factors: Floats = np.exp(-checked_steps(dt)[:, np.newaxis] / np.array(self.tau))
-        return factors
+        return (
+            _even_decay(self.tau, dt) if isinstance(dt, float) else _decay(self.tau, dt)
+        )
 
     def lags(
         self,
@@ -130,9 +129,11 @@ class Relaxation(Keyed):
         return rows, tuple(memories.tolist())
 
 
-@lru_cache(maxsize=32)
-def _even_decay(tau: tuple[float, ...], dt: float) -> Floats:
-    """Return a_j of one time step; every block of a stream asks for it."""
+def _decay(tau: tuple[float, ...], dt: float | ArrayLike) -> Floats:
     factors: Floats = np.exp(-checked_steps(dt)[:, np.newaxis] / np.array(tau))
     factors.flags.writeable = False
     return factors
+
+
+# of one time step; every block of a stream asks for it
+_even_decay = lru_cache(maxsize=32)(_decay)
