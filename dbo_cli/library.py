@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
@@ -435,12 +434,6 @@ class Model:
 
         return plot_model(self.actuator)
 
-    def _repr_html_(self) -> str:
-        """Return what a notebook shows."""
-        from dbo_cli.reports.plots import image, model_plots
-
-        return f"<p>{escape(repr(self))}</p>{image(model_plots(self.actuator)[0])}"
-
     def __repr__(self) -> str:
         """Return the model in one line."""
         into, out = self.input, self.output
@@ -829,12 +822,9 @@ def _compared(
     table, columns = arrays_table(signals, options, units, time, rate)
     first, second = table.columns[:2]
     if model is None and first.unit != second.unit:
-        texts = [
-            f"in {each.unit}" if each.unit else "without a unit"
-            for each in (second, first)
-        ]
         raise InputError(
-            f"measured is {texts[0]}, desired {texts[1]}: convert one of them, and pass `unit` of both"
+            f"desired is in {first.unit or 'no unit'}, measured in {second.unit or 'no unit'}: convert one "
+            "of them, and pass `unit` of both"
         )
     return table, columns
 

@@ -82,11 +82,8 @@ class Checked:
         if self.played is not None:
             match = self.played
             lag_rows = round(match["lag_rows"], 2) + 0.0
-            lag_text = f"{lag_rows:g} rows late"
-            if lag_rows and match["lag_seconds"]:
-                lag_text += f" ({1e3 * match['lag_seconds']:.4g} ms)"
             lines.append(
-                f"  played: {match['rows']:,} rows, {lag_text}, gain {match['gain']:.6g}, offset "
+                f"  played: {match['rows']:,} rows, {lag_rows:g} rows late, gain {match['gain']:.6g}, offset "
                 f"{match['offset']:.3g}{unit}, largest difference {match['largest_difference']:.3g}{unit}"
             )
         lines += [f"  {problem}" for problem in self.problems]
@@ -205,16 +202,11 @@ def _steps(time: Floats) -> Floats:
 def _odd_times(time: Floats) -> list[str]:
     """Return what is odd about time stamps."""
     steps = np.diff(time)
-    kinds = {
-        "time goes backwards": steps < 0.0,
-        "the time stamp repeats": steps == 0.0,
-        "a gap in time before it": gaps(steps),
-    }
-    problems = []
-    for reason, rows in kinds.items():
-        if rows.any():
-            problems.append(_problem(np.concatenate([[False], rows]), reason))
-    return problems
+    odd = np.concatenate([[False], (steps <= 0.0) | gaps(steps)])
+    if not odd.any():
+        return []
+    reason = "time goes back, stands still, or has a gap before it"
+    return [_problem(odd, reason)]
 
 
 def gaps(steps: Floats) -> Booleans:

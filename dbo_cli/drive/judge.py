@@ -211,15 +211,13 @@ class Judge:
                 f"{unit}: check unit, column and zero of the trajectory"
             )
         low, high = self._ranges["desired"]
-        size, noun = high - low, "the move"
-        if not size > 0.0:
-            size, noun = reach.span, "the model's range"
+        size = high - low or reach.span
         lost = self._lost_rms
         if self.on_limit != "auto" or lost <= ALLOWED_PART * size:
             return
         raise LimitError(
             f"{self.name}: {self._exceeding()}, by {lost:.3g}{unit} RMS ({100.0 * lost / size:.2g} % of "
-            f"{noun}): {REMEDY}"
+            f"{size:.3g}{unit}): {REMEDY}"
         )
 
     # --- the end ---

@@ -9,7 +9,6 @@ first displacement may follow, in which the inverse reads ahead to the move.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -274,14 +273,16 @@ class Lead:
             swing = ramp(begin, end, dt, seconds, limits)
             return np.concatenate([swing, np.full(still, end)])
 
-        def missing(end: float) -> float:
-            after = static.run(way_to(end), state, dt).state
-            return self._goes_on(first, dt, after) - end
-
         if self.model.gears.relaxation is None:
-            end = self._goes_on(first, dt, state)
-        else:
-            end = _zero_of(missing, *limits.move)
+            return way_to(self._goes_on(first, dt, state))
+        low, high = limits.move  # where it goes on falls as the way ends higher
+        for _ in range(WAY_HALVINGS):
+            end = 0.5 * (low + high)
+            after = static.run(way_to(end), state, dt).state
+            if self._goes_on(first, dt, after) > end:
+                low = end
+            else:
+                high = end
         return way_to(end)
 
     def _goes_on(self, first: float, dt: float, state: State) -> float:
@@ -340,21 +341,6 @@ def require_time(seconds: Seconds, shortest: float, dt: float) -> None:
             f"`approach` {seconds:g}: too fast for `max_slew`; give at least {rounded_up(shortest, 4):.9g} s "
             "for the whole way, or auto"
         )
-
-
-def _zero_of(falling: Callable[[float], float], low: float, high: float) -> float:
-    """Return where a falling function is zero between two voltages, by halving.
-
-    It may have small steps where a swing takes a row more.
-    """
-    middle = low
-    for _ in range(WAY_HALVINGS):
-        middle = 0.5 * (low + high)
-        if falling(middle) > 0.0:
-            low = middle
-        else:
-            high = middle
-    return middle
 
 
 def rest_rows(model: Cascade, dt: float) -> int:

@@ -229,7 +229,7 @@ def waveform(
     if form is None:
         raise UsageError(f"`to` {to}: give one of {', '.join(GENERATORS)}")
     _check_codes(form, to, codes, volts)
-    _check_numbers(gain, points, rate, max_rounding)
+    _check_numbers(gain, points, rate)
     time = np.arange(voltage.size) / drive_rate
     checked = check_drive(voltage, time, limits, name=name, loop=loop, doubts=doubts)
     checked.require_passed()
@@ -237,7 +237,7 @@ def waveform(
         raise UsageError(f"{name}: one row is not a drive")
     allowance = 0.01 * max_rounding * float(np.ptp(voltage))
     resampled, rate, shift = _at_points(voltage, drive_rate, points, rate, loop)
-    if shift > allowance:
+    if not shift <= allowance:
         raise LimitError(
             f"{name}: {resampled.size:,} points change the drive by up to {shift:.3g} V, more than "
             f"{allowance:.3g} V: raise `points`, `rate` or `max_rounding`"
@@ -254,7 +254,7 @@ def waveform(
         values = coding.encode(exact, (low, high))
         heard = coding.decode(values)
         rounding = abs(gain) * float(np.abs(heard - exact).max())
-        if rounding > allowance and np.ptp(exact) > 0.0:
+        if not rounding <= allowance and np.ptp(exact) > 0.0:
             raise LimitError(
                 f"{name}: codes change the drive by up to {rounding:.3g} V, more than {allowance:.3g} V: "
                 "narrow `volts`, or raise `max_rounding`"
@@ -320,9 +320,7 @@ def _check_codes(
             )
 
 
-def _check_numbers(
-    gain: float, points: int | None, rate: float | None, max_rounding: float
-) -> None:
+def _check_numbers(gain: float, points: int | None, rate: float | None) -> None:
     """Refuse numbers that cannot be meant."""
     if not math.isfinite(gain) or gain == 0.0:
         raise UsageError(f"`gain` {gain:g}: give a number other than 0")
@@ -331,8 +329,6 @@ def _check_numbers(
     if points is not None and points < 2:
         raise UsageError(f"`points` {points}: give 2 or more")
     require_positive(rate=rate)
-    if not 0.0 <= max_rounding < math.inf:
-        raise UsageError(f"`max_rounding` {max_rounding:g}: give 0 or more")
 
 
 def _at_points(

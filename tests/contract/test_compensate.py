@@ -170,7 +170,7 @@ def test_rows_before_the_move_do_not_count_in_the_expected_error():
     whole = expected_error(drive.model, played, 1e-3)
     assert alone is not None and whole is not None
     assert drive.expected_error == alone.known != whole.known
-    assert drive.expected_unrested == alone.rms(past_known=True)
+    assert drive.expected_unrested == pytest.approx(np.hypot(alone.known, alone.memory))
 
 
 def test_a_sweep_of_a_part_of_the_range_leaves_what_the_rest_remembers():
