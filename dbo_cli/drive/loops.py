@@ -109,11 +109,9 @@ class Loop:
         if self.has_settled and residual <= LOOP_ERROR * size:
             return ()
         text = (
-            f"{self.name}: the loop does not settle: however often it is repeated, it ends {residual:.3g}"
+            f"{self.name}: the loop does not settle within its limits: repeated, it ends {residual:.3g}"
             f"{model.output.suffix} off (`passes` 1 or `state` empty fixes the start)"
         )
-        if residual <= LOOP_ERROR * size:
-            text = f"{self.name}: the drive still changes from pass to pass within its limits"
         costs = on_limit == "auto" and residual > ALLOWED_PART * size
         if costs or on_limit == "error":
             raise LimitError(f"{text}; `on_limit` clip writes it anyway")

@@ -267,11 +267,8 @@ class Cascade:
         if isinstance(state, State):
             return state
         at_gears = self.head.value(float(voltage))
-        return State(self.starts.bits(at_gears, self._start_name(state)))
-
-    def _start_name(self, name: str) -> str:
-        """Return the start that ``auto`` stands for, or the name itself."""
-        return self.auto_start if name == "auto" else name
+        name = self.auto_start if state == "auto" else state
+        return State(self.starts.bits(at_gears, name))
 
     def start_drive(
         self,
@@ -305,7 +302,7 @@ class Cascade:
             drive = drive_of(min(max(at_end, ends[0]), ends[1]))
             return State(starts.bits(at_end, state), drive=drive)
         output = self.tail.inverse.value(float(first))
-        name = self._start_name(state)
+        name = self.auto_start if state == "auto" else state
         if name != "settled":
             bits = starts.bits(0.0, name)
             at_gears = float(self.gears.undo([output], State(bits)).y[0])

@@ -52,30 +52,25 @@ class Generator(NamedTuple):
     holds_channels: bool = False
 
 
-class Coding(NamedTuple):
-    """Whole numbers for voltages: the ends of ``codes`` stand for the ends of ``volts``."""
+def _encoded(
+    volts: Floats, codes: tuple[int, int], ends: Span, within: Span
+) -> tuple[Codes, Floats]:
+    """Return whole numbers for voltages, and the voltages that they mean: ``codes`` mean ``ends``.
 
-    codes: tuple[int, int]
-    volts: Span
+    They are the nearest codes; next to a limit the nearest one inside it.
+    """
+    (first, last), (low, high) = codes, ends
 
-    @property
-    def step(self) -> float:
-        """Volts a code."""
-        low, high = self.volts
-        return (high - low) / (self.codes[1] - self.codes[0])
-
-    def encode(self, volts: Floats, within: Span) -> Codes:
-        """Return the nearest codes; next to a limit the nearest one inside it."""
-        places = np.rint((volts - self.volts[0]) / self.step).astype(np.int64)
-        codes: Codes = np.clip(places + self.codes[0], *self.codes)
-        codes = codes - (self.decode(codes) > within[1])
-        return codes + (self.decode(codes) < within[0])
-
-    def decode(self, codes: Codes) -> Floats:
-        """Return the voltages of codes."""
-        share = (codes - self.codes[0]) / (self.codes[1] - self.codes[0])
-        low, high = self.volts
+    def meant(values: Codes) -> Floats:
+        share = (values - first) / (last - first)
         return np.clip(low + share * (high - low), low, high)
+
+    step = (high - low) / (last - first)
+    places = np.rint((volts - low) / step).astype(np.int64)
+    values: Codes = np.clip(places + first, first, last)
+    values = values - (meant(values) > within[1])
+    values = values + (meant(values) < within[0])
+    return values, meant(values)
 
 
 def _positional(value: float) -> str:
@@ -249,10 +244,8 @@ def waveform(
     values: Values = exact
     heard, meaning = exact, ""
     if form.codes is not None:
-        lowest, highest = codes or form.codes
-        coding = Coding((int(lowest), int(highest)), ends)
-        values = coding.encode(exact, (low, high))
-        heard = coding.decode(values)
+        lowest, highest = map(int, codes or form.codes)
+        values, heard = _encoded(exact, (lowest, highest), ends, (low, high))
         rounding = abs(gain) * float(np.abs(heard - exact).max())
         if not rounding <= allowance and np.ptp(exact) > 0.0:
             raise LimitError(
@@ -260,11 +253,11 @@ def waveform(
                 "narrow `volts`, or raise `max_rounding`"
             )
         meaning = (
-            f"codes {coding.codes[0]} to {coding.codes[1]} mean {ends[0]:.6g} to {ends[1]:.6g} V; "
+            f"codes {lowest} to {highest} mean {ends[0]:.6g} to {ends[1]:.6g} V; "
             f"rounding changes the drive by {rounding:.3g} V"
         )
         if slew is not None:  # codes stand a step beside
-            slew += coding.step * rate
+            slew += (ends[1] - ends[0]) / (highest - lowest) * rate
     allowed = replace(limits, rating=(low, high), slew=slew, extrapolate=True)
     Gate(allowed).admit(heard, 1.0 / rate, "return")
     data = form.write(values, rate, ends)
