@@ -565,10 +565,8 @@ def read_log(
         encoding=encoding,
         clock_offset=clock_offset,
     )
-    columns = {"time": time, "voltage": voltage, "displacement": displacement}
-    roles: dict[str, str | None] = {}
-    for role, name in columns.items():
-        roles[role] = None if name is None else str(name)
+    typed = {"time": time, "voltage": voltage, "displacement": displacement}
+    roles = {role: None if name is None else str(name) for role, name in typed.items()}
     absent = tuple(role for role, name in roles.items() if name is None)
     with open_log(str(path), roles, reading, None, absent) as log:
         present = [role for role in ("voltage", "displacement") if role in log.columns]

@@ -14,7 +14,7 @@ from dbo_cli.alignment import RATE_SLACK, Trace, align_drives
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.drive.limits import Gate, Limits
 from dbo_cli.drive.smooth import open_seam
-from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.errors import LimitError, UsageError, prefixed
 from dbo_cli.signals import between, noise, usual_step
 
 TOLERANCE = 1e-3
@@ -132,10 +132,6 @@ def check_drive(
     InputError
         A slew limit is to be checked and no time is known.
     """
-    if limits.slew is not None and time is None:
-        raise InputError(
-            f"{name}: no time column, which `max_slew` needs: add `time` COLUMN or `sample_rate` HZ"
-        )
     checked = _figures(voltage, time, name, limits)
     checked.problems += doubts
     steps = None
@@ -150,7 +146,8 @@ def check_drive(
     waits = steps
     if tolerance > 0.0 and steps is not None and limits.slew is not None:
         waits = steps + 2.0 * tolerance / limits.slew  # both rows of a step may miss
-    bad, reason = gate.broken(voltage, waits, "return")
+    with prefixed(name):
+        bad, reason = gate.broken(voltage, waits, "return")
     if reason:
         checked.problems.append(_problem(bad, reason))
     if loop:

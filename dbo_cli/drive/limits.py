@@ -153,7 +153,7 @@ class Limits:
         """
         if self.slew is not None and dt is None:
             raise InputError(
-                "`max_slew` needs a clock: a time column, or `sample_rate` HZ"
+                "`max_slew` needs a clock: add `time` COLUMN or `sample_rate` HZ"
             )
         step: float | Floats | None = largest_step(self.slew, dt)
         return step

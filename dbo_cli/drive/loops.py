@@ -79,11 +79,10 @@ class Loop:
     def __init__(
         self, lead: Lead, period: Floats, dt: float, passes: int, name: str
     ) -> None:
-        if not isinstance(passes, int | np.integer) or passes < 0:
-            raise UsageError(f"`passes` {passes}: give a whole number of passes")
-        if passes * period.size > MOST_SIGNAL_ROWS:
+        is_count = isinstance(passes, int | np.integer)
+        if not is_count or not 0 <= passes * period.size <= MOST_SIGNAL_ROWS:
             raise UsageError(
-                f"`passes` {passes}: at most {MOST_SIGNAL_ROWS:,} rows in all"
+                f"`passes` {passes}: give a whole number, of at most {MOST_SIGNAL_ROWS:,} rows in all"
             )
         if period.size < FEWEST_PERIOD_ROWS:
             raise InputError(

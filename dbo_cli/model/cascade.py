@@ -425,10 +425,9 @@ class Cascade:
 
     def follow_loop(self, y: Floats, dt: float) -> Floats:
         """Return the displacement behind dynamics and delay, for one period of a static one that repeats."""
-        if self.dynamics is not None:
-            y = self.dynamics.loop(y, dt)
-        if self.delay is not None:
-            y = self.delay.loop(y, dt)
+        for stage in (self.dynamics, self.delay):
+            if stage is not None:
+                y = stage.loop(y, dt)
         return y
 
     def drive(
