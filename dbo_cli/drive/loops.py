@@ -63,8 +63,6 @@ class Loop:
         What leads to the period, and the period.
     run, state
         The settled drive of the period, and the state before a pass of it.
-    has_settled
-        Whether that stays.
 
     Raises
     ------
@@ -105,7 +103,7 @@ class Loop:
         looped = looped_state(model, period, dt, state)
         aim = static.run(period, self.state, dt).y
         residual = largest_difference(static.run(period, looped, dt).y, aim)
-        if self.has_settled and residual <= LOOP_ERROR * size:
+        if residual <= LOOP_ERROR * size:
             return ()
         text = (
             f"{self.name}: the loop does not settle within its limits: repeated, it ends {residual:.3g}"
@@ -133,7 +131,7 @@ class Loop:
                 begin = state.drive if state.first is None else state.first
         following = self._repeated(state)
         for _ in range(MOST_STARTS):
-            self.run, self.state, self.has_settled = following
+            self.run, self.state = following
             self.voltage = self._closed(self.run.y)
             stands = float(self.voltage[0]) if begin is None else begin
             self.lead_voltage = self._before(self.voltage, stands)
@@ -144,8 +142,8 @@ class Loop:
             if change <= ONE_LOOP * model.input.span:
                 break
 
-    def _repeated(self, state: State) -> tuple[Run, State, bool]:
-        """Return the drive to which the period settles, the state before a pass of it, and whether it stays.
+    def _repeated(self, state: State) -> tuple[Run, State]:
+        """Return the drive to which the period settles, and the state before a pass of it.
 
         ``state`` is that before the first pass ever: gears that the loop does not reach keep it.
         """
@@ -158,8 +156,8 @@ class Loop:
             change = largest_difference(again.y, run.y)
             run = again
             if change <= SETTLED * model.input.span:
-                return run, before, True
-        return run, before, False
+                break
+        return run, before
 
     def _before(self, period: Floats, begin: float) -> Floats:
         """Return what leads to a period: a ramp, or a pass in which it grows, then whole passes of it.

@@ -182,13 +182,11 @@ class Gears(Keyed):
         content = bits.to_bytes(8 * size, "little")
         return np.frombuffer(content, dtype="<u8").astype(np.uint64)
 
-    def settled(
-        self, voltage: float, covered: int | None = None, spare: int = 0
-    ) -> int:
+    def settled(self, voltage: float, covered: int, spare: int) -> int:
         """Return the bits after an oscillation that decays from the whole range to ``voltage``.
 
-        With ``covered`` from the range of the first so many gears alone, while others
-        stay as they are in the bits ``spare``.
+        The range is that of the first ``covered`` gears; others stay as they are in the
+        bits ``spare``.
 
         The oscillation turns at ``voltage + A`` and ``voltage - A``, both cut off at
         the ends of the range; A falls arbitrarily slowly to 0 and the first turn is the
@@ -200,8 +198,7 @@ class Gears(Keyed):
         """
         words = self.words(spare)
         kernel.extension.backlash_settled(
-            self.operator(True, is_inverse=True), words,
-            self.n if covered is None else covered, float(voltage),
+            self.operator(True, is_inverse=True), words, covered, float(voltage),
         )  # fmt: skip
         return bits_of(words)
 
