@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.arrays import Booleans, Floats
+from dbo_cli.arrays import Booleans, Floats, Range
 from dbo_cli.errors import DboError, InputError, LimitError, UsageError
 from dbo_cli.model import Quantity
 from dbo_cli.model.gears import largest_step
@@ -62,8 +62,8 @@ class Limits:
         The limits leave nothing of the identified range, or the slew is not above 0.
     """
 
-    rating: tuple[float, float]
-    identified: tuple[float, float]
+    rating: Range
+    identified: Range
     slew: float | None = None
     unit: str | None = "V"
     extrapolate: bool = False
@@ -128,12 +128,12 @@ class Limits:
         )
 
     @cached_property
-    def move(self) -> tuple[float, float]:
+    def move(self) -> Range:
         """Least and greatest voltage of the rows of a move."""
         return self.rating if self.extrapolate else self.sweep
 
     @property
-    def sweep(self) -> tuple[float, float]:
+    def sweep(self) -> Range:
         """The range of a sweep: as much of the rating as is identified, if that is any."""
         (low, high), (lowest, highest) = self.rating, self.identified
         return max(low, lowest), min(high, highest)
@@ -287,7 +287,9 @@ class Gate:
         if not bad[row]:
             return bad, ""
         value, unit = float(voltage[row]), self.limits.suffix
-        if not (low <= value <= high and math.isfinite(value)):
+        if not math.isfinite(value):
+            return bad, f"{value} is no voltage"
+        if not low <= value <= high:
             side = f"above {high:.9g}" if value > high else f"below {low:.9g}"
             return bad, f"{value:.9g}{unit} is {side}{unit}"
         return bad, (

@@ -20,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.arrays import Booleans, Floats
+from dbo_cli.arrays import Booleans, Floats, Range
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model.amplifier import (
     Amplifier,
@@ -31,7 +31,7 @@ from dbo_cli.model.amplifier import (
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics, Inverter
 from dbo_cli.model.fields import require_above_0
-from dbo_cli.model.gears import NEGLIGIBLE, Gears, Window, largest_step
+from dbo_cli.model.gears import NEGLIGIBLE, Gears, largest_step
 from dbo_cli.model.points import Curve, Curves, Points, Scale
 from dbo_cli.model.start import Starts
 from dbo_cli.model.state import Quantity, Run, State, Steps, steps_of
@@ -388,7 +388,7 @@ class Cascade:
         return dt
 
     @functools.cached_property
-    def covered(self) -> tuple[float, float]:
+    def covered(self) -> Range:
         """The range of this model's input: what it was identified on, or less where its gears end."""
         low, high = self.input.min, self.input.max
         if self.is_forward:
@@ -435,7 +435,7 @@ class Cascade:
         desired: ArrayLike,
         state: State,
         dt: Steps = None,
-        window: Window | None = None,
+        window: Range | None = None,
         slew: float | None = None,
     ) -> Run:
         """Return the drive that makes the static part reach one block of displacement.
@@ -487,7 +487,7 @@ class Cascade:
         output: Floats,
         state: State,
         steps: float | Floats,
-        window: Window | None,
+        window: Range | None,
         slew: float | None,
     ) -> Run:
         """Return the voltage before gears and head for an output of the gears."""
@@ -509,7 +509,7 @@ class Cascade:
         output: Floats,
         state: State,
         dt: float | Floats,
-        window: Window | None,
+        window: Range | None,
         slew: float | None,
     ) -> Run:
         """Return the drive before an amplifier, whose limits reach through amplifier, head and gears.
@@ -562,7 +562,7 @@ class Cascade:
         dt: float,
         share: float,
         change: Floats,
-        window: Window,
+        window: Range,
     ) -> Run:
         """Return the drive of one row within its window and change; ``share`` is 1 - a of the amplifier."""
         last = np.array([math.nan if state.drive is None else state.drive])
@@ -574,8 +574,8 @@ class Cascade:
         return Run(np.array([drive]), after, done.clipped)
 
     def inner_limits(
-        self, window: Window, slew: float | None
-    ) -> tuple[Window, float | None]:
+        self, window: Range, slew: float | None
+    ) -> tuple[Range, float | None]:
         """Return the limits of the voltage before the curves as the gears meet them.
 
         The slew limit counts on the steepest step everywhere, so that it is kept with

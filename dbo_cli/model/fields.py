@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from dbo_cli.arrays import Range
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.files import note_input
 
@@ -173,7 +174,7 @@ def magnitude(value: Any, path: str) -> float:
     return abs(float(value))
 
 
-def interval(value: Any, path: str) -> tuple[float, float]:
+def interval(value: Any, path: str) -> Range:
     """Return the two ends of a range, the lower one first."""
     ends = number_list(value, path)
     if len(ends) != 2 or ends[0] > ends[1]:

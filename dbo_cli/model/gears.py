@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dbo_cli.arrays import Floats
+from dbo_cli.arrays import Floats, Range
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.fields import Keyed
@@ -34,7 +34,6 @@ from dbo_cli.model.widths import (
 
 Words = NDArray[np.uint64]
 Places = NDArray[np.uint32]
-Window = tuple[float, float]  # least and greatest voltage
 
 NEGLIGIBLE = 1e-9
 """Clipping, and missing a first value, count from this fraction of the range on."""
@@ -236,7 +235,7 @@ class Gears(Keyed):
         y: ArrayLike,
         state: State,
         dt: float | Floats = math.inf,
-        window: Window | None = None,
+        window: Range | None = None,
         slew: float | None = None,
     ) -> Run:
         """Return the voltage (17)-(18) of one block of the output, the state after it, and what was clipped.
@@ -267,7 +266,7 @@ class Gears(Keyed):
         x: Floats,
         state: State,
         dt: float | Floats,
-        window: Window | None,
+        window: Range | None,
         slew: float | None,
     ) -> Run:
         """Run the kernel over a block; where no memory is known, the first sample is at rest."""
@@ -302,7 +301,7 @@ class Gears(Keyed):
         return NEGLIGIBLE * min(high - low, end - begin)
 
     def stepper(
-        self, state: State, dt: float, window: Window, slew: float | None
+        self, state: State, dt: float, window: Range, slew: float | None
     ) -> Any:
         """Return the kernel's stepper of ``undo`` at an even rate, for live control.
 

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.arrays import Floats
+from dbo_cli.arrays import Floats, Range
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.fields import Keyed, number
@@ -159,7 +159,7 @@ class Curves(tuple[Curve, ...]):
             x = curve.value(x)
         return x
 
-    def ends(self, low: float, high: float) -> tuple[float, float]:
+    def ends(self, low: float, high: float) -> Range:
         """Return the range of the output for an input from ``low`` to ``high``."""
         ends = self.value(low), self.value(high)
         return min(ends), max(ends)

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from dbo_cli.arrays import Range
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.gears import Gears
@@ -34,7 +35,7 @@ class Starts:
         return self._count(self.high - max(self.low, self.gears.x0))
 
     @cached_property
-    def ends(self) -> tuple[float, float]:
+    def ends(self) -> Range:
         """The voltages between which it moves them."""
         gears, count = self.gears, self.covered
         if count == gears.n:

@@ -14,11 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.arrays import Floats
+from dbo_cli.arrays import Floats, Range
 from dbo_cli.errors import UsageError, require_positive
 from dbo_cli.model import Cascade
 
-Range = tuple[float, float]
 Axes = tuple[tuple[Floats, ...], str]
 """One signal an axis, and what became of the move, in words."""
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.arrays import Floats
+from dbo_cli.arrays import Floats, Range
 from dbo_cli.drive.check import check_drive
 from dbo_cli.drive.limits import Gate, Limits
 from dbo_cli.errors import LimitError, UsageError, require_positive
@@ -24,7 +24,6 @@ from dbo_cli.errors import LimitError, UsageError, require_positive
 Codes = NDArray[np.int64]
 Values = NDArray[np.float64 | np.int64]
 """Volts or codes; channels stand side by side, shape (points, channels)."""
-Span = tuple[float, float]
 
 BUNCH = 10  # points a command, as in PI's own example: every controller takes so many
 WHOLE_RATE = 1e-6  # of a rate: closer to a whole number, it is that
@@ -46,14 +45,14 @@ class Generator(NamedTuple):
         Whether one file holds several channels.
     """
 
-    write: Callable[[Values, float, Span], bytes]
+    write: Callable[[Values, float, Range], bytes]
     codes: tuple[int, int] | None = None
     volts_needed: bool = False
     holds_channels: bool = False
 
 
 def _encoded(
-    volts: Floats, codes: tuple[int, int], ends: Span, within: Span
+    volts: Floats, codes: tuple[int, int], ends: Range, within: Range
 ) -> tuple[Codes, Floats]:
     """Return whole numbers for voltages, and the voltages that they mean: ``codes`` mean ``ends``.
 
@@ -78,13 +77,13 @@ def _positional(value: float) -> str:
     return str(np.format_float_positional(value, trim="-"))
 
 
-def _npy(values: Values, rate: float, volts: Span) -> bytes:
+def _npy(values: Values, rate: float, volts: Range) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, values)
     return buffer.getvalue()
 
 
-def _wav(values: Values, rate: float, volts: Span) -> bytes:
+def _wav(values: Values, rate: float, volts: Range) -> bytes:
     whole = round(rate)
     if whole < 1 or abs(rate - whole) > WHOLE_RATE * whole:
         raise UsageError(
@@ -99,11 +98,11 @@ def _wav(values: Values, rate: float, volts: Span) -> bytes:
     return buffer.getvalue()
 
 
-def _integers(kind: str, values: Values, rate: float, volts: Span) -> bytes:
+def _integers(kind: str, values: Values, rate: float, volts: Range) -> bytes:
     return values.astype(kind).tobytes()
 
 
-def _pi_gcs(values: Values, rate: float, volts: Span) -> bytes:
+def _pi_gcs(values: Values, rate: float, volts: Range) -> bytes:
     """Return one command for every ten points: WAV 1 X|& PNT first count values."""
     lines = []
     for first in range(0, values.size, BUNCH):
@@ -114,7 +113,7 @@ def _pi_gcs(values: Values, rate: float, volts: Span) -> bytes:
     return "".join(lines).encode()
 
 
-def _keysight(values: Values, rate: float, volts: Span) -> bytes:
+def _keysight(values: Values, rate: float, volts: Range) -> bytes:
     low, high = volts
     lines = [
         "File Format:1.10", "Channel Count:1", "Column Char:TAB", f"Sample Rate:{_positional(rate)}",
@@ -175,8 +174,8 @@ def waveform(
     loop: bool = False,
     points: int | None = None,
     rate: float | None = None,
-    codes: Span | None = None,
-    volts: Span | None = None,
+    codes: Range | None = None,
+    volts: Range | None = None,
     max_rounding: float = 1.0,
     doubts: Sequence[str] = (),
 ) -> Waveform:
@@ -266,8 +265,8 @@ def waveform(
 
 
 def _ends(
-    form: Generator, exact: Floats, volts: Span | None, gain: float, name: str
-) -> Span:
+    form: Generator, exact: Floats, volts: Range | None, gain: float, name: str
+) -> Range:
     """Return the volts of the lowest and highest code, which the drive must not leave."""
     low, high = float(exact.min()), float(exact.max())
     ends = volts or (low, high)
@@ -290,7 +289,7 @@ def side_by_side(channels: Sequence[Waveform], to: str) -> bytes | None:
 
 
 def _check_codes(
-    form: Generator, to: str, codes: Span | None, volts: Span | None
+    form: Generator, to: str, codes: Range | None, volts: Range | None
 ) -> None:
     """Refuse codes and volts that a format does not have, or that cannot be meant."""
     if form.codes is None:
