@@ -1,4 +1,4 @@
-"""What is judged of a drive: what limits cut off, what to expect, what to warn of, and what would fit."""
+"""What is judged of a drive: what limits cut off, what to expect, and what to warn of."""
 
 from __future__ import annotations
 

@@ -541,7 +541,7 @@ class Cascade:
         first = int(np.argmax(held))
         steps = np.broadcast_to(dt, output.shape)
         if first:
-            begin = dt if isinstance(dt, float) else dt[:first]
+            begin = dt[:first] if isinstance(dt, np.ndarray) else dt
             state = self._undo_amplified(output[:first], state, begin, None, None).state
         drive, clipped, first_clipped = free.y, 0, 0
         for k in range(first, output.size):

@@ -127,7 +127,8 @@ class Gears(Keyed):
         scale_y = max(abs(self.y0), abs(self.y0 + self.height), self.height)
         apart_y = heights
         if self.relaxation is not None:
-            scale_y += self.relaxation.most(scale_x)
+            gains = math.fsum(map(abs, self.relaxation.gain))
+            scale_y += gains * (scale_x + abs(self.reference))
             apart_y = heights + self.relaxation.negative * widths
         with np.errstate(over="ignore", divide="ignore"):
             rounding: Floats = np.maximum(scale_x / widths, scale_y / apart_y)

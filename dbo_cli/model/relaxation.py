@@ -77,10 +77,6 @@ class Relaxation(Keyed):
         """Return what the terms add up to after a long rest at ``voltage``."""
         return math.fsum(self.gain) * (voltage - self.reference)
 
-    def most(self, voltage: float) -> float:
-        """Return what the terms add up to at most while the voltage is no larger than ``voltage``."""
-        return math.fsum(map(abs, self.gain)) * (voltage + abs(self.reference))
-
     def require_slopes(self, slopes: Floats, mean: float) -> None:
         """Refuse negative gains that leave too little of a slope (output per volt) of the gears.
 
