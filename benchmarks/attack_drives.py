@@ -130,7 +130,11 @@ def whole(
 
 
 def driver_of(
-    model: Cascade, limits: Limits, options: dict[str, Any], hold: int = 0
+    model: Cascade,
+    limits: Limits,
+    options: dict[str, Any],
+    hold: int = 0,
+    return_rows: int = 0,
 ) -> Driver:
     """Return a driver by its options."""
     lead = Lead(
@@ -141,13 +145,14 @@ def driver_of(
         approach=options.get("approach"),
         condition=options.get("condition", False),
         rest=options.get("lead"),
+        hold=hold,
     )
     return Driver(
         lead,
         on_limit=options.get("on_limit", "auto"),
         return_to=options.get("return_to"),
         name="move",
-        hold=hold,
+        return_rows=return_rows,
     )
 
 
@@ -198,8 +203,9 @@ def side_by_side(
 
     def drive_of(name: str, hold: int, after: int) -> Drive:
         channel = int(name)
-        driver = driver_of(models[channel], limits[channel], options[channel], hold)
-        return driver.whole(moves[channel], DT, return_rows=after)
+        bounds, chosen = limits[channel], options[channel]
+        driver = driver_of(models[channel], bounds, chosen, hold, after)
+        return driver.whole(moves[channel], DT)
 
     drives = together(drive_of, [str(channel) for channel in range(len(models))])
     rows = {(drive.voltage.size, drive.move.start) for drive in drives.values()}

@@ -209,7 +209,7 @@ def predicted(case: Case) -> Predicted:
         predictions.append(moved)
         steps = np.diff(clock, prepend=clock[0] - (clock[1] - clock[0]))
         error = expected_error(model, test.log.voltage, steps)
-        stated.append(None if error is None else error.rms())
+        stated.append(None if error is None else math.hypot(*error))
     return predictions, dict(model.fit), seconds, stated
 
 

@@ -7,20 +7,14 @@ of a model, with their time, and back.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-from difflib import get_close_matches
-from functools import wraps
-from html import escape
-from inspect import signature
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
     Any,
     Final,
     Literal,
-    ParamSpec,
     TypedDict,
-    TypeVar,
     Unpack,
     cast,
     overload,
@@ -59,8 +53,6 @@ if TYPE_CHECKING:
     from dbo_cli.logs import Table
     from dbo_cli.reports import Report
 
-P = ParamSpec("P")
-R = TypeVar("R")
 Signal = ArrayLike
 """An array, a Series of pandas or polars, or one of their frames, which is read as a file is."""
 Logs = Signal | Path | Sequence[Signal | Path]
@@ -128,22 +120,6 @@ class Move(TypedDict, total=False):
     history: str | Path | Sequence[PassRecord]
     absolute: bool
     state: StateLike
-
-
-def with_known_options(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a function that answers a keyword that it does not have with those that are near."""
-    known = [name for name in signature(function).parameters if name != "self"]
-
-    @wraps(function)
-    def call(*values: P.args, **options: P.kwargs) -> R:
-        for option in options:
-            if option not in known:
-                similar = get_close_matches(option, known, 2, 0.5) or known
-                text = " or ".join(f"`{name}`" for name in similar)
-                raise UsageError(f"{function.__name__}: no `{option}`: give {text}")
-        return function(*values, **options)
-
-    return call
 
 
 class Model:
@@ -231,7 +207,6 @@ class Model:
         return_state: Literal[True],
     ) -> tuple[Floats, room.State]: ...
 
-    @with_known_options
     def simulate(
         self,
         x: Signal,
@@ -304,7 +279,6 @@ class Model:
         **move: Unpack[Move],
     ) -> Drive: ...
 
-    @with_known_options
     def compensate(
         self,
         wanted: Signal,
@@ -418,7 +392,6 @@ class Model:
             write_text(file, dumps_history(drive.history))
         return drive if details else drive.voltage
 
-    @with_known_options
     def controller(
         self,
         sample_rate: Figured,
@@ -460,12 +433,6 @@ class Model:
         from dbo_cli.reports.plots import plot_model
 
         return plot_model(self.actuator)
-
-    def _repr_html_(self) -> str:
-        """Return what a notebook shows."""
-        from dbo_cli.reports.plots import image, model_plots
-
-        return f"<p>{escape(repr(self))}</p>{image(model_plots(self.actuator)[0])}"
 
     def __repr__(self) -> str:
         """Return the model in one line."""
@@ -528,7 +495,6 @@ def _models_in(path: str | Path) -> ModelSet:
 # --- logs ---
 
 
-@with_known_options
 def read_log(
     path: str | Path,
     *,
@@ -599,10 +565,8 @@ def read_log(
         encoding=encoding,
         clock_offset=clock_offset,
     )
-    columns = {"time": time, "voltage": voltage, "displacement": displacement}
-    roles: dict[str, str | None] = {}
-    for role, name in columns.items():
-        roles[role] = None if name is None else str(name)
+    typed = {"time": time, "voltage": voltage, "displacement": displacement}
+    roles = {role: None if name is None else str(name) for role, name in typed.items()}
     absent = tuple(role for role, name in roles.items() if name is None)
     with open_log(str(path), roles, reading, None, absent) as log:
         present = [role for role in ("voltage", "displacement") if role in log.columns]
@@ -623,7 +587,6 @@ def read_log(
     return frame
 
 
-@with_known_options
 def identify(
     data: Logs,
     displacement: Signal | None = None,
@@ -741,7 +704,6 @@ def _listed(data: Logs | None) -> list[Any]:
     return list(data) if isinstance(data, (list, tuple)) else [data]
 
 
-@with_known_options
 def report(
     desired: Signal,
     measured: Signal | None = None,
@@ -858,12 +820,9 @@ def _compared(
     table, columns = arrays_table(signals, options, units, time, rate)
     first, second = table.columns[:2]
     if model is None and first.unit != second.unit:
-        texts = [
-            f"in {each.unit}" if each.unit else "without a unit"
-            for each in (second, first)
-        ]
         raise InputError(
-            f"measured is {texts[0]}, desired {texts[1]}: convert one of them, and pass `unit` of both"
+            f"desired is in {first.unit or 'no unit'}, measured in {second.unit or 'no unit'}: convert one "
+            "of them, and pass `unit` of both"
         )
     return table, columns
 

@@ -95,16 +95,21 @@ def compensate(
     typed = channels.values_for(limits, models)
     ends = channels.values_for({"from": start, "return": return_to}, models)
 
-    def driver(channel: str, hold: int = 0) -> Driver:
+    def driver(channel: str, hold: int = 0, return_rows: int = 0) -> Driver:
         actuator, state = models[channel], starts[channel]
         begin, end = ends[channel]["from"], ends[channel]["return"]
         for name, texts in {"v_min": v_min, "v_max": v_max}.items():
             channels.require_own_limit(name, texts, channel, actuator)
         given = typed[channel]
         bounds = Limits.within(actuator.input, **given, extrapolate=extrapolate)
-        before = Lead(actuator, bounds, state, begin, approach, condition, lead)
-        label = f"channel {channel}" if channel else trajectory
-        return Driver(before, on_limit=on_limit, return_to=end, name=label, hold=hold)
+        before = Lead(actuator, bounds, state, begin, approach, condition, lead, hold)
+        return Driver(
+            before,
+            on_limit=on_limit,
+            return_to=end,
+            name=f"channel {channel}" if channel else trajectory,
+            return_rows=return_rows,
+        )
 
     if streams:
         units = {"displacement": models[""].output.unit}
@@ -138,7 +143,7 @@ def compensate(
 
     def drive_of(name: str, hold: int, return_rows: int) -> Drive:
         table = tables[name]
-        return driver(name, hold).whole(
+        return driver(name, hold, return_rows).whole(
             table["displacement"],
             table.dt,
             table.time,
@@ -148,7 +153,6 @@ def compensate(
             tracked=passes_of[name],
             history=histories[name],
             absolute=absolute,
-            return_rows=return_rows,
         )
 
     drives = channels.together(drive_of, models)

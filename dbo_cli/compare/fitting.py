@@ -169,7 +169,7 @@ def prepare_logs(logs: Sequence[Recording], skip: float = 0.0) -> RivalProblem:
         if len(fitted) < FOLDS:
             raise FitError(f"{log.name}: only {len(fitted)} rows left: reduce `skip`")
         rows.append(fitted)
-        outputs.append(scale.inverse()(log.displacement[fitted]))
+        outputs.append(scale.inverse(log.displacement[fitted]))
         folds.append(np.arange(len(fitted)) * FOLDS // len(fitted))
         drift = np.ones((len(fitted), 1))
         if len(swings.sizes) >= SWINGS_FOR_DRIFT:
@@ -323,7 +323,7 @@ class Rival:
         plays, offset, curves = self.operator
         problem, design = self.problem, self.design
         begin = float(problem.scaled(np.array([first]))[0])
-        u = curves.inverse()(desired) - offset
+        u = curves.inverse(desired) - offset
         if design.by_rate or design.free_first or design.one_sided:
             x = plays.solve(u, begin, self.shares(u, time))
         else:

@@ -14,7 +14,7 @@ from dbo_cli.alignment import RATE_SLACK, Trace, align_drives
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.drive.limits import Gate, Limits
 from dbo_cli.drive.smooth import open_seam
-from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.errors import LimitError, UsageError, prefixed
 from dbo_cli.signals import between, noise, usual_step
 
 TOLERANCE = 1e-3
@@ -82,11 +82,8 @@ class Checked:
         if self.played is not None:
             match = self.played
             lag_rows = round(match["lag_rows"], 2) + 0.0
-            lag_text = f"{lag_rows:g} rows late"
-            if lag_rows and match["lag_seconds"]:
-                lag_text += f" ({1e3 * match['lag_seconds']:.4g} ms)"
             lines.append(
-                f"  played: {match['rows']:,} rows, {lag_text}, gain {match['gain']:.6g}, offset "
+                f"  played: {match['rows']:,} rows, {lag_rows:g} rows late, gain {match['gain']:.6g}, offset "
                 f"{match['offset']:.3g}{unit}, largest difference {match['largest_difference']:.3g}{unit}"
             )
         lines += [f"  {problem}" for problem in self.problems]
@@ -135,10 +132,6 @@ def check_drive(
     InputError
         A slew limit is to be checked and no time is known.
     """
-    if limits.slew is not None and time is None:
-        raise InputError(
-            f"{name}: no time column, which `max_slew` needs: add `time` COLUMN or `sample_rate` HZ"
-        )
     checked = _figures(voltage, time, name, limits)
     checked.problems += doubts
     steps = None
@@ -153,7 +146,8 @@ def check_drive(
     waits = steps
     if tolerance > 0.0 and steps is not None and limits.slew is not None:
         waits = steps + 2.0 * tolerance / limits.slew  # both rows of a step may miss
-    bad, reason = gate.broken(voltage, waits, "return")
+    with prefixed(name):
+        bad, reason = gate.broken(voltage, waits, "return")
     if reason:
         checked.problems.append(_problem(bad, reason))
     if loop:
@@ -205,16 +199,11 @@ def _steps(time: Floats) -> Floats:
 def _odd_times(time: Floats) -> list[str]:
     """Return what is odd about time stamps."""
     steps = np.diff(time)
-    kinds = {
-        "time goes backwards": steps < 0.0,
-        "the time stamp repeats": steps == 0.0,
-        "a gap in time before it": gaps(steps),
-    }
-    problems = []
-    for reason, rows in kinds.items():
-        if rows.any():
-            problems.append(_problem(np.concatenate([[False], rows]), reason))
-    return problems
+    odd = np.concatenate([[False], (steps <= 0.0) | gaps(steps)])
+    if not odd.any():
+        return []
+    reason = "time goes back, stands still, or has a gap before it"
+    return [_problem(odd, reason)]
 
 
 def gaps(steps: Floats) -> Booleans:

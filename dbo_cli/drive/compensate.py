@@ -7,6 +7,7 @@ are one signal through one inverse in one state, and every row passes the gate.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, cast, get_args
@@ -45,8 +46,8 @@ class Driver:
         Voltage to go to after the move; a text has a unit.
     name : str
         Of the trajectory, in messages.
-    hold : int
-        Rows by which what stands before the move is longer: another channel needs them.
+    return_rows : int
+        The way back takes as many rows at least: another channel needs them.
 
     Raises
     ------
@@ -61,12 +62,12 @@ class Driver:
         on_limit: OnLimit = "auto",
         return_to: Figure = None,
         name: str = "trajectory",
-        hold: int = 0,
+        return_rows: int = 0,
     ) -> None:
         if on_limit not in get_args(OnLimit):
             raise UsageError(f"`on_limit` {on_limit}: give auto, clip or error")
         self.model, self.limits, self.name = lead.model, lead.limits, name
-        self.lead, self.on_limit, self.hold = lead, on_limit, hold
+        self.lead, self.on_limit, self.return_rows = lead, on_limit, return_rows
         self.return_to = voltage_in("return_", return_to, lead.model.input)
         self._gate = Gate(lead.limits, lead.standing)
         self._judge = Judge(lead, on_limit, name)
@@ -117,13 +118,8 @@ class Driver:
         assert self._ahead is not None
         return stacked([before, self._ahead.take(dt, target, desired, time)])
 
-    def finish(self, return_rows: int = 0) -> tuple[Rows, Drive]:
+    def finish(self) -> tuple[Rows, Drive]:
         """Return the rows that were held back and the way back, and the figures of the whole drive.
-
-        Parameters
-        ----------
-        return_rows
-            The way back takes as many rows at least: another channel needs them.
 
         Raises
         ------
@@ -136,24 +132,24 @@ class Driver:
             raise InputError(f"{self.name}: has no rows")
         rows = self._ahead.remaining()
         self._judge.require_reached(self._step)
-        voltage = self._way_back(return_rows)
+        voltage = self._way_back()
         assert self._state is not None
         begin = self._state.time
         stamps = (begin or 0.0) + self._step * np.arange(1.0, voltage.size + 1.0)
         back = self._played(stamps, voltage, "return", begin is not None)
         return stacked([rows, back]), self._judge.concluded(self._state, self._step)
 
-    def _way_back(self, count: int) -> Floats:
-        """Return the voltages from the last row to where the amplifier goes, ``count`` at least."""
+    def _way_back(self) -> Floats:
+        """Return the voltages from the last row to where the amplifier goes."""
         last, voltage = self._gate.last, np.empty(0)
         assert last is not None
         if self.return_to is not None:
             self.limits.require_start(self.return_to, "`return_`")
-            end = self.return_to
-            voltage = ramp("return", last, end, self._step, "auto", self.limits)
+            voltage = ramp(last, self.return_to, self._step, "auto", self.limits)
         if voltage.size:
             last = float(voltage[-1])
-        return np.append(voltage, np.full(max(count - voltage.size, 0), last))
+        short = max(self.return_rows - voltage.size, 0)
+        return np.append(voltage, np.full(short, last))
 
     def loop(
         self, desired: Floats, target: Floats, time: Floats, dt: float, passes: int
@@ -181,9 +177,9 @@ class Driver:
             raise UsageError(
                 "`periodic` excludes `condition`, `lead` and `return_`: use `passes` N"
             )
-        loop = loops.Loop(lead, target, dt, passes, self.name, self.hold)
+        loop = loops.Loop(lead, target, dt, passes, self.name)
         self._judge.clip(desired, loop.target, loop.run, loop.state, dt)
-        self._judge.require_reached(dt, is_loop=True)
+        self._judge.require_reached(math.inf)
         self._judge.warned = loop.require_settled(self.on_limit)
         leading, period = loop.lead_voltage, loop.voltage
         first = float(leading[0] if leading.size else period[0])
@@ -212,7 +208,6 @@ class Driver:
         tracked: Sequence[Tracked] = (),
         history: Sequence[PassRecord] = (),
         absolute: bool = False,
-        return_rows: int = 0,
     ) -> Drive:
         """Return the drive of a whole trajectory, with its rows.
 
@@ -228,8 +223,6 @@ class Driver:
         tracked, history, absolute
             Recordings of the last pass, and the passes so far: the move is learned, with
             ``absolute`` the mean of its error, too.
-        return_rows
-            As of ``finish``.
 
         Raises
         ------
@@ -260,7 +253,7 @@ class Driver:
                 times = None if time is None else time[rows]
                 steps = dt[rows] if isinstance(dt, np.ndarray) else dt
                 blocks.append(self.rows(desired[rows], steps, times, target[rows]))
-            last, drive = self.finish(return_rows)
+            last, drive = self.finish()
             return drive.with_rows(stacked([*blocks, last]))
 
         if tracked:
@@ -286,8 +279,7 @@ class Driver:
         if isinstance(dt, np.ndarray):
             dt = np.concatenate([[step], dt[1:]])
         begin = None if time is None else float(time[0])
-        planned = self.lead.planned(first, step, begin, self.hold)
-        self._state, voltage, still_rows = planned
+        self._state, voltage, still_rows = self.lead.planned(first, step, begin)
         count = voltage.size + still_rows
         stamps = (begin or 0.0) - step * np.arange(count, 0.0, -1.0)
         if not voltage.size:
@@ -315,7 +307,7 @@ class Driver:
             step = usual_step(dt[1:]) or None
         if step is not None:
             return float(step)
-        timed = lead.condition or lead.approach or lead.rest or self.hold
+        timed = lead.condition or lead.approach or lead.rest or lead.hold
         timed = timed or self.return_to is not None or self.limits.slew is not None
         if timed or self.model.needs_time:
             raise InputError(

@@ -1,4 +1,4 @@
-"""What is judged of a drive: what limits cut off, what to expect, what to warn of, and what would fit."""
+"""What is judged of a drive: what limits cut off, what to expect, and what to warn of."""
 
 from __future__ import annotations
 
@@ -11,11 +11,15 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import Lead
-from dbo_cli.drive.limits import in_full, rounded_up
+from dbo_cli.drive.limits import in_full
 from dbo_cli.drive.simulate import Due
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Run, State, Steps, expect
 
+REMEDY = (
+    "give wider limits, a slower or smaller move, `from_` VOLT and `approach` auto for a way to row 1, or "
+    "`on_limit` clip"
+)
 ALLOWED_PART = 0.01
 """Of the move: so much of it (RMS) may be cut off unasked; the order of a good model's error; chosen."""
 # of the range: a trajectory this little outside is clipped like any other
@@ -50,10 +54,8 @@ class Judge:
     def __init__(self, lead: Lead, on_limit: str, name: str) -> None:
         self.model, self.limits, self.lead = lead.model, lead.limits, lead
         self.on_limit, self.name = on_limit, name
-        # how far the first row starts off its displacement, where no settled actuator
-        # stands, and by how much dynamics and delay are in motion there
-        self._missed = 0.0
-        self._transient: float | None = None
+        # how far the first row starts off its displacement, or dynamics are in motion
+        self._off_at_first: float | None = None
         # rows, least and greatest voltage by part of the drive; and the displacement's
         self._rows: Counter[str] = Counter()
         self._ranges: dict[str, list[float]] = {}
@@ -64,7 +66,6 @@ class Judge:
         # the first rows, which judgements play again: voltages and steps, part by part
         self._voltages: list[Floats] = []
         self._steps: list[Floats] = []
-        self._needed_slew = 0.0
         self.rounding = 0.0
         self.unsettled: float | None = None
         self.warned: tuple[str, ...] = ()
@@ -89,18 +90,17 @@ class Judge:
             As of ``clip``.
         """
         model, target = self.model, due.target
-        if self._transient is None:
+        if self._off_at_first is None:
             delayed = 0
             if isinstance(dt, float):
                 delayed = round(model.delay_seconds / dt)
-            self._transient = float(target[0] - due.asked[delayed])
+            reached = [due.asked[delayed]]
+            is_held = run.clipped and run.first_clipped == 0
+            if state.first is not None and not is_held:  # a start that was chosen
+                reached.append(model.static.run(run.y[:1], state, 0.0).y[0])
+            self._off_at_first = max(abs(float(target[0] - y)) for y in reached)
         if due.phase == "move":
             self.clip(due.desired, target, run, state, dt)
-        is_clipped = run.clipped and run.first_clipped == 0
-        if state.first is None or is_clipped:
-            return  # the start was not chosen, or a limit moved it
-        reached = model.static.run(run.y[:1], state, 0.0).y
-        self._missed = float(target[0] - reached[0])
 
     def clip(
         self, desired: Floats, target: Floats, run: Run, state: State, dt: Steps
@@ -134,13 +134,8 @@ class Judge:
             lost[: max(self._first_clipped - 1 - before, 0)] = 0.0
             self._squares += float(np.square(lost).sum())
             self._largest = max(self._largest, float(np.abs(lost).max()))
-        if run.clipped and self.limits.slew is not None and before < expect.FIRST_ROWS:
-            slew = self._slew_of(target, state, dt)
-            self._needed_slew = max(self._needed_slew, slew)
         if self._clipped and self.on_limit == "error":
-            raise LimitError(
-                f"{self.name}: {self._exceeding()}{self._would_fit()} (or `on_limit` clip)"
-            )
+            raise LimitError(f"{self.name}: {self._exceeding()}: {REMEDY}")
 
     def count(self, voltage: Floats, dt: Steps, phase: str) -> None:
         """Count rows of a part: ``lead``, ``move``, of which ``clip`` knows already, or ``return``."""
@@ -187,15 +182,13 @@ class Judge:
             f"exceed {self.limits.describe()}"
         )
 
-    def require_reached(self, step: float, is_loop: bool = False) -> None:
+    def require_reached(self, step: float) -> None:
         """Refuse a move of which nothing can be reached, or of which the limits cut off too much.
 
         Parameters
         ----------
         step
-            Seconds a row; 0 without a clock.
-        is_loop
-            Whether the move is one period of a loop.
+            Seconds a row; 0 without a clock, infinity where the move is repeated for ever.
 
         Raises
         ------
@@ -205,16 +198,11 @@ class Judge:
             More than a hundredth of the move would be missed, or it is over before the
             model answers.
         """
-        rows = self._rows["move"]
-        seconds = rows * step
-        if (
-            self.on_limit == "auto"
-            and not is_loop
-            and self.model.delay_seconds > seconds
-        ):
+        rows, delay = self._rows["move"], self.model.delay_seconds
+        if self.on_limit == "auto" and delay > rows * step:
             raise LimitError(
-                f"{self.name}: the move, {seconds:.4g} s, is shorter than the model's delay, "
-                f"{self.model.delay_seconds:.4g} s (`on_limit` clip writes it)"
+                f"{self.name}: the move is shorter than the model's delay, {delay:.4g} s (`on_limit` clip "
+                "writes it)"
             )
         reach, unit = self.model.output, self.model.output.suffix
         if self._unreachable == rows:
@@ -223,54 +211,14 @@ class Judge:
                 f"{unit}: check unit, column and zero of the trajectory"
             )
         low, high = self._ranges["desired"]
-        size, noun = high - low, "the move"
-        if not size > 0.0:
-            size, noun = reach.span, "the model's range"
+        size = high - low or reach.span
         lost = self._lost_rms
         if self.on_limit != "auto" or lost <= ALLOWED_PART * size:
             return
         raise LimitError(
             f"{self.name}: {self._exceeding()}, by {lost:.3g}{unit} RMS ({100.0 * lost / size:.2g} % of "
-            f"{noun}){self._would_fit(seconds if is_loop else None)} (or `on_limit` clip)"
+            f"{size:.3g}{unit}): {REMEDY}"
         )
-
-    def _would_fit(self, period: float | None = None) -> str:
-        """Return what would fit, where that is one number; else an empty text."""
-        texts, limits = self._reach_texts(), self.limits
-        if not texts and limits.slew is not None and self._needed_slew > limits.slew:
-            slower = self._needed_slew / limits.slew
-            fits = f"it {rounded_up(slower):g} times slower"
-            if period is not None:
-                fits = f"{1.0 / (slower * period):.2g} Hz"
-            texts.append(f"{limits.slew:g}{limits.suffix}/s allows {fits}")
-        if not texts and self._first_clipped == 1 and not self._rows["lead"]:
-            way = "`from_` VOLT and " if self.lead.standing is None else ""
-            texts.append(f"type {way}`approach` auto for a way to row 1")
-        return f"; {', '.join(texts)}" if texts else ""
-
-    def _reach_texts(self) -> list[str]:
-        """Return what the ends of the range reach, where the move goes beyond that."""
-        static, ends = self.model.static, []
-        for voltage, start in zip(self.limits.move, ("full", "empty"), strict=True):
-            state = static.start(voltage, start)
-            ends.append(float(static.run(np.array([voltage]), state, 1.0).y[0]))
-        texts, (low, high) = [], self._ranges["desired"]
-        for voltage, end in zip(self.limits.move, ends, strict=True):
-            above = end == max(ends) and high > end
-            below = end == min(ends) and low < end
-            if above or below:
-                texts.append(
-                    f"{voltage:.6g}{self.limits.suffix} reaches {end:.4g}{self.model.output.suffix}"
-                )
-        return texts
-
-    def _slew_of(self, target: Floats, state: State, dt: Steps) -> float:
-        """Return the slew of rows that no slew limit clips."""
-        voltage = self.model.drive(target, state, dt, self.limits.move).y
-        seconds = np.broadcast_to(np.asarray(dt), target.shape)[1:]
-        forward = seconds > 0.0
-        rates = np.abs(np.diff(voltage))[forward] / seconds[forward]
-        return float(rates.max(initial=0.0))
 
     # --- the end ---
 
@@ -283,7 +231,7 @@ class Judge:
         high = max(span[1] for span in voltages)
         lowest, highest = self.limits.identified
         texts = self._start_warnings()
-        error = known_error = unrested = expected = None
+        error = error_from_rest = unrested = expected = None
         if self.limits.extrapolate and not lowest <= low <= high <= highest:
             texts.append(
                 f"the drive goes from {low:.6g} to {high:.6g}{self.limits.suffix}, beyond the identified "
@@ -293,14 +241,15 @@ class Judge:
             expected = expect.expected_error(self.model, voltage, steps, lead_rows)
         past_known = self.lead.past_known
         if expected is not None:
-            unsettled = self.unsettled or 0.0
-            missed = math.hypot(self._lost_rms, unsettled, self.rounding)
+            known, past, memory = expected
+            missed = math.hypot(self._lost_rms, self.unsettled or 0.0, self.rounding)
             if self.lead.condition:
-                missed = math.hypot(missed, expected.past)
-                unrested = math.hypot(expected.rms(past_known=True), missed)
-            error = math.hypot(expected.rms(past_known, past_known), missed)
+                missed = math.hypot(missed, past)
+                unrested = math.hypot(math.hypot(known, memory), missed)
+            error = math.hypot(known, missed)
             if not past_known:
-                known_error = math.hypot(expected.known, missed)
+                error_from_rest = error
+                error = math.hypot(math.hypot(*expected), missed)
         texts += expect.move_warnings(self.model, voltage, steps)
         texts += self._end_warnings(error, state)
         warnings = [f"{self.name}: {text}" for text in texts]
@@ -323,7 +272,7 @@ class Judge:
             lost_rms=self._lost_rms,
             lost_most=self._largest,
             expected_error=error,
-            expected_known=known_error,
+            expected_known=error_from_rest,
             expected_unrested=unrested,
             starts_at=self._first if asks_start else None,
             past_known=past_known,
@@ -357,14 +306,11 @@ class Judge:
                 f"{self._exceeding()}: clipped; the move misses {self._lost_rms:.3g}{unit} RMS, at most "
                 f"{self._largest:.3g}{unit}"
             )
-        if abs(self._missed) > OFF_AT_FIRST * span:
+        off = self._off_at_first or 0.0
+        if off > OFF_AT_FIRST * span:
             texts.append(
-                f"row 1 starts {abs(self._missed):.3g}{unit} off, where no settled actuator is: try "
-                "`condition` or `state` empty"
-            )
-        if abs(self._transient or 0.0) > OFF_AT_FIRST * span:
-            texts.append(
-                "the move starts in motion and rings at first: add `lead` auto"
+                f"row 1 starts {off:.3g}{unit} off or in motion: try `lead` auto, `condition` or `state` "
+                "empty"
             )
         (low, high), standing = self.limits.identified, self.lead.standing
         if standing is not None and abs(self._first - standing) > JUMP * (high - low):

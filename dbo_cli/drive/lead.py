@@ -9,7 +9,6 @@ first displacement may follow, in which the inverse reads ahead to the move.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,7 +17,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.limits import Figure, Limits, rounded_up, voltage_in
 from dbo_cli.drive.smooth import swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
-from dbo_cli.model import Cascade, Lag, State
+from dbo_cli.model import Cascade, State
 from dbo_cli.units import parse_quantity
 
 Seconds = float | str | None
@@ -63,6 +62,8 @@ class Lead:
         Sweep the move's range first.
     rest : float, str or "auto", optional
         Seconds at the first value; auto: as many as dynamics and delay need.
+    hold : int
+        Rows by which what stands before the move is longer: another channel needs them.
     standing : float or None
         Where the amplifier stands, as typed or as a state left it; None where neither is known.
 
@@ -83,6 +84,7 @@ class Lead:
     approach: Seconds = None
     condition: bool = False
     rest: Seconds = None
+    hold: int = 0
     standing: float | None = field(init=False)
 
     def __post_init__(self) -> None:
@@ -123,7 +125,7 @@ class Lead:
     # --- the rows before a move; ``first`` is its first displacement, ``dt`` the seconds a row ---
 
     def planned(
-        self, first: float, dt: float, time: float | None = None, hold: int = 0
+        self, first: float, dt: float, time: float | None
     ) -> tuple[State | None, Floats, int]:
         """Return what stands before the move.
 
@@ -133,8 +135,6 @@ class Lead:
             The first displacement of the move, and the seconds a row.
         time
             Stamp (s) of that row: the voltage of a state was held until what stands before it.
-        hold
-            Rows at the beginning that are added to it.
 
         Returns
         -------
@@ -167,12 +167,12 @@ class Lead:
             state = self.model.start(standing, state)
             before = np.array([standing])
         if moves:
-            return *self._way_in(first, dt, state, before, hold, untyped), still
+            return *self._way_in(first, dt, state, before, untyped), still
         _require_short(untyped, "lead", untyped)
         begin = None
         if isinstance(state, State):
             begin = self._state_after(before, state, dt)
-        return begin, NO_VOLTAGES, still + hold
+        return begin, NO_VOLTAGES, still + self.hold
 
     def _held(self, state: State, time: float | None, dt: float) -> State:
         """Return a state after the pause behind its last row, in which the voltage was held."""
@@ -189,7 +189,6 @@ class Lead:
         dt: float,
         state: State | str,
         before: Floats,
-        hold: int,
         untyped: float,
     ) -> tuple[State, Floats]:
         """Return the state before the first row, and the voltages that lead to the move.
@@ -206,13 +205,15 @@ class Lead:
                 seconds = "auto"
         before = np.concatenate([before, swept])
         stands = before[:1] if before.size else np.array([self.standing])
-        before = np.concatenate([np.repeat(stands, hold), before])
+        before = np.concatenate([np.repeat(stands, self.hold), before])
         if not isinstance(state, State):
             state = self.model.start(float(before[0]), state)
         path = self._way(first, dt, self._state_after(before, state, dt), seconds)
         voltage = np.concatenate([before, path])
         still = rest_rows(self.model, dt)
-        swing = (voltage.size - hold - still) * dt
+        if not self.condition:
+            require_time(seconds, (path.size - still) * dt, dt)
+        swing = (voltage.size - self.hold - still) * dt
         untyped += still * dt
         if not isinstance(self.approach, float):
             untyped += swing
@@ -248,45 +249,41 @@ class Lead:
             end = self._goes_on(first, dt, self.model.start(low, "empty"))
             distance = abs(begin - low) + 2.0 * (high - low) + abs(end - low)
             shortest = _rows(distance, dt, dt, limits) * dt
-            _require_time("approach", seconds, shortest, dt)
+            require_time(seconds, shortest, dt)
             inwards = seconds * abs(begin - low) / distance
             sweeping = seconds * (high - low) / distance
         count = _rows(high - low, dt, sweeping, limits)
         swept = swings([low, high, low], [count, count])
         if standing is None:
             return swept
-        inward = ramp("", standing, low, dt, inwards, limits)
+        inward = ramp(standing, low, dt, inwards, limits)
         return np.concatenate([inward, swept[1:]])
 
     def _way(self, first: float, dt: float, state: State, seconds: Seconds) -> Floats:
         """Return the voltages from where a state stands to where the move goes on, with a rest there.
 
         What creeps meanwhile is counted: behind these rows the inverse begins the move at
-        the voltage at which they end. The last swing behind a sweep takes what the slew
-        limit needs.
-
-        Raises
-        ------
-        LimitError
-            The typed seconds are too few for the slew limit.
+        the voltage at which they end.
         """
         static, limits = self.model.static, self.limits
         begin, still = state.drive, rest_rows(self.model, dt)
         assert begin is not None
 
-        def way_to(end: float, name: str = "") -> Floats:
-            swing = ramp(name, begin, end, dt, seconds, limits)
+        def way_to(end: float) -> Floats:
+            swing = ramp(begin, end, dt, seconds, limits)
             return np.concatenate([swing, np.full(still, end)])
 
-        def missing(end: float) -> float:
-            after = static.run(way_to(end), state, dt).state
-            return self._goes_on(first, dt, after) - end
-
         if self.model.gears.relaxation is None:
-            end = self._goes_on(first, dt, state)
-        else:
-            end = _zero_of(missing, *limits.move)
-        return way_to(end, "" if self.condition else "approach")
+            return way_to(self._goes_on(first, dt, state))
+        low, high = limits.move  # where it goes on falls as the way ends higher
+        for _ in range(WAY_HALVINGS):
+            end = 0.5 * (low + high)
+            after = static.run(way_to(end), state, dt).state
+            if self._goes_on(first, dt, after) > end:
+                low = end
+            else:
+                high = end
+        return way_to(end)
 
     def _goes_on(self, first: float, dt: float, state: State) -> float:
         """Return the voltage at which the move goes on behind a state."""
@@ -323,17 +320,9 @@ def _require_short(untyped: float, option: str, seconds: float) -> None:
 
 
 def ramp(
-    name: str, begin: float, end: float, dt: float, seconds: Seconds, limits: Limits
+    begin: float, end: float, dt: float, seconds: Seconds, limits: Limits
 ) -> Floats:
-    """Return the voltages after ``begin`` of a swing to ``end``, as slow as the slew limit needs.
-
-    ``name`` is the option whose seconds these are; empty: more than they are may be needed.
-
-    Raises
-    ------
-    LimitError
-        The typed seconds are too few for the slew limit.
-    """
+    """Return the voltages after ``begin`` of a swing to ``end``, as slow as the slew limit needs."""
     if begin == end:
         return NO_VOLTAGES
     shortest = SHORTEST_SWING
@@ -342,47 +331,23 @@ def ramp(
     elif limits.slew is None:
         span = limits.rating[1] - limits.rating[0]
         shortest = max(SHORTEST_SWING, SWEEP_SECONDS * abs(end - begin) / span)
-    count = _rows(end - begin, dt, shortest, limits)
-    if name and isinstance(seconds, float):
-        _require_time(name, seconds, count * dt, dt)
-    return swings([begin, end], [count])[1:]
+    return swings([begin, end], [_rows(end - begin, dt, shortest, limits)])[1:]
 
 
-def _require_time(name: str, seconds: float, shortest: float, dt: float) -> None:
+def require_time(seconds: Seconds, shortest: float, dt: float) -> None:
     """Refuse typed seconds that are too few for the slew limit, and say how many are not (LimitError)."""
-    if shortest > seconds + dt:
+    if isinstance(seconds, float) and shortest > seconds + dt:
         raise LimitError(
-            f"`{name}` {seconds:g}: too fast for `max_slew`; give at least {rounded_up(shortest, 4):.9g} s "
+            f"`approach` {seconds:g}: too fast for `max_slew`; give at least {rounded_up(shortest, 4):.9g} s "
             "for the whole way, or auto"
         )
-
-
-def _zero_of(falling: Callable[[float], float], low: float, high: float) -> float:
-    """Return where a falling function is zero between two voltages, by halving.
-
-    It may have small steps where a swing takes a row more.
-    """
-    middle = low
-    for _ in range(WAY_HALVINGS):
-        middle = 0.5 * (low + high)
-        if falling(middle) > 0.0:
-            low = middle
-        else:
-            high = middle
-    return middle
 
 
 def rest_rows(model: Cascade, dt: float) -> int:
     """Return the rows (0 without dynamics) after which lags and resonances have died away."""
     if model.dynamics is None:
         return 0
-    slowest = 0.0
-    for section in model.dynamics.sections:
-        if isinstance(section, Lag):
-            fade = section.lag
-        else:
-            fade = 1.0 / (2.0 * math.pi * section.frequency * section.damping)
-        slowest = max(slowest, fade)
+    slowest = max(section.fade for section in model.dynamics.sections)
     return math.ceil(min(QUIET * slowest, LONGEST_REST) / dt)
 
 

@@ -14,11 +14,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from dbo_cli.arrays import Booleans, Floats
+from dbo_cli.arrays import Booleans, Floats, Range
 from dbo_cli.errors import DboError, InputError, LimitError, UsageError
 from dbo_cli.model import Quantity
 from dbo_cli.model.gears import largest_step
@@ -44,8 +45,6 @@ class Limits:
     ----------
     rating : tuple of float
         Least and greatest voltage of any row.
-    move : tuple of float
-        Least and greatest voltage of the rows of a move and of a sweep.
     identified : tuple of float
         The range on which the model was identified.
     slew : float, optional
@@ -56,22 +55,28 @@ class Limits:
         Whether a move may leave the identified range.
     given : bool
         Whether anybody gave a limit; else all is the identified range.
+
+    Raises
+    ------
+    UsageError
+        The limits leave nothing of the identified range, or the slew is not above 0.
     """
 
-    rating: tuple[float, float]
-    move: tuple[float, float]
-    identified: tuple[float, float]
+    rating: Range
+    identified: Range
     slew: float | None = None
     unit: str | None = "V"
     extrapolate: bool = False
     given: bool = True
 
     def __post_init__(self) -> None:
-        """Refuse a move's range beyond the rating, and an invalid slew (UsageError)."""
-        (low, high), (lowest, greatest) = self.rating, self.move
-        if not low <= lowest < greatest <= high:
+        """Refuse limits that leave nothing."""
+        low, high = self.move
+        if not low < high:
+            (low, high), (lowest, highest) = self.rating, self.identified
             raise UsageError(
-                f"limits: {lowest:g} to {greatest:g} is no range within {low:g} to {high:g}"
+                f"`v_min` {low:.6g} to `v_max` {high:.6g} leaves none of the identified range, {lowest:.6g} "
+                f"to {highest:.6g}{self.suffix} (`extrapolate` goes beyond)"
             )
         if self.slew is not None and not self.slew > 0.0:
             raise UsageError(f"`max_slew` {self.slew:g}: give a number above 0")
@@ -102,49 +107,41 @@ class Limits:
             A limit cannot be read, is probably in another unit, or leaves nothing of
             the range.
         """
-        identified = low, high = quantity.min, quantity.max
-        lowest = voltage_in("v_min", v_min, quantity)
-        highest = voltage_in("v_max", v_max, quantity)
-        low = low if lowest is None else lowest
-        high = high if highest is None else highest
+        if extrapolate and v_min is None and v_max is None:
+            raise UsageError("`extrapolate` needs `v_min` or `v_max`")
+        low = voltage_in("v_min", v_min, quantity)
+        high = voltage_in("v_max", v_max, quantity)
         slew = None
         if max_slew is not None:
             per_second = None if quantity.unit is None else f"{quantity.unit}/s"
             slew = parse_quantity(max_slew, per_second, "max_slew", 0.0)
-        if not low < high:
-            raise UsageError(
-                f"`v_min` {low:.6g} must be below `v_max` {high:.6g}{quantity.suffix}"
-            )
-        rating = move = low, high
-        if not extrapolate:
-            move = max(low, quantity.min), min(high, quantity.max)
-        elif v_min is None and v_max is None:
-            raise UsageError("`extrapolate` needs `v_min` or `v_max`")
-        if not move[0] < move[1]:
-            raise UsageError(
-                f"`v_min` {low:.6g} to `v_max` {high:.6g} leaves none of the identified range, "
-                f"{quantity.min:.6g} to {quantity.max:.6g}{quantity.suffix} (`extrapolate` goes beyond)"
-            )
         return cls(
-            rating=rating,
-            move=move,
-            identified=identified,
+            rating=(
+                quantity.min if low is None else low,
+                quantity.max if high is None else high,
+            ),
+            identified=(quantity.min, quantity.max),
             slew=slew,
             unit=quantity.unit,
             extrapolate=extrapolate,
             given=any(limit is not None for limit in (v_min, v_max, max_slew)),
         )
 
+    @cached_property
+    def move(self) -> Range:
+        """Least and greatest voltage of the rows of a move."""
+        return self.rating if self.extrapolate else self.sweep
+
+    @property
+    def sweep(self) -> Range:
+        """The range of a sweep: as much of the rating as is identified, if that is any."""
+        (low, high), (lowest, highest) = self.rating, self.identified
+        return max(low, lowest), min(high, highest)
+
     @property
     def suffix(self) -> str:
         """The unit behind a blank, for messages."""
         return f" {self.unit}" if self.unit else ""
-
-    @property
-    def sweep(self) -> tuple[float, float]:
-        """The range of a sweep: the move's, as far as it is identified, if that leaves any."""
-        low, high = self.identified
-        return max(self.move[0], low), min(self.move[1], high)
 
     def largest_step(self, dt: float | Floats | None) -> float | Floats | None:
         """Return the largest change in a time step (s), rounded down; None where any change is allowed.
@@ -156,7 +153,7 @@ class Limits:
         """
         if self.slew is not None and dt is None:
             raise InputError(
-                "`max_slew` needs a clock: a time column, or `sample_rate` HZ"
+                "`max_slew` needs a clock: add `time` COLUMN or `sample_rate` HZ"
             )
         step: float | Floats | None = largest_step(self.slew, dt)
         return step
@@ -167,15 +164,11 @@ class Limits:
         Raises
         ------
         LimitError
-            It does, or the voltage is no finite number.
+            It does.
         """
         low, high = self.rating
         if low <= voltage <= high:
             return
-        if not math.isfinite(voltage):
-            raise LimitError(
-                f"{name} {voltage}: give the voltage at which the amplifier stands"
-            )
         raise LimitError(
             f"{name} {voltage:.6g}{self.suffix} is outside {low:.6g} to {high:.6g}{self.suffix}: "
             "bring the amplifier inside, or give its rating (`v_min`, `v_max`)"
@@ -281,7 +274,7 @@ class Gate:
         low, high = self.limits.move if phase == "move" else self.limits.rating
         first = voltage[:1] if self.last is None else [self.last]
         before = np.concatenate([first, voltage[:-1]])
-        bad = ~(np.isfinite(voltage) & (voltage >= low) & (voltage <= high))
+        bad = ~((voltage >= low) & (voltage <= high) & np.isfinite(voltage))
         largest = self.limits.largest_step(dt)
         if largest is not None:
             digits = STEP_ROUNDING * np.maximum(np.abs(voltage), np.abs(before))
@@ -295,17 +288,14 @@ class Gate:
             return bad, ""
         value, unit = float(voltage[row]), self.limits.suffix
         if not math.isfinite(value):
-            reason = f"{value} is no voltage"
-        elif value > high:
-            reason = f"{value:.9g}{unit} is above {high:.9g}{unit}"
-        elif value < low:
-            reason = f"{value:.9g}{unit} is below {low:.9g}{unit}"
-        else:
-            reason = (
-                f"{float(before[row]):.9g} to {value:.9g}{unit} in one row is faster than "
-                f"{self.limits.slew:g}{unit}/s"
-            )
-        return bad, reason
+            return bad, f"{value} is no voltage"
+        if not low <= value <= high:
+            side = f"above {high:.9g}" if value > high else f"below {low:.9g}"
+            return bad, f"{value:.9g}{unit} is {side}{unit}"
+        return bad, (
+            f"{float(before[row]):.9g} to {value:.9g}{unit} in one row is faster than "
+            f"{self.limits.slew:g}{unit}/s"
+        )
 
     def admit(
         self, voltage: Floats, dt: float | Floats | None = None, phase: str = "move"

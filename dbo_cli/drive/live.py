@@ -17,7 +17,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.limits import STEP_ROUNDING, Figure, GateError, Limits
-from dbo_cli.errors import InputError, ModelError, UsageError
+from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import Cascade, State, Undoing
 from dbo_cli.model.amplifier import drive_before, window_behind
 
@@ -70,11 +70,11 @@ class Controller:
     Raises
     ------
     ModelError
-        The model needs ``lookahead``, or is an inverse.
+        The model is an inverse.
     LimitError
         ``from_`` is outside the limits.
     UsageError
-        ``lookahead`` is too short.
+        ``lookahead`` is missing or too short.
     """
 
     def __init__(
@@ -102,8 +102,8 @@ class Controller:
         self._begin = state
         self._stepper: Any = None
         self._pending: Planned | None = None
-        self._to_gears = model.tail.inverse()
-        self._from_gears = model.head.inverse()
+        self._to_gears = model.tail.inverse
+        self._from_gears = model.head.inverse
         self._amplifier = model.amplifier
         self._output = 0.0  # of the amplifier, now
         if model.amplifier is not None:
@@ -117,18 +117,14 @@ class Controller:
 
     def _samples_ahead(self, lookahead: float | Literal["auto"] | None) -> int:
         """Return how many samples what is wanted is read ahead."""
-        needed, model = self._inverter.ahead, self._model
-        looks_ahead = model.dynamics is not None or model.delay is not None
-        if looks_ahead and lookahead is None:
-            raise ModelError(
-                'this model has a delay or dynamics: set `lookahead` to "auto" and plan that far ahead'
-            )
-        if lookahead is None or lookahead == "auto":
+        needed = self._inverter.ahead
+        if lookahead == "auto":
             return needed
-        samples = math.ceil(lookahead / self._dt - 1e-9)
+        samples = math.ceil((lookahead or 0.0) / self._dt - 1e-9)
         if samples < needed:
             raise UsageError(
-                f"`lookahead` {lookahead:g} s is too short: this model needs {needed * self._dt:.6g} s"
+                f"`lookahead` {lookahead}: this model needs {needed * self._dt:.6g} s: give them, or "
+                '"auto", and plan that far ahead'
             )
         return samples
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.judge import ALLOWED_PART
-from dbo_cli.drive.lead import Lead, ramp
+from dbo_cli.drive.lead import Lead, ramp, require_time
 from dbo_cli.drive.smooth import MOST_SIGNAL_ROWS, open_seam, soft_rise
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 from dbo_cli.model import Cascade, Run, State
@@ -52,8 +52,6 @@ class Loop:
         Of run-in.
     name
         Of the trajectory.
-    hold
-        Rows for which the amplifier stands still before a way to the loop.
 
     Attributes
     ----------
@@ -65,8 +63,6 @@ class Loop:
         What leads to the period, and the period.
     run, state
         The settled drive of the period, and the state before a pass of it.
-    has_settled
-        Whether that stays.
 
     Raises
     ------
@@ -79,13 +75,12 @@ class Loop:
     """
 
     def __init__(
-        self, lead: Lead, period: Floats, dt: float, passes: int, name: str, hold: int
+        self, lead: Lead, period: Floats, dt: float, passes: int, name: str
     ) -> None:
-        if not isinstance(passes, int | np.integer) or passes < 0:
-            raise UsageError(f"`passes` {passes}: give a whole number of passes")
-        if passes * period.size > MOST_SIGNAL_ROWS:
+        is_count = isinstance(passes, int | np.integer)
+        if not is_count or not 0 <= passes * period.size <= MOST_SIGNAL_ROWS:
             raise UsageError(
-                f"`passes` {passes}: at most {MOST_SIGNAL_ROWS:,} rows in all"
+                f"`passes` {passes}: give a whole number, of at most {MOST_SIGNAL_ROWS:,} rows in all"
             )
         if period.size < FEWEST_PERIOD_ROWS:
             raise InputError(
@@ -95,7 +90,7 @@ class Loop:
         if seam:
             raise InputError(f"{name}: {seam}")
         self.lead, self.model, self.limits = lead, lead.model, lead.limits
-        self.dt, self.passes, self.name, self.hold = dt, passes, name, hold
+        self.dt, self.passes, self.name = dt, passes, name
         self.target = self.model.inverter(dt).loop(period)
         self._settle()
 
@@ -108,14 +103,12 @@ class Loop:
         looped = looped_state(model, period, dt, state)
         aim = static.run(period, self.state, dt).y
         residual = largest_difference(static.run(period, looped, dt).y, aim)
-        if self.has_settled and residual <= LOOP_ERROR * size:
+        if residual <= LOOP_ERROR * size:
             return ()
         text = (
-            f"{self.name}: the loop does not settle: however often it is repeated, it ends {residual:.3g}"
+            f"{self.name}: the loop does not settle within its limits: repeated, it ends {residual:.3g}"
             f"{model.output.suffix} off (`passes` 1 or `state` empty fixes the start)"
         )
-        if residual <= LOOP_ERROR * size:
-            text = f"{self.name}: the drive still changes from pass to pass within its limits"
         costs = on_limit == "auto" and residual > ALLOWED_PART * size
         if costs or on_limit == "error":
             raise LimitError(f"{text}; `on_limit` clip writes it anyway")
@@ -138,7 +131,7 @@ class Loop:
                 begin = state.drive if state.first is None else state.first
         following = self._repeated(state)
         for _ in range(MOST_STARTS):
-            self.run, self.state, self.has_settled = following
+            self.run, self.state = following
             self.voltage = self._closed(self.run.y)
             stands = float(self.voltage[0]) if begin is None else begin
             self.lead_voltage = self._before(self.voltage, stands)
@@ -149,8 +142,8 @@ class Loop:
             if change <= ONE_LOOP * model.input.span:
                 break
 
-    def _repeated(self, state: State) -> tuple[Run, State, bool]:
-        """Return the drive to which the period settles, the state before a pass of it, and whether it stays.
+    def _repeated(self, state: State) -> tuple[Run, State]:
+        """Return the drive to which the period settles, and the state before a pass of it.
 
         ``state`` is that before the first pass ever: gears that the loop does not reach keep it.
         """
@@ -163,8 +156,8 @@ class Loop:
             change = largest_difference(again.y, run.y)
             run = again
             if change <= SETTLED * model.input.span:
-                return run, before, True
-        return run, before, False
+                break
+        return run, before
 
     def _before(self, period: Floats, begin: float) -> Floats:
         """Return what leads to a period: a ramp, or a pass in which it grows, then whole passes of it.
@@ -174,8 +167,9 @@ class Loop:
         dt, limits, passes = self.dt, self.limits, self.passes
         seconds = self.lead.approach
         if seconds is not None:
-            ascent = ramp("approach", begin, float(period[0]), dt, seconds, limits)
-            still = np.full(1 + self.hold, begin)
+            ascent = ramp(begin, float(period[0]), dt, seconds, limits)
+            require_time(seconds, ascent.size * dt, dt)
+            still = np.full(1 + self.lead.hold, begin)
             return np.concatenate([still, ascent, np.tile(period, passes)])
         if not passes:
             return np.empty(0)

@@ -171,7 +171,6 @@ class Simulator:
         self.outside, self.name = outside, name
         self.row_count = self.outside_count = self.first_outside = 0
         self._forward = model.forward()
-        self._is_begun = False
         self._ahead: Ahead | None = None  # of an inverse model
 
     def rows(self, x: Floats, dt: Steps = None, time: Floats | None = None) -> Rows:
@@ -195,14 +194,13 @@ class Simulator:
         LimitError
             Likewise, of a displacement that an inverse model is to reach, or its drive.
         """
-        if not self._is_begun:
-            self._is_begun = True
+        if not x.size:
+            return NO_ROWS
+        if not self.row_count and self._ahead is None:  # the first rows
             if isinstance(self.state, State):
                 dt = steps_behind(self.state.time, time, dt)
             if not self.model.is_forward:
                 self._ahead = Ahead(self._forward, dt, self.state, self._driven)
-        if not x.size:
-            return NO_ROWS
         if self._ahead is None:
             start = self.model.start(float(x[0]), self.state)
             self._watch(x, self.model)

@@ -40,7 +40,7 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
         sources.add("delay.c", PART=c.real(plan.delay_part))
     if plan.undone:
         _undo_dynamics(plan, sources)
-    sources.step += _curves(forward.tail.inverse(), "before", sources)
+    sources.step += _curves(forward.tail.inverse, "before", sources)
     if forward.amplifier is not None:
         _limit_amplifier(plan, sources)
     sources.reset += _curves(forward.head, "drive", sources)
@@ -48,7 +48,7 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
         _look_gears_up(plan, sources)
     else:
         _drive_gears(plan, sources)
-    to_drive = forward.head.inverse()
+    to_drive = forward.head.inverse
     sources.step += _curves(to_drive, "behind", sources)
     if forward.amplifier is not None:
         sources.add("amplifier.c")

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.arrays import Floats
+from dbo_cli.arrays import Floats, Range
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import UsageError
 from dbo_cli.model import Cascade, Gears, Quantity, State
 from dbo_cli.model.delay import AFTER, whole_and_part
 from dbo_cli.model.dynamics import SectionInverse, inverses_of
-from dbo_cli.model.gears import Window, largest_step
+from dbo_cli.model.gears import largest_step
 
 COUNTS = 2.0**30
 """From the middle of a range to its end; that leaves a factor of two beyond it."""
@@ -96,7 +96,7 @@ class Plan:
         return f"stages[{self.forward.stages.index(self.gears)}]"
 
     @property
-    def inner(self) -> tuple[Window, float | None]:
+    def inner(self) -> tuple[Range, float | None]:
         """The range of the drive as the gears meet it, and the largest change of their output in a step."""
         window, slew = self.forward.inner_limits(self.limits.move, self.limits.slew)
         step = largest_step(slew, self.dt)

@@ -95,7 +95,7 @@ def fold(curves: Curves, low: float, high: float) -> Folded:
         if isinstance(stage, Scale):
             continue
         inner = np.ascontiguousarray(stage.segments[1:, 0] + stage.x0)
-        back = Curves(curves[:number]).inverse()
+        back = Curves(curves[:number]).inverse
         nodes += back(inner).tolist()
     span = high - low
     begins: list[float] = []
@@ -209,9 +209,9 @@ def whole_of(plan: Plan) -> Whole:
     wide = gears.exchanged[:, 0] + plan.kappa * gears.exchanged[:, 1]
     x_axis = axis_of(wide, gears.equal_run)
     y_axis = axis_of(gears.exchanged[:, 1].copy(), gears.equal_run)
-    before = fold(plan.forward.tail.inverse(), source.min, source.max)
+    before = fold(plan.forward.tail.inverse, source.min, source.max)
     end = gears.x0 + float(y_axis.exact.sum())
-    after = fold(plan.forward.head.inverse(), gears.x0, end)
+    after = fold(plan.forward.head.inverse, gears.x0, end)
     start = fold(plan.forward.head, drive.min, drive.max)
     memory = memory_of(plan, x_axis, y_axis)
     grids = Grid.of(source), Grid.of(drive)

@@ -14,10 +14,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from dbo_cli.arrays import Floats
+from dbo_cli.arrays import Floats, Range
 from dbo_cli.errors import InputError
 from dbo_cli.model.fields import Keyed, number, require_above_0
-from dbo_cli.model.gears import Window
 from dbo_cli.model.points import Curves
 from dbo_cli.model.relaxation import Relaxation
 from dbo_cli.model.state import Run, State
@@ -97,7 +96,7 @@ class Amplifier(Keyed):
 
 def window_behind(
     head: Curves, before: float, share: float, low: float, high: float
-) -> Window:
+) -> Range:
     """Return the range of the voltage at the gears for a row's drive from ``low`` to ``high``.
 
     Parameters
@@ -118,13 +117,13 @@ def drive_before(
     head: Curves, voltage: float, before: float, share: float, low: float, high: float
 ) -> tuple[float, float]:
     """Return a row's drive for a voltage at the gears, and the amplifier's output; see ``window_behind``."""
-    output = head.inverse().value(voltage)
+    output = head.inverse.value(voltage)
     drive = before + (output - before) / share
     return min(max(drive, low), high), output  # rounding on the way back
 
 
 def allowed_drive(
-    last: Floats, changes: Floats, window: Window
+    last: Floats, changes: Floats, window: Range
 ) -> tuple[Floats, Floats]:
     """Return the least and greatest drive of each row behind ``last``; the window wins over the change."""
     low, high = window

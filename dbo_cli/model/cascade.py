@@ -20,7 +20,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.arrays import Booleans, Floats
+from dbo_cli.arrays import Booleans, Floats, Range
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model.amplifier import (
     Amplifier,
@@ -31,7 +31,7 @@ from dbo_cli.model.amplifier import (
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics, Inverter
 from dbo_cli.model.fields import require_above_0
-from dbo_cli.model.gears import NEGLIGIBLE, Gears, Window, largest_step
+from dbo_cli.model.gears import NEGLIGIBLE, Gears, largest_step
 from dbo_cli.model.points import Curve, Curves, Points, Scale
 from dbo_cli.model.start import Starts
 from dbo_cli.model.state import Quantity, Run, State, Steps, steps_of
@@ -267,11 +267,8 @@ class Cascade:
         if isinstance(state, State):
             return state
         at_gears = self.head.value(float(voltage))
-        return State(self.starts.bits(at_gears, self._start_name(state)))
-
-    def _start_name(self, name: str) -> str:
-        """Return the start that ``auto`` stands for, or the name itself."""
-        return self.auto_start if name == "auto" else name
+        name = self.auto_start if state == "auto" else state
+        return State(self.starts.bits(at_gears, name))
 
     def start_drive(
         self,
@@ -298,14 +295,14 @@ class Cascade:
         starts, ends = self.starts, self.head.ends(low, high)
 
         def drive_of(at_gears: float) -> float:
-            return min(max(self.head.inverse().value(at_gears), low), high)
+            return min(max(self.head.inverse.value(at_gears), low), high)
 
         if state in ("empty", "full"):
             at_end = starts.ends[1 if state == "full" else 0]
             drive = drive_of(min(max(at_end, ends[0]), ends[1]))
             return State(starts.bits(at_end, state), drive=drive)
-        output = self.tail.inverse().value(float(first))
-        name = self._start_name(state)
+        output = self.tail.inverse.value(float(first))
+        name = self.auto_start if state == "auto" else state
         if name != "settled":
             bits = starts.bits(0.0, name)
             at_gears = float(self.gears.undo([output], State(bits)).y[0])
@@ -391,11 +388,11 @@ class Cascade:
         return dt
 
     @functools.cached_property
-    def covered(self) -> tuple[float, float]:
+    def covered(self) -> Range:
         """The range of this model's input: what it was identified on, or less where its gears end."""
         low, high = self.input.min, self.input.max
         if self.is_forward:
-            least, most = self.head.inverse().ends(*self.gears.x_range)
+            least, most = self.head.inverse.ends(*self.gears.x_range)
             low, high = max(low, least), min(high, most)
         slack = NEGLIGIBLE * self.input.span
         return low - slack, high + slack
@@ -419,21 +416,18 @@ class Cascade:
             return _inverter(None, None, 0.0)
         if dt is None:
             raise ModelError(_TIME_IS_NEEDED)
-        if isinstance(dt, np.ndarray):
+        if isinstance(dt, np.ndarray) or not dt > 0.0:
             raise InputError(
-                "the model's delay and dynamics need an even clock: add `resample` HZ, or behind a pause "
-                "leave `state` out"
+                "the model's delay and dynamics need an even clock that advances: add `resample` HZ, or "
+                "behind a pause leave `state` out"
             )
-        if not dt > 0.0:
-            raise InputError(f"time step: {dt!r} s is not greater than 0")
         return _inverter(self.dynamics, self.delay, float(dt))
 
     def follow_loop(self, y: Floats, dt: float) -> Floats:
         """Return the displacement behind dynamics and delay, for one period of a static one that repeats."""
-        if self.dynamics is not None:
-            y = self.dynamics.loop(y, dt)
-        if self.delay is not None:
-            y = self.delay.loop(y, dt)
+        for stage in (self.dynamics, self.delay):
+            if stage is not None:
+                y = stage.loop(y, dt)
         return y
 
     def drive(
@@ -441,7 +435,7 @@ class Cascade:
         desired: ArrayLike,
         state: State,
         dt: Steps = None,
-        window: Window | None = None,
+        window: Range | None = None,
         slew: float | None = None,
     ) -> Run:
         """Return the drive that makes the static part reach one block of displacement.
@@ -474,7 +468,7 @@ class Cascade:
             if missed and window is not None:
                 clipped = int(not window[0] < state.first < window[1])
             y = np.concatenate([reached, y[1:]])
-        output = self.tail.inverse()(y)
+        output = self.tail.inverse(y)
         if self.amplifier is None:
             result = self._undo_gears(output, state, steps, window, slew)
         else:
@@ -493,7 +487,7 @@ class Cascade:
         output: Floats,
         state: State,
         steps: float | Floats,
-        window: Window | None,
+        window: Range | None,
         slew: float | None,
     ) -> Run:
         """Return the voltage before gears and head for an output of the gears."""
@@ -504,7 +498,7 @@ class Cascade:
             at_gears = self.head.value(state.drive)
             state = state.behind(state.bits, state.memory, at_gears)
         result = self.gears.undo(output, state, steps, inner, inner_slew)
-        voltage = self.head.inverse()(result.y)
+        voltage = self.head.inverse(result.y)
         if window is not None and self.head:
             # rounding on the way back through the points
             voltage = np.clip(voltage, *window)
@@ -515,94 +509,73 @@ class Cascade:
         output: Floats,
         state: State,
         dt: float | Floats,
-        window: Window | None,
+        window: Range | None,
         slew: float | None,
     ) -> Run:
         """Return the drive before an amplifier, whose limits reach through amplifier, head and gears.
 
-        Rows are undone in blocks as if there were no limits. From the first one on that a
-        limit may hold back, each is undone within its own window; then blocks grow again.
+        Rows are undone as if there were no limits; from the first one on that a limit may
+        hold back, each is undone within its own window.
         """
         assert self.amplifier is not None
-        _, shares = self.amplifier.shares(state, dt, output.size)
+        before, shares = self.amplifier.shares(state, dt, output.size)
+        done = self.gears.undo(output, state, dt)
+        amplified = self.head.inverse(done.y)
+        free = self.amplifier.undo(amplified, done.state, dt)
+        free = free._replace(state=replace(free.state, drive=float(free.y[-1])))
         if window is None:
-            return self._undo_freely(output, state, dt)[0]
+            return free
         step = largest_step(slew, dt)
         changes = np.broadcast_to(np.inf if step is None else step, output.shape)
-        drive = np.empty_like(output)
-        row, size, clipped, first_clipped = 0, output.size, 0, 0
-        while row < output.size:
-            rows = slice(row, row + size)
-            block = output[rows]
-            steps = dt[rows] if isinstance(dt, np.ndarray) else dt
-            done = self._undo_block(
-                block, state, steps, shares[rows], changes[rows], window
-            )
-            count = done.y.size
-            drive[row : row + count] = done.y
-            if done.clipped and not clipped:
-                first_clipped = row
-            clipped += done.clipped
-            row, state = row + count, done.state
-            size = 1 if done.clipped or count < block.size else 2 * size
-        return Run(drive, state, clipped, first_clipped)
-
-    def _undo_freely(
-        self, output: Floats, state: State, dt: float | Floats
-    ) -> tuple[Run, Floats]:
-        """Return the drive as if there were no limits, and the voltage at the gears."""
-        assert self.amplifier is not None
-        done = self.gears.undo(output, state, dt)
-        amplified = self.head.inverse()(done.y)
-        run = self.amplifier.undo(amplified, done.state, dt)
-        last = float(run.y[-1])
-        return Run(run.y, replace(run.state, drive=last)), done.y
-
-    def _undo_block(
-        self,
-        output: Floats,
-        state: State,
-        dt: float | Floats,
-        shares: Floats,
-        changes: Floats,
-        window: Window,
-    ) -> Run:
-        """Return the drive of one row within its window, or of the rows before the first that is held.
-
-        ``shares`` are 1 - a and ``changes`` the largest changes of the drive, row by row.
-        """
-        before = state.amplifier or 0.0
-        stands = np.array([math.nan if state.drive is None else state.drive])
-        if output.size == 1:
-            low, high = (
-                float(end[0]) for end in allowed_drive(stands, changes, window)
-            )
-            row = before, float(shares[0]), low, high
-            done = self.gears.undo(output, state, dt, window_behind(self.head, *row))
-            drive, amplified = drive_before(self.head, float(done.y[0]), *row)
-            after = replace(done.state, amplifier=amplified, drive=drive)
-            return Run(np.array([drive]), after, done.clipped)
-        free, voltage = self._undo_freely(output, state, dt)
-        previous = np.concatenate([[before], self.head.inverse()(voltage)[:-1]])
-        lows, highs = allowed_drive(
-            np.concatenate([stands, free.y[:-1]]), changes, window
-        )
+        last = math.nan if state.drive is None else state.drive
+        lasts = np.concatenate([[last], free.y[:-1]])
+        lows, highs = allowed_drive(lasts, changes, window)
+        previous = np.concatenate([[before], amplified[:-1]])
         ends = [
             self.head(previous + shares * (end - previous)) for end in (lows, highs)
         ]
         held = (free.y < lows) | (free.y > highs)
-        held |= (voltage < np.minimum(*ends)) | (voltage > np.maximum(*ends))
+        held |= (done.y < np.minimum(*ends)) | (done.y > np.maximum(*ends))
         if not held.any():
             return free
-        count = int(np.argmax(held))
-        if count == 0:
-            return Run(free.y[:0], state)
-        steps = dt[:count] if isinstance(dt, np.ndarray) else dt
-        return self._undo_freely(output[:count], state, steps)[0]
+        first = int(np.argmax(held))
+        steps = np.broadcast_to(dt, output.shape)
+        if first:
+            begin = dt[:first] if isinstance(dt, np.ndarray) else dt
+            state = self._undo_amplified(output[:first], state, begin, None, None).state
+        drive, clipped, first_clipped = free.y, 0, 0
+        for k in range(first, output.size):
+            row = slice(k, k + 1)
+            done = self._undo_row(
+                output[row], state, steps[k], shares[k], changes[row], window
+            )
+            drive[k], state = done.y[0], done.state
+            if done.clipped and not clipped:
+                first_clipped = k
+            clipped += done.clipped
+        return Run(drive, state, clipped, first_clipped)
+
+    def _undo_row(
+        self,
+        output: Floats,
+        state: State,
+        dt: float,
+        share: float,
+        change: Floats,
+        window: Range,
+    ) -> Run:
+        """Return the drive of one row within its window and change; ``share`` is 1 - a of the amplifier."""
+        last = np.array([math.nan if state.drive is None else state.drive])
+        low, high = allowed_drive(last, change, window)
+        row = state.amplifier or 0.0, float(share), float(low[0]), float(high[0])
+        done = self.gears.undo(output, state, float(dt), window_behind(self.head, *row))
+        drive, amplified = drive_before(self.head, float(done.y[0]), *row)
+        after = replace(done.state, amplifier=amplified, drive=drive)
+        return Run(np.array([drive]), after, done.clipped)
 
     def inner_limits(
-        self, window: Window, slew: float | None
-    ) -> tuple[Window, float | None]:
+        self, window: Range, slew: float | None
+    ) -> tuple[Range, float | None]:
         """Return the limits of the voltage before the curves as the gears meet them.
 
         The slew limit counts on the steepest step everywhere, so that it is kept with

@@ -55,13 +55,6 @@ LEFT_OVER = 1e-17  # of the whole sum over the future: less than rounding does t
 LONGEST_AHEAD = 2000
 
 
-class SectionOutput(NamedTuple):
-    """What a section's output has besides p: parts of the lead u - p and of q (``dbo_section_output``)."""
-
-    by_lead: float = 0.0
-    by_q: float = 0.0
-
-
 @dataclass(frozen=True)
 class Mode(Keyed):
     """The polynomial 1 + 2 zeta s/omega + s^2/omega^2.
@@ -93,6 +86,11 @@ class Resonance(Mode):
     OPTIONAL: ClassVar = ("antiresonance",)
 
     @property
+    def fade(self) -> float:
+        """Seconds in which it dies away to 1/e."""
+        return 1.0 / (2.0 * math.pi * self.frequency * self.damping)
+
+    @property
     def highest(self) -> float:
         """The higher of the resonance's and the antiresonance's frequency (Hz)."""
         if self.antiresonance is None:
@@ -100,13 +98,13 @@ class Resonance(Mode):
         return max(self.frequency, self.antiresonance.frequency)
 
     @property
-    def output(self) -> SectionOutput:
-        """What the numerator adds to p."""
+    def output(self) -> tuple[float, float]:
+        """What the numerator adds to p: parts of the lead u - p and of q (``dbo_section_output``)."""
         if self.antiresonance is None:
-            return SectionOutput()
+            return 0.0, 0.0
         ratio = self.frequency / self.antiresonance.frequency
         damping = self.antiresonance.damping - ratio * self.damping
-        return SectionOutput(ratio * ratio, 2.0 * ratio * damping)
+        return ratio * ratio, 2.0 * ratio * damping
 
     def step(self, dt: Floats) -> Floats:
         """Return how p and q change in each time step (s), shape (6, steps).
@@ -172,9 +170,14 @@ class Lag(Keyed):
             )
 
     @property
-    def output(self) -> SectionOutput:
-        """What the numerator adds to p."""
-        return SectionOutput(by_lead=self.lead / self.lag)
+    def fade(self) -> float:
+        """Seconds in which it dies away to 1/e."""
+        return self.lag
+
+    @property
+    def output(self) -> tuple[float, float]:
+        """What the numerator adds to p, as of ``Resonance``."""
+        return self.lead / self.lag, 0.0
 
     def step(self, dt: Floats) -> Floats:
         """Return how p changes in each time step (s), as of ``Resonance``; a lag has no q."""
@@ -252,8 +255,6 @@ def section_inverse(section: Section, dt: float) -> SectionInverse:
     if isinstance(section, Lag):
         numbers = _with_one(matrix[0, 0], drive[0], out[0])
         return SectionInverse(numbers, np.zeros(0), np.array([[1.0, 0.0], [0.0, 0.0]]))
-    if section.highest * dt > HIGHEST_PART:
-        raise _unresolved(section, dt)
     numbers = np.concatenate([matrix.reshape(-1), drive, out])
     half = 0.5 * (matrix[0, 0] + matrix[1, 1])
     det = float(np.linalg.det(matrix))
@@ -262,13 +263,19 @@ def section_inverse(section: Section, dt: float) -> SectionInverse:
     if root > 0.0:
         outer = half + math.copysign(math.sqrt(root), half)
         inner, outer = sorted([det / outer, outer], key=abs)
+    refusal = InputError(
+        f"the model's resonance at {section.frequency:.6g} Hz is too fast to be undone at {1.0 / dt:.6g} Hz "
+        f"(`resample` {6.0 * section.highest:.6g} or more)"
+    )
+    if section.highest * dt > HIGHEST_PART:
+        raise refusal
     if abs(outer) < 1.0 and section.antiresonance is not None:
         return SectionInverse(numbers, np.zeros(0), np.eye(2))
-    if not abs(inner) < 1.0 < abs(outer):
-        raise _unresolved(section, dt)
-    count = math.ceil(math.log(LEFT_OVER) / -math.log(abs(outer)))
+    count = math.inf
+    if abs(inner) < 1.0 < abs(outer):
+        count = math.ceil(math.log(LEFT_OVER) / -math.log(abs(outer)))
     if count > LONGEST_AHEAD:
-        raise _unresolved(section, dt)
+        raise refusal
     inside_row, inside_drive = _eigenpart(recursion, inner)
     _, outside_drive = _eigenpart(recursion, outer)
     weight = -outside_drive * outer ** -np.arange(1.0, count + 1.0)
@@ -285,17 +292,6 @@ def _eigenpart(
     right = np.array([matrix[0, 1], zero - matrix[0, 0]])
     row = left_vector * (float(out @ right) / float(left_vector @ right))
     return row, float(row @ drive)
-
-
-def _unresolved(section: Resonance, dt: float) -> InputError:
-    """Return the refusal of a clock that does not resolve a section, with the rate that does."""
-    name = f"resonance at {section.frequency:.6g} Hz"
-    if section.antiresonance is not None:
-        name += f" with its antiresonance at {section.antiresonance.frequency:.6g} Hz"
-    return InputError(
-        f"the model's {name} is too fast to be undone at {1.0 / dt:.6g} Hz"
-        f" (`resample` {6.0 * section.highest:.6g} or more)"
-    )
 
 
 # --- the stage ---
@@ -346,7 +342,7 @@ class Dynamics(Keyed):
         memory = np.array(state.sections or at_rest, dtype=np.float64)
         y = np.empty(x.size)
         if isinstance(dt, np.ndarray):
-            rows = _step_rows(self.sections, checked_steps(dt))
+            rows = _step_rows(self.sections, dt)
         else:
             rows = _even_row(self.sections, dt)
         signal = np.ascontiguousarray(x, dtype=np.float64)
@@ -392,9 +388,9 @@ class Dynamics(Keyed):
         memories = []
         each = zip(inverses_of(self.sections, dt), sections, self.sections, strict=True)
         for inverse, (p, q, u), section in each:
-            output = section.output
+            by_lead, by_q = section.output
             a, b = (inverse.from_state @ np.array([u - p, q])).tolist()
-            memories.append((p + (output.by_lead * (u - p) + output.by_q * q), a, b))
+            memories.append((p + (by_lead * (u - p) + by_q * q), a, b))
         return tuple(memories)
 
     def loop(self, x: Floats, dt: float) -> Floats:
@@ -424,16 +420,15 @@ class Dynamics(Keyed):
         return [sections]
 
 
-def _step_rows(sections: tuple[Section, ...], steps: Floats) -> Floats:
+def _step_rows(sections: tuple[Section, ...], dt: Any) -> Floats:
     """Return the kernel's numbers, six for each section, in a row for each time step (s)."""
+    steps = checked_steps(dt)
     rows = np.vstack([section.step(steps) for section in sections])
     return np.ascontiguousarray(rows.T)
 
 
-@lru_cache(maxsize=32)
-def _even_row(sections: tuple[Section, ...], dt: float) -> Floats:
-    """Return ``_step_rows`` of one step; every block of a stream asks for it."""
-    return _step_rows(sections, checked_steps(dt))
+# of one time step; every block of a stream asks for it
+_even_row = lru_cache(maxsize=32)(_step_rows)
 
 
 @lru_cache(maxsize=32)

@@ -11,7 +11,8 @@ came to rest at any voltage of the range, equally likely.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +27,7 @@ STILL = 1e-3  # of the range, within which a drive rests
 FAST_WAY = 0.05  # of the way: it is gone at the fastest rate, or faster
 
 
-@dataclass(frozen=True)
-class ExpectedError:
+class ExpectedError(NamedTuple):
     """The error to expect on a move (RMS), in the displacement's unit, by what is not known before it.
 
     Attributes
@@ -40,12 +40,6 @@ class ExpectedError:
     known: float
     past: float
     memory: float
-
-    def rms(self, past_known: bool = False, memory_known: bool = False) -> float:
-        """Return the whole error, whether the past of the gears and that of memories are known or not."""
-        past = 0.0 if past_known else self.past
-        memory = 0.0 if memory_known else self.memory
-        return math.hypot(self.known, past, memory)
 
 
 def expected_error(
@@ -82,7 +76,7 @@ def expected_error(
     memory = 0.0
     if model.gears.relaxation is not None:
         memory = _spread_of_memory(model, drive, steps, begin)
-    return ExpectedError(*map(math.sqrt, (squares, past, memory)))
+    return ExpectedError(math.sqrt(squares), math.sqrt(past), math.sqrt(memory))
 
 
 def _spread_of_memory(

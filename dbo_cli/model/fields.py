@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from dbo_cli.arrays import Range
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.files import note_input
 
@@ -68,12 +69,11 @@ def load(path: str, noun: str) -> tuple[str, Any]:
     except OSError as problem:
         reason = problem.strerror or problem
         raise InputError(f"{name}: cannot be read: {reason}") from None
-    except json.JSONDecodeError as problem:
+    except (ValueError, RecursionError) as problem:
+        line = getattr(problem, "lineno", 1)
         raise ModelError(
-            f"{name}: line {problem.lineno}: not the JSON of a {noun}, or the file ends too early"
+            f"{name}: line {line}: not the JSON of a {noun}, or the file ends too early"
         ) from None
-    except (ValueError, RecursionError):
-        raise ModelError(f"{name}: not the JSON of a {noun}") from None
 
 
 def contents(values: Any, path: str, form: str, noun: str) -> Json:
@@ -174,7 +174,7 @@ def magnitude(value: Any, path: str) -> float:
     return abs(float(value))
 
 
-def interval(value: Any, path: str) -> tuple[float, float]:
+def interval(value: Any, path: str) -> Range:
     """Return the two ends of a range, the lower one first."""
     ends = number_list(value, path)
     if len(ends) != 2 or ends[0] > ends[1]:

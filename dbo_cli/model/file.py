@@ -104,13 +104,10 @@ def member(
     for name in ("", channel):
         if name in models:
             return models[name]
-    names = ", ".join(models)
-    alike = [name for name in models if name.lower() == channel.lower()]
-    nearest = [*alike, *models][0]
-    lacking = f"is a set of models, {names}"
-    if channel:
-        lacking = f"no model {channel}; models: {names}"
-    raise ModelError(f"{path}: {lacking}: type {path}::{nearest}{hint}")
+    lacking = f"no model {channel}" if channel else "is a set"
+    raise ModelError(
+        f"{path}: {lacking}; models: {', '.join(models)}: type {path}::{next(iter(models))}{hint}"
+    )
 
 
 def parse_model(values: object, name: str = "the model") -> Cascade:
@@ -132,6 +129,9 @@ def _model(values: Any, path: str) -> Cascade:
     if values.get("direction") == "inverse":
         direction = "inverse"
 
+    def candidate(values: Any, path: str) -> Any:
+        return build(Candidate, values, path, weight=number, stages=_stages)
+
     def cascade(past: str = "settled", **keys: Any) -> Cascade:
         return Cascade(**keys, auto_start=past)
 
@@ -145,7 +145,7 @@ def _model(values: Any, path: str) -> Cascade:
         output=Quantity.read,
         stages=partial(_stages, direction=direction),
         fit=_fit,
-        candidates=partial(fields.listed, read=_candidate),
+        candidates=partial(fields.listed, read=candidate),
         provenance=fields.notes,
         past=partial(fields.choice, choices=KEPT_STARTS),
     )
@@ -158,10 +158,6 @@ def _fit(values: Any, path: str) -> Json:
     for key in FIGURES:
         fields.unless_null(fields.magnitude)(figures.get(key), f"{path}.{key}")
     return figures
-
-
-def _candidate(values: Any, path: str) -> Any:
-    return build(Candidate, values, path, weight=number, stages=_stages)
 
 
 def _stages(
@@ -198,7 +194,7 @@ def _mirrored(stage: type[Stage], keys: Json) -> Json:
     Mirrored twice, they are those of the stage.
     """
     if stage is Scale:
-        return Scale(**keys).inverse().keys()
+        return Scale(**keys).inverse.keys()
     if stage is Delay:
         return {"seconds": -keys["seconds"]}
     return {key: keys[_EXCHANGED.get(key, key)] for key in keys}
@@ -310,7 +306,7 @@ def read_state(path: str, model: Cascade) -> State:
 def parse_state(values: object, model: Cascade, name: str = "the state") -> State:
     """Return the state that JSON values describe (ModelError: they do not, or it is another model's)."""
     with prefixed(name):
-        return _state(fields.contents(values, "", STATE_FORMAT, "a state"), model)
+        return _state(values, model)
 
 
 def state_of(state: State | str | Path, model: Cascade) -> State | str:
@@ -333,8 +329,9 @@ def state_of(state: State | str | Path, model: Cascade) -> State | str:
     return name if name in START_NAMES else read_state(name, model)
 
 
-def _state(values: Json, model: Cascade) -> State:
+def _state(values: object, model: Cascade) -> State:
     """Return the state that an object describes, which must be one of ``model``."""
+    values = fields.contents(values, "", STATE_FORMAT, "a state")
     amplifier = {}
     if model.amplifier is not None:
         amplifier["amplifier"] = fields.unless_null(number)
@@ -356,33 +353,27 @@ def _state(values: Json, model: Cascade) -> State:
         raise ModelError(
             "model: the state belongs to another model: save it again with this one"
         )
-    gears, digits = model.gears.n, parts["bits"]
-    if parts.pop("gears") != gears:
-        raise ModelError(f"gears: is not {gears}, the number of gears of the model")
-    hexadecimal = digits and not set(digits) - set("0123456789abcdef")
-    if not hexadecimal or int(digits, 16) >> gears:
-        raise ModelError(f"bits: is not a hexadecimal number of {gears} bits")
-    counts = {"memory": model.gears.gain.size, "sections": 0}
-    if model.dynamics is not None:
-        counts["sections"] = 3 * len(model.dynamics.sections)
+    gears, digits, held = model.gears.n, parts["bits"], parts["delay"]
+    is_hexadecimal = bool(digits) and not set(digits) - set("0123456789abcdef")
+    bits = int(digits, 16) if is_hexadecimal else -1
+    section_count = 0 if model.dynamics is None else len(model.dynamics.sections)
+    counts = {"memory": model.gears.gain.size, "sections": 3 * section_count}
+    fits = {"gears": parts.pop("gears") == gears, "bits": 0 <= bits < 1 << gears}
     for key, count in counts.items():
-        if parts[key] is not None and len(parts[key]) != count:
-            raise ModelError(f"{key}: has {len(parts[key])} entries, not {count}")
-    if parts["delay"] is not None and model.delay is None:
-        raise ModelError("delay: the model has no delay")
-    parts["bits"] = int(digits, 16)
+        fits[key] = parts[key] is None or len(parts[key]) == count
+    if held is not None:
+        fits["delay"] = model.delay is not None and 0 < len(held[0]) == len(held[1])
+        fits["delay.times"] = all(a <= b for a, b in pairwise(held[0]))
+    for key, is_right in fits.items():
+        if not is_right:
+            raise ModelError(f"{key}: is none of this model: save the state again")
     flat = parts["sections"]
     if flat is not None:
         parts["sections"] = tuple(zip(flat[::3], flat[1::3], flat[2::3], strict=True))
-    return State(**parts)
+    return State(**{**parts, "bits": bits})
 
 
 def _held(values: Any, path: str) -> Held:
     """Return what a delay held back."""
     held = build(dict, values, path, times=number_list, values=number_list)
-    times, past = held["times"], held["values"]
-    if len(times) != len(past) or not times:
-        raise ModelError(f"{path}.values: has {len(past)} entries, not {len(times)}")
-    if any(later < earlier for earlier, later in pairwise(times)):
-        raise ModelError(f"{path}.times: goes backwards")
-    return times, past
+    return held["times"], held["values"]

@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dbo_cli.arrays import Floats
+from dbo_cli.arrays import Floats, Range
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.fields import Keyed
@@ -34,7 +34,6 @@ from dbo_cli.model.widths import (
 
 Words = NDArray[np.uint64]
 Places = NDArray[np.uint32]
-Window = tuple[float, float]  # least and greatest voltage
 
 NEGLIGIBLE = 1e-9
 """Clipping, and missing a first value, count from this fraction of the range on."""
@@ -68,6 +67,8 @@ class Gears(Keyed):
 
     Attributes
     ----------
+    gain, reference : array, float
+        Of the relaxation; without one, no gain.
     x_range, y_range : (float, float)
         Input and output at B = 0 and at B = 2^n - 1, after a rest.
 
@@ -103,17 +104,16 @@ class Gears(Keyed):
         heights = on_binary_grid("dy", self.dy)
         self.width = math.fsum(widths.tolist())
         self.height = math.fsum(heights.tolist())
-        gains: tuple[float, ...] = ()
-        if relaxation is not None:
-            gains = relaxation.gain
-            relaxation.require_slopes(heights / widths, self.height / self.width)
-        self.gain = np.array(gains, dtype=np.float64)
-        self.table = gear_table(widths, heights, self._rounding(widths, heights))
         low, high = self.x0, self.x0 + self.width
         bottom, top = self.y0, self.y0 + self.height
+        self.gain, self.reference = np.empty(0), 0.0
         if relaxation is not None:
+            self.gain = np.array(relaxation.gain, dtype=np.float64)
+            self.reference = relaxation.reference
+            relaxation.require_slopes(heights / widths, self.height / self.width)
             bottom += relaxation.at_rest(low)
             top += relaxation.at_rest(high)
+        self.table = gear_table(widths, heights, self._rounding(widths, heights))
         self.x_range, self.y_range = (low, high), (bottom, top)
         for key, (low, high) in (("x0", self.x_range), ("y0", self.y_range)):
             if not low < high:
@@ -127,7 +127,8 @@ class Gears(Keyed):
         scale_y = max(abs(self.y0), abs(self.y0 + self.height), self.height)
         apart_y = heights
         if self.relaxation is not None:
-            scale_y += self.relaxation.most(scale_x)
+            gains = math.fsum(map(abs, self.relaxation.gain))
+            scale_y += gains * (scale_x + abs(self.reference))
             apart_y = heights + self.relaxation.negative * widths
         with np.errstate(over="ignore", divide="ignore"):
             rounding: Floats = np.maximum(scale_x / widths, scale_y / apart_y)
@@ -163,25 +164,15 @@ class Gears(Keyed):
         return table
 
     @functools.cached_property
-    def kernel_rows(self) -> tuple[Floats, Places]:
-        """The kernel's table and its guide, a row for each gear."""
-        return kernel_table(self.table)
-
-    @functools.cached_property
-    def _exchanged_rows(self) -> tuple[Floats, Places]:
-        return kernel_table(self.exchanged)
+    def _rows(self) -> tuple[tuple[Floats, Places], tuple[Floats, Places]]:
+        """The kernel's table and its guide, a row for each gear; and those of the inverse."""
+        return kernel_table(self.table), kernel_table(self.exchanged)
 
     def operator(self, extend: bool, is_inverse: bool = False) -> tuple[Any, ...]:
         """Return the kernel's first arguments, the same for all blocks; memory follows the voltage."""
-        rows, origins = self.kernel_rows, (self.x0, self.y0)
-        if is_inverse:
-            rows, origins = self._exchanged_rows, (self.y0, self.x0)
+        rows = self._rows[is_inverse]
+        origins = (self.y0, self.x0) if is_inverse else (self.x0, self.y0)
         return *rows, *origins, extend, self.gain, self.reference, is_inverse
-
-    @property
-    def reference(self) -> float:
-        """The voltage at which nothing is remembered."""
-        return 0.0 if self.relaxation is None else self.relaxation.reference
 
     def words(self, bits: int) -> Words:
         """Return the kernel's buffer with the bits of a state in it (ModelError where they are too many)."""
@@ -191,13 +182,11 @@ class Gears(Keyed):
         content = bits.to_bytes(8 * size, "little")
         return np.frombuffer(content, dtype="<u8").astype(np.uint64)
 
-    def settled(
-        self, voltage: float, covered: int | None = None, spare: int = 0
-    ) -> int:
+    def settled(self, voltage: float, covered: int, spare: int) -> int:
         """Return the bits after an oscillation that decays from the whole range to ``voltage``.
 
-        With ``covered`` from the range of the first so many gears alone, while others
-        stay as they are in the bits ``spare``.
+        The range is that of the first ``covered`` gears; others stay as they are in the
+        bits ``spare``.
 
         The oscillation turns at ``voltage + A`` and ``voltage - A``, both cut off at
         the ends of the range; A falls arbitrarily slowly to 0 and the first turn is the
@@ -209,8 +198,7 @@ class Gears(Keyed):
         """
         words = self.words(spare)
         kernel.extension.backlash_settled(
-            self.operator(True, is_inverse=True), words,
-            self.n if covered is None else covered, float(voltage),
+            self.operator(True, is_inverse=True), words, covered, float(voltage),
         )  # fmt: skip
         return bits_of(words)
 
@@ -248,7 +236,7 @@ class Gears(Keyed):
         y: ArrayLike,
         state: State,
         dt: float | Floats = math.inf,
-        window: Window | None = None,
+        window: Range | None = None,
         slew: float | None = None,
     ) -> Run:
         """Return the voltage (17)-(18) of one block of the output, the state after it, and what was clipped.
@@ -279,7 +267,7 @@ class Gears(Keyed):
         x: Floats,
         state: State,
         dt: float | Floats,
-        window: Window | None,
+        window: Range | None,
         slew: float | None,
     ) -> Run:
         """Run the kernel over a block; where no memory is known, the first sample is at rest."""
@@ -314,7 +302,7 @@ class Gears(Keyed):
         return NEGLIGIBLE * min(high - low, end - begin)
 
     def stepper(
-        self, state: State, dt: float, window: Window, slew: float | None
+        self, state: State, dt: float, window: Range, slew: float | None
     ) -> Any:
         """Return the kernel's stepper of ``undo`` at an even rate, for live control.
 

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dbo_cli.arrays import Floats
+from dbo_cli.arrays import Floats, Range
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.fields import Keyed, number
@@ -68,12 +68,9 @@ class Points(_Curve):
         self.segments.flags.writeable = False
 
     @cached_property
-    def _exchanged(self) -> Points:
-        return Points(self.dy, self.dx, self.y0, self.x0)
-
     def inverse(self) -> Points:
-        """Return the inverse (17)-(18): dX and dY exchanged in every segment, and the origins."""
-        return self._exchanged
+        """The inverse (17)-(18): dX and dY exchanged in every segment, and the origins."""
+        return Points(self.dy, self.dx, self.y0, self.x0)
 
     @property
     def least_slope(self) -> float:
@@ -126,12 +123,9 @@ class Scale(_Curve):
         return y
 
     @cached_property
-    def _undone(self) -> Scale:
-        return Scale(1.0 / self.gain, -self.offset / self.gain)
-
     def inverse(self) -> Scale:
-        """Return the stage that undoes this one, to rounding."""
-        return self._undone
+        """The stage that undoes this one, to rounding."""
+        return Scale(1.0 / self.gain, -self.offset / self.gain)
 
     def value(self, x: float) -> float:
         """Return the output for one number."""
@@ -165,15 +159,12 @@ class Curves(tuple[Curve, ...]):
             x = curve.value(x)
         return x
 
-    def ends(self, low: float, high: float) -> tuple[float, float]:
+    def ends(self, low: float, high: float) -> Range:
         """Return the range of the output for an input from ``low`` to ``high``."""
         ends = self.value(low), self.value(high)
         return min(ends), max(ends)
 
     @cached_property
-    def _undone(self) -> Curves:
-        return Curves(curve.inverse() for curve in reversed(self))
-
     def inverse(self) -> Curves:
-        """Return the curves that undo these."""
-        return self._undone
+        """The curves that undo these."""
+        return Curves(curve.inverse for curve in reversed(self))

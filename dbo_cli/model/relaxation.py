@@ -77,10 +77,6 @@ class Relaxation(Keyed):
         """Return what the terms add up to after a long rest at ``voltage``."""
         return math.fsum(self.gain) * (voltage - self.reference)
 
-    def most(self, voltage: float) -> float:
-        """Return what the terms add up to at most while the voltage is no larger than ``voltage``."""
-        return math.fsum(map(abs, self.gain)) * (voltage + abs(self.reference))
-
     def require_slopes(self, slopes: Floats, mean: float) -> None:
         """Refuse negative gains that leave too little of a slope (output per volt) of the gears.
 
@@ -106,10 +102,9 @@ class Relaxation(Keyed):
         InputError
             A time step is negative or not a number.
         """
-        if isinstance(dt, float):
-            return _even_decay(self.tau, dt)
-        factors: Floats = np.exp(-checked_steps(dt)[:, np.newaxis] / np.array(self.tau))
-        return factors
+        return (
+            _even_decay(self.tau, dt) if isinstance(dt, float) else _decay(self.tau, dt)
+        )
 
     def lags(
         self,
@@ -130,9 +125,11 @@ class Relaxation(Keyed):
         return rows, tuple(memories.tolist())
 
 
-@lru_cache(maxsize=32)
-def _even_decay(tau: tuple[float, ...], dt: float) -> Floats:
-    """Return a_j of one time step; every block of a stream asks for it."""
+def _decay(tau: tuple[float, ...], dt: float | ArrayLike) -> Floats:
     factors: Floats = np.exp(-checked_steps(dt)[:, np.newaxis] / np.array(tau))
     factors.flags.writeable = False
     return factors
+
+
+# of one time step; every block of a stream asks for it
+_even_decay = lru_cache(maxsize=32)(_decay)

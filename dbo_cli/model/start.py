@@ -8,10 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
+from dbo_cli.arrays import Range
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.gears import Gears
-from dbo_cli.model.state import KEPT_STARTS, START_NAMES, State
+from dbo_cli.model.state import START_NAMES, State
 from dbo_cli.model.widths import CROSSING_TOLERANCE, on_binary_grid
 
 
@@ -34,7 +35,7 @@ class Starts:
         return self._count(self.high - max(self.low, self.gears.x0))
 
     @cached_property
-    def ends(self) -> tuple[float, float]:
+    def ends(self) -> Range:
         """The voltages between which it moves them."""
         gears, count = self.gears, self.covered
         if count == gears.n:
@@ -74,17 +75,12 @@ class Starts:
         ModelError
             There is no start of that name.
         """
-        if name not in (*START_NAMES, *KEPT_STARTS):
-            raise ModelError(f"`state` {name}: give {', '.join(START_NAMES)} or a file")
-        all_crossed = (1 << self.gears.n) - 1
-        fixed = {
-            "below": 0,
-            "above": all_crossed,
-            "full": self.full,
-            "empty": self.empty,
-        }
+        fixed = {"below": 0, "above": (1 << self.gears.n) - 1}
+        fixed |= {"full": self.full, "empty": self.empty}
         if name in fixed:
             return fixed[name]
+        if name not in START_NAMES:
+            raise ModelError(f"`state` {name}: give {', '.join(START_NAMES)} or a file")
         return self.gears.settled(voltage, self.covered, self.empty)
 
     def voltage_settled_at(self, output: float, low: float, high: float) -> float:

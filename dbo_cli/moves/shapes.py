@@ -14,11 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.arrays import Floats
+from dbo_cli.arrays import Floats, Range
 from dbo_cli.errors import UsageError, require_positive
 from dbo_cli.model import Cascade
 
-Range = tuple[float, float]
 Axes = tuple[tuple[Floats, ...], str]
 """One signal an axis, and what became of the move, in words."""
 
@@ -122,17 +121,11 @@ def trajectory(
     else:
         assert frequency is not None
         count = lines or max(round((duration or 0.0) * frequency), 1)
-        if bandwidth is not None and frequency >= bandwidth:
-            raise UsageError(
-                f"`frequency` {frequency:g}: give less than the bandwidth, {bandwidth:g} Hz, or raise "
-                "`bandwidth`"
-            )
         period = round(rate / frequency)
+        if bandwidth is not None and frequency >= bandwidth:
+            raise _too_fast(frequency, bandwidth)
         if period < FEWEST_CYCLE_ROWS:
-            raise UsageError(
-                f"`frequency` {frequency:g}: {period} rows each at `rate` {rate:g}; give at most "
-                f"{rate / FEWEST_CYCLE_ROWS:g}"
-            )
+            raise _too_fast(frequency, rate / FEWEST_CYCLE_ROWS)
         plan = _Plan(range, period, turn, count, loop, rate)
     axes, note = SHAPES[shape][0](plan)
     return Trajectory(np.arange(axes[0].size) / rate, axes, note)
@@ -151,6 +144,13 @@ def _check_options(
     for name, value in [*figures.items(), ("loop", loop or None)]:
         if value is not None and name not in needed + possible:
             raise UsageError(f"`{name}`: a {shape} has none")
+
+
+def _too_fast(frequency: float, highest: float) -> UsageError:
+    """Return the refusal of lines or cycles that have too few rows, or are too short for their turns."""
+    return UsageError(
+        f"`frequency` {frequency:g}: too fast for `rate` and `bandwidth`: give less than {highest:.4g}"
+    )
 
 
 def check_reach(move: Trajectory, models: Sequence[Cascade]) -> None:
@@ -254,10 +254,7 @@ def _raster(plan: _Plan) -> Axes:
     turn, count = plan.turn, plan.cycles
     flat = plan.period - turn
     if flat < 2:
-        raise UsageError(
-            f"`frequency` {plan.rate / plan.period:g}: lines of {plan.period} rows are too short for "
-            f"turns of {turn}; give at most {plan.rate / (turn + 2):.4g}"
-        )
+        raise _too_fast(plan.rate / plan.period, plan.rate / (turn + 2))
     levels = np.linspace(*plan.ends, count)
     if count == 1:
         levels = np.array([plan.ends[0]])
@@ -288,10 +285,7 @@ def _triangle(plan: _Plan) -> Axes:
     half, turn = plan.period // 2, plan.turn
     flat = half - turn
     if flat < 1:
-        raise UsageError(
-            f"`frequency` {plan.rate / plan.period:g}: flanks of {half} rows are too short for turns "
-            f"of {turn}; give at most {0.5 * plan.rate / (turn + 1):.4g}"
-        )
+        raise _too_fast(plan.rate / plan.period, 0.5 * plan.rate / (turn + 1))
     tip = (high - low) * turn / math.pi / (flat + 2.0 * turn / math.pi)
     waves = _strokes((low + tip, high - tip), flat, turn, 2 * plan.cycles, plan.loop)
     linear = 100.0 * flat / half

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.arrays import Floats
+from dbo_cli.arrays import Floats, Range
 from dbo_cli.drive.check import check_drive
 from dbo_cli.drive.limits import Gate, Limits
 from dbo_cli.errors import LimitError, UsageError, require_positive
@@ -24,7 +24,6 @@ from dbo_cli.errors import LimitError, UsageError, require_positive
 Codes = NDArray[np.int64]
 Values = NDArray[np.float64 | np.int64]
 """Volts or codes; channels stand side by side, shape (points, channels)."""
-Span = tuple[float, float]
 
 BUNCH = 10  # points a command, as in PI's own example: every controller takes so many
 WHOLE_RATE = 1e-6  # of a rate: closer to a whole number, it is that
@@ -46,36 +45,31 @@ class Generator(NamedTuple):
         Whether one file holds several channels.
     """
 
-    write: Callable[[Values, float, Span], bytes]
+    write: Callable[[Values, float, Range], bytes]
     codes: tuple[int, int] | None = None
     volts_needed: bool = False
     holds_channels: bool = False
 
 
-class Coding(NamedTuple):
-    """Whole numbers for voltages: the ends of ``codes`` stand for the ends of ``volts``."""
+def _encoded(
+    volts: Floats, codes: tuple[int, int], ends: Range, within: Range
+) -> tuple[Codes, Floats]:
+    """Return whole numbers for voltages, and the voltages that they mean: ``codes`` mean ``ends``.
 
-    codes: tuple[int, int]
-    volts: Span
+    They are the nearest codes; next to a limit the nearest one inside it.
+    """
+    (first, last), (low, high) = codes, ends
 
-    @property
-    def step(self) -> float:
-        """Volts a code."""
-        low, high = self.volts
-        return (high - low) / (self.codes[1] - self.codes[0])
-
-    def encode(self, volts: Floats, within: Span) -> Codes:
-        """Return the nearest codes; next to a limit the nearest one inside it."""
-        places = np.rint((volts - self.volts[0]) / self.step).astype(np.int64)
-        codes: Codes = np.clip(places + self.codes[0], *self.codes)
-        codes = codes - (self.decode(codes) > within[1])
-        return codes + (self.decode(codes) < within[0])
-
-    def decode(self, codes: Codes) -> Floats:
-        """Return the voltages of codes."""
-        share = (codes - self.codes[0]) / (self.codes[1] - self.codes[0])
-        low, high = self.volts
+    def meant(values: Codes) -> Floats:
+        share = (values - first) / (last - first)
         return np.clip(low + share * (high - low), low, high)
+
+    step = (high - low) / (last - first)
+    places = np.rint((volts - low) / step).astype(np.int64)
+    values: Codes = np.clip(places + first, first, last)
+    values = values - (meant(values) > within[1])
+    values = values + (meant(values) < within[0])
+    return values, meant(values)
 
 
 def _positional(value: float) -> str:
@@ -83,13 +77,13 @@ def _positional(value: float) -> str:
     return str(np.format_float_positional(value, trim="-"))
 
 
-def _npy(values: Values, rate: float, volts: Span) -> bytes:
+def _npy(values: Values, rate: float, volts: Range) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, values)
     return buffer.getvalue()
 
 
-def _wav(values: Values, rate: float, volts: Span) -> bytes:
+def _wav(values: Values, rate: float, volts: Range) -> bytes:
     whole = round(rate)
     if whole < 1 or abs(rate - whole) > WHOLE_RATE * whole:
         raise UsageError(
@@ -104,11 +98,11 @@ def _wav(values: Values, rate: float, volts: Span) -> bytes:
     return buffer.getvalue()
 
 
-def _integers(kind: str, values: Values, rate: float, volts: Span) -> bytes:
+def _integers(kind: str, values: Values, rate: float, volts: Range) -> bytes:
     return values.astype(kind).tobytes()
 
 
-def _pi_gcs(values: Values, rate: float, volts: Span) -> bytes:
+def _pi_gcs(values: Values, rate: float, volts: Range) -> bytes:
     """Return one command for every ten points: WAV 1 X|& PNT first count values."""
     lines = []
     for first in range(0, values.size, BUNCH):
@@ -119,7 +113,7 @@ def _pi_gcs(values: Values, rate: float, volts: Span) -> bytes:
     return "".join(lines).encode()
 
 
-def _keysight(values: Values, rate: float, volts: Span) -> bytes:
+def _keysight(values: Values, rate: float, volts: Range) -> bytes:
     low, high = volts
     lines = [
         "File Format:1.10", "Channel Count:1", "Column Char:TAB", f"Sample Rate:{_positional(rate)}",
@@ -180,8 +174,8 @@ def waveform(
     loop: bool = False,
     points: int | None = None,
     rate: float | None = None,
-    codes: Span | None = None,
-    volts: Span | None = None,
+    codes: Range | None = None,
+    volts: Range | None = None,
     max_rounding: float = 1.0,
     doubts: Sequence[str] = (),
 ) -> Waveform:
@@ -229,7 +223,7 @@ def waveform(
     if form is None:
         raise UsageError(f"`to` {to}: give one of {', '.join(GENERATORS)}")
     _check_codes(form, to, codes, volts)
-    _check_numbers(gain, points, rate, max_rounding)
+    _check_numbers(gain, points, rate)
     time = np.arange(voltage.size) / drive_rate
     checked = check_drive(voltage, time, limits, name=name, loop=loop, doubts=doubts)
     checked.require_passed()
@@ -237,7 +231,7 @@ def waveform(
         raise UsageError(f"{name}: one row is not a drive")
     allowance = 0.01 * max_rounding * float(np.ptp(voltage))
     resampled, rate, shift = _at_points(voltage, drive_rate, points, rate, loop)
-    if shift > allowance:
+    if not shift <= allowance:
         raise LimitError(
             f"{name}: {resampled.size:,} points change the drive by up to {shift:.3g} V, more than "
             f"{allowance:.3g} V: raise `points`, `rate` or `max_rounding`"
@@ -249,23 +243,21 @@ def waveform(
     values: Values = exact
     heard, meaning = exact, ""
     if form.codes is not None:
-        lowest, highest = codes or form.codes
-        coding = Coding((int(lowest), int(highest)), ends)
-        values = coding.encode(exact, (low, high))
-        heard = coding.decode(values)
+        lowest, highest = map(int, codes or form.codes)
+        values, heard = _encoded(exact, (lowest, highest), ends, (low, high))
         rounding = abs(gain) * float(np.abs(heard - exact).max())
-        if rounding > allowance and np.ptp(exact) > 0.0:
+        if not rounding <= allowance and np.ptp(exact) > 0.0:
             raise LimitError(
                 f"{name}: codes change the drive by up to {rounding:.3g} V, more than {allowance:.3g} V: "
                 "narrow `volts`, or raise `max_rounding`"
             )
         meaning = (
-            f"codes {coding.codes[0]} to {coding.codes[1]} mean {ends[0]:.6g} to {ends[1]:.6g} V; "
+            f"codes {lowest} to {highest} mean {ends[0]:.6g} to {ends[1]:.6g} V; "
             f"rounding changes the drive by {rounding:.3g} V"
         )
         if slew is not None:  # codes stand a step beside
-            slew += coding.step * rate
-    allowed = replace(limits, rating=(low, high), move=(low, high), slew=slew)
+            slew += (ends[1] - ends[0]) / (highest - lowest) * rate
+    allowed = replace(limits, rating=(low, high), slew=slew, extrapolate=True)
     Gate(allowed).admit(heard, 1.0 / rate, "return")
     data = form.write(values, rate, ends)
     line = _line(heard, rate, gain, shift)
@@ -273,8 +265,8 @@ def waveform(
 
 
 def _ends(
-    form: Generator, exact: Floats, volts: Span | None, gain: float, name: str
-) -> Span:
+    form: Generator, exact: Floats, volts: Range | None, gain: float, name: str
+) -> Range:
     """Return the volts of the lowest and highest code, which the drive must not leave."""
     low, high = float(exact.min()), float(exact.max())
     ends = volts or (low, high)
@@ -297,7 +289,7 @@ def side_by_side(channels: Sequence[Waveform], to: str) -> bytes | None:
 
 
 def _check_codes(
-    form: Generator, to: str, codes: Span | None, volts: Span | None
+    form: Generator, to: str, codes: Range | None, volts: Range | None
 ) -> None:
     """Refuse codes and volts that a format does not have, or that cannot be meant."""
     if form.codes is None:
@@ -320,9 +312,7 @@ def _check_codes(
             )
 
 
-def _check_numbers(
-    gain: float, points: int | None, rate: float | None, max_rounding: float
-) -> None:
+def _check_numbers(gain: float, points: int | None, rate: float | None) -> None:
     """Refuse numbers that cannot be meant."""
     if not math.isfinite(gain) or gain == 0.0:
         raise UsageError(f"`gain` {gain:g}: give a number other than 0")
@@ -331,8 +321,6 @@ def _check_numbers(
     if points is not None and points < 2:
         raise UsageError(f"`points` {points}: give 2 or more")
     require_positive(rate=rate)
-    if not 0.0 <= max_rounding < math.inf:
-        raise UsageError(f"`max_rounding` {max_rounding:g}: give 0 or more")
 
 
 def _at_points(

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from dbo_cli.arrays import Range
 from dbo_cli.errors import InputError, ModelError, prefixed
 from dbo_cli.model import fields
 
-Ends = tuple[float, float]
 SUMMARY_KEYS: dict[str, fields.Reader] = {
     "unit": fields.text,
     "expected_rmse": fields.magnitude,
@@ -39,8 +39,8 @@ class Expected:
     """
 
     rmse: float | None
-    move: Ends | None = None
-    move_time: Ends | None = None
+    move: Range | None = None
+    move_time: Range | None = None
     sensor_delay: float = 0.0
     past_known: bool = False
 

@@ -401,7 +401,7 @@ def test_memories_that_may_have_rested_elsewhere_are_in_the_stated_error():
     error = expected_error(model, 50.0 + 10.0 * np.sin(TIME), 0.01)
     assert error.known == pytest.approx(0.01)
     # 100 V times 0.02 um/V, equally likely anywhere: a twelfth of the square
-    unknown = error.rms(past_known=True)
+    unknown = np.hypot(error.known, error.memory)
     assert unknown == pytest.approx(2.0 / np.sqrt(12.0), rel=0.01)
 
 
@@ -421,7 +421,7 @@ def test_a_kept_start_may_be_wrong_at_an_end_of_the_range_too():
     )
     off = float(np.sqrt(np.mean((kept - settled) ** 2)))
     error = expected_error(model, drive, 0.01)
-    assert error.rms() == pytest.approx(np.hypot(0.01, off), rel=0.01)
+    assert np.linalg.norm(error) == pytest.approx(np.hypot(0.01, off), rel=0.01)
     assert expected_error(replace(model, auto_start="settled"), drive, 0.01).past == 0.0
 
 

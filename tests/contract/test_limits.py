@@ -328,7 +328,7 @@ def test_a_gap_is_a_gap_on_an_even_clock_alone():
             time[row:] += (lost - 1) / 1000.0
             write("gap.csv", DRIVE, time, VOLTS)
             line = failed("gap.csv", *words).lines[-1]
-            assert f"row {row + 1:,}: a gap in time" in line
+            assert f"row {row + 1:,}: " in line and "gap" in line
     uneven = np.cumsum(np.random.default_rng(1).uniform(0.0005, 0.0015, TIME.size))
     write("uneven.csv", DRIVE, uneven, VOLTS)
     done("check", "uneven.csv", *words)

@@ -27,9 +27,13 @@ def test_units_of_limits():
 
 
 def test_limits_made_by_hand_are_looked_at():
-    for move, slew in (((-1.0, 3.0), None), ((2.0, 1.0), None), ((0.0, 1.0), math.nan)):
+    for rating, slew in (
+        ((6.0, 7.0), None),
+        ((2.0, 1.0), None),
+        ((0.0, 1.0), math.nan),
+    ):
         with pytest.raises(UsageError):
-            Limits((0.0, 5.0), move, (0.0, 5.0), slew)
+            Limits(rating, (0.0, 5.0), slew)
 
 
 def test_gate_needs_a_clock_for_slew():

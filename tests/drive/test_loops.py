@@ -41,18 +41,6 @@ def test_a_loop_is_a_fixed_point_of_the_pass(model, phase, passes):
     assert error[-1] <= error[0] * (1 + 1e-9) + 1e-9
 
 
-def test_a_slew_limit_says_which_frequency_it_allows():
-    model = actuator()
-    wanted = ripple(model, 500, 0.8, 1.0)
-    with pytest.raises(LimitError, match="Hz") as refused:
-        plan(model, wanted, DT, limits_of(model, max_slew=150.0), periodic=True)
-    allowed = float(str(refused.value).split("V/s allows ")[1].split(" ")[0])
-    assert 0.2 < allowed < 2.0
-    step = 1.0 / (500 * allowed)
-    drive = plan(model, wanted, step, limits_of(model, max_slew=150.0), periodic=True)
-    assert drive.lost_rms < 2e-3 * np.ptp(wanted)
-
-
 def test_what_is_no_loop():
     model = actuator()
     limits = limits_of(model)

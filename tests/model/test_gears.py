@@ -89,7 +89,7 @@ def test_points_are_the_papers(seed):
     expected = reference.point(widths, heights, *origin, signal.tolist())
     got = points(signal)
     np.testing.assert_allclose(got, [float(y) for y in expected], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(points.inverse()(got), signal, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(points.inverse(got), signal, rtol=0, atol=1e-13)
 
 
 def test_negative_gains_must_leave_three_percent_of_the_mean_slope():

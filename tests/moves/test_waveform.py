@@ -15,7 +15,7 @@ DRIVE = 50.0 - 40.0 * np.cos(2.0 * np.pi * 4.0 * TIME)
 
 
 def within(low=-math.inf, high=math.inf, slew=None):
-    return Limits((low, high), (low, high), (low, high), slew, "V")
+    return Limits((low, high), (low, high), slew, "V")
 
 
 def made(to, drive=DRIVE, limits=None, **options):
