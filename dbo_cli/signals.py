@@ -77,6 +77,12 @@ def even(stamps: Floats, step: float | None = None) -> float | None:
     return step if difference <= slack else None
 
 
+def step_of(stamps: Floats) -> float:
+    """Return the step (s) of a clock: the even one, else the usual one; 0 where it stands still."""
+    step = even(stamps)
+    return usual_step(np.diff(stamps)) if step is None else step
+
+
 def usual_step(steps: Floats) -> float:
     """Return the median of the steps (s) of a clock that are above 0; 0 where there is none."""
     forward = steps[steps > 0.0]
