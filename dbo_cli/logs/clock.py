@@ -26,11 +26,6 @@ from dbo_cli.signals import even
 from dbo_cli.units import kind_of, multiplied, ratio, time_unit
 
 _KINDS = (None, "time", "count", "number of samples")  # what its unit may measure
-# behind the name of a time column they show that it counts something else
-_COUNTED = frozenset(
-    "tick ticks sample samples frame frames count counts cycle cycles index idx step steps point points "
-    "pulses clocks jiffies row rows number no".split()
-)
 # what stands in the brackets of a time column where other columns have their unit
 _NO_UNIT = frozenset(
     "relative rel absolute abs raw local utc gmt elapsed iso start -".split()
@@ -370,12 +365,9 @@ def _stated_unit(name: str, column: Column) -> str | None:
         return time_unit(before)
     parts = words(column.quantity)
     units = {time_unit(word) for word in parts if len(word) > 1} - {None, "min"}
-    if len(units) == 1:
-        return units.pop()
-    if units or parts & _COUNTED:
-        counted = ", ".join(sorted(parts & _COUNTED or parts))
-        raise _unclear(name, column, f"counts '{counted}', no unit of time")
-    return None
+    if len(units) > 1:
+        raise _unclear(name, column, "states several units")
+    return units.pop() if units else None
 
 
 def parse_time_unit(text: str) -> Fraction:

@@ -174,15 +174,10 @@ def _found(
         lag, ahead = found.lag, found.ahead
         path = float(np.abs(np.diff(voltage)).sum())
         tolerable = _TOLERABLE * float(np.std(voltage)) / path * float(np.ptp(time))
-        problem = f"{ahead:.6g} s is uncertain by {2.0 * lag.deviation:.2g} s"
-        if lag.residual > _EXPLAINED:
-            share = 100.0 * (1.0 - lag.residual)
-            problem = f"the drive explains at most {share:.0f} % of the displacement"
-        elif lag.rival is not None:
-            rival = ahead + lag.rival - lag.seconds
-            problem = f"{ahead:.6g} s and {rival:.6g} s fit equally: the drive repeats"
-        elif 2.0 * lag.deviation <= max(_KNOWN_TO * found.step, tolerable):
+        is_known = 2.0 * lag.deviation <= max(_KNOWN_TO * found.step, tolerable)
+        if is_known and lag.residual <= _EXPLAINED and lag.rival is None:
             return found, False
+        problem = f"{ahead:.6g} s is not sure: record a drive that does not repeat in both files"
     raise InputError(f"{names}: `clock_offset` auto: {problem} (give SECONDS)")
 
 
