@@ -152,11 +152,12 @@ def values_for(
         by_owner: dict[str, str] = {}
         for text in texts_of_option or ():
             owner, mark, value = text.rpartition("=")
-            if mark and (not owner or owner not in values):
+            is_unknown = mark and (not owner or owner not in values)
+            if is_unknown or owner in by_owner:
                 names = ", ".join(values) or "this is no set of channels"
-                raise UsageError(f"`{option}` {text}: no channel {owner}: {names}")
-            if owner in by_owner:
-                raise UsageError(f"`{option}` {text}: is given twice")
+                raise UsageError(
+                    f"`{option}` {text}: type VALUE once, or CHANNEL=VALUE once a channel: {names}"
+                )
             by_owner[owner] = value
         for channel, own in values.items():
             own[option] = by_owner.get(channel, by_owner.get(""))

@@ -258,8 +258,6 @@ def find_clock(
     name, rate = source.name, reading.sample_rate
     if rate is not None and selector is not None:
         raise UsageError("`time` and `sample_rate` exclude each other: leave one out")
-    if rate is not None and not 0.0 < rate < np.inf:
-        raise UsageError(f"`sample_rate` {rate:g}: give a rate above 0 Hz")
     if selector is not None:
         matches = [named(source, selector, "time")]
     else:
@@ -279,10 +277,8 @@ def find_clock(
     if matches:
         return _clock_of(source, matches[0], reading.time_unit)
     if reading.time_unit is not None:
-        raise InputError(
-            f"{name}: `time_unit` {reading.time_unit}: no time column: "
-            f"{listing_of(source.columns)} (`time` NAME or NUMBER)"
-        )
+        listing = listing_of(source.columns)
+        raise _unclear(name, None, f"of `time_unit` is in no column, {listing}")
     rate, start, remark = stated_rate(name, source.settings, source.decimal)
     if rate is None:
         return Clock(name)

@@ -19,7 +19,7 @@ from dbo_cli.alignment import (
     are_apart,
 )
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError, UsageError, warn
+from dbo_cli.errors import InputError, warn
 from dbo_cli.logs.clock import Clock
 from dbo_cli.logs.table import Block
 
@@ -212,11 +212,7 @@ def resampled(rows: Block, clock: Clock, rate: float) -> tuple[Block, Clock]:
     ------
     InputError
         They have no clock, or last less than a step.
-    UsageError
-        The rate is not above 0.
     """
-    if not 0.0 < rate < np.inf:
-        raise UsageError(f"`resample` {rate:g}: give a rate above 0 Hz")
     first, last = (0.0, 0.0) if rows.time is None else rows.time[[0, -1]].tolist()
     count = int(np.floor((last - first) * rate * (1.0 + 1e-12))) + 1
     if rows.time is None or not 2 <= count <= _MOST_ROWS:

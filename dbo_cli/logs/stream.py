@@ -131,14 +131,9 @@ class TextStream:
             if self.is_pipe:
                 return self._arrived(size)
             return self._file.read(size) + self._file.readline(size)
-        except (EOFError, zlib.error, gzip.BadGzipFile):
-            raise InputError(
-                f"{self.name}: the gzip data are damaged or end early"
-            ) from None
-        except OSError as problem:
-            raise InputError(
-                f"{self.name}: cannot be read: {problem.strerror}"
-            ) from None
+        except (EOFError, zlib.error, OSError) as problem:
+            reason = getattr(problem, "strerror", None) or "damaged, or it ends early"
+            raise InputError(f"{self.name}: cannot be read: {reason}") from None
 
     def _arrived(self, size: int) -> bytes:
         """Read what a pipe has; wait for the first byte only."""

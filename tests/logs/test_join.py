@@ -93,7 +93,7 @@ def test_files_that_cannot_be_joined(tmp_path):
         "displacement": None,
         "desired": f"{dated}::voltage_V",
     }
-    with pytest.raises(UsageError, match="one more file"):
+    with pytest.raises(UsageError, match="one second file"):
         open_log(seen, roles, Reading(clock_offset=1.0))
 
 
