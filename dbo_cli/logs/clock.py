@@ -26,10 +26,6 @@ from dbo_cli.signals import even
 from dbo_cli.units import kind_of, multiplied, ratio, time_unit
 
 _KINDS = (None, "time", "count", "number of samples")  # what its unit may measure
-# what stands in the brackets of a time column where other columns have their unit
-_NO_UNIT = frozenset(
-    "relative rel absolute abs raw local utc gmt elapsed iso start -".split()
-)
 # s; without a unit, figures this far apart or more are hardly seconds
 _LONG_STEP = 1.0
 # s; without a unit, figures closer together than this are hardly seconds: days are
@@ -353,11 +349,10 @@ def _stated_unit(name: str, column: Column) -> str | None:
     InputError
         What it states is no unit of time.
     """
-    statement = column.unit or "-"
-    if statement.lower() not in _NO_UNIT:
-        before, _, _ = statement.partition(" since ")  # netCDF: s since 2026-01-02
+    if column.unit is not None:
+        before, _, _ = column.unit.partition(" since ")  # netCDF: s since 2026-01-02
         if time_unit(before) is None:
-            raise _unclear(name, column, f"states '{statement}', no unit of time")
+            raise _unclear(name, column, f"states '{column.unit}', no unit of time")
         return time_unit(before)
     parts = words(column.quantity)
     units = {time_unit(word) for word in parts if len(word) > 1} - {None, "min"}
