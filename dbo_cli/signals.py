@@ -78,9 +78,11 @@ def even(stamps: Floats, step: float | None = None) -> float | None:
 
 
 def step_of(stamps: Floats) -> float:
-    """Return the step (s) of a clock: the even one, else the usual one; 0 where it stands still."""
+    """Return the step (s) of a clock: the even one, else the median; 0 where most stamps repeat."""
     step = even(stamps)
-    return usual_step(np.diff(stamps)) if step is None else step
+    if step is None and len(stamps) > 1:
+        step = float(np.median(np.diff(stamps)))
+    return step or 0.0
 
 
 def usual_step(steps: Floats) -> float:
