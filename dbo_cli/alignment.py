@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.signals import TimeLag, even, lag, residual_at
+from dbo_cli.signals import TimeLag, even, lag, residual_at, step_of
 
 LONGEST = 1 << 17
 """Rows of the longer recording in the search; a longer one is looked at in coarser steps."""
@@ -92,12 +92,6 @@ class Alignment:
         return self.reference_start + times
 
 
-def mean_step(time: Floats) -> float:
-    """Return the seconds a row of a clock; 0 where it stands still."""
-    step = even(time)
-    return float(np.median(np.diff(time))) if step is None else step
-
-
 def align_drives(drive: Trace, reference: Trace) -> Alignment | None:
     """Lay two recordings of one drive over each other; None where they are not of one drive.
 
@@ -155,7 +149,7 @@ def aligned(
     if min(map(len, times)) < 2 or np.ptp(reference.values) == 0.0:
         return None
     longest = max(float(np.ptp(time)) for time in times)
-    step = max(*map(mean_step, times), longest / LONGEST)
+    step = max(*map(step_of, times), longest / LONGEST)
     if not step > 0.0:
         return None
     signal, columns = _sampled(trace, step), _sampled(reference, step)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -67,7 +68,7 @@ def columns_of(
         The log is a stream, which cannot be read once for every channel.
     """
     from dbo_cli.logs import open_table
-    from dbo_cli.logs.columns import fitting
+    from dbo_cli.logs.columns import fitting, listing_of
 
     if not any(
         pattern is not None and PLACE in pattern for pattern in columns.values()
@@ -78,44 +79,36 @@ def columns_of(
         raise UsageError("-: channels need a file, not a pipe")
     with open_table(path, reading) as source:
         table = source.columns
-    headers = [column.name for column in table]
-    channels: list[str] = []
+    found: dict[str, list[str]] = {}
     for role, pattern in columns.items():
-        if pattern is None or PLACE not in pattern:
-            continue
-        names = headers
-        if pattern == PLACE:
-            names = [column.name for column in fitting(table, role)]
-        matches = list(_matches(pattern, names).values())
-        channels = channels or matches
-        mismatched = sorted(set(channels) ^ set(matches))
-        if not mismatched and matches:
-            continue
-        lacking = "no column"
-        alike = list(_matches(pattern, names, re.IGNORECASE))
-        if mismatched:
-            lacking, lower = f"not for channel {mismatched[0]}", mismatched[0].lower()
-            alike = [name for name in mismatched[1:] if name.lower() == lower]
-        if alike:
-            lacking += f" (capitals count: there is {alike[0]})"
+        if pattern is not None and PLACE in pattern:
+            of_role = fitting(table, role) if pattern == PLACE else table
+            found[role] = _matches(pattern, [column.name for column in of_role])
+    channels = next(iter(found.values()))
+    if not channels or any(set(names) != set(channels) for names in found.values()):
+        lists = []
+        for role, names in found.items():
+            listing = ", ".join(names) or "none"
+            lists.append(f"`{role}` {shlex.quote(columns[role] or '')} finds {listing}")
+        one = " ".join(f"`{role}` COLUMN" for role in found)
+        if "::" in (columns.get("desired") or ""):
+            one = "`trajectory` FILE `desired` COLUMN"
         raise InputError(
-            f"{path}: `{role}` {pattern}: {lacking}; columns: {', '.join(headers)}"
+            f"{path}: {'; '.join(lists)}: the names must be the same, capitals too: rename headers, or type "
+            f"{one} of one channel; {listing_of(table)}"
         )
     return {name: columns_for(columns, name) for name in channels}
 
 
-def _matches(
-    pattern: str, headers: Sequence[str], flags: re.RegexFlag = re.NOFLAG
-) -> dict[str, str]:
-    """Return what stands in the place of ``{}``, by the headers that fit, with or without their unit."""
+def _matches(pattern: str, headers: Sequence[str]) -> list[str]:
+    """Return what stands in the place of ``{}`` in the headers that fit, with or without their unit."""
     before, _, after = pattern.partition(PLACE)
-    text = re.escape(before) + "(.+)" + re.escape(after)
-    fit = re.compile(text, re.DOTALL | flags)
-    channels = {}
+    fit = re.compile(re.escape(before) + "(.+)" + re.escape(after), re.DOTALL)
+    channels = []
     for header in headers:
         match = fit.fullmatch(split_header(header)[0]) or fit.fullmatch(header)
         if match is not None:
-            channels[header] = match[1]
+            channels.append(match[1])
     return channels
 
 
@@ -159,11 +152,12 @@ def values_for(
         by_owner: dict[str, str] = {}
         for text in texts_of_option or ():
             owner, mark, value = text.rpartition("=")
-            if mark and (not owner or owner not in values):
+            is_unknown = mark and (not owner or owner not in values)
+            if is_unknown or owner in by_owner:
                 names = ", ".join(values) or "this is no set of channels"
-                raise UsageError(f"`{option}` {text}: no channel {owner}: {names}")
-            if owner in by_owner:
-                raise UsageError(f"`{option}` {text}: is given twice")
+                raise UsageError(
+                    f"`{option}` {text}: type VALUE once, or CHANNEL=VALUE once a channel: {names}"
+                )
             by_owner[owner] = value
         for channel, own in values.items():
             own[option] = by_owner.get(channel, by_owner.get(""))

@@ -261,10 +261,10 @@ class Output:
         self.stream: IO[bytes] | None = None
         self.complete: Callable[[], None] | None = None  # ends the format
         self.temporary: str | None = None
-        if "\0" in path or not path:
-            raise OutputError(f"{path!r}: this is no file name")
-        if os.path.isdir(path):
-            raise OutputError(f"{path}: this is a folder: give a file name")
+        if not path or "\0" in path or os.path.isdir(path):
+            raise OutputError(
+                f"{path!r}: this is a folder, or no name: give a file name"
+            )
         self.target = os.path.realpath(path)
         self.identity = _identity("-" if self.is_stdout else path, sys.stdout)
         is_special = os.path.exists(path) and not os.path.isfile(path)

@@ -77,6 +77,14 @@ def even(stamps: Floats, step: float | None = None) -> float | None:
     return step if difference <= slack else None
 
 
+def step_of(stamps: Floats) -> float:
+    """Return the step (s) of a clock: the even one, else the median; 0 where most stamps repeat."""
+    step = even(stamps)
+    if step is None and len(stamps) > 1:
+        step = float(np.median(np.diff(stamps)))
+    return step or 0.0
+
+
 def usual_step(steps: Floats) -> float:
     """Return the median of the steps (s) of a clock that are above 0; 0 where there is none."""
     forward = steps[steps > 0.0]

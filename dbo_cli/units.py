@@ -368,7 +368,7 @@ def _ratio_of_speeds(from_unit: str, to_unit: str) -> Fraction:
     above, time = _without_time(from_unit)
     to_above, to_time = _without_time(to_unit)
     if (time is None) != (to_time is None):
-        raise InputError(f"{from_unit} cannot be converted to {to_unit}")
+        return ratio(from_unit, to_unit)  # which refuses them
     return ratio(above, to_above) / ratio(time, to_time)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, Texts, option
 from dbo_cli.cli.say import say_logs, working
+from dbo_cli.units import quantity
 
 
 def compare(
@@ -36,7 +37,7 @@ def compare(
     recordings, tests = every[: len(logs)], every[len(logs) :]
     say_logs(opened[: len(logs)], sum(len(log.voltage) for log in recordings))
     working("fitting")
-    seconds = opt.quantity("skip", skip, "s")
+    seconds = quantity("skip", skip, "s")
     result = compare_operators(recordings, tests, seconds)
     is_json = opt.form_of(form, output) == "json"
     write_text(output, json_text(result) if is_json else compared_text(result))

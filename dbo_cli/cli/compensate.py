@@ -23,6 +23,7 @@ from dbo_cli.cli.options import (
     rare,
 )
 from dbo_cli.cli.say import detail, progress, say, say_log, say_output
+from dbo_cli.units import quantity
 
 if TYPE_CHECKING:
     from dbo_cli.drive import Drive, Driver
@@ -126,7 +127,7 @@ def compensate(
         reading, is_joined, recorded if tracked else {}
     )
     histories = channels.histories_of(history, models)
-    cutoff = opt.quantity("bandwidth", bandwidth, "Hz")
+    cutoff = quantity("bandwidth", bandwidth, "Hz")
     logs, tables, passes_of = {}, {}, {}
     for name, actuator in models.items():
         units = {"displacement": actuator.output.unit}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import LIMITS, Text, option
 from dbo_cli.cli.say import say_output
+from dbo_cli.units import quantity
 
 
 def excite(
@@ -29,17 +30,17 @@ def excite(
     from dbo_cli.units import drive_unit, quantity_name
 
     unit = drive_unit(v_max)
-    low = opt.quantity("v_min", v_min, unit)
-    high = opt.quantity("v_max", v_max, unit)
+    low = quantity("v_min", v_min, unit)
+    high = quantity("v_max", v_max, unit)
     time, voltage = make(
         low,
         high,
-        sample_rate=opt.quantity("sample_rate", sample_rate, "Hz"),
-        duration=opt.quantity("duration", duration, "s"),
-        rest=opt.quantity("rest", rest, "s"),
-        max_slew=opt.quantity("max_slew", max_slew, f"{unit}/s"),
-        sweep_to=opt.quantity("sweep_to", sweep_to, "Hz"),
-        sweep_amplitude=opt.quantity("sweep_amplitude", sweep_amplitude, unit),
+        sample_rate=quantity("sample_rate", sample_rate, "Hz"),
+        duration=quantity("duration", duration, "s"),
+        rest=quantity("rest", rest, "s"),
+        max_slew=quantity("max_slew", max_slew, f"{unit}/s"),
+        sweep_to=quantity("sweep_to", sweep_to, "Hz"),
+        sweep_amplitude=quantity("sweep_amplitude", sweep_amplitude, unit),
     )
     columns = [("time", "s"), (quantity_name("voltage", unit), unit)]
     with create(output, columns) as table:

@@ -8,6 +8,7 @@ from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, flag, option
 from dbo_cli.cli.say import say, say_output
 from dbo_cli.errors import ModelError, UsageError
+from dbo_cli.units import quantity
 
 
 def export(
@@ -38,7 +39,7 @@ def export(
         raise UsageError("`output` -: give the name of a folder")
     actuator = read_cascade(model).forward()
     limits = Limits.within(actuator.input, v_min, v_max, max_slew)
-    rate = opt.quantity("sample_rate", sample_rate, "Hz")
+    rate = quantity("sample_rate", sample_rate, "Hz")
     try:
         result = export_model(
             actuator,

@@ -10,6 +10,7 @@ from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import READING, Text, Texts, flag, option, rare
 from dbo_cli.cli.say import detail, say, say_logs, say_output, working
 from dbo_cli.errors import UsageError
+from dbo_cli.units import quantity
 
 if TYPE_CHECKING:
     from dbo_cli.model import Cascade
@@ -68,13 +69,13 @@ def identify(
     check_outputs(output, summary)
     options = Options(
         sign=sign,
-        skip=opt.quantity("skip", skip, "s"),
+        skip=quantity("skip", skip, "s"),
         zero=opt.number_of("zero", zero, float, "none", "mean", "first"),
-        sensor_delay=opt.quantity("sensor_delay", sensor_delay, "s"),
+        sensor_delay=quantity("sensor_delay", sensor_delay, "s"),
         gears=opt.number_of("gears", gears, int, "auto"),
         points=opt.number_of("points", points, int, "auto"),
         relaxation=relaxation_of(relaxation),
-        delay=opt.quantity("delay", delay, "s", "auto"),
+        delay=quantity("delay", delay, "s", "auto"),
         dynamics=opt.number_of("dynamics", dynamics, int, "auto"),
         slopes=slopes,
         method=method,
@@ -136,9 +137,7 @@ def relaxation_of(text: str) -> Any:
     """Return time constants in s, 0 for none, or ``auto``."""
     if text == "auto":
         return "auto"
-    constants = [
-        opt.quantity("relaxation", constant, "s") for constant in text.split(",")
-    ]
+    constants = [quantity("relaxation", constant, "s") for constant in text.split(",")]
     if len(constants) > 1 and 0.0 in constants:
         raise UsageError(f"`relaxation` {text}: give times above 0 s, or 0 alone")
     return tuple(constants)

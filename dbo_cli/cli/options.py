@@ -19,7 +19,6 @@ from typer import Argument, Option
 from dbo_cli.cli.say import Level
 from dbo_cli.errors import UsageError
 from dbo_cli.units import parse_quantity
-from dbo_cli.units import quantity as quantity
 
 if TYPE_CHECKING:
     from dbo_cli.logs import Reading as Reading

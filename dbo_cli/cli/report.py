@@ -12,6 +12,7 @@ from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import OUTPUT, Text, column, flag, option, rare
 from dbo_cli.cli.say import detail, say, with_options
 from dbo_cli.errors import UsageError, warn
+from dbo_cli.units import quantity
 
 if TYPE_CHECKING:
     from dbo_cli.reports import Report
@@ -101,7 +102,7 @@ def report(
                 lag=lag,
                 remove_offset=remove_offset,
                 expected=expected_in(summaries[channel], unit),
-                max_rmse=opt.quantity("max_rmse", max_rmse, unit),
+                max_rmse=quantity("max_rmse", max_rmse, unit),
                 max_nrmse_percent=percent_bound,
                 model=actuator,
                 command=shlex.join(["dbo", *sys.argv[1:]]),

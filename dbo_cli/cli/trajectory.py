@@ -8,6 +8,7 @@ from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, Texts, flag, option
 from dbo_cli.cli.say import say_output
 from dbo_cli.errors import UsageError
+from dbo_cli.units import quantity
 
 UNIT = "um"  # without a model
 
@@ -65,19 +66,19 @@ def trajectory(
             f"`range` {range_}: the model is in {unit}: type {range_}{unit} or {range_}{UNIT}"
         )
     ends = opt.span("range", range_, unit)
-    limit = opt.quantity("bandwidth", bandwidth, "Hz")
+    limit = quantity("bandwidth", bandwidth, "Hz")
     if limit is None:
         trusted = [actuator.trusted_frequency for actuator in models]
         limit = min((each for each in trusted if each is not None), default=None)
     move = make(
         shape,
-        rate=opt.quantity("rate", rate, "Hz"),
+        rate=quantity("rate", rate, "Hz"),
         range=ends,
-        frequency=opt.quantity("frequency", frequency, "Hz"),
+        frequency=quantity("frequency", frequency, "Hz"),
         lines=lines,
         steps=steps,
-        dwell=opt.quantity("dwell", dwell, "s"),
-        duration=opt.quantity("duration", duration, "s"),
+        dwell=quantity("dwell", dwell, "s"),
+        duration=quantity("duration", duration, "s"),
         loop=loop,
         bandwidth=limit,
     )

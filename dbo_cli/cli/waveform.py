@@ -7,6 +7,7 @@ from dbo_cli.cli.check import limits_in, read_drive, step_between
 from dbo_cli.cli.options import Text, Texts, flag, option
 from dbo_cli.cli.say import detail, say, say_output
 from dbo_cli.errors import InputError
+from dbo_cli.units import quantity
 
 
 def waveform(
@@ -70,7 +71,7 @@ def waveform(
             gain=gain,
             loop=loop,
             points=points,
-            rate=opt.quantity("rate", rate, "Hz"),
+            rate=quantity("rate", rate, "Hz"),
             codes=None if codes is None else opt.span("codes", codes, None),
             volts=None if volts is None else opt.span("volts", volts, "V"),
             max_rounding=max_rounding,

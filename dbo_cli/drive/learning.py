@@ -18,7 +18,7 @@ from hashlib import sha256
 
 import numpy as np
 
-from dbo_cli.alignment import ACTUATOR_LAG, DRIVE_RESIDUAL, RATE_SLACK, mean_step
+from dbo_cli.alignment import ACTUATOR_LAG, DRIVE_RESIDUAL, RATE_SLACK
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.lead import Lead
@@ -26,7 +26,7 @@ from dbo_cli.drive.loops import settled_run
 from dbo_cli.drive.smooth import low_pass, soft_rise
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import Cascade, State, fields
-from dbo_cli.signals import noise, turns, without_delay
+from dbo_cli.signals import noise, step_of, turns, without_delay
 
 FORMAT = "dbo-history"
 
@@ -287,7 +287,7 @@ class RepeatedMove:
         time = recording.time
         if time is None or time.size < 2:
             return 0
-        step, longest = mean_step(time), float(np.diff(time).max())
+        step, longest = step_of(time), float(np.diff(time).max())
         other_rate = abs(step / self.step - 1.0) > RATE_SLACK
         if other_rate or longest > LONG_STEP * step:
             raise InputError(

@@ -26,15 +26,6 @@ from dbo_cli.signals import even
 from dbo_cli.units import kind_of, multiplied, ratio, time_unit
 
 _KINDS = (None, "time", "count", "number of samples")  # what its unit may measure
-# behind the name of a time column they show that it counts something else
-_COUNTED = frozenset(
-    "tick ticks sample samples frame frames count counts cycle cycles index idx step steps point points "
-    "pulses clocks jiffies row rows number no".split()
-)
-# what stands in the brackets of a time column where other columns have their unit
-_NO_UNIT = frozenset(
-    "relative rel absolute abs raw local utc gmt elapsed iso start -".split()
-)
 # s; without a unit, figures this far apart or more are hardly seconds
 _LONG_STEP = 1.0
 # s; without a unit, figures closer together than this are hardly seconds: days are
@@ -263,8 +254,6 @@ def find_clock(
     name, rate = source.name, reading.sample_rate
     if rate is not None and selector is not None:
         raise UsageError("`time` and `sample_rate` exclude each other: leave one out")
-    if rate is not None and not 0.0 < rate < np.inf:
-        raise UsageError(f"`sample_rate` {rate:g}: give a rate above 0 Hz")
     if selector is not None:
         matches = [named(source, selector, "time")]
     else:
@@ -284,10 +273,8 @@ def find_clock(
     if matches:
         return _clock_of(source, matches[0], reading.time_unit)
     if reading.time_unit is not None:
-        raise InputError(
-            f"{name}: `time_unit` {reading.time_unit}: no time column: "
-            f"{listing_of(source.columns)} (`time` NAME or NUMBER)"
-        )
+        listing = listing_of(source.columns)
+        raise _unclear(name, None, f"of `time_unit` is in no column, {listing}")
     rate, start, remark = stated_rate(name, source.settings, source.decimal)
     if rate is None:
         return Clock(name)
@@ -362,20 +349,16 @@ def _stated_unit(name: str, column: Column) -> str | None:
     InputError
         What it states is no unit of time.
     """
-    statement = column.unit or "-"
-    if statement.lower() not in _NO_UNIT:
-        before, _, _ = statement.partition(" since ")  # netCDF: s since 2026-01-02
+    if column.unit is not None:
+        before, _, _ = column.unit.partition(" since ")  # netCDF: s since 2026-01-02
         if time_unit(before) is None:
-            raise _unclear(name, column, f"states '{statement}', no unit of time")
+            raise _unclear(name, column, f"states '{column.unit}', no unit of time")
         return time_unit(before)
     parts = words(column.quantity)
     units = {time_unit(word) for word in parts if len(word) > 1} - {None, "min"}
-    if len(units) == 1:
-        return units.pop()
-    if units or parts & _COUNTED:
-        counted = ", ".join(sorted(parts & _COUNTED or parts))
-        raise _unclear(name, column, f"counts '{counted}', no unit of time")
-    return None
+    if len(units) > 1:
+        raise _unclear(name, column, "states several units")
+    return units.pop() if units else None
 
 
 def parse_time_unit(text: str) -> Fraction:

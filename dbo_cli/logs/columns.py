@@ -12,8 +12,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from os.path import commonprefix
 
-import numpy as np
-
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.table import Column, Table
 from dbo_cli.units import DRIVING_KINDS, MOVED_KINDS, kind_of, time_unit
@@ -280,11 +278,7 @@ def _rivals(
 def _question(
     table: Table, unclear: Mapping[str, Sequence[Column]], free: Sequence[Column]
 ) -> str:
-    """Ask for all roles that are not clear, with the options to type.
-
-    A column is proposed where it is the only one left for the only question, and is no
-    counter.
-    """
+    """Ask for all roles that are not clear, with the options to type; no column is proposed."""
     questions = []
     for role, matches in unclear.items():
         labels = [column.label.removeprefix("column ") for column in matches[:_LISTED]]
@@ -294,12 +288,6 @@ def _question(
     example = "FILE::COLUMN"
     if free:
         example = "NAME" if any(column.name for column in free) else "NUMBER"
-    against = role_of(next(iter(unclear)), None).against
-    remaining = [column for column in free if not words(column.name) & against]
-    if len(unclear) == len(remaining) == 1 and not _is_monotone(table, remaining[0]):
-        name, example = remaining[0].name, f"number={remaining[0].number}"
-        if not name.isdigit() and _by_name(table.columns, name) == remaining:
-            example = shlex.quote(name)
     options = " ".join(f"`{role}` {example}" for role in unclear)
     text = f"{' '.join(questions)} {listing_of(table.columns)} (for example {options})"
     patterns = [_pattern(matches) for matches in unclear.values()]
@@ -309,16 +297,6 @@ def _question(
         options = " ".join(f"`{role}` {shlex.quote(text)}" for role, (text, _) in pairs)
         text += f", or for all channels {options}"
     return text
-
-
-def _is_monotone(table: Table, column: Column) -> bool:
-    """Return whether the first rows of a column only rise or only fall, as those of a counter do."""
-    try:
-        values = next(iter(table.blocks([column])))[0]
-    except (InputError, StopIteration):
-        return True
-    steps = np.diff(values)
-    return bool((steps >= 0.0).all() or (steps <= 0.0).all())
 
 
 def _pattern(columns: Sequence[Column]) -> tuple[str, tuple[str, ...]]:

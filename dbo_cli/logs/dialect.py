@@ -84,7 +84,10 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     layout.first_line = lines[layout.first]
     above, below = lines[skipped : layout.first], lines[layout.first :]
     read_header(name, above, below, layout)
-    _refuse_two_readings(name, layout, sample, table, reading)
+    unclear = _two_readings(layout, sample, table, reading)
+    if unclear is not None:
+        text, how = unclear
+        raise InputError(f"{name}: '{text}' may be read in two ways: type {how}")
     above_rows = [n for n in rows if n < layout.first]
     for n, skip in _unclear_starts(layout, lines, above_rows):
         if n != layout.first or reading.skip_lines is None:
@@ -95,14 +98,13 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     return layout
 
 
-def _refuse_two_readings(
-    name: str,
+def _two_readings(
     layout: Layout,
     sample: Sequence[str],
     table: Sequence[Sequence[str]],
     reading: Reading,
-) -> None:
-    """Refuse what may be read in two ways, where the user does not say which (InputError).
+) -> tuple[str, str] | None:
+    """Return a text that may be read in two ways, and what the user can type; None where all is clear.
 
     ``500;1`` holds another delimiter; commas may all stand between thousands; ``0,5`` may
     be two columns where nothing is called by a name.
@@ -112,24 +114,21 @@ def _refuse_two_readings(
             found = _DELIMITED.search(text) if kind == "text" else None
             if found is not None:
                 marks = found[0].strip("0123456789"), layout.delimiter
-                how = " or ".join(f"`delimiter` {_NAMES[mark]}" for mark in marks)
-                raise _two_readings(name, text, how)
+                return text, " or ".join(
+                    f"`delimiter` {_NAMES[mark]}" for mark in marks
+                )
     if reading.decimal is None and layout.decimal == ",":
         cells = [cell for row in table for cell in row]
         commas = [cell for cell in cells if "," in cell and is_number(cell, ",")]
         if commas and all(map(_THOUSANDS.fullmatch, commas)):
             how = "`decimal` comma, or write numbers without marks between thousands"
-            raise _two_readings(name, commas[0], how)
+            return commas[0], how
     is_told = reading.delimiter or reading.decimal or any(layout.names)
     is_short = max(map(len, sample)) <= LONGEST_CELL
     if not is_told and is_short and all(map(_TWO_READINGS.fullmatch, sample)):
         how = "`delimiter` comma for two columns, or `decimal` comma for one"
-        raise _two_readings(name, sample[-1].strip(), how)
-
-
-def _two_readings(name: str, text: str, how: str) -> InputError:
-    """Return the refusal of a text that may be read in two ways, with what to type."""
-    return InputError(f"{name}: '{text}' may be read in two ways: type {how}")
+        return sample[-1].strip(), how
+    return None
 
 
 def _unclear_starts(

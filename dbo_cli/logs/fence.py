@@ -28,13 +28,9 @@ def fenced(path: str, kind: str) -> Iterator[None]:
         yield
     except (DboError, KeyboardInterrupt, SystemExit, GeneratorExit):
         raise
-    except Exception as problem:
+    except BaseException as problem:  # a panic of polars, too
         reason = str(problem).strip().splitlines() or [type(problem).__name__]
         raise InputError(f"{path}: cannot be read as {kind}: {reason[0]}") from None
-    except BaseException:  # a panic of polars
-        raise InputError(
-            f"{path}: cannot be read as {kind}: damaged: write it again"
-        ) from None
 
 
 @contextlib.contextmanager

@@ -19,7 +19,7 @@ from dbo_cli.alignment import (
     are_apart,
 )
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError, UsageError, warn
+from dbo_cli.errors import InputError, warn
 from dbo_cli.logs.clock import Clock
 from dbo_cli.logs.table import Block
 
@@ -174,15 +174,10 @@ def _found(
         lag, ahead = found.lag, found.ahead
         path = float(np.abs(np.diff(voltage)).sum())
         tolerable = _TOLERABLE * float(np.std(voltage)) / path * float(np.ptp(time))
-        problem = f"{ahead:.6g} s is uncertain by {2.0 * lag.deviation:.2g} s"
-        if lag.residual > _EXPLAINED:
-            share = 100.0 * (1.0 - lag.residual)
-            problem = f"the drive explains at most {share:.0f} % of the displacement"
-        elif lag.rival is not None:
-            rival = ahead + lag.rival - lag.seconds
-            problem = f"{ahead:.6g} s and {rival:.6g} s fit equally: the drive repeats"
-        elif 2.0 * lag.deviation <= max(_KNOWN_TO * found.step, tolerable):
+        is_known = 2.0 * lag.deviation <= max(_KNOWN_TO * found.step, tolerable)
+        if is_known and lag.residual <= _EXPLAINED and lag.rival is None:
             return found, False
+        problem = f"{ahead:.6g} s is not sure: record a drive that does not repeat in both files"
     raise InputError(f"{names}: `clock_offset` auto: {problem} (give SECONDS)")
 
 
@@ -217,11 +212,7 @@ def resampled(rows: Block, clock: Clock, rate: float) -> tuple[Block, Clock]:
     ------
     InputError
         They have no clock, or last less than a step.
-    UsageError
-        The rate is not above 0.
     """
-    if not 0.0 < rate < np.inf:
-        raise UsageError(f"`resample` {rate:g}: give a rate above 0 Hz")
     first, last = (0.0, 0.0) if rows.time is None else rows.time[[0, -1]].tolist()
     count = int(np.floor((last - first) * rate * (1.0 + 1e-12))) + 1
     if rows.time is None or not 2 <= count <= _MOST_ROWS:

@@ -300,12 +300,14 @@ def open_log(
     reading = reading or Reading()
     units = units or {}
     elsewhere = {role: text for role, text in roles.items() if text and "::" in text}
-    if "time" in elsewhere:
+    files = {text.rpartition("::")[0] for text in elsewhere.values()}
+    has_offset = reading.clock_offset is not None
+    if "time" in elsewhere or len(files) > 1 or (has_offset and not files):
+        listing = f" ({', '.join(sorted(files))})" * bool(files)
         raise UsageError(
-            f"`time` {elsewhere['time']}: the time must be in the log itself"
+            f"a log{listing} takes columns FILE::COLUMN of one second file, `time` never; these alone need "
+            "`clock_offset`"
         )
-    if reading.clock_offset is not None and not elsewhere:
-        raise UsageError("`clock_offset` needs a column of a second file: FILE::COLUMN")
     roles = {role: text for role, text in roles.items() if role not in elsewhere}
     twins: list[str] = []
     if elsewhere and reading.clock_offset == "auto":  # a drive that both may hold
@@ -316,9 +318,11 @@ def open_log(
     try:
         log = Log(source, roles, reading, units, optional)
         if elsewhere:
-            file, roles = _elsewhere(log.name, elsewhere, twins)
+            roles = dict.fromkeys(twins)
+            for role, text in elsewhere.items():
+                roles[role] = text.rpartition("::")[2]
             whole = replace(reading, rows=None)
-            with open_table(file, whole) as table:
+            with open_table(files.pop(), whole) as table:
                 second = Log(table, roles, whole, units, twins)
                 log.join(second, elsewhere, reading.clock_offset)
         if reading.resample is not None:
@@ -354,20 +358,6 @@ def _refuse_exchanged(log: Log) -> None:
 def _typed(column: Column) -> str:
     """Return how a user names a column."""
     return shlex.quote(column.name) if column.name else f"number={column.number}"
-
-
-def _elsewhere(
-    name: str, elsewhere: Mapping[str, str], twins: Sequence[str]
-) -> tuple[str, dict[str, str | None]]:
-    """Return the second file of columns ``FILE::COLUMN``, and what was typed for its roles (UsageError)."""
-    files = {text.rpartition("::")[0] for text in elsewhere.values()}
-    if len(files) > 1:
-        listing = ", ".join(sorted(files))
-        raise UsageError(f"{name}: one more file, not {listing}: join them first")
-    roles: dict[str, str | None] = dict.fromkeys(twins)
-    for role, text in elsewhere.items():
-        roles[role] = text.rpartition("::")[2]
-    return files.pop(), roles
 
 
 def open_table(name: str, reading: Reading) -> Table:

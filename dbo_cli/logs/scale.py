@@ -89,15 +89,12 @@ def _refuse_unclear_unit(name: str, role: str, column: Column) -> None:
     """Refuse a unit whose capitals are those of the name (``VOLTAGE (MV)``), and several units."""
     unit, title = column.unit, column.name
     spellings = sorted(units_in(title)) if parse_unit(unit) is None else []
-    if unit in ("MV", "Mv", "MM", "Mm"):
-        spellings = [unit.lower().replace("v", "V"), unit]
-    camel = re.search(r"[a-z]([KMN][mv]|Uv)$", title)
-    if camel and not unit:  # VoltageMv
-        spellings = [camel[1].lower().replace("v", "V"), camel[1]]
-    # DISPLACEMENT_MM, VOLTAGE_KV; PV is a process value
-    written = re.search(r"[\s_/](?!PV$)([A-Z]{2,4})$", title)
-    if written and not unit:
-        spellings = [*value_units_like(written[1]), written[1]]
+    capitals = unit if unit in ("MV", "Mv", "MM", "Mm") else None
+    if not unit:  # DISPLACEMENT_MM, VoltageMv; PV is a process value
+        written = re.search(r"[\s_/](?!PV$)([A-Z]{2,4})$|[a-z]([KMN][mv]|Uv)$", title)
+        capitals = written and (written[1] or written[2])
+    if capitals:
+        spellings = [*value_units_like(capitals), "another unit"]
     if unit and split_header(title)[1] == unit and not re.search(r"[\[(]", title):
         for amount in re.findall(r"(?<!\S)\d[\d.,]*(?:\s+(\S+)|$)", title):
             if spell(amount) in (unit, None):  # at 100 V, kV x 1000

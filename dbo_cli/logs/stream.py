@@ -131,14 +131,9 @@ class TextStream:
             if self.is_pipe:
                 return self._arrived(size)
             return self._file.read(size) + self._file.readline(size)
-        except (EOFError, zlib.error, gzip.BadGzipFile):
-            raise InputError(
-                f"{self.name}: the gzip data are damaged or end early"
-            ) from None
-        except OSError as problem:
-            raise InputError(
-                f"{self.name}: cannot be read: {problem.strerror}"
-            ) from None
+        except (EOFError, zlib.error, OSError) as problem:
+            reason = getattr(problem, "strerror", None) or "damaged, or it ends early"
+            raise InputError(f"{self.name}: cannot be read: {reason}") from None
 
     def _arrived(self, size: int) -> bytes:
         """Read what a pipe has; wait for the first byte only."""
@@ -189,15 +184,12 @@ def _find_encoding(name: str, start: bytes, requested: str | None) -> str:
                 f"`encoding` {requested}: there is no such text encoding"
             ) from None
         encoding = codecs.lookup(requested).name
-        if encoding in ("utf-16", "utf-32"):
-            raise InputError(
-                f"{name}: has no byte order mark: type `encoding` {encoding}-le or {encoding}-be"
-            )
-        return encoding
-    if b"\0" in start[:200]:
+        if encoding not in ("utf-16", "utf-32"):
+            return encoding
+    if requested is not None or b"\0" in start[:200]:
         raise InputError(
-            f"{name}: no text: export it as CSV or HDF5; if it is one, type `encoding` utf-16-le, utf-16-be "
-            "or utf-8"
+            f"{name}: no text, or without a mark of its byte order: export it as CSV or HDF5, or type "
+            "`encoding` utf-16-le, utf-16-be or utf-8"
         )
     try:
         codecs.getincrementaldecoder("utf-8")().decode(start)

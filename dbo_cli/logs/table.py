@@ -123,6 +123,15 @@ class Reading:
     encoding: str | None = None
     clock_offset: float | str | None = None
 
+    def __post_init__(self) -> None:
+        """Refuse rates that are none (UsageError)."""
+        for name, rate in (
+            ("sample_rate", self.sample_rate),
+            ("resample", self.resample),
+        ):
+            if rate is not None and not 0.0 < rate < np.inf:
+                raise UsageError(f"`{name}` {rate:g}: give a rate above 0 Hz")
+
     @classmethod
     def typed(cls, **options: Any) -> Reading:
         """Return how a log is to be read, of options whose figures are numbers or texts with a unit."""

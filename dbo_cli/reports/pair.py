@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.alignment import mean_step
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError
 from dbo_cli.reports.expected import Expected
-from dbo_cli.signals import without_delay
+from dbo_cli.signals import step_of, without_delay
 
 if TYPE_CHECKING:
     from dbo_cli.model import Cascade, State
@@ -119,10 +118,7 @@ class Pair:
     @cached_property
     def step(self) -> float | None:
         """The seconds from row to row; None where no clock is known."""
-        if self.time is None or len(self.time) < 2:
-            return None
-        step = mean_step(self.time)
-        return step if 0.0 < step < math.inf else None
+        return None if self.time is None else step_of(self.time) or None
 
 
 def rows_text(count: int) -> str:

@@ -132,7 +132,7 @@ def test_a_bare_pattern_takes_the_columns_of_its_role(channels, header):
     bare = done(*command, "--displacement", "{}")
     assert bare.out == done(*command, "--displacement", "{}_um").out
     error = refused(1, "simulate", "xy.json", "xy.csv", "--input", "{}_A")
-    assert "no column" in error
+    assert "finds none" in error
 
 
 def test_a_pattern_that_finds_nothing_and_a_channel_that_the_set_lacks(channels):
@@ -165,13 +165,24 @@ def test_a_set_for_one_log_is_refused_with_both_ways(channels):
         assert "type set.json::a" in error and f"{option} '{{}}'" in error
 
 
-def test_columns_in_other_capitals_are_named(channels):
+def test_channels_that_do_not_pair_are_named_with_what_to_type(channels):
     log = table(channels)
     write("upper.csv", "time_s,VX_V,VY_V,Dx_um,Dy_um", TIME, *list(log.values())[1:5])
     error = refused(1, "identify", "upper.csv", *SIDES)
-    assert "not for channel X" in error and "there is x" in error
+    assert "finds X, Y" in error and "finds x, y" in error and "rename" in error
+    assert "--voltage COLUMN --displacement COLUMN" in error
     error = refused(1, "simulate", "set.json", "upper.csv", "--input", "v{}")
-    assert "no column" in error and "there is VX_V" in error
+    assert "finds none" in error and "--input COLUMN" in error
+    words = ("--desired", "drive.csv::a_{}", "--measured", "D{}")
+    error = refused(1, "report", "upper.csv", *words)
+    assert "--trajectory FILE --desired COLUMN" in error
+
+
+def test_two_drives_to_check_against_are_refused_with_what_to_type(channels):
+    log = table(channels)
+    write("one.csv", "time_s,U_V", TIME, list(log.values())[1])
+    error = refused(1, "check", "one.csv", "--against", channels)
+    assert "--voltage NAME --against one.csv" in error
 
 
 def test_an_error_and_a_warning_of_one_channel_name_it(channels):

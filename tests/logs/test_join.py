@@ -48,7 +48,7 @@ def test_where_it_cannot_tell_how_much_it_still_tells_that(tmp_path):
     sent = write(tmp_path / "drive.csv", "time_s,voltage_V", time - 0.3, volts)
     with pytest.warns(DboWarning, match="line up"):
         read(seen, sent)
-    with pytest.raises(InputError, match="fit equally"):
+    with pytest.raises(InputError, match="not sure"):
         read(seen, sent, Reading(clock_offset="auto"))
 
 
@@ -58,9 +58,9 @@ def test_what_cannot_tell_is_refused(tmp_path):
     slow = np.interp(TIME / 8.0, TIME, DRIVE)
     cases = {
         "both move": (np.full(TIME.size, 3.0), DRIVE),
-        "explain": (DRIVE, noise),
-        "fit equally": (periodic, 0.1 * periodic),
-        "uncertain": (slow, 0.1 * slow + 0.4 * noise),
+        "not sure": (DRIVE, noise),
+        "does not repeat": (periodic, 0.1 * periodic),
+        "give SECONDS": (slow, 0.1 * slow + 0.4 * noise),
     }
     for words, (volts, shown) in cases.items():
         seen = write(tmp_path / "sensor.csv", "time_s,displacement_um", TIME, shown)
@@ -93,7 +93,7 @@ def test_files_that_cannot_be_joined(tmp_path):
         "displacement": None,
         "desired": f"{dated}::voltage_V",
     }
-    with pytest.raises(UsageError, match="one more file"):
+    with pytest.raises(UsageError, match="one second file"):
         open_log(seen, roles, Reading(clock_offset=1.0))
 
 

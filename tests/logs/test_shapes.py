@@ -32,11 +32,11 @@ def write(case, folder):
 @pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 def test_a_shape_is_right_or_refused(case, tmp_path):
     path = write(case, tmp_path)
-    reading = Reading(**case.get("reading", {}))
+    options = case.get("reading", {})
     if "refused" in case:
         with (
             pytest.raises(DboError) as raised,
-            open_log(path, case["roles"], reading) as log,
+            open_log(path, case["roles"], Reading(**options)) as log,
         ):
             log.read()
         message = str(raised.value)
@@ -45,7 +45,7 @@ def test_a_shape_is_right_or_refused(case, tmp_path):
         if "line" in case:
             assert f":{case['line']}:" in message
         return
-    with open_log(path, case["roles"], reading) as log:
+    with open_log(path, case["roles"], Reading(**options)) as log:
         table = log.read()
     for role in ("voltage", "displacement"):
         if role in case:

@@ -31,16 +31,19 @@ _FORMATS = (
 """Bytes, where they stand in the file, and the module that reads it."""
 _TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".lvm", ".gz", "")
 _PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
-_PICKLED = "Python pickles are not read (they can run code): df.to_parquet(), or dbo.identify(df)"
-_JSON = "JSON is not read: pandas.read_json(FILE).to_csv(OUT, index=False)"
-_EXPORT = "this format is not read: export it as CSV"
-_NO_HDF5 = "this is no HDF5 file: write it again, or look at its name"
-_REFUSED = {
-    ".pkl": _PICKLED, ".pickle": _PICKLED, ".json": _JSON, ".jsonl": _JSON,
-    ".uff": _EXPORT, ".unv": _EXPORT, ".itx": _EXPORT, ".h5": _NO_HDF5, ".hdf5": _NO_HDF5,
-    ".mat": "this is no MATLAB file of version 5 or later: save(..., '-v7') again",
-}  # fmt: skip
-"""By suffix, what to do with a file of a format that is not read."""
+_REFUSED = (
+    ".pkl",
+    ".pickle",
+    ".json",
+    ".jsonl",
+    ".uff",
+    ".unv",
+    ".itx",
+    ".h5",
+    ".hdf5",
+    ".mat",
+)
+"""Suffixes of files that are no text, whatever their first bytes look like."""
 
 
 def reader_of(path: str, start: bytes) -> TableReader | None:
@@ -71,5 +74,7 @@ def reader_of(path: str, start: bytes) -> TableReader | None:
             reader: TableReader = getattr(module, f"read_{name}")
             return reader
     if suffix in _REFUSED or start[:2] in _PICKLES:
-        raise InputError(f"{path}: {_REFUSED.get(suffix, _PICKLED)}")
+        raise InputError(
+            f"{path}: no format that is read, or damaged: export it as CSV, HDF5 or Parquet"
+        )
     return None
