@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from contract.program import plays_of
 
 from dbo_cli.errors import DboWarning, FitError, InputError, UsageError
 from dbo_cli.identification import search
@@ -29,12 +30,8 @@ def hysteresis(drive: np.ndarray) -> np.ndarray:
     """Return a sum of plays of a drive from 0 to 100 V that has come down."""
     reach = np.linspace(0.0, 0.4, 9)
     x = drive / 100.0
-    plays = np.maximum(reach, x[0] - reach)
-    rows = []
-    for value in x:
-        plays = np.clip(plays, value - reach, value + reach)
-        rows.append(plays)
-    return 5.0 * np.asarray(rows) @ np.linspace(2.0, 0.4, 9)
+    plays = plays_of(x, reach, np.maximum(reach, x[0] - reach))
+    return 5.0 * plays @ np.linspace(2.0, 0.4, 9)
 
 
 def log_of(drive: np.ndarray, cells: Cells) -> PreparedLog:
