@@ -45,20 +45,6 @@ def columns(log: PreparedLog, taus: list[float], delay: float = 0.0) -> np.ndarr
     return fitted_columns(log, sums, cells, delay)
 
 
-def test_bounded_problem_meets_its_conditions() -> None:
-    rng = np.random.default_rng(5)
-    bounded = np.arange(12) < 10
-    for _ in range(20):
-        table = rng.normal(size=(60, 12))
-        matrix, right = table.T @ table, table.T @ rng.normal(size=60)
-        x = minimum(matrix, right, bounded)
-        gradient = matrix @ x - right
-        least = 1e-12 * np.abs(right).max()
-        assert (x[bounded] >= 0.0).all()
-        assert np.abs(gradient[(x > 0.0) | ~bounded]).max() < least
-        assert (gradient[bounded] > -least).all()
-
-
 def test_a_gain_is_believed_as_far_as_the_log_shows_it() -> None:
     drive = (DRIVE - DRIVE.min()) / np.ptp(DRIVE)
     table = columns(log_of(drive, Cells.of()), [0.02, 100.0])
