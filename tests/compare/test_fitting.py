@@ -118,18 +118,3 @@ def test_rows_that_are_skipped_do_not_count():
     assert fitted("pi", spoilt, skip=1.0).fit_error < 1e-3
     with pytest.raises(FitError, match="`skip`"):
         fitting.prepare_logs([log], 7.995)
-
-
-def test_bounds_are_kept():
-    rng = np.random.default_rng(5)
-    matrix, drift = rng.standard_normal((200, 6)), np.ones((200, 1))
-    least = np.array([0.1, 0.0, 0.0, -np.inf, 0.0, 0.0])
-    right = matrix @ np.array([-1.0, 0.5, -0.2, -3.0, 0.0, 1.0]) + 7.0
-    x, z = fitting.bounded_minimum(matrix, drift, right, least)
-    assert (x >= least).all() and x[0] == 0.1
-    gradient = matrix.T @ (matrix @ x + drift @ z - right)
-    assert np.abs(gradient[x > least]).max() < 1e-9
-    assert (gradient[x == least] > -1e-9).all()
-    # a play at rest is an offset
-    matrix[:, 1] = 0.3
-    assert fitting.bounded_minimum(matrix, drift, right, least)[0][1] == 0.0

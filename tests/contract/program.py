@@ -213,3 +213,12 @@ def compensated(name, *words, wish="wish.csv"):
 def rms(values):
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def plays_of(drive, reach, plays):
+    """Return plays of each reach, a row a voltage, that stood at ``plays`` before."""
+    rows = []
+    for voltage in drive:
+        plays = np.clip(plays, voltage - reach, voltage + reach)
+        rows.append(plays)
+    return np.asarray(rows)

@@ -285,7 +285,7 @@ def test_a_loop_that_does_not_close_and_options_without_a_partner_are_refused():
     move(np.linspace(3.0, 7.0, 400))
     outcome = dbo(*SMALL, "--periodic", "-o", "d.csv")
     assert outcome.code in (1, 3) and "period" in outcome.lines[-1]
-    for option in ("--passes 2", "--voltage 2", "--measured 2", "--history h.json"):
+    for option in ("--voltage 2", "--measured 2"):
         refused(2, *SMALL, *option.split(), "-o", "d.csv")
 
 

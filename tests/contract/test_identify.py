@@ -19,8 +19,8 @@ from dbo_cli.library import Fit
 
 from .conftest import creep_log
 from .program import (
-    DRIVE, LOG, QUICK, SAMPLES, dbo, done, load, model, refused, rms, simulated, store, table,
-    values_of, write,
+    DRIVE, LOG, QUICK, SAMPLES, dbo, done, load, model, plays_of, refused, rms, simulated, store,
+    table, values_of, write,
 )  # fmt: skip
 
 pytestmark = pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
@@ -330,11 +330,7 @@ FADING = 50.0 - 50.0 * np.cos(2.0 * np.pi * 0.5 * TIME) * np.exp(-TIME / 6.0)
 def moved_by(drive, before=100.0):
     """Return a sum of plays of a drive that was at 0 and then at ``before`` first."""
     plays = np.clip(np.full(9, before), before - REACH, before + REACH)
-    rows = []
-    for value in drive:
-        plays = np.clip(plays, value - REACH, value + REACH)
-        rows.append(plays)
-    return 0.05 * np.asarray(rows) @ SPRINGS
+    return 0.05 * plays_of(drive, REACH, plays) @ SPRINGS
 
 
 def fitted(drive, moved):
@@ -447,10 +443,7 @@ def test_the_development_table_refuses_a_constant_that_is_none(tmp_path):
 def bent_plays(drive):
     """Return what 33 plays that begin empty, and a bend behind them, make of a drive (V)."""
     reach = np.linspace(0.0, 40.0, 33)
-    plays, moved = reach.copy(), np.empty(len(drive))
-    for row, voltage in enumerate(drive):
-        plays = np.clip(plays, voltage - reach, voltage + reach)
-        moved[row] = 0.1 * voltage + 0.002 * plays.sum()
+    moved = 0.1 * drive + 0.002 * plays_of(drive, reach, reach).sum(axis=1)
     return moved + 0.002 * moved**2
 
 
@@ -504,10 +497,7 @@ def test_a_log_that_begins_in_motion_keeps_its_zero(first):
     drive = table(done("excite", "--v-max", 100, "--sample-rate", 200))["voltage_V"]
     reach = np.linspace(0.0, 50.0, 41)
     share = 0.1 * np.exp(-reach / 15.0) / np.exp(-reach / 15.0).sum()
-    plays, jumped = np.zeros(41), np.empty(len(drive))
-    for row, voltage in enumerate(drive):
-        plays = np.clip(plays, voltage - reach, voltage + reach)
-        jumped[row] = share @ plays
+    jumped = plays_of(drive, reach, np.zeros(41)) @ share
     moved = jumped.copy()
     for tau, creep in ((0.3, 0.02), (10.0, 0.03)):
         decay = np.exp(-0.005 / tau)
@@ -530,10 +520,8 @@ def piezo(drive, before):
     reach = np.linspace(2.0, 60.0, 30)
     weights = np.exp(-np.arange(30) / 8.0)
     weights *= 0.3 / weights.sum()
-    plays, moved = np.maximum(driven[0] - reach, 0.0), np.empty(len(driven))
-    for row, voltage in enumerate(driven):
-        plays = np.clip(plays, voltage - reach, voltage + reach)
-        moved[row] = 0.85 * voltage + weights @ plays
+    plays = plays_of(driven, reach, np.maximum(driven[0] - reach, 0.0))
+    moved = 0.85 * driven + plays @ weights
     for tau, creep in ((0.02, 0.02), (0.5, 0.03), (12.0, 0.03)):
         decay = np.exp(-0.005 / tau)
         moved += creep * scipy.signal.lfilter([1.0 - decay], [1.0, -decay], driven)

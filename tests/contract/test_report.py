@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from .program import (
-    DRIVE, LOG, MOVE, PAIR, dbo, done, load, model, refused, rms, simulated, store, table, write,
+    DRIVE, LOG, MOVE, PAIR, PASS, dbo, done, load, model, refused, rms, simulated, store, table, write,
 )  # fmt: skip
 
 TIME = np.arange(600) / 500.0
+SUMMARY = {"format": "dbo-summary", "version": 1, "unit": "um", "expected_rmse": 0.01}
 WANTED = 5.0 + 3.0 * np.sin(2.0 * np.pi * 2.0 * TIME)
 
 
@@ -202,17 +203,8 @@ def test_a_recording_of_another_drive_points_to_check():
     volts, moved = 50.0 + 40.0 * swing, 5.0 + 3.0 * swing
     off = np.sin(23.0 * time)
     write("d.csv", "time_s,desired_um,voltage_V", time, moved, volts)
-    write(
-        "log.csv",
-        "time_s,voltage_V,measured_um",
-        time,
-        volts + 1.1 * off,
-        moved + 0.1 * off,
-    )
-    write(
-        "s.json",
-        '{"format": "dbo-summary", "version": 1, "unit": "um", "expected_rmse": 0.01}',
-    )
+    write("log.csv", PASS, time, volts + 1.1 * off, moved + 0.1 * off)
+    store("s.json", SUMMARY)
     words = ("report", "log.csv", "--trajectory", "d.csv", "--expected", "s.json")
     [warning] = done(*words).warnings
     assert "dbo check --against" in warning and "identify again" not in warning
@@ -245,8 +237,7 @@ def test_refusals_name_what_is_wrong():
 @pytest.mark.parametrize("ending", ["txt", "html"])
 def test_the_shell_s_pages_name_options_as_they_are_typed(ending):
     write("off.csv", PAIR, TIME, WANTED, WANTED + 3.0)
-    summary = {"format": "dbo-summary", "version": 1, "unit": "um"}
-    store("expected.json", {**summary, "expected_rmse": 0.01})
+    store("expected.json", SUMMARY)
     words = ("report", "off.csv", "--expected", "expected.json")
     done(*words, "-o", f"r.{ending}")
     page = Path(f"r.{ending}").read_text()

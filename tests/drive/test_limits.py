@@ -10,11 +10,6 @@ from dbo_cli.model import Quantity
 RANGE = Quantity("voltage", "V", 0.236, 3.424)
 
 
-def test_extrapolation_needs_an_end():
-    with pytest.raises(UsageError):
-        Limits.within(RANGE, extrapolate=True)
-
-
 def test_units_of_limits():
     kilo = Quantity("voltage", "kV", 0.0, 1.0)
     assert Limits.within(kilo, v_max="800V").rating[1] == pytest.approx(0.8)

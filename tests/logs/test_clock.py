@@ -44,16 +44,6 @@ def test_units_of_time(header, factor, tmp_path):
     assert time.tolist() == pytest.approx(step * factor * np.arange(4), rel=1e-15)
 
 
-def test_the_unit_is_given(tmp_path):
-    path = write(tmp_path, ["0", "1", "2"], "t")
-    with pytest.raises(InputError, match="`time_unit`"):
-        read(path)
-    assert read(path, time_unit="10us")[0].dt == pytest.approx(1e-5)
-    assert read(path, time_unit="s")[0].dt == 1.0
-    with pytest.raises(UsageError, match="`time_unit`"):
-        read(path, time_unit="furlongs")
-
-
 @pytest.mark.parametrize(
     "stamps",
     [

@@ -2,8 +2,7 @@
 
 import pytest
 
-from dbo_cli.errors import UsageError
-from dbo_cli.units import drive_unit, parse_quantity, quantity_name, split_header
+from dbo_cli.units import drive_unit, quantity_name, split_header
 
 
 @pytest.mark.parametrize(
@@ -32,17 +31,6 @@ from dbo_cli.units import drive_unit, parse_quantity, quantity_name, split_heade
 )
 def test_a_header_is_split_at_its_unit(header, name, unit):
     assert split_header(header) == (name, unit)
-
-
-def test_figures():
-    assert parse_quantity("4bar", "bar") == parse_quantity(4, "bar") == 4.0
-    assert parse_quantity("2V/ms", "V/s") == 2000.0
-    assert parse_quantity("3kA/m/s", "A/m/s") == 3000.0
-    assert parse_quantity("-1.5e-3 kV", "V") == -1.5
-    assert parse_quantity("7", None) == 7.0
-    for figure in ("4bar", "nan", "x", "2V/s", "1 2", float("inf")):
-        with pytest.raises(UsageError, match="`v_max`"):
-            parse_quantity(figure, "V", "v_max")
 
 
 def test_what_a_signal_is_called():

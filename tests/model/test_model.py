@@ -104,15 +104,6 @@ def test_dynamics_and_delay_are_undone(seconds, damping):
     assert error < (1e-12 if seconds != 1.37e-3 else 2e-6) * 8.0
 
 
-@pytest.mark.parametrize("seconds", [0.4e-3, 1.5e-3, 2.5e-3, 9.7e-3])
-def test_a_delay_is_the_same_by_count_and_by_time(seconds):
-    """Before the first sample the first value holds, however the clock is given."""
-    x = np.cumsum(np.random.default_rng(1).normal(size=40))
-    counted = dm.Delay(seconds).run(x, dm.State(), DT).y
-    looked_up = dm.Delay(seconds).run(x, dm.State(), np.full(40, DT)).y
-    np.testing.assert_allclose(looked_up, counted, rtol=0, atol=1e-9)
-
-
 def test_dynamics_are_the_continuous_ones():
     """A ramp and a rest between samples: the recursion against the exact solution."""
     section = dm.Resonance(50.0, 0.1)

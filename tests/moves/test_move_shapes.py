@@ -33,26 +33,6 @@ def test_each_axis_has_its_own_model():
             check_reach(made, [actuator(), model])
 
 
-@pytest.mark.parametrize(
-    ("shape", "options", "named"),
-    [
-        ("circle", {}, "circle"),
-        ("sine", {}, "`frequency`"),
-        ("raster", {"frequency": 5.0}, "`lines`"),
-        ("sine", {"frequency": 5.0, "lines": 3}, "`lines`"),
-        ("spiral", {"frequency": 5.0, "duration": 1.0, "loop": True}, "`loop`"),
-        ("sine", {"frequency": -5.0}, "`frequency`"),
-        ("sine", {"frequency": 300.0}, "less than 250"),
-        ("sine", {"frequency": 50.0, "bandwidth": 40.0}, "less than 40"),
-        ("triangle", {"frequency": 30.0, "bandwidth": 40.0}, "less than 19.23"),
-        ("raster", {"frequency": 39.0, "lines": 4, "bandwidth": 39.8}, "less than 35.71"),
-    ],
-)  # fmt: skip
-def test_refusals_name_the_option_and_the_number_that_fits(shape, options, named):
-    with pytest.raises(UsageError, match=named):
-        trajectory(shape, rate=RATE, range=ENDS, **options)
-
-
 @pytest.mark.parametrize(("shape", "largest"), [("triangle", 19.23), ("raster", 35.7)])
 def test_the_frequency_that_a_refusal_proposes_fits(shape, largest):
     more = {"lines": 4} if shape == "raster" else {}

@@ -44,28 +44,6 @@ def test_another_rate_or_coarse_codes_that_move_the_drive_too_far_are_refused():
     assert np.abs(coarse.volts - DRIVE).max() <= 50.0 / 31.0 * 1.001
 
 
-@pytest.mark.parametrize(
-    ("to", "options", "named"),
-    [
-        ("mp3", {}, "`to`"),
-        ("npy", {"codes": (0.0, 255.0)}, "`codes`"),
-        ("pi-gcs", {"volts": (0.0, 5.0)}, "`volts`"),
-        ("uint16", {}, "`volts`"),
-        ("int16", {"volts": (0.0, 100.0), "codes": (0.0, 65535.0)}, "`codes`"),
-        ("uint16", {"volts": (0.0, 100.0), "codes": (0.0, 0.5)}, "`codes`"),
-        ("wav", {"volts": (5.0, 0.0)}, "`volts`"),
-        ("npy", {"gain": 0.0}, "`gain`"),
-        ("npy", {"points": 1}, "`points`"),
-        ("npy", {"points": 100, "rate": 10.0}, "`points`"),
-        ("npy", {"rate": -RATE}, "`rate`"),
-        ("wav", {"rate": 1000.5}, "`rate`"),
-    ],
-)  # fmt: skip
-def test_senseless_options_are_refused(to, options, named):
-    with pytest.raises(UsageError, match=named):
-        waveform(DRIVE, RATE, to, within(), **options)
-
-
 def test_a_constant_drive_needs_volts():
     with pytest.raises(UsageError, match="`volts` 3:3"):
         made("wav", np.full(5, 3.0))
