@@ -63,6 +63,8 @@ class Judge:
         # of the move: what limits cut off, and what no voltage reaches
         self._clipped = self._first_clipped = self._unreachable = 0
         self._squares = self._largest = 0.0
+        # least and greatest voltage and slew that cut rows take without limits
+        self._needed = (math.inf, -math.inf, 0.0)
         # the first rows, which judgements play again: voltages and steps, part by part
         self._voltages: list[Floats] = []
         self._steps: list[Floats] = []
@@ -134,8 +136,10 @@ class Judge:
             lost[: max(self._first_clipped - 1 - before, 0)] = 0.0
             self._squares += float(np.square(lost).sum())
             self._largest = max(self._largest, float(np.abs(lost).max()))
+        if run.clipped and self.on_limit != "clip" and before < expect.FIRST_ROWS:
+            self._need(target, state, dt)
         if self._clipped and self.on_limit == "error":
-            raise LimitError(f"{self.name}: {self._exceeding()}: {REMEDY}")
+            raise LimitError(f"{self.name}: {self._exceeding()}{self._remedy()}")
 
     def count(self, voltage: Floats, dt: Steps, phase: str) -> None:
         """Count rows of a part: ``lead``, ``move``, of which ``clip`` knows already, or ``return``."""
@@ -217,8 +221,30 @@ class Judge:
             return
         raise LimitError(
             f"{self.name}: {self._exceeding()}, by {lost:.3g}{unit} RMS ({100.0 * lost / size:.2g} % of "
-            f"{size:.3g}{unit}): {REMEDY}"
+            f"{size:.3g}{unit}){self._remedy()}"
         )
+
+    def _need(self, target: Floats, state: State, dt: Steps) -> None:
+        """Look at what rows would take that limits cut off."""
+        voltage = self.model.drive(target, state, dt).y
+        rate = 0.0
+        if dt is not None:
+            steps = np.broadcast_to(np.asarray(dt), voltage.shape)
+            before = voltage[0] if state.drive is None else state.drive
+            way = np.abs(np.diff(voltage, prepend=before))
+            rate = float((way[steps > 0.0] / steps[steps > 0.0]).max(initial=0.0))
+        low, high, fastest = self._needed
+        low, high = min(low, float(voltage.min())), max(high, float(voltage.max()))
+        self._needed = low, high, max(fastest, rate)
+
+    def _remedy(self) -> str:
+        """Return what the move would take, and what to type."""
+        low, high, rate = self._needed
+        unit = self.limits.suffix
+        needed = f"; without limits it takes {low:.4g} to {high:.4g}{unit}"
+        if self.limits.slew is not None:
+            needed += f", up to {rate:.3g}{unit}/s"
+        return f"{needed}: {REMEDY}"
 
     # --- the end ---
 

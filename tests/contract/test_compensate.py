@@ -59,6 +59,22 @@ def test_what_costs_much_is_refused_unless_asked_for():
     assert any("clip" in line for line in outcome.warnings)
 
 
+@pytest.mark.parametrize(
+    "limits", [("--v-max", 60), ("--v-max", 100, "--max-slew", 300)]
+)
+def test_a_refusal_says_what_the_move_takes(limits):
+    """Limits a little beyond that are none to it."""
+    move(sine(5.0))
+    words = ("compensate", model("creep"), "wish.csv", "-o", "drive.csv")
+    told = refused(3, *words, *limits)
+    numbers = told.split("without limits it takes ")[1].split(":")[0]
+    high = float(numbers.split(" to ")[1].split()[0])
+    wider = ["--v-max", 1.001 * high]
+    if "up to" in numbers:
+        wider += ["--max-slew", 1.01 * float(numbers.split("up to ")[1].split()[0])]
+    done(*words, *wider, "--on-limit", "error")
+
+
 @pytest.mark.parametrize("start", ["--from 0 --state empty", "--state empty"])
 def test_a_jump_to_row_1_that_limits_forbid_is_answered_with_a_way_there(start):
     move(sine(5.0))
