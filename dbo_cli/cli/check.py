@@ -73,9 +73,9 @@ def check(
             meant, _ = read_drive(
                 against, Reading(), {"time": None, "voltage": column}, unit
             )
-            slack = tolerance_of(meant["voltage"], recorded, allowed) / abs(gain)
+            slack = tolerance_of(meant["voltage"], recorded, allowed)
         result = checks[channel] = check_drive(
-            signal["voltage"],
+            recorded,  # limits are those of the amplifier's output
             signal.time,
             limits_in(unit, **typed[channel]),
             name=f"{drive}: channel {channel}" if channel else drive,
