@@ -70,9 +70,9 @@ def check(
         if against is not None:
             column = roles["voltage"] if channel else None
             meant = read_meant(against, drive, column, unit)
-            slack = tolerance_of(meant["voltage"], recorded, allowed) / abs(gain)
+            slack = tolerance_of(meant["voltage"], recorded, allowed)
         result = checks[channel] = check_drive(
-            signal["voltage"],
+            recorded,  # limits are those of the amplifier's output
             signal.time,
             limits_in(unit, **typed[channel]),
             name=f"{drive}: channel {channel}" if channel else drive,

@@ -280,6 +280,8 @@ def _question(
 ) -> str:
     """Ask for all roles that are not clear, with the options to type; no column is proposed."""
     questions = []
+    if "trajectory" in unclear:  # the file's column is typed as what it holds
+        unclear = {"desired": unclear["trajectory"]}
     for role, matches in unclear.items():
         labels = [column.label.removeprefix("column ") for column in matches[:_LISTED]]
         noun = f"{role} displacement" if role in ("desired", "measured") else role

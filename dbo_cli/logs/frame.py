@@ -19,7 +19,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import is_time
 from dbo_cli.logs.table import OVERLOAD, Column, Table, columns_in
-from dbo_cli.units import spell, split_header
+from dbo_cli.units import spell, split_header, time_unit
 
 
 def table_of(name: str, columns: Iterable[Column]) -> Table:
@@ -67,11 +67,17 @@ def frame_table(frame: Any, time: Any = None) -> Table:
         The time of each row (s), in the place of what the frame has.
     """
     attrs = getattr(frame, "attrs", {})
-    name, units = str(attrs.get("name", "the frame")), attrs.get("units", {})
+    name = str(attrs.get("name", "the frame"))
+    units = attrs.get("units", attrs.get("unit")) or {}
+    if not isinstance(units, Mapping):
+        raise InputError(
+            f"{name}: `attrs` state {units} of no column: give a dict of units by column"
+        )
     columns: list[Column] = []
     clocks: list[Column] = []
     for title, values in _series_of(frame):
-        unit = units.get(title) or split_header(str(title))[1]
+        header = split_header(str(title))[1]
+        unit = _one_unit(str(title), units.get(title), header)
         column = column_in_memory(name, str(title), values, unit)
         if is_time(Column(0, str(title), unit)):
             clocks.append(column)
@@ -88,7 +94,7 @@ def frame_table(frame: Any, time: Any = None) -> Table:
         columns.append(column_in_memory(name, "time", time, "s"))
     elif not clocks and dtype_kind(index) in "fmM":
         title = str(getattr(index, "name", None) or "time")
-        unit = split_header(title)[1] or "s"
+        unit = split_header(title)[1] or time_unit(title) or "s"
         columns.insert(0, column_in_memory(name, title, index, unit))
     table = table_of(name, columns)
     table.has_found_offset = bool(attrs.get("holds_delay"))
@@ -160,7 +166,19 @@ def stated_unit(values: Any, role: str) -> str | None:
     units = attrs.get("units", attrs.get("unit"))
     if isinstance(units, Mapping):
         units = units[title] if title in units else header or units.get(role)
-    return header if units is None else spell(str(units))
+    return _one_unit(title, units, header)
+
+
+def _one_unit(title: str, stated: Any, header: str | None) -> str | None:
+    """Return the unit that ``attrs`` state, else that of the name; InputError where they differ."""
+    if not stated:
+        return header
+    unit = spell(str(stated))
+    if header is not None and unit != header:
+        raise InputError(
+            f"'{title}': its `attrs` state {unit}: rename it, or correct `attrs`"
+        )
+    return unit
 
 
 def floats(values: Any, name: str) -> Floats:
@@ -218,6 +236,7 @@ def seconds_of(time: Any) -> Floats | None:
     if time is None:
         return None
     cells, unit = cells_of(time), stated_unit(time, "time")
+    unit = unit or time_unit(str(getattr(time, "name", "")))  # an index named ms
     if dtype_kind(time) not in "mM" and unit not in (None, "s"):
         raise InputError(
             f"`time` is in {unit}: give seconds (`.to_numpy()` where the numbers are)"

@@ -465,3 +465,10 @@ def test_what_was_written_passes_the_check(case):
     start = ["--from", 3] if "--from" in words else []
     outcome = dbo("check", "drive.csv", *limits, *start)
     assert outcome.code == 0, outcome.err
+
+
+def test_limits_hold_behind_the_amplifier_of_a_recording():
+    write("played.csv", PLAYED, TIME, VOLTS / 20.0)
+    words = ("check", "played.csv", "--against", "drive.csv", "--gain", 20)
+    assert dbo(*words, "--v-max", 100).code == 0
+    assert dbo(*words, "--v-max", 80).code == 3

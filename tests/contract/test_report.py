@@ -234,6 +234,14 @@ def test_refusals_name_what_is_wrong():
         assert held in refused(1, "report", *words.split())
 
 
+def test_the_column_of_a_trajectory_is_asked_for_by_the_option_to_type():
+    write("seen.csv", "time_s,measured_um", TIME, WANTED)
+    write("axes.csv", "time_s,desired_x_um,desired_y_um", TIME, WANTED, WANTED)
+    told = refused(1, "report", "seen.csv", "--trajectory", "axes.csv")
+    assert "--desired NAME" in told
+    done("report", "seen.csv", "--trajectory", "axes.csv", "--desired", "desired_x_um")
+
+
 @pytest.mark.parametrize("ending", ["txt", "html"])
 def test_the_shell_s_pages_name_options_as_they_are_typed(ending):
     write("off.csv", PAIR, TIME, WANTED, WANTED + 3.0)

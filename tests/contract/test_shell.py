@@ -151,7 +151,7 @@ WRONG = {
     "trajectory raster --rate 1000 --range 2:8 --frequency 5": "--lines",
     "trajectory spiral --rate 1000 --range 2:8 --frequency 5 --duration 1 --loop": "--loop",
     "trajectory sine --rate 1000 --range 2:8 --frequency 300": "less than 250",
-    "trajectory sine --rate 1000 --range 2:8 --frequency 50 --bandwidth 40": "40 Hz",
+    "trajectory sine --rate 1000 --range 2:8 --frequency 50 --bandwidth 40": "less than 40",
     "trajectory triangle --rate 1000 --range 2:8 --frequency 30 --bandwidth 40": "less than 19.23",
     "trajectory raster --rate 1000 --range 2:8 --frequency 39 --lines 4 --bandwidth 39.8": "less than 35.71",
     "waveform d.csv --to mp3": "--to",

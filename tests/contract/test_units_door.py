@@ -566,3 +566,17 @@ def test_typed_figures_of_python(played):
     index = pd.Series(volts, index=pd.Index(1e3 * time, name="t (ms)"))
     with pytest.raises(dbo.InputError, match="`time` is in ms"):
         expected.simulate(index)
+
+
+def test_attrs_and_a_name_that_disagree_are_refused():
+    move = 2.5 - np.cos(30.0 * TIME)
+    drive = dbo.read_model(model("creep")).compensate
+    series = pd.Series(1e3 * move, index=TIME, name="x_nm")
+    series.attrs["units"] = "um"
+    with pytest.raises(dbo.InputError, match="attrs"):
+        drive(series)
+    with pytest.raises(dbo.InputError, match="attrs"):
+        drive(series.to_frame())
+    clock = pd.Series(move, index=pd.Index(1e3 * TIME, name="ms"))
+    with pytest.raises(dbo.InputError, match="ms"):
+        drive(clock)
