@@ -27,7 +27,9 @@ def check(
     loop: bool = flag("--loop", "Also check the step from the last row to the first."),
     against: Text = option("FILE", "The file to play; DRIVE is a recording of it."),
     gain: float = rare(
-        "FACTOR", "With --against: DRIVE is multiplied by it.", default=1.0
+        "FACTOR",
+        "With --against: DRIVE is multiplied by it; limits hold behind it.",
+        default=1.0,
     ),
     tolerance: Text = option("VOLT", "With --against: largest difference allowed."),
     time: Text = opt.TIME,

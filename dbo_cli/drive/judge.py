@@ -16,7 +16,7 @@ from dbo_cli.drive.simulate import Due
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Run, State, Steps, expect
 
-REMEDY = (
+WAYS_OUT = (
     "give wider limits, a slower or smaller move, `from_` VOLT and `approach` auto for a way to row 1, or "
     "`on_limit` clip"
 )
@@ -244,7 +244,7 @@ class Judge:
         needed = f"; without limits it takes {low:.4g} to {high:.4g}{unit}"
         if self.limits.slew is not None:
             needed += f", up to {rate:.3g}{unit}/s"
-        return f"{needed}: {REMEDY}"
+        return f"{needed}: {WAYS_OUT}"
 
     # --- the end ---
 
