@@ -48,11 +48,15 @@ def compensate(
         None, "auto: clip up to 1 % of the move, else exit 3.", LIMITS, default="auto"
     ),
     start: Texts = opt.FROM,
-    approach: Text = option("SECONDS|auto", "Smooth way to row 1.", MOVE),
-    condition: bool = flag("--condition", "Sweep the range first: keep it free.", MOVE),
+    approach: Text = option("SECONDS|auto", "Go smoothly to row 1 in this time.", MOVE),
+    condition: bool = flag(
+        "--condition", "Sweep the range first: nothing may be in its way.", MOVE
+    ),
     lead: Text = rare("SECONDS|auto", "Hold row 1 before the move.", MOVE),
     return_to: Texts = option("VOLT", "Go there after the move.", MOVE, "--return"),
-    periodic: bool = flag("--periodic", "The trajectory is one period.", MOVE),
+    periodic: bool = flag(
+        "--periodic", "The trajectory is one period of a loop.", MOVE
+    ),
     passes: int = rare("N", "Run-in of a --periodic one.", MOVE, default=0, min=0),
     tracked: Texts = option("LOG", "Learn from recordings of the last pass.", MOVE),
     history: Text = rare("FILE", "With --tracked: keeps each pass's error.", OUTPUT),

@@ -24,7 +24,7 @@ def report(
     logs: list[str] = opt.LOGS,
     output: str = opt.OUTPUT_FILE,
     form: Literal["text", "json", "csv", "html"] | None = option(
-        None, "Default: by the name of the output.", OUTPUT, "--format"
+        None, "Form of the output; default: by its name.", OUTPUT, "--format"
     ),
     figures: Text = opt.FIGURES_DIR,
     desired: Text = column("Desired displacement."),
@@ -39,7 +39,9 @@ def report(
     state: str = option(
         "NAME|FILE", "With --model: where the model starts.", COMPARED, default="auto"
     ),
-    expected: Text = option("SUMMARY", "Summary or model: its stated error.", COMPARED),
+    expected: Text = option(
+        "SUMMARY", "Summary or model whose stated error is shown, too.", COMPARED
+    ),
     lag: int = rare("N", "Rows by which measured is taken later.", COMPARED, default=0),
     remove_offset: bool = flag("--remove-offset", "Subtract the mean error.", COMPARED),
     max_rmse: Text = option("VALUE", "Largest RMS error, such as 10nm.", BOUNDS),
