@@ -41,7 +41,7 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
             "static const double times[DBO_WINDOW] = {0.0, 1.0, 2.0, 3.0, 4.0, 5.0};\n"
         )
         between = f"dbo_between(times, state->wanted, 2, {c.real(plan.delay_part)})"
-        sources.add("delay.c", NUMBER="double", BETWEEN=between)
+        sources.add("delay.c", NUMBER="double", WINDOW="DBO_WINDOW", BETWEEN=between)
     if plan.undone:
         _undo_dynamics(plan, sources)
     sources.step += _curves(forward.tail.inverse(), "before", sources)

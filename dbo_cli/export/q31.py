@@ -50,7 +50,7 @@ def q31_sources(plan: Plan) -> c.Sources:
         kernel.append("dbo_q31_interpolation.h")
         part = round(plan.delay_part * STEP_PARTS)
         between = f"dboq_between(state->wanted, 2, {part})"
-        sources.add("delay.c", NUMBER="int32_t", BETWEEN=between)
+        sources.add("delay.c", NUMBER="int32_t", WINDOW="DBOQ_WINDOW", BETWEEN=between)
     low, high, change, positions = tables.limits_of(whole)
     tolerance = round(-math.log2(bounds["fraction"]))
     sources.tables += _gear_tables(whole, tolerance)
