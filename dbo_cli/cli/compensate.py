@@ -49,14 +49,10 @@ def compensate(
     ),
     start: Texts = opt.FROM,
     approach: Text = option("SECONDS|auto", "Go smoothly to row 1 in this time.", MOVE),
-    condition: bool = flag(
-        "--condition", "Sweep the range first: nothing may be in its way.", MOVE
-    ),
+    condition: bool = flag("--condition", "Sweep first: leave the range clear.", MOVE),
     lead: Text = rare("SECONDS|auto", "Hold row 1 before the move.", MOVE),
     return_to: Texts = option("VOLT", "Go there after the move.", MOVE, "--return"),
-    periodic: bool = flag(
-        "--periodic", "The trajectory is one period of a loop.", MOVE
-    ),
+    periodic: bool = flag("--periodic", "The trajectory is one period.", MOVE),
     passes: int = rare("N", "Run-in of a --periodic one.", MOVE, default=0, min=0),
     tracked: Texts = option("LOG", "Learn from recordings of the last pass.", MOVE),
     history: Text = rare("FILE", "With --tracked: keeps each pass's error.", OUTPUT),

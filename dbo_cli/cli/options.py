@@ -100,15 +100,10 @@ FROM = option("VOLT", "Voltage of the amplifier before row 1.", MOVE, "--from")
 # --- state ---
 
 STATE = option(
-    "NAME|FILE",
-    "Where to start: auto, empty, full, settled or a file.",
-    MOVE,
-    default="auto",
+    "NAME|FILE", "Start: auto, empty, full, settled or a file.", MOVE, default="auto"
 )
 SAVE_STATE = rare("FILE", "Write the state after the last row.", OUTPUT)
-SKIP = option(
-    "SECONDS", "Leave out so much at the beginning of every log.", READING, default="0"
-)
+SKIP = option("SECONDS", "Leave out the start of each log.", READING, default="0")
 
 # --- options that are appended ---
 
@@ -116,9 +111,7 @@ SKIP = option(
 def read_as(
     *,
     sample_rate: Text = option("HZ", "Rate of a log without a time column.", READING),
-    scale: Texts = option(
-        "ROLE=FACTOR", "Convert a column: displacement=10um/V.", READING
-    ),
+    scale: Texts = option("ROLE=FACTOR", "Convert: displacement=10um/V.", READING),
     rows: Text = rare("A:B", "Only data rows A to B, counted from 1.", READING),
     time_unit: Text = rare("UNIT", "Unit of the time: s, ms, us, min, h.", READING),
     skip_bad: bool = flag(

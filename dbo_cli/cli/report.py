@@ -9,7 +9,7 @@ import sys
 from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.options import OUTPUT, Text, column, flag, option, rare
+from dbo_cli.cli.options import Text, column, flag, option, rare
 from dbo_cli.cli.say import detail, say, with_options
 from dbo_cli.errors import UsageError, warn
 
@@ -23,9 +23,7 @@ def report(
     reading: opt.Reading,
     logs: list[str] = opt.LOGS,
     output: str = opt.OUTPUT_FILE,
-    form: Literal["text", "json", "csv", "html"] | None = option(
-        None, "Form of the output; default: by its name.", OUTPUT, "--format"
-    ),
+    form: Literal["text", "json", "csv", "html"] | None = opt.FORM,
     figures: Text = opt.FIGURES_DIR,
     desired: Text = column("Desired displacement."),
     measured: Text = column("Measured displacement."),
@@ -39,9 +37,7 @@ def report(
     state: str = option(
         "NAME|FILE", "With --model: where the model starts.", COMPARED, default="auto"
     ),
-    expected: Text = option(
-        "SUMMARY", "Summary or model whose stated error is shown, too.", COMPARED
-    ),
+    expected: Text = option("SUMMARY", "Summary or model: its stated error.", COMPARED),
     lag: int = rare("N", "Rows by which measured is taken later.", COMPARED, default=0),
     remove_offset: bool = flag("--remove-offset", "Subtract the mean error.", COMPARED),
     max_rmse: Text = option("VALUE", "Largest RMS error, such as 10nm.", BOUNDS),
