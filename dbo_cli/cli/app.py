@@ -118,6 +118,8 @@ def _root(
 ) -> None:
     """Identify, invert and compensate the hysteresis of piezo actuators.
 
+    The commands stand in the order of a working day; dbo COMMAND -h explains one.
+
     Exit codes: 0 done; 1 input, model or fit failed; 2 wrong command line; 3 outside a limit, or the
     move cannot be driven; 130 interrupted.
     """

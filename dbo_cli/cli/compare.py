@@ -19,7 +19,7 @@ def compare(
     validate: Texts = option("LOG", "Log to test each operator on; repeatable."),
     skip: str = opt.SKIP,
 ) -> None:
-    """Compare the DBO with other hysteresis operators.
+    """Compare the Discrete Backlash Operator (DBO) with other operators.
 
     Each is fitted to the same logs: error, parameters, and the cost of a step, forward
     and inverse.

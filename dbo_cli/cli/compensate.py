@@ -49,8 +49,8 @@ def compensate(
         None, "auto: clip up to 1 % of the move, else exit 3.", LIMITS, default="auto"
     ),
     start: Texts = opt.FROM,
-    approach: Text = option("SECONDS|auto", "Smooth way to row 1.", MOVE),
-    condition: bool = flag("--condition", "Sweep the range first: keep it free.", MOVE),
+    approach: Text = option("SECONDS|auto", "Go smoothly to row 1 in this time.", MOVE),
+    condition: bool = flag("--condition", "Sweep first: leave the range clear.", MOVE),
     lead: Text = rare("SECONDS|auto", "Hold row 1 before the move.", MOVE),
     return_to: Texts = option("VOLT", "Go there after the move.", MOVE, "--return"),
     periodic: bool = flag("--periodic", "The trajectory is one period.", MOVE),

@@ -81,7 +81,7 @@ OUTPUT_FILE = option(
 )
 SUMMARY_FILE = option("FILE", "Write the figures as JSON, too.", OUTPUT)
 FIGURES_DIR = option("DIR", "Write PNG and SVG figures there.", OUTPUT)
-FORM = option(None, "Default: by the name of the output.", OUTPUT, "--format")
+FORM = option(None, "Form of the output; default: by its name.", OUTPUT, "--format")
 
 # --- columns ---
 
@@ -102,7 +102,7 @@ STATE = option(
     "NAME|FILE", "Start: auto, empty, full, settled or a file.", MOVE, default="auto"
 )
 SAVE_STATE = rare("FILE", "Write the state after the last row.", OUTPUT)
-SKIP = option("SECONDS", "Skip the beginning of every log.", READING, default="0")
+SKIP = option("SECONDS", "Leave out the start of each log.", READING, default="0")
 
 # --- options that are appended ---
 
@@ -110,7 +110,7 @@ SKIP = option("SECONDS", "Skip the beginning of every log.", READING, default="0
 def read_as(
     *,
     sample_rate: Text = option("HZ", "Rate of a log without a time column.", READING),
-    scale: Texts = option("ROLE=FACTOR", "Multiply: displacement=10um/V.", READING),
+    scale: Texts = option("ROLE=FACTOR", "Convert: displacement=10um/V.", READING),
     rows: Text = rare("A:B", "Only data rows A to B, counted from 1.", READING),
     time_unit: Text = rare("UNIT", "Unit of the time: s, ms, us, min, h.", READING),
     skip_bad: bool = flag(

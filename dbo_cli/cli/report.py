@@ -9,7 +9,7 @@ import sys
 from typing import TYPE_CHECKING, Any, Literal
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.options import OUTPUT, Text, column, flag, option, rare
+from dbo_cli.cli.options import Text, column, flag, option, rare
 from dbo_cli.cli.say import detail, say, with_options
 from dbo_cli.errors import UsageError, warn
 from dbo_cli.units import quantity
@@ -24,9 +24,7 @@ def report(
     reading: opt.Reading,
     logs: list[str] = opt.LOGS,
     output: str = opt.OUTPUT_FILE,
-    form: Literal["text", "json", "csv", "html"] | None = option(
-        None, "Default: by the name of the output.", OUTPUT, "--format"
-    ),
+    form: Literal["text", "json", "csv", "html"] | None = opt.FORM,
     figures: Text = opt.FIGURES_DIR,
     desired: Text = column("Desired displacement."),
     measured: Text = column("Measured displacement."),

@@ -26,7 +26,7 @@ def simulate(
     state: str = opt.STATE,
     save_state: Text = opt.SAVE_STATE,
     outside: Literal["extend", "hold", "error"] = option(
-        None, "Beyond the identified range; default extend.", default="extend"
+        None, "What to do beyond the range; default extend.", default="extend"
     ),
 ) -> None:
     """Run a model over its input and write its output.

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.optimize import nnls
+from scipy.optimize import minimize_scalar, nnls
 
 from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.compare.plays import EMPTY, Plays, places
@@ -35,8 +35,8 @@ STEEPEST = 10.0  # times the mean slope: the steepest piece of the dead zones' c
 NORMALISING = 1e3  # times all rows: weight of the row that fixes the curve's mean slope
 RESTING = 1e-9  # of a column's length: what is left of one that rests, by rounding
 WORTH = 0.02  # by which more plays or segments must lower the error on what is left out
-DELAY_ROWS = (0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)  # rows, to choose from
-FINEST_DELAY = 0.125  # of a row
+LONGEST_DELAY = 48.0  # rows
+FINEST_DELAY = 0.125  # of a row: to so much the delay is found
 DELAY_OF_SWING = 0.1  # of a swing
 FASTEST_SHARE = 0.999  # of the rows are slower than the second set of weights of [7]
 
@@ -426,21 +426,17 @@ def fit(design: Design, problem: RivalProblem) -> Rival:
 def with_delay(design: Design, problem: RivalProblem) -> Rival:
     """Return a rival with the delay of least error."""
 
-    @functools.cache
     def delayed(delay: float) -> Rival:
-        return Rival.of(replace(design, delay=delay), problem)
+        return Rival.of(replace(design, delay=float(delay)), problem)
 
-    def error(delay: float) -> float:
-        return delayed(delay).fit_error
-
-    best = min((d for d in DELAY_ROWS if d <= problem.longest_delay), key=error)
-    step = 1.0 if problem.longest_delay >= 1.0 else 0.0
-    while step >= FINEST_DELAY:
-        closest = min((best, max(best - step, 0.0), best + step), key=error)
-        if closest == best:
-            step *= 0.5
-        best = closest
-    return delayed(best)
+    found = minimize_scalar(
+        lambda delay: delayed(delay).fit_error,
+        bounds=(0.0, min(problem.longest_delay, LONGEST_DELAY)),
+        method="bounded",
+        options={"xatol": FINEST_DELAY},
+    )
+    rivals = delayed(0.0), delayed(found.x)
+    return min(rivals, key=lambda rival: rival.fit_error)
 
 
 def simplest(designs: Sequence[Design], problem: RivalProblem) -> Rival:

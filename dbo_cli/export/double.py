@@ -37,7 +37,11 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
     low, high = map(c.real, plan.limits.move)
     if plan.delay_part:
         kernel.append("dbo_interpolation.h")
-        sources.add("delay.c", PART=c.real(plan.delay_part))
+        sources.tables += (
+            "static const double times[DBO_WINDOW] = {0.0, 1.0, 2.0, 3.0, 4.0, 5.0};\n"
+        )
+        between = f"dbo_between(times, state->wanted, 2, {c.real(plan.delay_part)})"
+        sources.add("delay.c", NUMBER="double", WINDOW="DBO_WINDOW", BETWEEN=between)
     if plan.undone:
         _undo_dynamics(plan, sources)
     sources.step += _curves(forward.tail.inverse, "before", sources)

@@ -49,10 +49,11 @@ def q31_sources(plan: Plan) -> c.Sources:
     if plan.delay_part:
         kernel.append("dbo_q31_interpolation.h")
         part = round(plan.delay_part * STEP_PARTS)
-        sources.add("delay_q31.c", PART=str(part))
+        between = f"dboq_between(state->wanted, 2, {part})"
+        sources.add("delay.c", NUMBER="int32_t", WINDOW="DBOQ_WINDOW", BETWEEN=between)
     low, high, change, positions = tables.limits_of(whole)
     tolerance = round(-math.log2(bounds["fraction"]))
-    sources.tables = _gear_tables(whole, tolerance)
+    sources.tables += _gear_tables(whole, tolerance)
     sources.values = _functions(whole, sources)
     limits = ", ".join(map(c.whole, positions))
     sources.tables += f"static const dboq_limits limits = {{{limits}}};\n"

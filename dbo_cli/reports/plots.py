@@ -44,8 +44,7 @@ DASHED: dict[str, Any] = {
 THIN: dict[str, Any] = {"color": INK, "linewidth": 0.9}
 WIDE = (5.0, 2.8)  # inches: two side by side fill a page in print, one a phone
 TALL = (5.0, 4.0)  # inches: as wide as those; for loops
-FIGURE_COLUMNS = 1000  # a curve keeps the least and the greatest value in each
-MOST_POINTS = 20_000  # of a loop that stays lines in an SVG; more become a picture
+MOST_POINTS = 20_000  # of a curve that stays a line in an SVG; more become a picture
 LOOP_POINTS = 501  # each way of a model's loop
 
 Line = tuple[Floats, Floats, str | None, dict[str, Any]]
@@ -118,7 +117,8 @@ def figure_of(plot: Plot) -> Figure:
         half, name = plot.band
         axes.axhspan(-half, half, color=FILL, alpha=0.35, linewidth=0.0, label=name)
     for x, y, label, look in plot.curves:
-        axes.plot(x, y, label=label, **look)
+        # many points become a picture inside the SVG, or the file takes megabytes
+        axes.plot(x, y, label=label, rasterized=len(x) > MOST_POINTS, **look)
     if plot.logarithmic:
         axes.set(xscale="log", yscale="log")
         for axis in (axes.xaxis, axes.yaxis):
@@ -196,15 +196,15 @@ def plots_of_log(
             f"{first.capitalize()} and measured",
             (clock, height),
             (
-                (*envelope(time, desired), first, SOLID),
-                (*envelope(time, measured), "measured", DASHED),
+                (time, desired, first, SOLID),
+                (time, measured, "measured", DASHED),
             ),
         ),
         Plot(
             f"{stem}-error",
             error_title,
             (clock, axis_label(residual, unit)),
-            ((*envelope(time, error), None, THIN),),
+            ((time, error, None, THIN),),
             band=(rmse, band),
         ),
     ]
@@ -214,13 +214,11 @@ def plots_of_log(
     if x is None:
         x, title = desired, f"Measured against {first}"
         name = axis_label(f"{first.capitalize()} displacement", unit)
-    # many points become a picture inside the SVG, or the file takes megabytes
-    picture = {"rasterized": len(measured) > MOST_POINTS}
-    curves: tuple[Line, ...] = ((x, measured, None, SOLID | picture),)
+    curves: tuple[Line, ...] = ((x, measured, None, SOLID),)
     if first == "model" or drive is None:
         curves = (
-            (x, desired, first, SOLID | picture),
-            (x, measured, "measured", DASHED | picture),
+            (x, desired, first, SOLID),
+            (x, measured, "measured", DASHED),
         )
     plots.append(Plot(f"{stem}-loop", title, (name, height), curves, TALL))
     spectrum = spectrum_of(error, pair)
@@ -253,16 +251,6 @@ def axis_label(quantity: str, unit: str | None) -> str:
     if not unit:
         return quantity
     return f"{quantity} ({shown_unit(unit)})"
-
-
-def envelope(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Return a curve as its least and greatest value in each of many columns; a short one as it is."""
-    if len(x) <= 4 * FIGURE_COLUMNS:
-        return x, y
-    edges = np.linspace(0, len(x), FIGURE_COLUMNS + 1).astype(np.int64)[:-1]
-    low, high = np.minimum.reduceat(y, edges), np.maximum.reduceat(y, edges)
-    heights = np.column_stack([low, high]).ravel()
-    return np.repeat(x[edges], 2), heights
 
 
 def spectrum_of(error: Floats, pair: Pair) -> tuple[Floats, Floats] | None:
