@@ -386,16 +386,17 @@ def told_of(measured, desired, expected):
     return dbo("report", "run.csv", "--expected", "s.json").warnings
 
 
-def test_what_an_error_consists_of_is_said_and_noise_is_none():
+def test_the_largest_cause_of_an_error_is_named_and_noise_is_none():
     rng = np.random.default_rng(3)
     desired = 3.0 + 2.0 * np.sin(2.0 * np.pi * 0.5 * TIME)
     white = 0.02 * rng.standard_normal(len(TIME))
     assert told_of(desired + white, desired, 0.002) == []
     (mean,) = told_of(desired + white + 0.1, desired, 0.005)
-    assert "mean is 0.1" in mean and "--remove-offset" in mean
+    assert "mean is 0.1" in mean and "identify again" not in mean
     late = 3.0 + 2.0 * np.sin(2.0 * np.pi * 0.5 * (TIME - 8e-3))
     (lag,) = told_of(late + white, desired, 0.005)
-    assert "lag 8.0" in lag and "--lag" in lag
+    assert "8.0" in lag and "ms late" in lag
+    assert "sensor_delay" not in lag and "--sensor-delay" in lag
     jump = np.where((TIME > 2.0) & (TIME < 2.02), 1.0, 0.0)
     (rows,) = told_of(desired + white + jump, desired, 0.005)
     assert "row 2,0" in rows
