@@ -35,7 +35,7 @@ STEEPEST = 10.0  # times the mean slope: the steepest piece of the dead zones' c
 NORMALISING = 1e3  # times all rows: weight of the row that fixes the curve's mean slope
 RESTING = 1e-9  # of a column's length: what is left of one that rests, by rounding
 WORTH = 0.02  # by which more plays or segments must lower the error on what is left out
-LONGEST_DELAY = 48.0  # rows
+MOST_DELAY_ROWS = 48.0  # rows
 FINEST_DELAY = 0.125  # of a row: to so much the delay is found
 DELAY_OF_SWING = 0.1  # of a swing
 FASTEST_SHARE = 0.999  # of the rows are slower than the second set of weights of [7]
@@ -431,7 +431,7 @@ def with_delay(design: Design, problem: RivalProblem) -> Rival:
 
     found = minimize_scalar(
         lambda delay: delayed(delay).fit_error,
-        bounds=(0.0, min(problem.longest_delay, LONGEST_DELAY)),
+        bounds=(0.0, min(problem.longest_delay, MOST_DELAY_ROWS)),
         method="bounded",
         options={"xatol": FINEST_DELAY},
     )
