@@ -45,8 +45,8 @@ BEGUN_STARTS = (SETTLED_START, "empty", "full", "below", "above")
 """The last two where the gears go on beyond the range."""
 BETTER_START = 0.8
 """Of the settled start's error: the search begins with another one."""
-ROUGHEST = Structure("free", smooth_slopes=2e-4, smooth_curve=1e-4)
-"""Tells starts apart."""
+ROUGHEST = Structure(smooth_slopes=2e-4, smooth_curve=1e-4)
+"""Tells starts apart, with each rule for the slopes: free ones follow a log from any start."""
 FINER_LEVEL = 0.125  # beside the best one, tried below and above
 ROUNDS = (2, 1)  # of neighbours: of how many kinds of structures
 HOPELESS = 0.5  # of the score: a fit that is worse at best weighs nothing
@@ -114,10 +114,12 @@ def _begun(problem: Problem, choices: Choices) -> tuple[str, float | None]:
     levels = BEGUN_LEVELS if choices.drift and len(problem.taus) else LEVELS[:1]
     errors: dict[tuple[str, float | None], float] = {}
     for start, level in product(different.values(), levels):
-        trial = replace(ROUGHEST, start=start, level=level)
-        fit = Equations(problem.rows(trial), trial).solve()
+        trials = [
+            replace(ROUGHEST, slopes=rule, start=start, level=level) for rule in RULES
+        ]
+        fits = [Equations(problem.rows(trial), trial).solve() for trial in trials]
         price = DRIFT_PRICE * (level is not None)
-        errors[start, level] = math.exp(price) * fit.rmse
+        errors[start, level] = math.exp(price) * min(fit.rmse for fit in fits)
     best = min(errors, key=errors.__getitem__)
     return best if errors[best] < BETTER_START * errors[settled] else settled
 
