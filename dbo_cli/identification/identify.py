@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from threadpoolctl import threadpool_limits
-
 from dbo_cli.errors import warn
 from dbo_cli.identification.averaging import (
     Average,
@@ -28,6 +26,7 @@ from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.search import FEWEST_SWINGS, Search, choices_for
 from dbo_cli.identification.sections import split
 from dbo_cli.identification.stages import model_of
+from dbo_cli.identification.threads import one_thread
 from dbo_cli.model import Cascade
 
 
@@ -37,9 +36,6 @@ def identify(
     validation: Sequence[Recording] = (),
 ) -> Cascade:
     """Identify a model from logs of one actuator.
-
-    Linear algebra has one thread meanwhile: in many small factorisations threads only wait
-    for each other (five times the CPU, measured), and their number would change digits.
 
     Parameters
     ----------
@@ -55,7 +51,7 @@ def identify(
         The displacement does not have the sign that was asked for.
     """
     options = options or Options()
-    with threadpool_limits(limits=1, user_api="blas"):
+    with one_thread():
         model = _judged(recordings, options, validation)
     for text in model.fit["warnings"]:
         warn(text)
