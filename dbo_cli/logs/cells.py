@@ -80,7 +80,8 @@ def to_number(cell: str, decimal: str) -> float:
 
 def is_stamp(cell: str, form: str) -> bool:
     """Return whether a cell is a time stamp of a format."""
-    return re.fullmatch(STAMPS[form], cell, re.ASCII) is not None
+    # most cells hold no colon, and a pattern costs something to compile
+    return ":" in cell and re.fullmatch(STAMPS[form], cell, re.ASCII) is not None
 
 
 def stamp_format(cells: Sequence[tuple[str, float]]) -> str | None:

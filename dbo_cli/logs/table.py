@@ -215,6 +215,8 @@ def bad_cells(array: NDArray[Any]) -> NDArray[np.bool_]:
     """Return which cells are no numbers and no stamps."""
     if array.dtype.kind == "i":
         return np.asarray(array == NOT_A_TIME)
+    if len(array) and array.max() < OVERLOAD and array.min() > -OVERLOAD:
+        return np.zeros(len(array), dtype=bool)
     return np.asarray(~(np.abs(array) < OVERLOAD))
 
 
