@@ -63,7 +63,7 @@ class Judge:
         # of the move: what limits cut off, and what no voltage reaches
         self._clipped = self._first_clipped = self._unreachable = 0
         self._squares = self._largest = 0.0
-        # least and greatest voltage and slew that cut rows take without limits
+        # least and greatest voltage, and slew, of limits that let the cut rows pass
         self._needed = (math.inf, -math.inf, 0.0)
         # the first rows, which judgements play again: voltages and steps, part by part
         self._voltages: list[Floats] = []
@@ -136,8 +136,10 @@ class Judge:
             lost[: max(self._first_clipped - 1 - before, 0)] = 0.0
             self._squares += float(np.square(lost).sum())
             self._largest = max(self._largest, float(np.abs(lost).max()))
-        if run.clipped and self.on_limit != "clip" and before < expect.FIRST_ROWS:
-            self._need(target, state, dt)
+        is_first = run.clipped == self._clipped
+        if run.clipped and self.on_limit != "clip":
+            if is_first or before < expect.FIRST_ROWS:
+                self._need(target, state, dt)
         if self._clipped and self.on_limit == "error":
             raise LimitError(f"{self.name}: {self._exceeding()}{self._remedy()}")
 
@@ -181,10 +183,15 @@ class Judge:
 
     def _exceeding(self) -> str:
         """Return how much of the move the limits forbid, in words; rows before the move do not count."""
-        return (
+        text = (
             f"{self._clipped:,} of {self._rows['move']:,} rows read (first: row {self._first_clipped:,}) "
             f"exceed {self.limits.describe()}"
         )
+        head, slew = self.model.head, self.limits.slew
+        if head and slew is not None:
+            slower = slew * head.least_slope * head.inverse.least_slope
+            text += f" ({slower:.3g}{self.limits.suffix}/s where the model's drive is bent most)"
+        return text
 
     def require_reached(self, step: float) -> None:
         """Refuse a move of which nothing can be reached, or of which the limits cut off too much.
@@ -225,25 +232,26 @@ class Judge:
         )
 
     def _need(self, target: Floats, state: State, dt: Steps) -> None:
-        """Look at what rows would take that limits cut off."""
+        """Look at what limits would let all rows pass, of those that limits cut off."""
+        head = self.model.head
         voltage = self.model.drive(target, state, dt).y
         rate = 0.0
         if dt is not None:
             steps = np.broadcast_to(np.asarray(dt), voltage.shape)
             before = voltage[0] if state.drive is None else state.drive
-            way = np.abs(np.diff(voltage, prepend=before))
+            way = np.abs(np.diff(head(np.append(before, voltage)))) / head.least_slope
             rate = float((way[steps > 0.0] / steps[steps > 0.0]).max(initial=0.0))
         low, high, fastest = self._needed
         low, high = min(low, float(voltage.min())), max(high, float(voltage.max()))
         self._needed = low, high, max(fastest, rate)
 
     def _remedy(self) -> str:
-        """Return what the move would take, and what to type."""
+        """Return which limits would let the move pass, and what to type."""
         low, high, rate = self._needed
         unit = self.limits.suffix
-        needed = f"; without limits it takes {low:.4g} to {high:.4g}{unit}"
+        needed = f"; it needs {low:.4g} to {high:.4g}{unit}"
         if self.limits.slew is not None:
-            needed += f", up to {rate:.3g}{unit}/s"
+            needed += f", {rate:.3g}{unit}/s"
         return f"{needed}: {WAYS_OUT}"
 
     # --- the end ---

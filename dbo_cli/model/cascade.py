@@ -585,8 +585,7 @@ class Cascade:
             return window, slew
         low, high = self.head.ends(*window)
         if slew is not None:
-            for curve in self.head:
-                slew *= curve.least_slope
+            slew *= self.head.least_slope
             slew *= 1.0 - NEGLIGIBLE  # the points round
         # a window of a last digit may be empty behind the points
         return (low, max(high, math.nextafter(low, math.inf))), slew

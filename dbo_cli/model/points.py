@@ -164,6 +164,11 @@ class Curves(tuple[Curve, ...]):
         ends = self.value(low), self.value(high)
         return min(ends), max(ends)
 
+    @property
+    def least_slope(self) -> float:
+        """What the least slopes of all come to at most: no place is flatter."""
+        return math.prod(curve.least_slope for curve in self)
+
     @cached_property
     def inverse(self) -> Curves:
         """The curves that undo these."""

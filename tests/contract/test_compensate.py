@@ -62,17 +62,26 @@ def test_what_costs_much_is_refused_unless_asked_for():
 @pytest.mark.parametrize(
     "limits", [("--v-max", 60), ("--v-max", 100, "--max-slew", 300)]
 )
-def test_a_refusal_says_what_the_move_takes(limits):
-    """Limits a little beyond that are none to it."""
+@pytest.mark.parametrize("name", ["creep", "bent"])
+def test_a_refusal_says_which_limits_let_the_move_pass(limits, name):
+    """Limits a little beyond those pass, also where a curve before the gears needs more slew."""
     move(sine(5.0))
-    words = ("compensate", model("creep"), "wish.csv", "-o", "drive.csv")
+    words = ("compensate", model(name), "wish.csv", "-o", "drive.csv")
     told = refused(3, *words, *limits)
-    numbers = told.split("without limits it takes ")[1].split(":")[0]
+    numbers = told.split("; it needs ")[1].split(":")[0]
     high = float(numbers.split(" to ")[1].split()[0])
     wider = ["--v-max", 1.001 * high]
-    if "up to" in numbers:
-        wider += ["--max-slew", 1.01 * float(numbers.split("up to ")[1].split()[0])]
+    if "V/s" in numbers:
+        wider += ["--max-slew", 1.01 * float(numbers.split(", ")[1].split()[0])]
+        assert ("bent most" in told) == (name == "bent")
     done(*words, *wider, "--on-limit", "error")
+
+
+def test_what_a_late_row_needs_is_said_too():
+    rows = np.append(np.full(140_000, 3.0), sine(9.5))
+    write("wish.csv", MOVE, np.arange(len(rows)) / 1e3, rows)
+    told = refused(3, *SMALL, "--on-limit", "error", "-o", "x.csv")
+    assert "it needs 1 to 10.5 V" in told
 
 
 @pytest.mark.parametrize("start", ["--from 0 --state empty", "--state empty"])
