@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,41 +24,9 @@ _TYPES = {
     1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8",
 }  # fmt: skip
 """NumPy's names of the types of elements that hold numbers."""
-_CLASSES = {
-    1: "cell", 2: "struct", 3: "object", 4: "char", 5: "sparse", 16: "function", 17: "table",
-}  # fmt: skip
-"""Classes of matrices that hold no plain numbers; tables are objects without a public form."""
-_NUMBERS = range(6, 16)  # classes: double, single, and integers
+_NUMBERS = range(6, 16)  # classes of matrices: double, single, and integers
+_TABLE = 17  # and other objects without a public form
 _IS_COMPLEX = 0x0800
-
-
-@dataclass
-class Variable:
-    """A variable: its name, its class, its size, and its values where they are plain numbers."""
-
-    name: str
-    kind: str
-    shape: tuple[int, ...]
-    values: NDArray[Any] | None = None
-
-    def describe(self) -> str:
-        """Return what messages say of it."""
-        size = "x".join(map(str, self.shape))
-        return f"{self.name} ({size} {self.kind})".replace("( ", "(")
-
-    def advice(self) -> str:
-        """Return a line of MATLAB that saves what is in it as columns; empty for texts."""
-        name = self.name
-        if self.kind == "struct" and all(length == 1 for length in self.shape):
-            return f"save('flat.mat', '-struct', '{name}')"
-        if self.kind == "struct":
-            return f"writetable(struct2table({name}), 'flat.csv')"
-        if self.kind == "cell":
-            names = f"compose('c%d', 1:numel({name}))"
-            return f"s = cell2struct({name}(:), {names}, 1); save('flat.mat', '-struct', 's')"
-        if self.kind == "table":
-            return f"writetable({name}, 'flat.csv')"
-        return ""
 
 
 Elements = Iterator[tuple[int, bytes]]
@@ -96,8 +63,14 @@ def _text(elements: Elements) -> str:
     return next(elements, (0, b""))[1].decode("utf-8", "replace")
 
 
-def variables_of(data: bytes) -> Iterator[Variable]:
-    """Walk through the variables of a file of version 5 (ValueError where it is damaged)."""
+def variables_of(data: bytes) -> Iterator[tuple[str, NDArray[Any] | None]]:
+    """Walk through the variables of a file of version 5: names, and values where they are plain numbers.
+
+    Raises
+    ------
+    ValueError
+        The file is damaged.
+    """
     order = {b"IM": "<", b"MI": ">"}.get(data[_HEADER - 2 : _HEADER])
     if order is None:
         raise ValueError("it states no byte order")
@@ -110,33 +83,37 @@ def variables_of(data: bytes) -> Iterator[Variable]:
         yield _variable_of(elements_of(content, order), order)
 
 
-def _variable_of(elements: Elements, order: str) -> Variable:
+def _variable_of(elements: Elements, order: str) -> tuple[str, NDArray[Any] | None]:
     """Read a variable from its elements: flags, size, name, values."""
     flags = _numbers(elements, order)
     number = int(flags[0]) & 0xFF if len(flags) else 0
-    if number == 17:
-        return Variable(_text(elements), _CLASSES[17], ())
+    if number == _TABLE:  # its name has no size in front
+        return _text(elements), None
     shape = tuple(int(length) for length in _numbers(elements, order))
     name = _text(elements)
     if number not in _NUMBERS or int(flags[0]) & _IS_COMPLEX:
-        return Variable(name, _CLASSES.get(number, "complex"), shape)
+        return name, None
     values = _numbers(elements, order)
     if np.prod(shape, dtype=object) != len(values):
         raise ValueError(f"{name} has another size than its values")
-    return Variable(name, "double", shape, values.reshape(shape, order="F"))
+    return name, values.reshape(shape, order="F")
 
 
 def read_matlab(path: str, inner: str, reading: Reading) -> Table:
     """Read the vectors and matrices of a file of version 5 to 7 (InputError)."""
     refuse_part(path, inner)
     with open(path, "rb") as file, fenced(path, "MATLAB"):
-        data = file.read()
-        variables = [variable for variable in variables_of(data) if variable.name]
-    arrays = {}
-    for variable in variables:
-        if variable.values is not None:
-            arrays[variable.name] = np.squeeze(variable.values)
+        variables = {name: array for name, array in variables_of(file.read()) if name}
+    arrays, others = {}, []
+    for name, array in variables.items():
+        if array is None:
+            others.append(name)
+        else:
+            arrays[name] = np.squeeze(array)
     table = table_of_arrays(path, arrays)
-    lines = [variable.advice() for variable in variables if variable.advice()]
-    table.hint = f": in MATLAB, {lines[0]}" if lines else ""
-    return table.require_numbers(variable.describe() for variable in variables)
+    if others:
+        table.hint = (
+            f"; {', '.join(others)} is no array of numbers: in MATLAB, of a struct "
+            "save('flat.mat', '-struct', 'NAME'), of a table or a cell array writetable"
+        )
+    return table.require_numbers(variables)
