@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shlex
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -88,14 +87,11 @@ def columns_of(
     if not channels or any(set(names) != set(channels) for names in found.values()):
         lists = []
         for role, names in found.items():
-            listing = ", ".join(names) or "none"
-            lists.append(f"`{role}` {shlex.quote(columns[role] or '')} finds {listing}")
-        one = " ".join(f"`{role}` COLUMN" for role in found)
-        if "::" in (columns.get("desired") or ""):
-            one = "`trajectory` FILE `desired` COLUMN"
+            lists.append(f"`{role}` {columns[role]} finds {', '.join(names) or 'none'}")
+        options = " ".join(f"`{role}` COLUMN" for role in found)
         raise InputError(
             f"{path}: {'; '.join(lists)}: the names must be the same, capitals too: rename headers, or type "
-            f"{one} of one channel; {listing_of(table)}"
+            f"{options} of one channel; {listing_of(table)}"
         )
     return {name: columns_for(columns, name) for name in channels}
 

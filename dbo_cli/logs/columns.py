@@ -7,10 +7,8 @@ type.
 from __future__ import annotations
 
 import re
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from os.path import commonprefix
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.table import Column, Table
@@ -255,61 +253,27 @@ def choose(
     if unclear:
         used = [*clock_columns, *picks.values()]
         free = [c for c in table.columns if c.kind == "number" and c not in used]
-        if not all(unclear.values()):
-            found = {role: picks[role] for role in untyped if role in picks}
-            unclear |= _rivals(found, free)
         raise InputError(f"{table.name}: {_question(table, unclear, free)}{table.hint}")
     return {role: picks[role] for role in selectors if role in picks}
-
-
-def _rivals(
-    picks: Mapping[str, Column], free: Sequence[Column]
-) -> dict[str, list[Column]]:
-    """Return the roles that a column might have which is left for another role."""
-    rivals = {}
-    for role, column in picks.items():
-        proving = role_of(role, None).proving
-        fitting = [c for c in free if kind_of(c.unit) in proving]
-        if fitting:
-            rivals[role] = [column, *fitting]
-    return rivals
 
 
 def _question(
     table: Table, unclear: Mapping[str, Sequence[Column]], free: Sequence[Column]
 ) -> str:
     """Ask for all roles that are not clear, with the options to type; no column is proposed."""
-    questions = []
-    if "trajectory" in unclear:  # the file's column is typed as what it holds
-        unclear = {"desired": unclear["trajectory"]}
-    for role, matches in unclear.items():
-        labels = [column.label.removeprefix("column ") for column in matches[:_LISTED]]
-        noun = f"{role} displacement" if role in ("desired", "measured") else role
-        which = f", {' or '.join(labels)}" if labels else ""
-        questions.append(f"which column is the {noun}{which}?")
     example = "FILE::COLUMN"
     if free:
         example = "NAME" if any(column.name for column in free) else "NUMBER"
-    options = " ".join(f"`{role}` {example}" for role in unclear)
-    text = f"{' '.join(questions)} {listing_of(table.columns)} (for example {options})"
-    patterns = [_pattern(matches) for matches in unclear.values()]
-    channels = {channels for _, channels in patterns}
-    if len(patterns) > 1 and len(channels) == 1 and "" not in channels.pop():
-        pairs = zip(unclear, patterns, strict=True)
-        options = " ".join(f"`{role}` {shlex.quote(text)}" for role, (text, _) in pairs)
-        text += f", or for all channels {options}"
-    return text
-
-
-def _pattern(columns: Sequence[Column]) -> tuple[str, tuple[str, ...]]:
-    """Return a name with ``{}`` for the channels that columns differ in, and these: ``V{}`` for V1, V2."""
-    names = [column.name for column in columns]
-    before = commonprefix(names)  # noqa: RUF071 (letters are meant)
-    ends = [name[len(before) :][::-1] for name in names]
-    after = commonprefix(ends)[::-1]  # noqa: RUF071
-    stop = -len(after) or None
-    channels = tuple(name[len(before) : stop] for name in names)
-    return f"{before}{{}}{after}", channels if before or after else ("",)
+    questions, options = [], []
+    for role, matches in unclear.items():
+        # a trajectory is typed as what its file holds
+        option = "desired" if role == "trajectory" else role
+        labels = [column.label.removeprefix("column ") for column in matches[:_LISTED]]
+        which = f", {' or '.join(labels)}" if labels else ""
+        questions.append(f"which column is `{option}`{which}?")
+        options.append(f"`{option}` {example}")
+    listing = listing_of(table.columns)
+    return f"{' '.join(questions)} {listing} (for example {' '.join(options)})"
 
 
 def fitting(columns: Sequence[Column], role: str) -> list[Column]:

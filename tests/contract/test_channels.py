@@ -173,9 +173,6 @@ def test_channels_that_do_not_pair_are_named_with_what_to_type(channels):
     assert "--voltage COLUMN --displacement COLUMN" in error
     error = refused(1, "simulate", "set.json", "upper.csv", "--input", "v{}")
     assert "finds none" in error and "--input COLUMN" in error
-    words = ("--desired", "drive.csv::a_{}", "--measured", "D{}")
-    error = refused(1, "report", "upper.csv", *words)
-    assert "--trajectory FILE --desired COLUMN" in error
 
 
 def test_two_drives_to_check_against_are_refused_with_what_to_type(channels):

@@ -135,7 +135,7 @@ BOTH = {"voltage": "NAME", "displacement": "NAME"}
     ("header", "columns", "options"),
     [
         ("seq_num,time,setpoint,piezo,offset", (COUNT, LONG, SWING, MOVED, 0 * HELD), BOTH),
-        ("Time(s),Voltage(V):Stage,Voltage(V)", (LONG, SWING, MOVED), BOTH),
+        ("Time(s),Voltage(V):Stage,Voltage(V)", (LONG, SWING, MOVED), {"displacement": "NAME"}),
         ("t[s],Vx[V],Vy[V],x[nm],y[nm]", (LONG, SWING, HELD, MOVED, MOVED / 9), BOTH),
         ("time_s,a,b", (LONG, SWING, MOVED), BOTH),
         ("time_s,voltage_V,a,b", (LONG, SWING, MOVED, HELD), {"displacement": "NAME"}),
@@ -151,14 +151,6 @@ def test_a_question_names_all_columns_and_proposes_none(header, columns, options
     assert {role: name.strip("'") for role, name in pairs} == options
     for name in header.split(","):
         assert name in message
-
-
-def test_channels_are_proposed_where_names_pair():
-    for names, pairs in (("x[nm],y[nm]", True), ("a[nm],b[nm]", False)):
-        header = f"t[s],Vx[V],Vy[V],{names}"
-        write("log.csv", header, LONG, SWING, HELD, MOVED, MOVED / 9)
-        message = asked("log.csv", command="identify")
-        assert ("--voltage 'V{}[V]' --displacement '{}[nm]'" in message) == pairs
 
 
 def test_the_names_of_the_data_stand_right_above_the_numbers():
