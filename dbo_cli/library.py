@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from dbo_cli import model as room
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError, ModelError, UsageError, require_positive
+from dbo_cli.errors import InputError, UsageError, require_positive
 from dbo_cli.files import write_text
 from dbo_cli.logs import Reading, frame_table, is_frame, open_log, seconds_of
 from dbo_cli.recordings import (
@@ -461,33 +461,22 @@ class ModelSet(dict[str, Model]):
 def read_model(path: str | Path) -> Model:
     """Read a model file, or ``FILE::NAME`` of a set.
 
-    A whole set gives a ``ModelSet``, as it always did; ``read_models`` says so in its type.
-
     Raises
     ------
     ModelError
         The file is no model of version 1; the message names the key.
     """
-    models = _models_in(path)
-    return models[""] if "" in models else cast(Model, models)
+    return Model(room.read_cascade(str(path)))
 
 
 def read_models(path: str | Path) -> ModelSet:
-    """Read a set of models, by the name of their channel.
+    """Read a set of models, by the name of their channel; a single model has no name.
 
     Raises
     ------
     ModelError
-        The file is no set of models.
+        The file is no set of models, and no model.
     """
-    models = _models_in(path)
-    if "" in models:
-        raise ModelError(f"{path}: is one model and no set: `read_model` reads it")
-    return models
-
-
-def _models_in(path: str | Path) -> ModelSet:
-    """Read the models of a file; a single one has no name."""
     cascades = room.read_cascades(str(path))
     return ModelSet({name: Model(cascade) for name, cascade in cascades.items()})
 
@@ -553,7 +542,7 @@ def read_log(
     import pandas as pd
 
     reading = Reading.typed(
-        sample_rate=_rate(sample_rate),
+        sample_rate=sample_rate,
         time_unit=time_unit,
         scale=scale or {},
         rows=rows,
@@ -660,7 +649,7 @@ def identify(
     if shape is not None:
         units = {"voltage": shape.input.unit, "displacement": shape.output.unit}
     given = {"voltage": voltage_unit, "displacement": displacement_unit}
-    reading = Reading(sample_rate=_rate(sample_rate))
+    reading = Reading.typed(sample_rate=sample_rate)
     columns: Mapping[str, str | None] = RECORDING_COLUMNS
     if displacement is not None:
         signals = {"voltage": data, "displacement": displacement}

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError, UsageError, require_positive
 from dbo_cli.logs.fence import fenced
 from dbo_cli.units import quantity, spell, split_header
 
@@ -125,12 +125,7 @@ class Reading:
 
     def __post_init__(self) -> None:
         """Refuse rates that are none (UsageError)."""
-        for name, rate in (
-            ("sample_rate", self.sample_rate),
-            ("resample", self.resample),
-        ):
-            if rate is not None and not 0.0 < rate < np.inf:
-                raise UsageError(f"`{name}` {rate:g}: give a rate above 0 Hz")
+        require_positive(sample_rate=self.sample_rate, resample=self.resample)
 
     @classmethod
     def typed(cls, **options: Any) -> Reading:

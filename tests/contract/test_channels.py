@@ -321,8 +321,7 @@ def test_a_scanner_is_learned_and_looped(scanner):
 
 def test_a_limit_of_a_channel_is_typed_with_its_name(scanner):
     words = ("compensate", "scanner.json", scanner, *SCANNER, "-o", "x.csv")
-    wrong_lines = "--v-max z=9", "--v-max x=9 --v-max x=8", "--v-max 120 --extrapolate"
-    for wrong in wrong_lines:
+    for wrong in ("--v-max z=9", "--v-max x=9 --v-max x=8"):
         assert "--v-max" in refused(2, *words, *wrong.split())
     done(*words, "--v-max", "x=12", "--v-max", "y=10", "--extrapolate")
     line = ("compensate", "scanner.json::x", scanner, "--displacement", "Dx_um")
