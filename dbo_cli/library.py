@@ -255,7 +255,7 @@ class Model:
         signal = signal_of(x, (role, "input"), self.input, time, rate, unit)
         begin = room.state_of(state, self.actuator)
         simulator = Simulator(self.actuator, begin, outside)
-        first = simulator.rows(signal["input"], signal.dt, signal.time)
+        first = simulator.rows(signal["signal"], signal.dt, signal.time)
         y = np.concatenate([first.y, simulator.finish().y])
         return (y, cast(room.State, simulator.state)) if return_state else y
 
@@ -374,7 +374,7 @@ class Model:
             file = str(history)
             history = histories_of(file)[""]
         drive: Drive = driver.whole(
-            signal[role],
+            signal["signal"],
             signal.dt,
             signal.time,
             bandwidth=quantity("bandwidth", bandwidth, "Hz"),

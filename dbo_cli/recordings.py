@@ -12,28 +12,24 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
-
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError, warn
-from dbo_cli.logs import Block, Column, Reading, Table, open_log, open_table
+from dbo_cli.logs import Block, Reading, Table, open_log, open_table
 from dbo_cli.logs.frame import (
-    clock_of,
     column_in_memory,
-    floats,
+    dtype_kind,
     frame_table,
     is_frame,
     seconds_of,
     stated_unit,
     table_of,
 )
-from dbo_cli.model import Cascade, Quantity, State, steps_of
+from dbo_cli.model import Cascade, Quantity, State
 from dbo_cli.units import (
     multiplied,
     quantity_name,
     ratio,
     to_model_unit,
-    warn_unstated,
 )
 from dbo_cli.version import __version__
 
@@ -177,25 +173,27 @@ def arrays_table(
     units : mapping
         By role, the unit of a model that they are for.
     time, sample_rate
-        As of ``clock_of``.
+        Time in s, or a rate in Hz. The time index of a pandas object counts where
+        neither is given: seconds if it holds numbers other than a plain count, else
+        durations or dates.
     """
-    table, arrays = "the arrays", list[Column]()
-    columns: dict[str, str | None] = {"time": None}
+    table, columns = table_of("the arrays", []), dict[str, str | None]()
     for role, values in signals.items():
         label = "voltage" if role == "voltage" else "displacement"
-        array = floats(values, role)
         unit, unit_option = stated_unit(values, label), unit_options[role]
         to_model_unit(label, unit, unit_option, units.get(role, unit_option))
         name = str(getattr(values, "name", None) or role)
         unit = unit_option or unit or units.get(role)
-        arrays.append(column_in_memory(table, name, array, unit))
-        columns[role] = f"number={len(arrays)}"
-    first = next(iter(signals.values()))
-    clock = clock_of(first, time, sample_rate, len(first))
-    if isinstance(clock, np.ndarray):
-        arrays.append(column_in_memory(table, "time", clock, "s"))
-        columns["time"] = f"number={len(arrays)}"
-    return table_of(table, arrays), columns
+        column = table.add(column_in_memory(table.name, name, values, unit))
+        columns[role] = f"number={column.number}"
+    index = getattr(next(iter(signals.values())), "index", None)
+    if time is None and sample_rate is None and dtype_kind(index) in "fmM":
+        time = index
+    columns["time"] = None
+    if time is not None:
+        clock = column_in_memory(table.name, "time", seconds_of(time), "s")
+        columns["time"] = f"number={table.add(clock).number}"
+    return table, columns
 
 
 def pairs_of(
@@ -386,9 +384,6 @@ def identified(
     return replace(model, provenance=provenance)
 
 
-# --- arrays ---
-
-
 def signal_of(
     data: Any,
     roles: tuple[str, str],
@@ -397,14 +392,14 @@ def signal_of(
     sample_rate: float | None,
     unit: str | None,
 ) -> Block:
-    """Return a signal that a user hands over in the unit of a model, a frame as the command reads a log.
+    """Return a signal that a user hands over, in the unit of a model, as ``block["signal"]``.
 
     Parameters
     ----------
     data
-        An array, a Series or a frame.
+        An array, a Series, or a frame, which is read as the command reads a log.
     roles
-        What it is, and the role of its column in a log, under which the block has it.
+        What it is, and the role of its column in a log.
     quantity
         Of the model.
     time, sample_rate, unit
@@ -413,15 +408,13 @@ def signal_of(
     if is_frame(data):
         if unit is not None:
             raise UsageError("`unit` is of arrays: a frame has its own units")
-        source = frame_table(data, seconds_of(time))
-        columns = dict.fromkeys(("time", roles[1]))
-        units = {roles[1]: quantity.unit}
-        return read_table(source, columns, Reading(sample_rate=sample_rate), units)[1]
-    values, stated = floats(data, roles[0]), stated_unit(data, roles[0])
-    factor = to_model_unit(roles[0], stated, unit, quantity.unit)
-    warn_unstated(roles[0], stated, quantity.unit)
-    values = multiplied(values, factor)
-    clock = clock_of(data, time, sample_rate, len(values))
-    if isinstance(clock, np.ndarray):
-        return Block(clock, {roles[1]: values}, steps_of(clock))
-    return Block(None, {roles[1]: values}, clock)
+        role, source = roles[1], frame_table(data, seconds_of(time))
+        columns: Columns = dict.fromkeys(("time", role))
+    else:
+        role, units = roles[0], {roles[0]: quantity.unit}
+        signals, options = {role: data}, {role: unit}
+        source, columns = arrays_table(signals, options, units, time, sample_rate)
+    reading = Reading(sample_rate=sample_rate)
+    block = read_table(source, columns, reading, {role: quantity.unit})[1]
+    is_stamped = is_frame(data) or sample_rate is None
+    return Block(block.time if is_stamped else None, {"signal": block[role]}, block.dt)

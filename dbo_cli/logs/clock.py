@@ -259,7 +259,7 @@ def find_clock(
     else:
         matches = _time_columns(source, used, needed=rate is None)
     if rate is not None:
-        clock = Clock(name, "rate", rate=rate)
+        clock = Clock(name, "rate", rate=rate, step=1.0 / rate)
         if len(matches) == 1:
             clock.column = matches[0]
             clock.note = f" (`sample_rate`, in place of {matches[0].label})"
@@ -279,7 +279,8 @@ def find_clock(
     if rate is None:
         return Clock(name)
     remarks = [remark] if remark else []
-    return Clock(name, "rate", rate=rate, start=start, remarks=remarks)
+    step = 1.0 / rate
+    return Clock(name, "rate", None, rate=rate, start=start, step=step, remarks=remarks)
 
 
 def _unclear(name: str, column: Column | None, problem: str) -> InputError:

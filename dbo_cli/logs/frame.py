@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError
 from dbo_cli.logs.columns import is_time
-from dbo_cli.logs.table import OVERLOAD, Column, Table, columns_in
+from dbo_cli.logs.table import Column, Table, columns_in
 from dbo_cli.units import spell, split_header, time_unit
 
 
@@ -181,57 +181,7 @@ def _one_unit(title: str, stated: Any, header: str | None) -> str | None:
     return unit
 
 
-def floats(values: Any, name: str) -> Floats:
-    """Return a one-dimensional array of finite numbers.
-
-    Raises
-    ------
-    InputError
-        It has another shape, or holds what is no number: masked, missing, an overload.
-    """
-    array = as_numbers(values)
-    if array is None or array.ndim != 1 or array.size == 0:
-        raise InputError(f"`{name}`: give one row of numbers, shape (n,)")
-    bad = np.flatnonzero(~(np.abs(array) < OVERLOAD))
-    if bad.size:
-        value = array[bad[0]]
-        text = "missing or masked" if np.isnan(value) else f"{value}, no finite number"
-        raise InputError(
-            f"`{name}`[{bad[0]}], row {bad[0] + 1}, is {text}: leave such rows out"
-        )
-    return array
-
-
-def clock_of(
-    data: Any, time: Any, sample_rate: float | None, rows: int
-) -> float | Floats | None:
-    """Return the seconds between samples, or the time of each in s; None where neither is known.
-
-    The time index of a pandas object counts where neither is given: seconds if it
-    holds numbers other than a plain count, else durations or dates.
-
-    Raises
-    ------
-    UsageError
-        Both are given.
-    InputError
-        The time has another length, or is in another unit.
-    """
-    if time is not None and sample_rate is not None:
-        raise UsageError("`time` and `sample_rate` are both given: give one of them")
-    if sample_rate is not None:
-        return 1.0 / sample_rate
-    if time is None:
-        time = getattr(data, "index", None)
-        if dtype_kind(time) not in "fmM":
-            return None
-    seconds = seconds_of(time)
-    if seconds is not None and len(seconds) != rows:
-        raise InputError(f"`time`: {len(seconds)} times for {rows} samples")
-    return seconds
-
-
-def seconds_of(time: Any) -> Floats | None:
+def seconds_of(time: Any) -> NDArray[Any] | None:
     """Return times as seconds; dates count from the first. None stays None."""
     if time is None:
         return None
@@ -243,4 +193,4 @@ def seconds_of(time: Any) -> Floats | None:
         )
     if cells.dtype.kind == "M":
         cells = (cells - cells[:1]) / np.timedelta64(1, "s")
-    return floats(cells, "time")
+    return cells

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import dbo_cli
@@ -40,6 +41,22 @@ def test_a_saved_state_goes_on_where_it_ended(name):
     _, state = actuator.simulate(drive[:77], time[:77], return_state=True)
     again = actuator.simulate(drive[77:], time[: 400 - 77], state=state)
     np.testing.assert_allclose(again, whole[77:], rtol=0, atol=1e-12)
+
+
+def test_arrays_with_uneven_stamps_go_on_as_their_frame_does():
+    """The first row came 0 s after the state, of a frame and a file a step after it."""
+    time = np.cumsum(np.random.default_rng(4).uniform(1e-3, 2e-3, 90)) - 1e-3
+    actuator, drive = dbo_cli.read_model(model("creep")), signal(90)
+    _, state = actuator.simulate(drive, time, return_state=True)
+    frame = pd.DataFrame({"time_s": time - time[0], "voltage_V": drive})
+    from_frame = actuator.simulate(frame, state=state)
+    again = actuator.simulate(drive, time - time[0], state=state)
+    np.testing.assert_array_equal(again, from_frame)
+
+
+def test_a_single_row_with_a_rate_has_a_clock():
+    write("one.csv", "displacement_um", [2.0])
+    done("compensate", model("moving"), "one.csv", "--sample-rate", "1kHz", "-q")
 
 
 def test_an_inverse_model_goes_on_from_a_state():

@@ -202,15 +202,15 @@ def test_a_masked_row_is_a_missing_row(creep):
     nothing[7] = pd.NA
     polar = pl.Series([*MOVE[:7], None, *MOVE[8:]])
     for wrong in (masked(MOVE), far, nothing, polar, [*MOVE[:7], None, *MOVE[8:]]):
-        with pytest.raises(dbo.InputError, match=r"\[7\]"):
+        with pytest.raises(dbo.InputError, match="row 8"):
             creep.compensate(wrong, time=TIME)
-        with pytest.raises(dbo.InputError, match=r"\[7\]"):
+        with pytest.raises(dbo.InputError, match="row 8"):
             creep.simulate(wrong, time=TIME)
-        with pytest.raises(dbo.InputError, match=r"\[7\]"):
+        with pytest.raises(dbo.InputError, match="row 8"):
             dbo.report(MOVE, wrong, time=TIME)
         with pytest.raises(dbo.InputError, match="row 8"):
             dbo.identify(TIME, wrong, time=TIME)
-    with pytest.raises(dbo.InputError, match=r"\[7\]"):
+    with pytest.raises(dbo.InputError, match="row 8"):
         creep.compensate(MOVE, time=masked(TIME))
     for wrong in (MOVE > 2.5, MOVE.astype(complex), MOVE.astype(str), MOVE[:, None]):
         with pytest.raises(dbo.InputError, match="one row of numbers"):
