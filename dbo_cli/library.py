@@ -31,13 +31,12 @@ from dbo_cli.logs import Reading, frame_table, is_frame, open_log, seconds_of
 from dbo_cli.recordings import (
     RECORDING_COLUMNS,
     TRACKED_COLUMNS,
-    Columns,
     Units,
-    arrays_table,
     identified,
     pairs_of,
     recordings_of,
     signal_of,
+    table_in_memory,
     tracked_of,
 )
 from dbo_cli.units import parse_quantity, quantity
@@ -50,7 +49,6 @@ if TYPE_CHECKING:
     from dbo_cli.drive.compensate import OnLimit
     from dbo_cli.drive.drive import PassRecord
     from dbo_cli.drive.live import Controller
-    from dbo_cli.logs import Table
     from dbo_cli.reports import Report
 
 Signal = ArrayLike
@@ -653,7 +651,9 @@ def identify(
     columns: Mapping[str, str | None] = RECORDING_COLUMNS
     if displacement is not None:
         signals = {"voltage": data, "displacement": displacement}
-        source, columns = arrays_table(signals, given, units, time, reading.sample_rate)
+        source, columns = table_in_memory(
+            signals, given, units, time, reading.sample_rate
+        )
         sources = [source]
     elif voltage_unit or displacement_unit:
         raise UsageError(
@@ -762,18 +762,20 @@ def report(
         raise UsageError("`voltage_unit` needs `voltage`")
     actuator = None if model is None else model.actuator
     start = "auto" if actuator is None else room.state_of(state, actuator)
-    if is_frame(desired):
-        given = (measured, voltage, unit, voltage_unit)
-        if any(value is not None for value in given):
-            raise UsageError("report: a frame has its own columns and units")
-        table: Table = frame_table(desired, seconds_of(time))
-        columns: Columns = dict.fromkeys(("time", "measured", "voltage"))
-        if model is None:
-            columns = {**columns, "desired": None}
-    else:
-        arrays = {"desired": desired, "measured": measured, "voltage": voltage}
-        options = {"desired": unit, "measured": unit, "voltage": voltage_unit}
-        table, columns = _compared(arrays, options, actuator, time, rate)
+    signals = {"desired": desired, "measured": measured, "voltage": voltage}
+    options = {"desired": unit, "measured": unit, "voltage": voltage_unit}
+    units: Units = {}
+    if actuator is not None:
+        units = {"voltage": actuator.input.unit, "measured": actuator.output.unit}
+        signals = {"voltage": desired, "measured": measured}
+    if measured is None and not is_frame(desired):
+        raise UsageError("report: give `desired` and `measured`, or a frame")
+    table, columns = table_in_memory(signals, options, units, time, rate)
+    stated = [column.unit or "no unit" for column in table.columns[:2]]
+    if measured is not None and actuator is None and stated[0] != stated[1]:
+        raise InputError(
+            f"desired is in {stated[0]}, measured in {stated[1]}: convert one, and pass `unit` of both"
+        )
     reading = Reading(sample_rate=rate)
     pairs, units, _ = pairs_of([table], columns, reading, actuator, start)
     unit = units.get("measured")
@@ -788,32 +790,6 @@ def report(
         max_nrmse_percent=quantity("max_nrmse_percent", max_nrmse_percent, "%"),
         model=actuator,
     )
-
-
-def _compared(
-    signals: dict[str, Signal | None],
-    options: Units,
-    model: room.Cascade | None,
-    time: Signal | None,
-    rate: float | None,
-) -> tuple[Table, Columns]:
-    """Return two arrays to compare, and perhaps a drive, as a table; InputError where they have two units."""
-    if signals["measured"] is None:
-        raise UsageError("report: give `desired` and `measured`, or a frame")
-    units: Units = {}
-    if model is not None:
-        units = {"voltage": model.input.unit, "measured": model.output.unit}
-        signals = {"voltage": signals["desired"], "measured": signals["measured"]}
-    elif signals["voltage"] is None:
-        del signals["voltage"]
-    table, columns = arrays_table(signals, options, units, time, rate)
-    first, second = table.columns[:2]
-    if model is None and first.unit != second.unit:
-        raise InputError(
-            f"desired is in {first.unit or 'no unit'}, measured in {second.unit or 'no unit'}: convert one "
-            "of them, and pass `unit` of both"
-        )
-    return table, columns
 
 
 # --- typed numbers ---

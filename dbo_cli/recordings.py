@@ -155,19 +155,19 @@ def _refuse_other_units(first: Log, other: Log) -> None:
             )
 
 
-def arrays_table(
+def table_in_memory(
     signals: Mapping[str, Any],
     unit_options: Units,
     units: Units,
     time: Any = None,
     sample_rate: float | None = None,
 ) -> tuple[Table, dict[str, str | None]]:
-    """Return arrays as a table, and which of its columns has which role.
+    """Return arrays, or a frame in the place of all, as a table, and which of its columns has which role.
 
     Parameters
     ----------
     signals : mapping
-        By role, the values; the name of a Series is that of its column.
+        By role, the values, None for none; the name of a Series is that of its column.
     unit_options : mapping
         By role, the unit that the user gives.
     units : mapping
@@ -176,9 +176,25 @@ def arrays_table(
         Time in s, or a rate in Hz. The time index of a pandas object counts where
         neither is given: seconds if it holds numbers other than a plain count, else
         durations or dates.
+
+    Raises
+    ------
+    UsageError
+        There are other arrays or units beside a frame, or a unit cannot be converted.
+    InputError
+        Arrays are in another unit than the model, or are no rows of numbers.
     """
-    table, columns = table_of("the arrays", []), dict[str, str | None]()
+    first, *others = signals.values()
+    columns: dict[str, str | None] = dict.fromkeys(("time", *signals))
+    if is_frame(first):
+        if any(value is not None for value in (*others, *unit_options.values())):
+            raise UsageError("a frame has its own columns and units: leave out `unit`")
+        return frame_table(first, seconds_of(time)), columns
+    table = table_of("the arrays", [])
     for role, values in signals.items():
+        if values is None:
+            del columns[role]
+            continue
         label = "voltage" if role == "voltage" else "displacement"
         unit, unit_option = stated_unit(values, label), unit_options[role]
         to_model_unit(label, unit, unit_option, units.get(role, unit_option))
@@ -186,10 +202,9 @@ def arrays_table(
         unit = unit_option or unit or units.get(role)
         column = table.add(column_in_memory(table.name, name, values, unit))
         columns[role] = f"number={column.number}"
-    index = getattr(next(iter(signals.values())), "index", None)
+    index = getattr(first, "index", None)
     if time is None and sample_rate is None and dtype_kind(index) in "fmM":
         time = index
-    columns["time"] = None
     if time is not None:
         clock = column_in_memory(table.name, "time", seconds_of(time), "s")
         columns["time"] = f"number={table.add(clock).number}"
@@ -405,16 +420,9 @@ def signal_of(
     time, sample_rate, unit
         As of ``Model.simulate``, the rate in Hz.
     """
-    if is_frame(data):
-        if unit is not None:
-            raise UsageError("`unit` is of arrays: a frame has its own units")
-        role, source = roles[1], frame_table(data, seconds_of(time))
-        columns: Columns = dict.fromkeys(("time", role))
-    else:
-        role, units = roles[0], {roles[0]: quantity.unit}
-        signals, options = {role: data}, {role: unit}
-        source, columns = arrays_table(signals, options, units, time, sample_rate)
-    reading = Reading(sample_rate=sample_rate)
-    block = read_table(source, columns, reading, {role: quantity.unit})[1]
+    role = roles[1] if is_frame(data) else roles[0]
+    signals, units = {role: data}, {role: quantity.unit}
+    source, columns = table_in_memory(signals, {role: unit}, units, time, sample_rate)
+    block = read_table(source, columns, Reading(sample_rate=sample_rate), units)[1]
     is_stamped = is_frame(data) or sample_rate is None
     return Block(block.time if is_stamped else None, {"signal": block[role]}, block.dt)

@@ -213,7 +213,7 @@ def test_a_masked_row_is_a_missing_row(creep):
     with pytest.raises(dbo.InputError, match="row 8"):
         creep.compensate(MOVE, time=masked(TIME))
     for wrong in (MOVE > 2.5, MOVE.astype(complex), MOVE.astype(str), MOVE[:, None]):
-        with pytest.raises(dbo.InputError, match="one row of numbers"):
+        with pytest.raises(dbo.InputError, match="of numbers"):
             creep.compensate(wrong, time=TIME)
 
 
