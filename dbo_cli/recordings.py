@@ -29,7 +29,7 @@ from dbo_cli.units import (
     multiplied,
     quantity_name,
     ratio,
-    to_model_unit,
+    unit_of_array,
 )
 from dbo_cli.version import __version__
 
@@ -196,10 +196,9 @@ def table_in_memory(
             del columns[role]
             continue
         label = "voltage" if role == "voltage" else "displacement"
-        unit, unit_option = stated_unit(values, label), unit_options[role]
-        to_model_unit(label, unit, unit_option, units.get(role, unit_option))
+        stated, given = stated_unit(values, label), unit_options[role]
+        unit = unit_of_array(label, stated, given, units.get(role, given))
         name = str(getattr(values, "name", None) or role)
-        unit = unit_option or unit or units.get(role)
         column = table.add(column_in_memory(table.name, name, values, unit))
         columns[role] = f"number={column.number}"
     index = getattr(first, "index", None)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
-from dbo_cli.errors import InputError, UsageError, warn
+from dbo_cli.errors import InputError, UsageError
 
 
 @dataclass(frozen=True)
@@ -150,16 +150,16 @@ def ratio(from_text: str | None, to_text: str | None) -> Fraction:
     return before.size / after.size
 
 
-def to_model_unit(
-    label: str, unit: str | None, given: str | None, model_unit: str | None
-) -> Fraction:
-    """Return by what numbers are multiplied to be in the unit of a model.
+def unit_of_array(
+    label: str, stated: str | None, given: str | None, model_unit: str | None
+) -> str | None:
+    """Return the unit that numbers are in: that given, else that stated or the model's.
 
     Parameters
     ----------
     label
         What the numbers are, for messages.
-    unit
+    stated
         The unit that they state of themselves, None for none. It never converts: pandas
         keeps ``attrs`` through arithmetic.
     given
@@ -175,30 +175,21 @@ def to_model_unit(
         The unit that is given cannot be converted.
     """
     if given is not None:
-        if model_unit is None:
-            raise UsageError(f"`unit` {given}: the model states no unit: leave it out")
-        try:
-            return ratio(given, model_unit)
-        except InputError:
+        is_same = spell(given) == spell(model_unit)
+        kind = kind_of(given)
+        if not is_same and (kind is None or kind != kind_of(model_unit)):
             raise UsageError(
-                f"`unit` {given}: not convertible to {model_unit}, the unit of the model"
-            ) from None
-    if unit is None or model_unit is None or spell(unit) == spell(model_unit):
-        return Fraction(1)
+                f"`unit` {given}: not convertible to {model_unit or 'no unit'}, the unit of the model"
+            )
+        return given
+    if stated is None or model_unit is None or spell(stated) == spell(model_unit):
+        return stated or model_unit
     numbers = f"`.to_numpy()` for numbers in {model_unit}"
-    if kind_of(unit) != kind_of(model_unit):
+    if kind_of(stated) != kind_of(model_unit):
         numbers = f"give another signal, or {numbers}"
     else:
-        numbers = f'pass `unit="{unit}"`, or {numbers}'
-    raise InputError(f"{label} is in {unit}, the model in {model_unit}: {numbers}")
-
-
-def warn_unstated(label: str, unit: str | None, model_unit: str | None) -> None:
-    """Warn of numbers that state a unit where the model, or what they are compared with, states none."""
-    if unit is not None and model_unit is None:
-        warn(
-            f"{label} is in {unit}, model or trajectory states no unit: its numbers are taken as they are"
-        )
+        numbers = f'pass `unit="{stated}"`, or {numbers}'
+    raise InputError(f"{label} is in {stated}, the model in {model_unit}: {numbers}")
 
 
 def multiplied(values: Any, factor: Fraction) -> Any:

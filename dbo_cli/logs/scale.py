@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from fractions import Fraction
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs.table import Column
 from dbo_cli.units import (
     parse_unit,
@@ -17,7 +17,6 @@ from dbo_cli.units import (
     split_quantity,
     units_in,
     value_units_like,
-    warn_unstated,
 )
 
 
@@ -45,8 +44,11 @@ def scaled_column(
     else:
         _refuse_unclear_unit(name, role, column)
     target = units.get(role)
-    if role in units:
-        warn_unstated(f"{name}: {column.label}", unit, target)
+    if role in units and target is None and unit is not None:
+        warn(
+            f"{name}: {column.label} is in {unit}, model or trajectory states no unit: its numbers are taken "
+            "as they are"
+        )
     if target is not None:
         try:
             factor *= ratio(unit, target)
