@@ -37,9 +37,10 @@ from dbo_cli.recordings import (
     recordings_of,
     signal_of,
     table_in_memory,
+    time_constants,
     tracked_of,
 )
-from dbo_cli.units import parse_quantity, quantity
+from dbo_cli.units import quantity
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -674,7 +675,7 @@ def identify(
         sensor_delay=quantity("sensor_delay", sensor_delay, "s"),
         gears=gears,
         points=points,
-        relaxation=_constants(relaxation),
+        relaxation=time_constants(relaxation),
         delay=quantity("delay", delay, "s", "auto"),
         dynamics=dynamics,
         slopes=slopes,
@@ -793,13 +794,6 @@ def report(
 
 
 # --- typed numbers ---
-
-
-def _constants(values: Any) -> Any:
-    """Return typed time constants in s, or ``auto``."""
-    if isinstance(values, str):
-        return values
-    return tuple(parse_quantity(value, "s", "relaxation") for value in values)
 
 
 def _rate(value: Figured | None) -> float | None:

@@ -27,6 +27,7 @@ from dbo_cli.logs.frame import (
 from dbo_cli.model import Cascade, Quantity, State
 from dbo_cli.units import (
     multiplied,
+    parse_quantity,
     quantity_name,
     ratio,
     unit_of_array,
@@ -396,6 +397,16 @@ def identified(
         sources.append({"name": recording.name, "rows": rows, **names})
     provenance = {"program": f"dbo {__version__}", "logs": sources}
     return replace(model, provenance=provenance)
+
+
+def time_constants(values: Sequence[float | str] | str) -> Any:
+    """Return typed time constants in s, 0 alone for none, or ``auto`` (UsageError)."""
+    if isinstance(values, str):
+        return values
+    constants = [parse_quantity(value, "s", "relaxation") for value in values]
+    if len(constants) > 1 and 0.0 in constants:
+        raise UsageError(f"`relaxation` {values}: give times above 0 s, or 0 alone")
+    return tuple(constants)
 
 
 def signal_of(

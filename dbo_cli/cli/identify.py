@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import READING, Text, Texts, flag, option, rare
 from dbo_cli.cli.say import detail, say, say_logs, say_output, working
-from dbo_cli.errors import UsageError
 from dbo_cli.units import quantity
 
 if TYPE_CHECKING:
@@ -63,7 +62,7 @@ def identify(
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.identification import Options, describe, describe_validation, leads
     from dbo_cli.model import dumps_model, dumps_set
-    from dbo_cli.recordings import identified, recordings_of
+    from dbo_cli.recordings import identified, recordings_of, time_constants
     from dbo_cli.reports.show import shown_text
 
     check_outputs(output, summary)
@@ -74,7 +73,9 @@ def identify(
         sensor_delay=quantity("sensor_delay", sensor_delay, "s"),
         gears=opt.number_of("gears", gears, int, "auto"),
         points=opt.number_of("points", points, int, "auto"),
-        relaxation=relaxation_of(relaxation),
+        relaxation=time_constants(
+            "auto" if relaxation == "auto" else relaxation.split(",")
+        ),
         delay=quantity("delay", delay, "s", "auto"),
         dynamics=opt.number_of("dynamics", dynamics, int, "auto"),
         slopes=slopes,
@@ -131,13 +132,3 @@ def fit_summary(model: Cascade) -> str:
         "unit": model.output.unit,
     }
     return json.dumps({**values, **model.fit}, indent=2) + "\n"
-
-
-def relaxation_of(text: str) -> Any:
-    """Return time constants in s, 0 for none, or ``auto``."""
-    if text == "auto":
-        return "auto"
-    constants = [quantity("relaxation", constant, "s") for constant in text.split(",")]
-    if len(constants) > 1 and 0.0 in constants:
-        raise UsageError(f"`relaxation` {text}: give times above 0 s, or 0 alone")
-    return tuple(constants)

@@ -125,7 +125,8 @@ def publish(
     for name, result in results.items():
         if figures is not None:
             detail(*map(str, result.figures(os.path.join(figures, name))))
-        texts[name] = rendered(result, form)
+        text = result.render(form)  # what people read names options as they are typed
+        texts[name] = with_options(text) if form in ("text", "html") else text
     if form == "json":
         write_text(output, channels.dumps_files("report", texts))
     elif form == "text":
@@ -143,12 +144,6 @@ def publish(
     for name, result in results.items():
         with channels.naming(name):
             result.require_passed()
-
-
-def rendered(result: Report, form: str) -> str:
-    """Return a report as text; what people read names options as they are typed."""
-    text = result.render(form)
-    return with_options(text) if form in ("text", "html") else text
 
 
 def short_names(logs: list[str]) -> list[str]:

@@ -7,7 +7,6 @@ roles are chosen; blocks come as arrays by role, in seconds and in the units ask
 from __future__ import annotations
 
 import os
-import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -350,14 +349,9 @@ def _refuse_exchanged(log: Log) -> None:
         return
     raise InputError(
         f"{log.name}: voltage, {drive.label}, is in {drive.unit}, {sensor}, {measured.label}, in "
-        f"{measured.unit}: exchanged? Type `voltage` {_typed(measured)} `{sensor}` {_typed(drive)}, or of a "
-        f"sensor in {measured.unit} `scale` {sensor}=FACTOR{drive.unit}/{measured.unit}"
+        f"{measured.unit}: exchanged? Type `voltage` and `{sensor}`, or `scale` {sensor}="
+        f"FACTOR{drive.unit}/{measured.unit}"
     )
-
-
-def _typed(column: Column) -> str:
-    """Return how a user names a column."""
-    return shlex.quote(column.name) if column.name else f"number={column.number}"
 
 
 def open_table(name: str, reading: Reading) -> Table:
