@@ -15,6 +15,7 @@ import io
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from dbo_cli.units import split_header
 
 Named = tuple[str, str | None]  # a column's name and its unit
 Attributes = dict[str, str | float]
+Append = Callable[[Sequence[Floats], int], None]
 
 # Cells that Python formats sooner than polars is imported (0.1 s, measured).
 _PLAIN_CELLS = 1 << 16
@@ -72,9 +74,12 @@ def add_table(
     """
     path = os.fspath(path)
     suffix = _suffix_of(path)
+    file = outputs.add(path)
     if suffix in _HDF5_SUFFIXES:
-        return Hdf5Writer(outputs.add(path), columns, attributes or {})
-    return TextWriter(outputs.add(path), columns, _DELIMITERS[suffix])
+        append = _hdf5_appender(file, columns, attributes or {})
+    else:
+        append = _text_appender(file, columns, _DELIMITERS[suffix])
+    return Writer(path, columns, append)
 
 
 def _suffix_of(path: str) -> str:
@@ -94,14 +99,17 @@ def _suffix_of(path: str) -> str:
 # --- columns ---
 
 
+@dataclass
 class Writer:
-    """Takes rows as one array a column."""
+    """Takes rows as one array a column.
 
-    def __init__(self, file: Output, columns: Sequence[Named]) -> None:
-        self.path = file.path
-        file.complete = self.close
-        self.columns = list(columns)
-        self.rows = 0
+    ``append`` gets some of them, and the number of those before.
+    """
+
+    path: str
+    columns: Sequence[Named]
+    append: Append
+    rows: int = 0
 
     def write(self, *arrays: ArrayLike) -> None:
         """Append rows: one array of numbers a column, all of one length, all finite.
@@ -123,57 +131,43 @@ class Writer:
         with telling(self.path):
             for start in range(0, len(values[0]), ROWS_A_BLOCK):
                 block = [array[start : start + ROWS_A_BLOCK] for array in values]
-                self._append(block)
+                self.append(block, self.rows)
                 self.rows += len(block[0])
 
-    def close(self) -> None:
-        """Complete the format."""
 
-    def _append(self, block: Sequence[Floats]) -> None:
-        raise NotImplementedError
+def _text_appender(file: Output, columns: Sequence[Named], delimiter: str) -> Append:
+    """Return what appends rows of delimited text; each number is the shortest that reads back."""
+    stream = target = file.open()
+    if file.path.lower().endswith(".gz"):
+        # no name and no time: the same numbers give the same bytes
+        packed = gzip.GzipFile("", "wb", _GZIP_LEVEL, target, 0)
+        file.complete = packed.close
+        stream = packed  # type: ignore[assignment]
 
+    def send(data: bytes | memoryview) -> None:
+        stream.write(data)
+        if file.temporary is None:
+            stream.flush()
+            target.flush()
 
-class TextWriter(Writer):
-    """Appends rows of delimited text; each number is the shortest that reads back."""
-
-    def __init__(self, file: Output, columns: Sequence[Named], delimiter: str) -> None:
-        super().__init__(file, columns)
-        self.delimiter = delimiter
-        self._at_once = file.temporary is None
-        self._file = self._stream = file.open()
-        if file.path.lower().endswith(".gz"):
-            # no name and no time: the same numbers give the same bytes
-            packed = gzip.GzipFile("", "wb", _GZIP_LEVEL, self._file, 0)
-            self._stream = packed  # type: ignore[assignment]
-        cells = [header_cell(name, unit, delimiter) for name, unit in columns]
-        with telling(self.path):
-            self._send((delimiter.join(cells) + "\n").encode())
-
-    def close(self) -> None:
-        """End a compressed stream."""
-        if self._stream is not self._file:
-            with telling(self.path):
-                self._stream.close()
-
-    def _append(self, block: Sequence[Floats]) -> None:
-        cells = (self.rows + len(block[0])) * len(block)
+    def append(block: Sequence[Floats], rows: int) -> None:
+        cells = (rows + len(block[0])) * len(block)
         if cells < _PLAIN_CELLS and "polars" not in sys.modules:
-            columns = [map(repr, array.tolist()) for array in block]
-            lines = map(self.delimiter.join, zip(*columns, strict=True))
-            self._send(("\n".join(lines) + "\n").encode())
+            texts = [map(repr, array.tolist()) for array in block]
+            lines = map(delimiter.join, zip(*texts, strict=True))
+            send(("\n".join(lines) + "\n").encode())
             return
         import polars as pl
 
         frame = pl.DataFrame({str(n): array for n, array in enumerate(block)})
         buffer = io.BytesIO()
-        frame.write_csv(buffer, include_header=False, separator=self.delimiter)
-        self._send(buffer.getbuffer())
+        frame.write_csv(buffer, include_header=False, separator=delimiter)
+        send(buffer.getbuffer())
 
-    def _send(self, data: bytes | memoryview) -> None:
-        self._stream.write(data)
-        if self._at_once:
-            self._stream.flush()
-            self._file.flush()
+    names = [header_cell(name, unit, delimiter) for name, unit in columns]
+    with telling(file.path):
+        send((delimiter.join(names) + "\n").encode())
+    return append
 
 
 def header_cell(name: str, unit: str | None, delimiter: str) -> str:
@@ -188,43 +182,39 @@ def header_cell(name: str, unit: str | None, delimiter: str) -> str:
     return text
 
 
-class Hdf5Writer(Writer):
-    """Appends rows to one dataset a column of a new HDF5 file."""
+def _hdf5_appender(
+    file: Output, columns: Sequence[Named], attributes: Attributes
+) -> Append:
+    """Return what appends rows to one dataset a column of a new HDF5 file."""
+    if file.temporary is None:
+        raise UsageError(f"{file.path}: HDF5 cannot go down a pipe: give a file name")
+    import h5py
 
-    def __init__(
-        self, file: Output, columns: Sequence[Named], attributes: Attributes
-    ) -> None:
-        super().__init__(file, columns)
-        if file.temporary is None:
-            raise UsageError(
-                f"{file.path}: HDF5 cannot go down a pipe: give a file name"
-            )
-        import h5py
+    with telling(file.path):
+        file.stream = stream = PatientFile(file.begin(), "xb+")
+    store = h5py.File(stream, "w")
+    store.attrs.update(attributes)
+    datasets: list[Any] = []
+    for name, unit in columns:
+        dataset = store.create_dataset(
+            name.replace("/", "_"), (0,), "f8", maxshape=(None,), chunks=(ROWS_A_BLOCK,),
+            shuffle=True, compression="gzip", compression_opts=1,
+        )  # fmt: skip
+        dataset.attrs["units"] = unit or ""
+        datasets.append(dataset)
 
-        with telling(self.path):
-            file.stream = self._stream = PatientFile(file.begin(), "xb+")
-        self._store = h5py.File(self._stream, "w")
-        self._store.attrs.update(attributes)
-        self._datasets: list[Any] = []
-        for name, unit in columns:
-            dataset = self._store.create_dataset(
-                name.replace("/", "_"), (0,), "f8", maxshape=(None,), chunks=(ROWS_A_BLOCK,),
-                shuffle=True, compression="gzip", compression_opts=1,
-            )  # fmt: skip
-            dataset.attrs["units"] = unit or ""
-            self._datasets.append(dataset)
+    def append(block: Sequence[Floats], rows: int) -> None:
+        for dataset, array in zip(datasets, block, strict=True):
+            dataset.resize(rows + len(array), axis=0)
+            dataset[rows:] = array
+        stream.tell_problem()
 
-    def close(self) -> None:
-        """Close the file."""
-        self._store.close()
-        with telling(self.path):
-            self._stream.tell_problem()
+    def complete() -> None:
+        store.close()
+        stream.tell_problem()
 
-    def _append(self, block: Sequence[Floats]) -> None:
-        for dataset, array in zip(self._datasets, block, strict=True):
-            dataset.resize(self.rows + len(array), axis=0)
-            dataset[self.rows :] = array
-        self._stream.tell_problem()
+    file.complete = complete
+    return append
 
 
 class PatientFile(io.FileIO):

@@ -68,12 +68,12 @@ HALF_WAY = """
 import os, sys
 number = int(sys.argv.pop(1))
 from dbo_cli.cli import app
-from dbo_cli.logs.write import TextWriter
-append = TextWriter._append
-def then_signal(self, block):
-    append(self, block)
+from dbo_cli.logs.write import Writer
+write = Writer.write
+def then_signal(self, *arrays):
+    write(self, *arrays)
     os.kill(os.getpid(), number)
-TextWriter._append = then_signal
+Writer.write = then_signal
 app.run()
 """
 """Sends itself a signal when its first rows are written."""
