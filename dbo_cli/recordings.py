@@ -132,8 +132,10 @@ def recordings_of(
         drive, sensor = (log.columns[role].unit for role in RECORDING_ROLES)
         units = {"voltage": drive, "displacement": sensor}
         units = {role: unit for role, unit in units.items() if unit}
+        # a model does not depend on where its logs were
+        file, mark, inside = log.name.partition("::")
         recording = Recording(
-            short_name(log.name),
+            os.path.basename(file) + mark + inside,
             table["voltage"],
             table["displacement"],
             table.time,
@@ -360,12 +362,6 @@ def tracked_of(
             Tracked(log.name, table["voltage"], table["measured"], table.time)
         )
     return recordings
-
-
-def short_name(name: str) -> str:
-    """Return a log's name without its folder, so that a model does not depend on where its logs were."""
-    file, mark, inside = name.partition("::")
-    return os.path.basename(file) + mark + inside
 
 
 def identified(

@@ -212,7 +212,13 @@ def write_figures(
     from dbo_cli.model import dumps_state
 
     if summary is not None:
-        texts = {name: drive_summary(drives[name], logs[name]) for name in drives}
+        texts = {}
+        for name, drive in drives.items():
+            figures, clock = drive.summary(), logs[name].clock
+            figures["trajectory"] = logs[name].name
+            if clock.kind != "none":
+                figures["move_time"] = [clock.first, clock.last]
+            texts[name] = json.dumps(figures, indent=2) + "\n"
         outputs.write_text(summary, dumps_files("summary", texts))
     if state is not None:
         texts = {}
@@ -225,14 +231,6 @@ def write_figures(
 
         texts = {name: dumps_history(drive.history) for name, drive in drives.items()}
         outputs.write_text(history, dumps_files("history", texts), "history")
-
-
-def drive_summary(drive: Drive, log: Log) -> str:
-    """Return the figures of a drive and its trajectory as JSON."""
-    figures = {**drive.summary(), "trajectory": log.name}
-    if log.clock.kind != "none":
-        figures["move_time"] = [log.clock.first, log.clock.last]
-    return json.dumps(figures, indent=2) + "\n"
 
 
 def say_one(log: Log, output: str, drive: Drive) -> None:

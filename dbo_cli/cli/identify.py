@@ -12,7 +12,7 @@ from dbo_cli.cli.say import detail, say, say_logs, say_output, working
 from dbo_cli.units import quantity
 
 if TYPE_CHECKING:
-    from dbo_cli.model import Cascade
+    pass
 
 
 def structure(metavar: str | None, text: str, default: str = "auto") -> Any:
@@ -107,7 +107,11 @@ def identify(
             output, dumps_set(models) if is_set else dumps_model(models[""])
         )
         if summary is not None:
-            figures = {name: fit_summary(model) for name, model in models.items()}
+            figures = {}
+            values = {"format": "dbo-summary", "version": 1, "command": "identify"}
+            for name, fitted in models.items():
+                figure = {**values, "unit": fitted.output.unit, **fitted.fit}
+                figures[name] = json.dumps(figure, indent=2) + "\n"
             outputs.write_text(summary, channels.dumps_files("summary", figures))
     model = next(iter(models.values()))
     rows = sum(log["rows"] for log in model.provenance["logs"])
@@ -121,14 +125,3 @@ def identify(
         say_output(output, lines.pop(0))
     for line in lines:
         say(line)
-
-
-def fit_summary(model: Cascade) -> str:
-    """Return the figures of the fit as JSON."""
-    values = {
-        "format": "dbo-summary",
-        "version": 1,
-        "command": "identify",
-        "unit": model.output.unit,
-    }
-    return json.dumps({**values, **model.fit}, indent=2) + "\n"

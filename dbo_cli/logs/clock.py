@@ -156,7 +156,11 @@ class Clock:
             problem = f"goes back in row {numbers[at]}, from {after - steps[at]:.9g} to {after:.9g} s"
             raise _unclear(self.name, self.column, f"{problem} (`rows` A:B cuts there)")
         if self.step is not None or self.rows < 2:
-            self.step = self._even_step(time, float(steps.max()))
+            if self.rate is not None:
+                self.step = 1.0 / self.rate if steps.max() < _GAP / self.rate else None
+            else:
+                stamps = np.concatenate([[self.last], time]) if self.rows else time
+                self.step = even(stamps, self.step)
         if not self.usual_step:
             self.usual_step = self.step or float(np.median(steps))
             self._require_seconds(float(time[-1]))
@@ -166,14 +170,6 @@ class Clock:
                 first = int(numbers[np.argmax(irregular)])
                 self.first_irregular = self.first_irregular or first
                 self.irregular += int(np.count_nonzero(irregular))
-
-    def _even_step(self, time: Floats, largest: float) -> float | None:
-        """Return the one step of rows that are even so far; None where they are not."""
-        if self.rate is not None:
-            return 1.0 / self.rate if largest < _GAP / self.rate else None
-        if self.rows:
-            time = np.concatenate([[self.last], time])
-        return even(time, self.step)
 
     def _require_seconds(self, reach: float) -> None:
         """Refuse figures without a unit that can hardly be seconds."""

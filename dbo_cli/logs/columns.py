@@ -293,7 +293,9 @@ def _candidates(columns: Sequence[Column], role: Role) -> list[Column]:
     A preferred name; a whole name; a word or a letter of the name, beside which every
     column counts whose unit fits; the unit alone.
     """
-    fitting = [column for column in columns if _may_be(column, role)]
+    free = [column for column in columns if _is_free(column, role)]
+    kinds = {None, *role.allowed, *role.proving}
+    fitting = [column for column in free if kind_of(column.unit) in kinds]
     preferred = [c for c in fitting if words(c.quantity) & role.preferred]
     if preferred:
         return preferred
@@ -304,17 +306,9 @@ def _candidates(columns: Sequence[Column], role: Role) -> list[Column]:
     proved = [c for c in fitting if kind_of(c.unit) in role.proving]
     if partial:
         return [c for c in fitting if c in partial or c in proved]
-    free = [column for column in columns if _is_free(column, role)]
     if any(words(c.quantity) & role.names for c in free):
         return []  # the column of that name is in a unit that cannot be meant
     return proved or [c for c in free if kind_of(c.unit) in role.more]
-
-
-def _may_be(column: Column, role: Role) -> bool:
-    """Return whether nothing in a column's unit and words speaks against a role."""
-    kind = kind_of(column.unit)
-    is_of_kind = kind is None or kind in role.allowed or kind in role.proving
-    return is_of_kind and _is_free(column, role)
 
 
 def _is_free(column: Column, role: Role) -> bool:

@@ -186,19 +186,6 @@ def delimiter_of(text: str) -> str:
     return mark
 
 
-def decimal_of(text: str) -> str:
-    """Read the option ``decimal``.
-
-    Raises
-    ------
-    UsageError
-        It is neither point nor comma.
-    """
-    if text not in _DECIMALS:
-        raise UsageError(f"`decimal` {text}: give point or comma")
-    return _DECIMALS[text]
-
-
 def _best_layout(sample: Sequence[str], reading: Reading) -> Layout | None:
     """Return the layout under which most of the cells are numbers in rows of one width."""
     marks = list(dict.fromkeys(_DELIMITERS.values()))
@@ -206,7 +193,9 @@ def _best_layout(sample: Sequence[str], reading: Reading) -> Layout | None:
         marks = [delimiter_of(reading.delimiter)]
     signs = [".", ","]
     if reading.decimal is not None:
-        signs = [decimal_of(reading.decimal)]
+        if reading.decimal not in _DECIMALS:
+            raise UsageError(f"`decimal` {reading.decimal}: give point or comma")
+        signs = [_DECIMALS[reading.decimal]]
     quoted = any('"' in line for line in sample)
     best, layout = (0.0, False, False), None
     for mark in marks:

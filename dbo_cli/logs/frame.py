@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +75,11 @@ def frame_table(frame: Any, time: Any = None) -> Table:
         )
     columns: list[Column] = []
     clocks: list[Column] = []
-    for title, values in _series_of(frame):
+    if hasattr(frame, "items"):
+        titled = frame.items()
+    else:
+        titled = [(values.name, values) for values in frame.iter_columns()]
+    for title, values in titled:
         header = split_header(str(title))[1]
         unit = _one_unit(str(title), units.get(title), header)
         column = column_in_memory(name, str(title), values, unit)
@@ -99,13 +103,6 @@ def frame_table(frame: Any, time: Any = None) -> Table:
     table = table_of(name, columns)
     table.has_found_offset = bool(attrs.get("holds_delay"))
     return table
-
-
-def _series_of(frame: Any) -> Iterable[tuple[str, Any]]:
-    """Return the columns of a frame of pandas or polars by their names."""
-    if hasattr(frame, "items"):
-        return cast(Iterable[tuple[str, Any]], frame.items())
-    return [(values.name, values) for values in frame.iter_columns()]
 
 
 # --- values ---

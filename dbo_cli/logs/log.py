@@ -169,7 +169,15 @@ class Log:
                 arrays = [array[inside] for array in arrays]
             numbers, arrays = self._good(numbers, arrays, columns)
             if len(numbers):
-                self._refuse_lost(numbers)
+                if (
+                    self._lost
+                    and self.clock.kind == "rate"
+                    and numbers[-1] > self._lost[0]
+                ):
+                    raise InputError(
+                        f"{self._lost[1]}: the time behind it is not known: cut with `rows` {self._first}:"
+                        f"{self._lost[0] - 1}"
+                    )
                 self._count += len(numbers)
                 time, dt = self.clock.read(numbers, arrays[time_place])
                 values = {}
@@ -231,16 +239,6 @@ class Log:
             if is_behind and self._lost is None:
                 self._lost = row, self._source.where(row, columns[-1], "")
         return good, [array[~is_bad] for array in arrays]
-
-    def _refuse_lost(self, numbers: _Numbers) -> None:
-        """Refuse rows whose time is counted behind a line that may be no sample (InputError)."""
-        if self._lost is None or self.clock.kind != "rate":
-            return
-        row, where = self._lost
-        if numbers[-1] > row:
-            raise InputError(
-                f"{where}: the time behind it is not known: cut with `rows` {self._first}:{row - 1}"
-            )
 
     def line(self) -> str:
         """Return one line on what was read; complete after the last block."""

@@ -32,7 +32,6 @@ _MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8
 
 Nodes = dict[str, Any]
 """Groups and datasets by their paths; the file is that of no path."""
-_EMPTY_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
 
 
 def read_hdf5(path: str, inner: str, reading: Reading) -> Table:
@@ -119,8 +118,6 @@ def _columns_of(path: str, dataset: Any) -> list[Column]:
         return []
     matlab = _texts(dataset, "MATLAB_class") or ["double"]
     if matlab[0] not in _MATLAB_NUMBERS or "MATLAB_empty" in dataset.attrs:
-        return []
-    if "".join(_texts(dataset, "NAME")).startswith(_EMPTY_DIMENSION):
         return []
     group, _, name = path.rpartition("/")
     labels = _texts(dataset, "columns", "column_names", "names")

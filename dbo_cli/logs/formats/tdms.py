@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -11,9 +10,6 @@ import numpy as np
 
 from dbo_cli.logs.fence import fenced, import_extra, quiet
 from dbo_cli.logs.table import Reading, Table, column_of, rows_of
-
-_LEAD_IN = 28
-"""Bytes: mark, contents, version, bytes to the next segment, bytes to the data."""
 
 
 def read_tdms(path: str, inner: str, reading: Reading) -> Table:
@@ -30,22 +26,9 @@ def read_tdms(path: str, inner: str, reading: Reading) -> Table:
     except BaseException:
         stream.close()
         raise
-    if _is_cut(path):
-        table.doubt = "the file ends within a segment: was the record cut there?"
     if len(groups) > 1:
         table.hint = f" (or one group alone: {path}::{groups[0].name})"
     return table
-
-
-def _is_cut(path: str) -> bool:
-    """Return whether the last segment is shorter than its lead-in says, or was not completed."""
-    size, position = os.path.getsize(path), 0
-    with open(path, "rb") as file:
-        while position < size:
-            file.seek(position)
-            lead_in = file.read(_LEAD_IN)
-            position += _LEAD_IN + int.from_bytes(lead_in[12:20], "little")
-    return position > size
 
 
 def _add_channels(table: Table, groups: Sequence[Any]) -> None:
