@@ -11,17 +11,7 @@ from typing import TYPE_CHECKING, Literal
 from typer import Argument
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.options import (
-    LIMITS,
-    MOVE,
-    OUTPUT,
-    Text,
-    Texts,
-    column,
-    flag,
-    option,
-    rare,
-)
+from dbo_cli.cli.options import MOVE, Text, Texts, flag, option, rare
 from dbo_cli.cli.say import detail, progress, say, say_log, say_output
 from dbo_cli.units import quantity
 
@@ -43,10 +33,13 @@ def compensate(
     v_max: Texts = opt.V_MAX,
     max_slew: Texts = opt.MAX_SLEW,
     extrapolate: bool = flag(
-        "--extrapolate", "Go beyond the identified range, too.", LIMITS, hidden=True
+        "--extrapolate", "Go beyond the identified range, too.", opt.LIMITS, hidden=True
     ),
     on_limit: Literal["auto", "clip", "error"] = option(
-        None, "auto: clip up to 1 % of the move, else exit 3.", LIMITS, default="auto"
+        None,
+        "auto: clip up to 1 % of the move, else exit 3.",
+        opt.LIMITS,
+        default="auto",
     ),
     start: Texts = opt.FROM,
     approach: Text = option("SECONDS|auto", "Go smoothly to row 1 in this time.", MOVE),
@@ -56,7 +49,9 @@ def compensate(
     periodic: bool = flag("--periodic", "The trajectory is one period.", MOVE),
     passes: int = rare("N", "Run-in of a --periodic one.", MOVE, default=0, min=0),
     tracked: Texts = option("LOG", "Learn from recordings of the last pass.", MOVE),
-    history: Text = rare("FILE", "With --tracked: keeps each pass's error.", OUTPUT),
+    history: Text = rare(
+        "FILE", "With --tracked: keeps each pass's error.", opt.OUTPUT
+    ),
     absolute: bool = flag(
         "--absolute", "With --tracked: learn the mean error, too.", MOVE, hidden=True
     ),
@@ -65,8 +60,8 @@ def compensate(
     save_state: Text = opt.SAVE_STATE,
     time: Text = opt.TIME,
     displacement: Text = opt.DISPLACEMENT,
-    voltage: Text = column("Drive of a --tracked log.", hidden=True),
-    measured: Text = column("Displacement of a --tracked log.", hidden=True),
+    voltage: Text = opt.column("Drive of a --tracked log.", hidden=True),
+    measured: Text = opt.column("Displacement of a --tracked log.", hidden=True),
 ) -> None:
     """Write the drive that makes an actuator follow a displacement.
 

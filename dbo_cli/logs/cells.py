@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -169,39 +170,36 @@ class Marks:
     is_clear
         Whether a cell has shown that they stand before decimals.
     plain, grouped
-        The first cells of either kind, and their rows.
+        The first cells of either kind.
+    doubtful_from
+        The row from which on there are both.
     """
 
     name: str
     is_clear: bool = False
-    plain: tuple[int, str] | None = None
-    grouped: tuple[int, str] | None = None
+    plain: str = ""
+    grouped: str = ""
+    doubtful_from: float = math.inf
 
     def watch(self, first_row: int, cells: Any, rows: Iterable[int]) -> None:
         """Take cells of some rows into account, until one is clear."""
         for index in rows:
             if self.is_clear:
                 return
-            row, cell = first_row + index, cells[index]
+            cell, row = cells[index], first_row + index
             if _WHOLE.fullmatch(cell):
-                self.plain = self.plain or (row, cell)
+                self.plain = self.plain or cell
             elif _GROUPED.fullmatch(cell):
-                self.grouped = self.grouped or (row, cell)
+                self.grouped = self.grouped or cell
             elif is_number(cell):
-                self.is_clear = self._doubtful_rows(row) <= _MOST_DOUBTFUL
-
-    def _doubtful_rows(self, row: int) -> int:
-        """Return by how many rows both kinds stand above a row."""
-        if self.plain is None or self.grouped is None:
-            return 0
-        return row - max(self.plain[0], self.grouped[0])
+                self.is_clear = row - self.doubtful_from <= _MOST_DOUBTFUL
+            if self.plain and self.grouped:
+                self.doubtful_from = min(self.doubtful_from, row)
 
     def require_clear(self, row: int, limit: int = _MOST_DOUBTFUL) -> None:
         """Refuse (InputError) what is still doubtful by more than so many rows above a row."""
-        if self.is_clear or self._doubtful_rows(row) <= limit:
-            return
-        assert self.plain is not None and self.grouped is not None
-        raise InputError(
-            f"{self.name}: {self.grouped[1]} beside {self.plain[1]}: thousands or decimals? Type `decimal` "
-            "point or comma, or write them without the mark"
-        )
+        if not self.is_clear and row - self.doubtful_from > limit:
+            raise InputError(
+                f"{self.name}: {self.grouped} beside {self.plain}: thousands or decimals? Type `decimal` "
+                "point or comma, or write them without the mark"
+            )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from dbo_cli.errors import DboError, InputError
@@ -31,6 +31,16 @@ def fenced(path: str, kind: str) -> Iterator[None]:
     except BaseException as problem:  # a panic of polars, too
         reason = str(problem).strip().splitlines() or [type(problem).__name__]
         raise InputError(f"{path}: cannot be read as {kind}: {reason[0]}") from None
+
+
+@contextlib.contextmanager
+def closed_on_error(close: Callable[[], object]) -> Iterator[None]:
+    """Close a file where it cannot be made a table."""
+    try:
+        yield
+    except BaseException:
+        close()
+        raise
 
 
 @contextlib.contextmanager

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +19,7 @@ from dbo_cli.errors import InputError, UsageError
 from dbo_cli.files import note_input
 from dbo_cli.logs.clock import find_clock
 from dbo_cli.logs.columns import ROLES, choose, named
-from dbo_cli.logs.fence import refuse_part
+from dbo_cli.logs.fence import closed_on_error, refuse_part
 from dbo_cli.logs.formats import reader_of
 from dbo_cli.logs.join import SENSORS, joined, resampled
 from dbo_cli.logs.scale import scaled_column
@@ -42,7 +43,7 @@ _TWINS = ("voltage", "input")  # roles of a drive, which two recorders may both 
 _FIRST_BYTES = 1024  # MATLAB 7.3 has the mark of HDF5 at byte 512
 
 
-class Log:
+class Log(AbstractContextManager["Log"]):
     """An open log.
 
     Attributes
@@ -251,10 +252,6 @@ class Log:
         """Close the file."""
         self._source.close()
 
-    def __enter__(self) -> Log:
-        """Use the log as a context manager."""
-        return self
-
     def __exit__(self, *_: object) -> None:
         """Close the file."""
         self.close()
@@ -312,7 +309,7 @@ def open_log(
         roles = {**dict.fromkeys(twins), **roles}
         optional = (*optional, *(role for role in twins if role in elsewhere))
     source = path if isinstance(path, Table) else open_table(os.fspath(path), reading)
-    try:
+    with closed_on_error(source.close):
         log = Log(source, roles, reading, units, optional)
         if elsewhere:
             roles = dict.fromkeys(twins)
@@ -329,9 +326,6 @@ def open_log(
                 listing = ", ".join(log.columns)
                 raise UsageError(f"`scale` {role}=...: give one of {listing}")
         _refuse_exchanged(log)
-    except BaseException:
-        source.close()
-        raise
     return log
 
 

@@ -6,6 +6,7 @@ import re
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
@@ -215,7 +216,7 @@ def bad_cells(array: NDArray[Any]) -> NDArray[np.bool_]:
     return np.asarray(~(np.abs(array) < OVERLOAD))
 
 
-class Table:
+class Table(AbstractContextManager["Table"]):
     """What a reader makes of a file: columns of named arrays, in memory or handed out by a library.
 
     Parameters
@@ -327,10 +328,6 @@ class Table:
     def where(self, row: int, column: Column, value: object) -> str:
         """Say where a row (from 1) of the last block is, and which value a column has there."""
         return f"{self.name}: row {row}: {column.label} is {value}"
-
-    def __enter__(self) -> Table:
-        """Use the table as a context manager."""
-        return self
 
     def __exit__(self, *_: object) -> None:
         """Close the file."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cells import Marks, split_cells, to_number
 from dbo_cli.logs.dialect import find_layout, is_no_row
+from dbo_cli.logs.fence import closed_on_error
 from dbo_cli.logs.names import begins_run, describe_columns
 from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import Column, Reading, Table
@@ -40,16 +41,13 @@ class TextTable(Table):
         self._size = 0  # bytes of rows
         self._first_row = 1  # of the last block
         self._block_lines = 0  # that it was read from
-        try:
+        with closed_on_error(stream.close):
             start = stream.head(self._has_layout)
             lines = stream.lines(start)
             if not stream.ended and len(lines) > 2:
                 lines.pop()  # perhaps not whole
             self.layout = find_layout(self.name, lines, reading)
             describe_columns(self, self.layout)
-        except BaseException:
-            stream.close()
-            raise
         self.settings = self.layout.settings
         self.decimal = self.layout.decimal
         if self.columns[0].kind in ("number", "stamp"):

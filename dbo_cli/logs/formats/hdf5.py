@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.fence import fenced
+from dbo_cli.logs.fence import closed_on_error, fenced
 from dbo_cli.logs.settings import is_clock_setting, plain_key
 from dbo_cli.logs.table import Column, Fetch, Reading, Table, columns_in
 
@@ -46,12 +46,8 @@ def read_hdf5(path: str, inner: str, reading: Reading) -> Table:
     """
     with fenced(path, "HDF5"):
         file = h5py.File(path, "r", rdcc_nbytes=_CHUNK_CACHE)
-    try:
-        with fenced(path, "HDF5"):
-            return _table_of(path, inner.strip("/"), file)
-    except BaseException:
-        file.close()
-        raise
+    with closed_on_error(file.close), fenced(path, "HDF5"):
+        return _table_of(path, inner.strip("/"), file)
 
 
 def _table_of(path: str, inner: str, file: Any) -> Table:

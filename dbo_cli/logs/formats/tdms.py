@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.logs.fence import fenced, import_extra, quiet
+from dbo_cli.logs.fence import closed_on_error, fenced, import_extra, quiet
 from dbo_cli.logs.table import Reading, Table, column_of, rows_of
 
 
@@ -17,15 +17,11 @@ def read_tdms(path: str, inner: str, reading: Reading) -> Table:
     nptdms = import_extra("nptdms", "tdms", path)
     stream = open(path, "rb")
     table = Table(path, stream.close)
-    try:
-        with fenced(path, "TDMS"), quiet():
-            file = nptdms.TdmsFile.open(stream)
-            groups = [group for group in file.groups() if inner in ("", group.name)]
-            _add_channels(table, groups)
-            table.require_numbers(f"::{group.name}" for group in file.groups())
-    except BaseException:
-        stream.close()
-        raise
+    with closed_on_error(stream.close), fenced(path, "TDMS"), quiet():
+        file = nptdms.TdmsFile.open(stream)
+        groups = [group for group in file.groups() if inner in ("", group.name)]
+        _add_channels(table, groups)
+        table.require_numbers(f"::{group.name}" for group in file.groups())
     if len(groups) > 1:
         table.hint = f" (or one group alone: {path}::{groups[0].name})"
     return table
