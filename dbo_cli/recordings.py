@@ -337,6 +337,13 @@ def warn_of_assumed(log: Log) -> None:
         warn(f"{log.name}: {label}: state its unit in its name, or by `scale`")
 
 
+def warn_of_doubts(log: Log) -> None:
+    """Warn of rows that were left out or cut, and of what is assumed, where no line says what was read."""
+    warn_of_assumed(log)
+    for doubt in log.doubtful:
+        warn(f"{log.name}: {doubt}")
+
+
 def tracked_of(
     sources: Sequence[Any], columns: Columns, reading: Reading, model: Cascade
 ) -> list[Tracked]:

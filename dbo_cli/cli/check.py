@@ -45,7 +45,6 @@ def check(
     from dbo_cli import channels
     from dbo_cli.drive.check import check_drive, check_played, tolerance_of
     from dbo_cli.files import write_text
-    from dbo_cli.logs import Reading
     from dbo_cli.units import parse_quantity
 
     if not math.isfinite(gain) or not gain or (gain != 1.0 and against is None):
@@ -72,8 +71,7 @@ def check(
             allowed = parse_quantity(tolerance, unit, "tolerance", 0.0)
         if against is not None:
             column = roles["voltage"] if channel else None
-            meant_roles = {"time": None, "voltage": column}
-            meant, _ = read_drive(against, Reading(), meant_roles, unit)
+            meant = read_meant(against, drive, column, unit)
             slack = tolerance_of(meant["voltage"], recorded, allowed)
         result = checks[channel] = check_drive(
             recorded,  # limits are those of the amplifier's output
@@ -127,6 +125,19 @@ def read_drive(
             raise LimitError(str(problem)) from problem
         warn_of_assumed(log)
     return table, log
+
+
+def read_meant(path: str, drive: str, column: str | None, unit: str | None) -> Block:
+    """Read the drive that was meant to be played; InputError says how its column is found."""
+    from dbo_cli.logs import Reading
+
+    try:
+        return read_drive(path, Reading(), {"time": None, "voltage": column}, unit)[0]
+    except InputError as problem:
+        raise InputError(
+            f"{problem}: of `against` the only drive is taken: rename a header, or type {path} as DRIVE, "
+            f"`voltage` NAME `against` {drive}"
+        ) from None
 
 
 def step_between(table: Block) -> float | None:

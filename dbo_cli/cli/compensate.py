@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import chain
 from typing import TYPE_CHECKING, Literal
 
 from typer import Argument
@@ -182,12 +181,10 @@ def write_stream(driver: Driver, log: Log, outputs: Outputs, output: str) -> Dri
     from dbo_cli.channels import heading
     from dbo_cli.logs import add_table
 
-    blocks = progress(log.blocks(), "driven")
-    first = next(blocks)
-    columns, origin = heading({"": driver}, first.time is not None)
+    columns, origin = heading({"": driver}, log.clock.kind != "none")
     table = add_table(outputs, output, columns, origin)
-    for block in chain([first], blocks):
-        rows = driver.rows(block.values["displacement"], block.dt, block.time)
+    for block in progress(log.blocks(), "driven"):
+        rows = driver.rows(block["displacement"], block.dt, block.time)
         rows.send(table.write)
     rows, drive = driver.finish()
     rows.send(table.write)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import chain
+from collections.abc import Iterator
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Literal
 
 from dbo_cli.cli import options as opt
@@ -11,9 +12,10 @@ from dbo_cli.cli.say import progress, say_log, say_output
 from dbo_cli.errors import ModelError
 
 if TYPE_CHECKING:
-    from dbo_cli.drive.simulate import Simulator
-    from dbo_cli.files import Outputs
-    from dbo_cli.logs import Log, Reading
+    from dbo_cli.drive.simulate import Rows, Simulator
+    from dbo_cli.logs import Log
+    from dbo_cli.logs.write import Writer
+    from dbo_cli.model import Cascade
 
 
 def simulate(
@@ -39,8 +41,9 @@ def simulate(
     from dbo_cli import channels
     from dbo_cli.drive.simulate import Simulator
     from dbo_cli.files import Outputs, check_outputs
-    from dbo_cli.logs import open_log
+    from dbo_cli.logs import add_table, open_log
     from dbo_cli.model import State, dumps_state
+    from dbo_cli.recordings import warn_of_doubts
 
     columns = {"time": time, "input": input}
     check_outputs(output, state=save_state)
@@ -50,19 +53,14 @@ def simulate(
     for name, start in channels.states_of(state, models).items():
         label = f"channel {name}" if name else log
         simulators[name] = Simulator(models[name], start, outside, label)
-    is_one = "" in models
-    with Outputs() as outputs:
-        if is_one:
-            simulator, quantity = simulators[""], models[""].output
-            units = {"input": models[""].input.unit}
-            with open_log(log, columns, reading, units) as signal:
-                simulate_stream(simulator, signal, outputs, output)
-            text = (
-                f"{simulator.row_count:,} rows of {quantity.quantity}{quantity.suffix}"
-            )
-        else:
-            rows = simulate_set(simulators, log, columns_of, reading, outputs, output)
-            text = f"{len(models)} channels, {rows:,} rows"
+    with Outputs() as outputs, ExitStack() as opened:
+        logs = {}
+        for name, roles in columns_of.items():
+            units = {"input": models[name].input.unit}
+            signal = open_log(log, roles, reading, units)
+            logs[name] = opened.enter_context(signal)
+        table = add_table(outputs, output, heading(models, logs))
+        write_rows(simulators, logs, table)
         texts = {}
         for name, simulator in simulators.items():
             if isinstance(simulator.state, State):
@@ -70,63 +68,59 @@ def simulate(
         if save_state is not None and texts:
             content = channels.dumps_files("state", texts)
             outputs.write_text(save_state, content, "state")
-    if is_one:
-        say_log(signal)
+    text = f"{len(models)} channels, {table.rows:,} rows"
+    if "" in logs:
+        say_log(logs[""])
+        quantity = models[""].output
+        text = f"{table.rows:,} rows of {quantity.quantity}{quantity.suffix}"
+    else:
+        for signal in logs.values():
+            warn_of_doubts(signal)
     say_output(output, text)
 
 
-def simulate_stream(
-    simulator: Simulator, signal: Log, outputs: Outputs, output: str
-) -> None:
-    """Run a model over a log and write both, block by block."""
-    from dbo_cli.logs import add_table
+def heading(
+    models: dict[str, Cascade], logs: dict[str, Log]
+) -> list[tuple[str, str | None]]:
+    """Return names and units of the columns: the time, then input and output of each channel."""
+    is_clocked = all(log.clock.kind != "none" for log in logs.values())
+    columns: list[tuple[str, str | None]] = [("time", "s")] if is_clocked else []
+    for name, model in models.items():
+        ending = f"_{name}" if name else ""
+        unit = logs[name].columns["input"].unit
+        columns.append((f"{model.input.quantity}{ending}", unit))
+        columns.append((f"{model.output.quantity}{ending}", model.output.unit))
+    return columns
 
-    model, simulator.name = simulator.model, signal.name
-    blocks = progress(signal.blocks(), "simulated")
-    first = next(blocks)
-    clocked = first.time is not None
-    if model.needs_time and not clocked:
+
+def write_rows(
+    simulators: dict[str, Simulator], logs: dict[str, Log], table: Writer
+) -> None:
+    """Write a log's rows block by block; those of channels, which read ahead unequally, at the end."""
+    from dbo_cli import channels
+    from dbo_cli.drive.simulate import stacked
+
+    signals = []
+    for name, simulator in simulators.items():
+        with channels.naming(name):
+            if name:
+                rows = stacked(list(rows_of(simulator, logs[name])))
+                time = [] if rows.time is None else [rows.time]
+                signals += [rows.x, rows.y]
+                continue
+            simulator.name = logs[name].name
+            for rows in rows_of(simulator, logs[name]):
+                rows.send(table.write)
+    if signals:
+        table.write(*time, *signals)
+
+
+def rows_of(simulator: Simulator, signal: Log) -> Iterator[Rows]:
+    """Run a model over a log, block by block."""
+    if simulator.model.needs_time and signal.clock.kind == "none":
         raise ModelError(
             f"{signal.name}: this model needs a clock: add `time` COLUMN or `sample_rate` HZ"
         )
-    names: list[tuple[str, str | None]] = [("time", "s")] if clocked else []
-    names.append((model.input.quantity, signal.columns["input"].unit))
-    names.append((model.output.quantity, model.output.unit))
-    table = add_table(outputs, output, names)
-    for block in chain([first], blocks):
-        rows = simulator.rows(block.values["input"], block.dt, block.time)
-        rows.send(table.write)
-    simulator.finish().send(table.write)
-
-
-def simulate_set(
-    simulators: dict[str, Simulator],
-    log: str,
-    columns_of: dict[str, dict[str, str | None]],
-    reading: Reading,
-    outputs: Outputs,
-    output: str,
-) -> int:
-    """Run the model of each channel over its input, write all side by side, and return the number of rows."""
-    from dbo_cli import channels
-    from dbo_cli.drive.simulate import stacked
-    from dbo_cli.logs import add_table
-    from dbo_cli.recordings import read_table, warn_of_assumed
-
-    names: list[tuple[str, str | None]] = []
-    values = []
-    for name, simulator in simulators.items():
-        into, out = simulator.model.input, simulator.model.output
-        units = {"input": into.unit}
-        signal, table = read_table(log, columns_of[name], reading, units)
-        warn_of_assumed(signal)
-        with channels.naming(name):
-            ready = simulator.rows(table["input"], table.dt, table.time)
-            rows = stacked([ready, simulator.finish()])
-        names.append((f"{into.quantity}_{name}", into.unit))
-        names.append((f"{out.quantity}_{name}", out.unit))
-        values += [rows.x, rows.y]
-    if table.time is not None:
-        names, values = [("time", "s"), *names], [table.time, *values]
-    add_table(outputs, output, names).write(*values)
-    return len(table)
+    for block in progress(signal.blocks(), "simulated"):
+        yield simulator.rows(block["input"], block.dt, block.time)
+    yield simulator.finish()

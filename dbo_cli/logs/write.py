@@ -151,6 +151,9 @@ def _text_appender(file: Output, columns: Sequence[Named], delimiter: str) -> Ap
             target.flush()
 
     def append(block: Sequence[Floats], rows: int) -> None:
+        if rows == 0:  # not before there are rows: a pipe keeps what it got
+            names = [header_cell(name, unit, delimiter) for name, unit in columns]
+            send((delimiter.join(names) + "\n").encode())
         cells = (rows + len(block[0])) * len(block)
         if cells < _PLAIN_CELLS and "polars" not in sys.modules:
             texts = [map(repr, array.tolist()) for array in block]
@@ -164,9 +167,6 @@ def _text_appender(file: Output, columns: Sequence[Named], delimiter: str) -> Ap
         frame.write_csv(buffer, include_header=False, separator=delimiter)
         send(buffer.getbuffer())
 
-    names = [header_cell(name, unit, delimiter) for name, unit in columns]
-    with telling(file.path):
-        send((delimiter.join(names) + "\n").encode())
     return append
 
 
