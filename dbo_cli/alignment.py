@@ -7,7 +7,6 @@ and sensor is part of the shift, and a loop makes it uncertain.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -194,25 +193,14 @@ def loop_columns(signal: Floats) -> tuple[int, Floats]:
 
 
 def _plays(level: Floats) -> Floats:
-    """Return plays of a signal of 0 to 1 in every row, shape (rows, plays).
-
-    A row clips a play to ``level - half, level + half``, and clips in turn are a clip:
-    first those of all rows since the block began, of all blocks at once, then the plays.
-    """
-    rows = math.isqrt(len(level)) + 1
-    blocks = np.pad(level, (0, -len(level) % rows), "edge").reshape(-1, rows, 1)
-    low, high = blocks - PLAYS, blocks + PLAYS
-    for row in range(1, rows):
-        window = low[:, row], high[:, row]
-        low[:, row] = np.clip(low[:, row - 1], *window)
-        high[:, row] = np.clip(high[:, row - 1], *window)
+    """Return plays of a signal of 0 to 1 in every row, shape (rows, plays)."""
+    plays = np.empty((len(level), len(PLAYS)))
     half = np.minimum(PLAYS, 0.5)
     state = np.clip(level[0], half, 1.0 - half)
-    plays = np.empty_like(low)
-    for block, window in enumerate(zip(low, high, strict=True)):
-        plays[block] = np.clip(state, *window)
-        state = plays[block, -1]
-    return plays.reshape(-1, len(PLAYS))[: len(level)]
+    for row, value in enumerate(level):
+        state = np.minimum(np.maximum(state, value - PLAYS), value + PLAYS)
+        plays[row] = state
+    return plays
 
 
 def _sampled(trace: Trace, step: float) -> Floats:

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from dbo_cli.model import Cascade
 
 PLACE = "{}"
+Named = tuple[str, str | None]
 ALONE = ("",)
 """The channels of a log whose columns are no patterns."""
 MOST_TRIES = 20  # to make channels equally long; what creeps meanwhile may change a row
@@ -285,18 +286,27 @@ def histories_of(
 # --- tables of all channels ---
 
 
+def named_columns(
+    pairs: Mapping[str, Sequence[Named]], is_clocked: bool
+) -> list[Named]:
+    """Return names and units of the columns of channels: the time, then those of each channel."""
+    columns: list[Named] = [("time", "s")] if is_clocked else []
+    for channel, pair in pairs.items():
+        ending = f"_{channel}" if channel else ""
+        columns += [(name + ending, unit) for name, unit in pair]
+    return columns
+
+
 def heading(
-    drives: Mapping[str, Drive] | Mapping[str, Driver], clocked: bool
-) -> tuple[list[tuple[str, str | None]], dict[str, str | float]]:
+    drives: Mapping[str, Drive] | Mapping[str, Driver], is_clocked: bool
+) -> tuple[list[Named], dict[str, str | float]]:
     """Return names and units of the columns of drives, side by side, and what an HDF5 file says of them."""
-    columns: list[tuple[str, str | None]] = [("time", "s")] if clocked else []
-    digests, limits = {}, {}
+    pairs, digests, limits = {}, {}, {}
     for name, drive in drives.items():
         into, out = drive.model.input, drive.model.output
-        ending = f"_{name}" if name else ""
-        columns.append((f"desired{ending}", out.unit))
-        columns.append((f"{into.quantity}{ending}", into.unit))
+        pairs[name] = [("desired", out.unit), (into.quantity, into.unit)]
         digests[name], limits[name] = drive.model.digest, drive.limits.as_dict()
+    columns = named_columns(pairs, is_clocked)
     if tuple(drives) == ALONE:
         return columns, {"model": digests[""], "limits": json.dumps(limits[""])}
     return columns, {"model": json.dumps(digests), "limits": json.dumps(limits)}

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from dbo_cli.drive.simulate import Rows, Simulator
     from dbo_cli.logs import Log
     from dbo_cli.logs.write import Writer
-    from dbo_cli.model import Cascade
 
 
 def simulate(
@@ -59,7 +58,13 @@ def simulate(
             units = {"input": models[name].input.unit}
             signal = open_log(log, roles, reading, units)
             logs[name] = opened.enter_context(signal)
-        table = add_table(outputs, output, heading(models, logs))
+        pairs = {}
+        for name, actuator in models.items():
+            into, out = logs[name].columns["input"].unit, actuator.output
+            pairs[name] = [(actuator.input.quantity, into), (out.quantity, out.unit)]
+        is_clocked = all(log.clock.kind != "none" for log in logs.values())
+        header = channels.named_columns(pairs, is_clocked)
+        table = add_table(outputs, output, header)
         write_rows(simulators, logs, table)
         texts = {}
         for name, simulator in simulators.items():
@@ -77,20 +82,6 @@ def simulate(
         for signal in logs.values():
             warn_of_doubts(signal)
     say_output(output, text)
-
-
-def heading(
-    models: dict[str, Cascade], logs: dict[str, Log]
-) -> list[tuple[str, str | None]]:
-    """Return names and units of the columns: the time, then input and output of each channel."""
-    is_clocked = all(log.clock.kind != "none" for log in logs.values())
-    columns: list[tuple[str, str | None]] = [("time", "s")] if is_clocked else []
-    for name, model in models.items():
-        ending = f"_{name}" if name else ""
-        unit = logs[name].columns["input"].unit
-        columns.append((f"{model.input.quantity}{ending}", unit))
-        columns.append((f"{model.output.quantity}{ending}", model.output.unit))
-    return columns
 
 
 def write_rows(

@@ -225,7 +225,7 @@ def resampled(rows: Block, clock: Clock, rate: float) -> tuple[Block, Clock]:
     for role, array in rows.values.items():
         values[role] = np.interp(time, rows.time, array)
     remark = f"{len(rows):,} rows are interpolated to {count:,} at {rate:g} Hz"
-    even = replace(clock, kind="rate", rate=rate, start=first, irregular=0)
-    even.step, even.column, even.remarks = 1.0 / rate, None, [remark]
-    even.rows, even.first, even.last = count, first, float(time[-1])
+    even = replace(clock, kind="rate", column=None, rate=rate, start=first, irregular=0)
+    even.step, even.remarks, even.rows = 1.0 / rate, [remark], count
+    even.first, even.last = first, float(time[-1])
     return Block(time, values, dt=even.step), even

@@ -208,10 +208,7 @@ def _plain(value: Any) -> Any:
 
 def _attribute(node: Any, name: str) -> Any:
     """Return an attribute as a flat list of texts and numbers; empty where there is none."""
-    try:
-        value = node.attrs.get(name)
-    except UnicodeDecodeError:  # Latin-1 in a type that claims UTF-8
-        value = node.attrs.get_id(name).asstr("latin-1")
+    value = node.attrs.get(name)
     if value is None or isinstance(value, h5py.Empty):
         return []
     return [_plain(item) for item in np.ravel(value)]
