@@ -174,12 +174,14 @@ def unit_of_array(
     UsageError
         The unit that is given cannot be converted.
     """
+    if given is not None and model_unit is None:
+        raise UsageError(f"`unit` {given}: the model states no unit: leave it out")
     if given is not None:
         is_same = spell(given) == spell(model_unit)
         kind = kind_of(given)
         if not is_same and (kind is None or kind != kind_of(model_unit)):
             raise UsageError(
-                f"`unit` {given}: not convertible to {model_unit or 'no unit'}, the unit of the model"
+                f"`unit` {given}: not convertible to {model_unit}, the unit of the model"
             )
         return given
     if stated is None or model_unit is None or spell(stated) == spell(model_unit):

@@ -38,11 +38,10 @@ _BARE = {"rate": "rate", "sampling": "rate", "interval": "step"}  # with a unit 
 _DIVIDERS = frozenset(
     "decimation decimationfactor downsampling downsamplingfactor downsample".split()
 )
-_HERTZ = frozenset(
-    "hz hertz s/s sa/s sps samples/s sample/s samples/sec samples/second scans/s 1/s s^-1 s-1 /s fps "
-    "frames/s".split()
+_HERTZ = re.compile(
+    r"([kKMG]?)(?i:hz|hertz|(s|sa|samples?|scans|frames)/s|samples?/sec(ond)?|sps|fps|1/s|s\^-1|s-1|/s)"
 )
-_LARGE = {"k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
+_LARGE = {"": 1.0, "k": 1e3, "K": 1e3, "M": 1e6, "G": 1e9}
 # rates that differ by less were rounded when the file was written (0.000333333 s, 3000 Hz)
 _SAME = 1e-6
 _SLOWEST = 1e-12  # Hz; times at a rate below may not be finite
@@ -197,13 +196,9 @@ def _size(kind: str, unit: str) -> float | None:
     """Return how many Hz a unit of a rate is, or how many of a unit of a step make a second."""
     plain = unit.replace(" ", "")
     if kind == "rate":
-        large = 1.0
-        if plain[1:].lower() in _HERTZ:
-            large = _LARGE.get(plain[0], large)
-            plain = plain[1:] if plain[0] in _LARGE else plain
-        return large if not plain or plain.lower() in _HERTZ else None
-    for suffix in ("/sample", "/Sample", "/S", "/Sa"):
-        plain = plain.removesuffix(suffix)
+        match = _HERTZ.fullmatch(plain)
+        return _LARGE[match[1]] if match else None if plain else 1.0
+    plain = re.sub(r"/([sS]ample|S|Sa)$", "", plain)
     spelling = time_unit(plain) if plain else "s"
     return None if spelling is None else float(ratio("s", spelling))
 
