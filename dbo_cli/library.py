@@ -538,12 +538,21 @@ def read_log(
     InputError
         The log cannot be read, or it is not clear which column is which.
     """
-    typed = locals()
-    reading = Reading.typed(
-        **{field.name: typed[field.name] for field in dataclasses.fields(Reading)}
-    )
     import pandas as pd
 
+    reading = Reading.typed(
+        sample_rate=sample_rate,
+        time_unit=time_unit,
+        scale=scale or {},
+        rows=rows,
+        skip_bad=skip_bad,
+        resample=resample,
+        delimiter=delimiter,
+        decimal=decimal,
+        skip_lines=skip_lines,
+        encoding=encoding,
+        clock_offset=clock_offset,
+    )
     typed = {"time": time, "voltage": voltage, "displacement": displacement}
     roles = {role: None if name is None else str(name) for role, name in typed.items()}
     absent = tuple(role for role, name in roles.items() if name is None)

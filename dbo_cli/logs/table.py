@@ -133,7 +133,6 @@ class Reading:
         """Return how a log is to be read, of options whose figures are numbers or texts with a unit."""
         for name in ("sample_rate", "resample"):
             options[name] = quantity(name, options.get(name), "Hz")
-        options["scale"] = options.get("scale") or {}
         offset = options.get("clock_offset")
         options["clock_offset"] = quantity("clock_offset", offset, "s", "auto")
         return cls(**options)
