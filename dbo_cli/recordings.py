@@ -408,7 +408,7 @@ def time_constants(values: Sequence[float | str] | str) -> Any:
         return values
     constants = [parse_quantity(value, "s", "relaxation") for value in values]
     if len(constants) > 1 and 0.0 in constants:
-        raise UsageError(f"`relaxation` {values}: give times above 0 s, or 0 alone")
+        raise UsageError("`relaxation`: give times above 0 s, or 0 alone")
     return tuple(constants)
 
 

@@ -210,6 +210,8 @@ def _hdf5_appender(
         stream.tell_problem()
 
     def complete() -> None:
+        for dataset in datasets:  # the same order gives the same bytes
+            dataset.flush()
         store.close()
         stream.tell_problem()
 
