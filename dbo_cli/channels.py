@@ -36,10 +36,10 @@ if TYPE_CHECKING:
     from dbo_cli.drive.drive import PassRecord
     from dbo_cli.files import Outputs
     from dbo_cli.logs import Reading
+    from dbo_cli.logs.write import Named
     from dbo_cli.model import Cascade
 
 PLACE = "{}"
-Named = tuple[str, str | None]
 ALONE = ("",)
 """The channels of a log whose columns are no patterns."""
 MOST_TRIES = 20  # to make channels equally long; what creeps meanwhile may change a row

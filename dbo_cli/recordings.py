@@ -87,8 +87,7 @@ def read_table(
         raise InputError("give a file, or a frame of pandas or polars")
     with open_log(source, columns, reading, units, optional) as log:
         table = log.read()
-    for doubt in log.doubtful:
-        warn(f"{log.name}: {doubt}")
+    warn_of_doubts(log)
     for role, column in log.columns.items():
         name = titles.get(column.name, column.name)
         log.columns[role] = replace(column, name=name)
@@ -338,8 +337,7 @@ def warn_of_assumed(log: Log) -> None:
 
 
 def warn_of_doubts(log: Log) -> None:
-    """Warn of rows that were left out or cut, and of what is assumed, where no line says what was read."""
-    warn_of_assumed(log)
+    """Warn of rows that were left out, cut or guessed."""
     for doubt in log.doubtful:
         warn(f"{log.name}: {doubt}")
 

@@ -42,7 +42,7 @@ def simulate(
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.logs import add_table, open_log
     from dbo_cli.model import State, dumps_state
-    from dbo_cli.recordings import warn_of_doubts
+    from dbo_cli.recordings import warn_of_assumed, warn_of_doubts
 
     columns = {"time": time, "input": input}
     check_outputs(output, state=save_state)
@@ -80,6 +80,7 @@ def simulate(
         text = f"{table.rows:,} rows of {quantity.quantity}{quantity.suffix}"
     else:
         for signal in logs.values():
+            warn_of_assumed(signal)
             warn_of_doubts(signal)
     say_output(output, text)
 
