@@ -37,8 +37,8 @@ from dbo_cli.recordings import (
     recordings_of,
     signal_of,
     table_in_memory,
-    time_constants,
     tracked_of,
+    typed_constants,
 )
 from dbo_cli.units import quantity
 
@@ -675,7 +675,7 @@ def identify(
         sensor_delay=quantity("sensor_delay", sensor_delay, "s"),
         gears=gears,
         points=points,
-        relaxation=time_constants(relaxation),
+        relaxation=typed_constants(relaxation),
         delay=quantity("delay", delay, "s", "auto"),
         dynamics=dynamics,
         slopes=slopes,

@@ -400,7 +400,7 @@ def identified(
     return replace(model, provenance=provenance)
 
 
-def time_constants(values: Sequence[float | str] | str) -> Any:
+def typed_constants(values: Sequence[float | str] | str) -> Any:
     """Return typed time constants in s, 0 alone for none, or ``auto`` (UsageError)."""
     if isinstance(values, str):
         return values

@@ -62,7 +62,7 @@ def identify(
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.identification import Options, describe, describe_validation, leads
     from dbo_cli.model import dumps_model, dumps_set
-    from dbo_cli.recordings import identified, recordings_of, time_constants
+    from dbo_cli.recordings import identified, recordings_of, typed_constants
     from dbo_cli.reports.show import shown_text
 
     check_outputs(output, summary)
@@ -73,7 +73,7 @@ def identify(
         sensor_delay=quantity("sensor_delay", sensor_delay, "s"),
         gears=opt.number_of("gears", gears, int, "auto"),
         points=opt.number_of("points", points, int, "auto"),
-        relaxation=time_constants(
+        relaxation=typed_constants(
             "auto" if relaxation == "auto" else relaxation.split(",")
         ),
         delay=quantity("delay", delay, "s", "auto"),

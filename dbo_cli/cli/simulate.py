@@ -96,18 +96,18 @@ def write_rows(
     for name, simulator in simulators.items():
         with channels.naming(name):
             if name:
-                rows = stacked(list(rows_of(simulator, logs[name])))
+                rows = stacked(list(simulated(simulator, logs[name])))
                 time = [] if rows.time is None else [rows.time]
                 signals += [rows.x, rows.y]
                 continue
             simulator.name = logs[name].name
-            for rows in rows_of(simulator, logs[name]):
+            for rows in simulated(simulator, logs[name]):
                 rows.send(table.write)
     if signals:
         table.write(*time, *signals)
 
 
-def rows_of(simulator: Simulator, signal: Log) -> Iterator[Rows]:
+def simulated(simulator: Simulator, signal: Log) -> Iterator[Rows]:
     """Run a model over a log, block by block."""
     if simulator.model.needs_time and signal.clock.kind == "none":
         raise ModelError(
