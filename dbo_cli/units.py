@@ -10,6 +10,7 @@ import math
 import re
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 from typing import Any
 
 from dbo_cli.errors import InputError, UsageError
@@ -203,6 +204,7 @@ def multiplied(values: Any, factor: Fraction) -> Any:
     return values * float(factor)
 
 
+@lru_cache(maxsize=1024)
 def time_unit(text: str | None) -> str | None:
     """Return a unit of time (``s``, ``ms``, ``us``, ...) in plain spelling; None for any other.
 
@@ -220,6 +222,7 @@ def is_unit(text: str | None) -> bool:
     return parse_unit(text) is not None or time_unit(text) is not None
 
 
+@lru_cache(maxsize=1024)  # arrays in memory ask for the same few names at each call
 def split_header(text: str) -> tuple[str, str | None]:
     """Split a header at its unit: ``voltage_V``, ``Weg/nm``, ``time (ms)``, ``CH1 in V``.
 
