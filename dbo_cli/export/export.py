@@ -83,7 +83,7 @@ def export_model(
     if gears is not None:
         forward, loss = with_fewer_gears(forward, gears)
     plan = plan_of(forward, sample_rate, limits)
-    figures = {
+    figures: dict[str, Any] = {
         "name": name,
         "arithmetic": arithmetic,
         "sample_rate": sample_rate,
@@ -119,8 +119,9 @@ def _files(values: dict[str, str], sources: c.Sources) -> dict[str, str]:
     values["SOURCES"] = " ".join([f"{name}.c", *compiled])
     values["INCLUDES"] = "".join(f'#include "{header}"\n' for header in headers)
     values["TABLES"] = sources.tables
-    for section in ("members", "init", "reset", "step"):
-        values[section.upper()] = "\n".join(getattr(sources, section))
+    defines = [f"#define {key} {value}\n" for key, value in sources.numbers.items()]
+    values["NUMBERS"] = "".join(defines)
+    values["MEMBERS"] = c.fill(f"state_{arithmetic}.c", values).rstrip()
     values["ABOUT"] = c.fill(f"readme_{arithmetic}.md", values)
     values["DIFFERENCE"] = c.fill(f"same_{arithmetic}.c", values)
     if sources.bounds:

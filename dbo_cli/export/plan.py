@@ -103,9 +103,11 @@ class Plan:
         return window, None if step is None else float(step)
 
     @property
-    def checkpoints(self) -> int:
-        """How many checkpoints a state keeps of its turns, as dbo_kernel.h and dbo_q31.h have it."""
-        return (self.gears.n - 1) // SPACING
+    def sizes(self) -> dict[str, str]:
+        """Places of a state, at least 1: turns, checkpoints (dbo_kernel.h, dbo_q31.h) and memories."""
+        n, terms = self.gears.n, self.gears.gain.size
+        counts = {"TURNS": n, "CHECKPOINTS": (n - 1) // SPACING, "TERMS": terms}
+        return {name: str(count or 1) for name, count in counts.items()}
 
     @property
     def kappa(self) -> float:
