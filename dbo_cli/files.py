@@ -24,7 +24,8 @@ import re
 import signal
 import stat
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from types import FrameType, TracebackType
 from typing import IO
 
@@ -245,6 +246,21 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a small file, whole or not at all; ``-`` is standard output (OutputError)."""
     with Outputs() as outputs:
         outputs.write_text(path, text)
+
+
+def write_all(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> list[Path]:
+    """Write files into a folder, which is made where there is none: all of them or nothing (OutputError)."""
+    target = Path(folder)
+    with telling(str(folder)):
+        target.mkdir(parents=True, exist_ok=True)
+    try:
+        with Outputs() as outputs:
+            for name, data in files.items():
+                outputs.write_bytes(target / name, data)
+    finally:
+        with contextlib.suppress(OSError):
+            target.rmdir()  # empty: nothing was written
+    return [target / name for name in files]
 
 
 class Output:

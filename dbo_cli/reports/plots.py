@@ -22,8 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import OutputError
-from dbo_cli.files import Outputs
+from dbo_cli.files import write_all
 from dbo_cli.reports.pair import Pair
 from dbo_cli.reports.words import digits, shown_unit
 
@@ -134,25 +133,11 @@ def figure_of(plot: Plot) -> Figure:
 
 def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:
     """Write every figure as ``KEY.png`` and ``KEY.svg``, all or none; return the files (OutputError)."""
-    target = Path(folder)
-    is_new = not target.exists()
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise OutputError(
-            f"{folder}: {problem.strerror}: `figures` needs a folder"
-        ) from None
-    written = []
-    try:
-        with Outputs() as outputs:
-            for plot in plots:
-                for kind in ("png", "svg"):
-                    written.append(target / f"{plot.key}.{kind}")
-                    outputs.write_bytes(written[-1], draw(plot, kind))
-    finally:
-        if is_new and not any(target.iterdir()):
-            target.rmdir()
-    return written
+    files = {}
+    for plot in plots:
+        for kind in ("png", "svg"):
+            files[f"{plot.key}.{kind}"] = draw(plot, kind)
+    return write_all(folder, files)
 
 
 # --- a log ---

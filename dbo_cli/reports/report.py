@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.reports import page, plots
-from dbo_cli.reports.excess import excess
 from dbo_cli.reports.expected import Expected
-from dbo_cli.reports.merits import merits
+from dbo_cli.reports.merits import excess, merits
 from dbo_cli.reports.pair import Pair, scored, undelayed
 from dbo_cli.reports.words import (
     digits,
