@@ -230,7 +230,7 @@ class Rival:
             if design.falling:
                 z[:, 1:] = z[:, :1] - z[:, 1:]
             if design.by_rate:
-                share = shares(drive, log.time, problem.fastest)[rows, None]
+                share = shares(design, problem, drive, log.time)[rows, None]
                 z = np.hstack([(1.0 - share) * z, share * z])
             tables.append(z)
         return cls(design, problem, np.concatenate(tables))
@@ -301,17 +301,11 @@ class Rival:
             curves = Curves([curve, *curves])
         return plays_of(self.design, weights), float(drift[0]), curves
 
-    def shares(self, drive: Floats, time: Floats | None) -> Floats:
-        """Return how much of the second set of weights counts, a sample; of [7] alone."""
-        if not self.design.by_rate:
-            return EMPTY
-        return shares(drive, time, self.problem.fastest)
-
     def simulate(self, voltage: Floats, time: Floats | None = None) -> Floats:
         """Return the displacement for a voltage, without the delay."""
         plays, offset, curves = self.operator
         x = self.problem.scaled(voltage)
-        return curves(plays.run(x, self.shares(x, time)) + offset)
+        return curves(plays.run(x, shares(self.design, self.problem, x, time)) + offset)
 
     def invert(
         self, desired: Floats, first: float, time: Floats | None = None
@@ -325,7 +319,7 @@ class Rival:
         begin = float(problem.scaled(np.array([first]))[0])
         u = curves.inverse(desired) - offset
         if design.by_rate or design.free_first or design.one_sided:
-            x = plays.solve(u, begin, self.shares(u, time))
+            x = plays.solve(u, begin, shares(design, problem, u, time))
         else:
             x = plays.closed_inverse(u, begin)
         return problem.low + (problem.high - problem.low) * x
@@ -346,11 +340,15 @@ class Rival:
         return weights + design.segments - 1 + 1 + (design.delay > 0.0)
 
 
-def shares(drive: Floats, time: Floats | None, fastest: float) -> Floats:
-    """Return how much of the second set of weights of [7] counts in each row."""
-    if time is None or not fastest > 0.0:
+def shares(
+    design: Design, problem: RivalProblem, drive: Floats, time: Floats | None
+) -> Floats:
+    """Return how much of the second set of weights counts in each row; of [7] alone."""
+    if not design.by_rate:
+        return EMPTY
+    if time is None or not problem.fastest > 0.0:
         raise FitError("the rate needs a clock: give `time` or `sample_rate`")
-    share: Floats = np.minimum(rates_of(drive, time) / fastest, 1.0)
+    share: Floats = np.minimum(rates_of(drive, time) / problem.fastest, 1.0)
     return share
 
 

@@ -142,10 +142,8 @@ def _about(plan: Plan, rate: float | None, loss: Loss | None) -> dict[str, str]:
     low, high = limits.move
     values = {
         "TITLE": f"The drive of an actuator, {into} to {out}",
-        "INPUT_NAME": into,
-        "INPUT_RANGE": f"{displacement.min:.9g} to {displacement.max:.9g}{suffix}",
-        "OUTPUT_NAME": out,
-        "OUTPUT_RANGE": f"{drive.min:.9g} to {drive.max:.9g}{unit}",
+        "INPUT": f"{into} ({displacement.min:.9g} to {displacement.max:.9g}{suffix})",
+        "OUTPUT": f"{out} ({drive.min:.9g} to {drive.max:.9g}{unit})",
         "LOWEST": f"{drive.min!r}{unit}",
         "KEPT": f"{low!r} to {high!r}{unit}",
         "GEARS": str(plan.gears.n),
@@ -154,13 +152,10 @@ def _about(plan: Plan, rate: float | None, loss: Loss | None) -> dict[str, str]:
         values["KEPT"] += f", changing by at most {limits.slew!r}{unit} a second"
     if rate is not None:
         values |= {"RATE": repr(rate), "RATE_TEXT": f"{rate:.12g}"}
-    if plan.ahead and plan.dt is not None:
-        seconds = f"{plan.ahead * plan.dt:.9g}"
-        values |= {"AHEAD": str(plan.ahead), "AHEAD_SECONDS": seconds}
+    if plan.ahead:
+        values["AHEAD"] = str(plan.ahead)
     if loss is not None:
-        values["LARGEST_LOSS"] = f"{loss['max']:.3g}{suffix}"
-        values["LOSS_PERCENT"] = f"{100.0 * loss['max'] / displacement.span:.2g}"
-        values["RMS_LOSS"] = f"{loss['rms']:.3g}{suffix}"
+        values["LOSS"] = f"{loss['max']:.3g}{suffix} at most, {loss['rms']:.3g} RMS"
     return values
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from dbo_cli.errors import OutputError
 from dbo_cli.files import telling, write_all
+from dbo_cli.reports.words import json_text
 
 MANIFEST = "export.json"
 
@@ -27,11 +28,10 @@ def write_folder(
     """
     names = [*sorted(files), MANIFEST]
     manifest = {"format": "dbo-export", "version": 1, **figures, "files": names}
-    text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
     target, older = Path(folder), set()
     if target.is_dir():
         older = _files_of_export(target, [*names, f"{figures['name']}_test"])
-    contents = {**files, MANIFEST: text}
+    contents = {**files, MANIFEST: json_text(manifest)}
     write_all(folder, {name: data.encode() for name, data in contents.items()})
     with telling(folder):
         for name in older - set(names):

@@ -175,24 +175,14 @@ def plots_of_log(
         residual, error_title = "Residual", "Residual of the model"
     height = axis_label("Displacement", unit)
     band = f"± RMSE, {digits(rmse, 3)} {shown_unit(unit)}".rstrip()
-    plots = [
-        Plot(
-            f"{stem}-follow",
-            f"{first.capitalize()} and measured",
-            (clock, height),
-            (
-                (time, desired, first, SOLID),
-                (time, measured, "measured", DASHED),
-            ),
-        ),
-        Plot(
-            f"{stem}-error",
-            error_title,
-            (clock, axis_label(residual, unit)),
-            ((time, error, None, THIN),),
-            band=(rmse, band),
-        ),
-    ]
+
+    def both(x: Floats) -> tuple[Line, ...]:
+        return (x, desired, first, SOLID), (x, measured, "measured", DASHED)
+
+    title, labels = f"{first.capitalize()} and measured", (clock, height)
+    plots = [Plot(f"{stem}-follow", title, labels, both(time))]
+    line, labels = (time, error, None, THIN), (clock, axis_label(residual, unit))
+    plots.append(Plot(f"{stem}-error", error_title, labels, (line,), band=(rmse, band)))
     # measured over the drive; over the desired signal, its own line, where no drive is known
     x, title = drive, "Hysteresis loop"
     name = axis_label("Drive voltage", voltage_unit)
@@ -201,23 +191,15 @@ def plots_of_log(
         name = axis_label(f"{first.capitalize()} displacement", unit)
     curves: tuple[Line, ...] = ((x, measured, None, SOLID),)
     if first == "model" or drive is None:
-        curves = (
-            (x, desired, first, SOLID),
-            (x, measured, "measured", DASHED),
-        )
+        curves = both(x)
     plots.append(Plot(f"{stem}-loop", title, (name, height), curves, TALL))
     spectrum = spectrum_of(error, pair)
     if spectrum is not None:
         density = f"{shown_unit(unit)}/√Hz" if unit else "1/√Hz"
-        plots.append(
-            Plot(
-                f"{stem}-spectrum",
-                "Spectrum of the error",
-                ("Frequency (Hz)", f"Error density ({density})"),
-                ((*spectrum, None, THIN),),
-                logarithmic=True,
-            )
-        )
+        title, line = "Spectrum of the error", (*spectrum, None, THIN)
+        labels = "Frequency (Hz)", f"Error density ({density})"
+        key = f"{stem}-spectrum"
+        plots.append(Plot(key, title, labels, (line,), logarithmic=True))
     return plots
 
 
