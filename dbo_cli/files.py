@@ -40,7 +40,7 @@ UNPRINTABLE = re.compile(
 
 
 _is_command = False  # whether a command line runs: a library's files are not noted
-_inputs: dict[FileId, dict[str, str]] = {}  # of the command line, name by kind
+_inputs: list[tuple[FileId, str, str]] = []  # of the command line: kind and name
 _outputs: dict[str, Output] = {}  # of the command line, by what was typed
 _unfinished: set[str] = set()  # temporary files
 _is_naming = False
@@ -83,16 +83,15 @@ def note_input(path: str, kind: str) -> None:
     identity = _identity(path, sys.stdin)
     if identity is not None:
         name = "standard input" if path == "-" else path
-        _inputs.setdefault(identity, {})[kind] = name
+        _inputs.append((identity, kind, name))
         _require_apart()
 
 
 def _require_apart() -> None:
     """Refuse an output that is an input (OutputError)."""
     for output in _outputs.values():
-        names = _inputs.get(output.identity or (0, 0), {})
-        for kind, name in names.items():
-            if kind != output.replaces:
+        for identity, kind, name in _inputs:
+            if identity == output.identity and kind != output.replaces:
                 shown = "standard output" if output.is_stdout else output.path
                 raise OutputError(
                     f"{shown}: this is the {kind} {name}, which is read: write to another file"

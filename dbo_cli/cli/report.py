@@ -147,7 +147,7 @@ def publish(
 
 def rendered(result: Report, form: str) -> str:
     """Return a report as text; what people read names options as they are typed."""
-    text = result.render(form)
+    text: str = getattr(result, f"to_{form}")()
     return with_options(text) if form in ("text", "html") else text
 
 

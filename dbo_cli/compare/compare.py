@@ -195,12 +195,11 @@ def costs_of(model: Rival | DboModel, log: Recording) -> tuple[float, float]:
         clock = log.dt * np.arange(float(TIMED_SAMPLES))
     desired = model.simulate(voltage, clock)
     first = float(voltage[0])
-    forward = cost_of(lambda: model.simulate(voltage, clock))
-    inverse = cost_of(lambda: model.invert(desired, first, clock))
-    return forward, inverse
 
+    def cost(run: Callable[[], object]) -> float:
+        """Return the processor's time of a sample, of the fastest of several runs."""
+        timer = timeit.Timer(run, timer=time.thread_time_ns)
+        return min(timer.repeat(TIMED_RUNS, number=1)) / TIMED_SAMPLES
 
-def cost_of(run: Callable[[], object]) -> float:
-    """Return the processor's time (ns) of a sample, of the fastest of several runs."""
-    timer = timeit.Timer(run, timer=time.thread_time_ns)
-    return min(timer.repeat(TIMED_RUNS, number=1)) / TIMED_SAMPLES
+    forward = cost(lambda: model.simulate(voltage, clock))
+    return forward, cost(lambda: model.invert(desired, first, clock))

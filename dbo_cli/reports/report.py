@@ -205,11 +205,6 @@ class Report:
 
     # --- forms ---
 
-    def render(self, form: str) -> str:
-        """Return the report as ``text``, ``json``, ``csv`` or ``html``."""
-        text: str = getattr(self, f"to_{form}")()
-        return text
-
     def to_json(self) -> str:
         """Return the report as JSON text, ``dbo-report`` version 1; numbers read back exactly.
 
