@@ -235,19 +235,6 @@ class Rival:
             tables.append(z)
         return cls(design, problem, np.concatenate(tables))
 
-    @property
-    def lower(self) -> Floats:
-        """The lower bounds of the unknown weights: 0, and of the first the flattest slope."""
-        lower = np.zeros(self.columns.shape[1])
-        lower[0] = SLOPE_FLOOR
-        if self.design.by_rate:
-            lower[self.design.plays] = SLOPE_FLOOR
-        if self.design.one_sided:
-            lower[1] = SLOPE_FLOOR
-        if self.design.free_first:
-            lower[0] = -np.inf
-        return lower
-
     def solve(
         self, rows: Booleans | slice = slice(None)
     ) -> tuple[Floats, Points, Floats]:
@@ -263,7 +250,14 @@ class Rival:
         matrix = np.vstack([np.hstack([columns, -ramps]), fixing])
         right = np.append(np.zeros(len(output)), weight)
         drift = np.vstack([drift, np.zeros(drift.shape[1])])
-        lower = np.append(self.lower, np.full(segments, 1.0 / STEEPEST))
+        # weights of at least 0, and slopes where no play has moved
+        lower = np.zeros(columns.shape[1])
+        lower[0] = -np.inf if self.design.free_first else SLOPE_FLOOR
+        if self.design.by_rate:
+            lower[self.design.plays] = SLOPE_FLOOR
+        if self.design.one_sided:
+            lower[1] = SLOPE_FLOOR
+        lower = np.append(lower, np.full(segments, 1.0 / STEEPEST))
         bounded, free = bounded_minimum(matrix, drift, right, lower)
         weights, slopes = np.split(bounded, [columns.shape[1]])
         return (
