@@ -127,12 +127,11 @@ def _operator(plan: Plan, run: int) -> str:
     )
     if plan.forward.amplifier is not None:  # the step works them out
         return text
-    window, step = plan.inner
     largest = "0"
-    if step is not None:
+    if plan.step is not None:
         largest = "&largest_step"
-        text += f"static const double largest_step = {c.real(step)};\n"
-    low, high = map(c.real, window)
+        text += f"static const double largest_step = {c.real(plan.step)};\n"
+    low, high = map(c.real, plan.window)
     return (
         text
         + f"static const dbo_limits limits = {{{low}, {high}, 0.0, {largest}, 0}};\n"

@@ -9,7 +9,7 @@ from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import UsageError
 from dbo_cli.export import text as c
 from dbo_cli.export.double import double_sources
-from dbo_cli.export.plan import Loss, Plan, plan_of, with_fewer_gears
+from dbo_cli.export.plan import Loss, Plan, with_fewer_gears
 from dbo_cli.export.q31 import q31_sources
 from dbo_cli.model import Cascade
 
@@ -82,7 +82,7 @@ def export_model(
     forward, loss = model.forward(), None
     if gears is not None:
         forward, loss = with_fewer_gears(forward, gears)
-    plan = plan_of(forward, sample_rate, limits)
+    plan = Plan(forward, sample_rate, limits)
     figures: dict[str, Any] = {
         "name": name,
         "arithmetic": arithmetic,

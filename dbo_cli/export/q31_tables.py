@@ -244,17 +244,16 @@ def limits_of(whole: Whole) -> tuple[int, int, int | None, tuple[int, int, int]]
         low += 1
     while drive.value(high) > highest:
         high -= 1
-    window, inner_largest = plan.inner
-    inner_low, inner_high = ((end - plan.gears.x0) / position for end in window)
+    inner_low, inner_high = ((end - plan.gears.x0) / position for end in plan.window)
     if not low < high or max(abs(inner_low), abs(inner_high)) >= 2.0**59:
         raise beyond_q31("`v_min`, `v_max`")
     step, change = -1, None
     largest = plan.limits.largest_step(plan.dt)
-    if largest is not None and inner_largest is not None:
+    if largest is not None and plan.step is not None:
         # 2^32: more than from one end to the other
         change = min(math.floor(float(largest) / drive.unit), 2**32)
         share = min(change * drive.unit / float(largest), 1.0)
-        step = math.floor(min(inner_largest * share / position, 2.0**59))
+        step = math.floor(min(plan.step * share / position, 2.0**59))
         if step < 4:
             raise beyond_q31("`max_slew`", "lower `sample_rate`, or ")
     return low, high, change, (math.ceil(inner_low), math.floor(inner_high), step)
