@@ -18,7 +18,6 @@ from dbo_cli.compare.fitting import (
     RivalProblem,
     counted,
     fit,
-    prepare_logs,
 )
 from dbo_cli.errors import DboError
 from dbo_cli.identification import Options, Recording, identify
@@ -113,7 +112,7 @@ def compare_operators(
     FitError
         Nothing can be fitted to such logs.
     """
-    problem = prepare_logs(logs, skip)
+    problem = RivalProblem(logs, skip)
     rows = []
     for design in (Design("dbo", "Discrete Backlash Operator"), *RIVALS):
         row: dict[str, Any] = dict.fromkeys(KEYS)

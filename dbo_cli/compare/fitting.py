@@ -87,13 +87,17 @@ RIVALS = (
 )
 
 
-@dataclass(frozen=True)
 class RivalProblem:
     """All logs in units of the fit.
 
+    Parameters
+    ----------
+    logs : sequence of Recording
+    skip : float
+        Seconds at the beginning of each that are not fitted.
+
     Attributes
     ----------
-    logs : list of Recording
     rows : list of array of int
         The rows of each log that are fitted.
     output : array of shape (rows,)
@@ -113,16 +117,44 @@ class RivalProblem:
         clock.
     """
 
-    logs: Sequence[Recording]
-    rows: list[Integers]
-    output: Floats
-    drift: Floats
-    fold: Integers
-    low: float
-    high: float
-    scale: Scale
-    longest_delay: float
-    fastest: float
+    def __init__(self, logs: Sequence[Recording], skip: float = 0.0) -> None:
+        self.logs = logs
+        self.low = min(float(log.voltage.min()) for log in logs)
+        self.high = max(float(log.voltage.max()) for log in logs)
+        bottom = min(float(log.displacement.min()) for log in logs)
+        top = max(float(log.displacement.max()) for log in logs)
+        self.scale = Scale(top - bottom, bottom)
+        if falling(logs):
+            self.scale = Scale(bottom - top, top)
+        stride = -(-sum(len(log.voltage) for log in logs) // FIT_ROWS)
+        self.rows: list[Integers] = []
+        self.longest_delay = math.inf
+        outputs, drifts, folds = [], [], []
+        for log in logs:
+            swings = Swings.of(log.voltage)
+            longest = DELAY_OF_SWING * swings.usual_rows
+            self.longest_delay = min(self.longest_delay, longest)
+            rows = np.flatnonzero(counted(log, skip))[::stride]
+            if len(rows) < FOLDS:
+                raise FitError(f"{log.name}: only {len(rows)} rows left: reduce `skip`")
+            self.rows.append(rows)
+            outputs.append(self.scale.inverse(log.displacement[rows]))
+            folds.append(np.arange(len(rows)) * FOLDS // len(rows))
+            drift = np.ones((len(rows), 1))
+            if len(swings.sizes) >= SWINGS_FOR_DRIFT:
+                line = np.linspace(-1.0, 1.0, len(rows))
+                drift = np.column_stack([drift, line])
+            drifts.append(drift)
+        self.output: Floats = np.concatenate(outputs)
+        self.drift: Floats = block_diag(*drifts)
+        self.fold: Integers = np.concatenate(folds)
+        span, rates = self.high - self.low, [np.zeros(1)]
+        for log in logs:
+            if log.time is not None:
+                rates.append(rates_of(log.voltage, log.time) / span)
+        self.fastest = 0.0
+        if len(rates) > len(logs):
+            self.fastest = float(np.quantile(np.concatenate(rates), FASTEST_SHARE))
 
     def scaled(self, voltage: Floats) -> Floats:
         """Return a drive, scaled to 0..1."""
@@ -151,56 +183,6 @@ def rates_of(drive: Floats, time: Floats) -> Floats:
     return np.concatenate([[0.0], rates])
 
 
-def prepare_logs(logs: Sequence[Recording], skip: float = 0.0) -> RivalProblem:
-    """Return recordings in units of the fit; ``skip`` seconds of each are not fitted."""
-    low = min(float(log.voltage.min()) for log in logs)
-    high = max(float(log.voltage.max()) for log in logs)
-    bottom = min(float(log.displacement.min()) for log in logs)
-    top = max(float(log.displacement.max()) for log in logs)
-    scale = Scale(top - bottom, bottom)
-    if falling(logs):
-        scale = Scale(bottom - top, top)
-    stride = -(-sum(len(log.voltage) for log in logs) // FIT_ROWS)
-    longest, rows, outputs, drifts, folds = math.inf, [], [], [], []
-    for log in logs:
-        swings = Swings.of(log.voltage)
-        longest = min(longest, DELAY_OF_SWING * swings.usual_rows)
-        fitted = np.flatnonzero(counted(log, skip))[::stride]
-        if len(fitted) < FOLDS:
-            raise FitError(f"{log.name}: only {len(fitted)} rows left: reduce `skip`")
-        rows.append(fitted)
-        outputs.append(scale.inverse(log.displacement[fitted]))
-        folds.append(np.arange(len(fitted)) * FOLDS // len(fitted))
-        drift = np.ones((len(fitted), 1))
-        if len(swings.sizes) >= SWINGS_FOR_DRIFT:
-            line = np.linspace(-1.0, 1.0, len(fitted))
-            drift = np.column_stack([drift, line])
-        drifts.append(drift)
-    return RivalProblem(
-        logs,
-        rows,
-        np.concatenate(outputs),
-        block_diag(*drifts),
-        np.concatenate(folds),
-        low,
-        high,
-        scale,
-        longest,
-        fastest_rate(logs, high - low),
-    )
-
-
-def fastest_rate(logs: Sequence[Recording], span: float) -> float:
-    """Return the rate (1/s, scaled drive) that few rows exceed; 0 where a log has no clock."""
-    rates = [np.zeros(1)]
-    for log in logs:
-        if log.time is None:
-            return 0.0
-        rates.append(rates_of(log.voltage, log.time) / span)
-    return float(np.quantile(np.concatenate(rates), FASTEST_SHARE))
-
-
-@dataclass(frozen=True)
 class Rival:
     """A design with its least-squares problem, its solution and what is made of that.
 
@@ -212,13 +194,8 @@ class Rival:
         cubic, whose unknowns are its slopes at both ends.
     """
 
-    design: Design
-    problem: RivalProblem
-    columns: Floats
-
-    @classmethod
-    def of(cls, design: Design, problem: RivalProblem) -> Rival:
-        """Return the rows of all logs."""
+    def __init__(self, design: Design, problem: RivalProblem) -> None:
+        self.design, self.problem = design, problem
         tables = []
         for log, rows in zip(problem.logs, problem.rows, strict=True):
             drive = problem.scaled(late(log.voltage, design.delay))
@@ -233,7 +210,7 @@ class Rival:
                 share = shares(design, problem, drive, log.time)[rows, None]
                 z = np.hstack([(1.0 - share) * z, share * z])
             tables.append(z)
-        return cls(design, problem, np.concatenate(tables))
+        self.columns: Floats = np.concatenate(tables)
 
     def solve(
         self, rows: Booleans | slice = slice(None)
@@ -419,7 +396,7 @@ def with_delay(design: Design, problem: RivalProblem) -> Rival:
     """Return a rival with the delay of least error."""
 
     def delayed(delay: float) -> Rival:
-        return Rival.of(replace(design, delay=float(delay)), problem)
+        return Rival(replace(design, delay=float(delay)), problem)
 
     found = minimize_scalar(
         lambda delay: delayed(delay).fit_error,
@@ -433,6 +410,6 @@ def with_delay(design: Design, problem: RivalProblem) -> Rival:
 
 def simplest(designs: Sequence[Design], problem: RivalProblem) -> Rival:
     """Return the rival of the first design, simplest first, that no later one betters by much."""
-    rivals = [Rival.of(design, problem) for design in designs]
+    rivals = [Rival(design, problem) for design in designs]
     least = min(rival.left_out_error for rival in rivals)
     return next(r for r in rivals if r.left_out_error <= (1.0 + WORTH) * least)

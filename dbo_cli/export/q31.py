@@ -29,7 +29,7 @@ def q31_sources(plan: Plan) -> c.Sources:
     """
     _check(plan)
     gears, starts = plan.gears, plan.forward.starts
-    whole = tables.whole_of(plan)
+    whole = tables.Whole(plan)
     source, drive = whole.source, whole.drive
     bounds = bounds_of(whole)
     kernel = ["dbo_q31.h", "dbo_q31.c"]
