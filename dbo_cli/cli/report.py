@@ -93,7 +93,7 @@ def report(
             for pair, name in zip(pairs, short_names(logs), strict=True):
                 counted.append(dataclasses.replace(pair, rows=rows, name=name))
             unit = units.get("measured")
-            results[channel] = Report.of(
+            results[channel] = Report(
                 counted,
                 unit=unit,
                 voltage_unit=units.get("voltage"),
