@@ -40,12 +40,8 @@ class DboModel:
 
     model: Cascade
 
-    def _dt(self, clock: Floats | None) -> float | None:
-        if not self.model.needs_time:
-            return None
-        if clock is None:
-            return 1.0
-        return float(np.median(np.diff(clock)))
+    def _dt(self, clock: Floats | None) -> float:
+        return 1.0 if clock is None else float(np.median(np.diff(clock)))
 
     def simulate(self, voltage: Floats, clock: Floats | None = None) -> Floats:
         """Return the displacement for a voltage, without delay and dynamics."""

@@ -124,8 +124,11 @@ def segments_of(
     return rows.astype(np.int64).tolist(), shift
 
 
-class Memory(NamedTuple):
+class Memory:
     """The relaxation terms in whole numbers.
+
+    One of its counts is one of the output axis, or coarser where the reference is far
+    away: it has 31 bits.
 
     Attributes
     ----------
@@ -139,33 +142,21 @@ class Memory(NamedTuple):
         The memories' count, and that it is 2^shift positions of the output.
     """
 
-    terms: list[tuple[int, int, int]]
-    carried_shift: int
-    offset: float
-    unit: float
-    shift: int
-
-
-def memory_of(plan: Plan, x_axis: Axis, y_axis: Axis) -> Memory | None:
-    """Return the memory of a plan.
-
-    One of its counts is one of the output axis, or coarser where the reference is far
-    away: it has 31 bits.
-    """
-    if not plan.gears.gain.size:
-        return None
-    offset = plan.gears.x0 - plan.gears.reference
-    coarse = max(math.frexp(abs(offset) / y_axis.count_unit / COUNTS)[1], 0)
-    unit = y_axis.count_unit * 2.0**coarse
-    carried = plan.gears.gain * plan.decay * (unit / x_axis.unit)
-    shift = shift_for(float(carried.sum()))
-    if shift < 0:
-        raise beyond_q31(f"{plan.key}.relaxation.gain")
-    terms, rest = [], 1.0 - plan.decay
-    for factor, follow in zip(carried.tolist(), rest.tolist(), strict=True):
-        down = math.floor(math.log2(COUNTS / follow))
-        terms.append((round(factor * 2.0**shift), round(follow * 2.0**down), down))
-    return Memory(terms, shift, offset, unit, y_axis.fine + coarse)
+    def __init__(self, plan: Plan, x_axis: Axis, y_axis: Axis) -> None:
+        self.offset = plan.gears.x0 - plan.gears.reference
+        distance = abs(self.offset) / y_axis.count_unit / COUNTS
+        coarse = max(math.frexp(distance)[1], 0)
+        self.unit = y_axis.count_unit * 2.0**coarse
+        self.shift = y_axis.fine + coarse
+        carried = plan.gears.gain * plan.decay * (self.unit / x_axis.unit)
+        self.carried_shift = shift_for(float(carried.sum()))
+        if self.carried_shift < 0:
+            raise beyond_q31(f"{plan.key}.relaxation.gain")
+        self.terms: list[tuple[int, int, int]] = []
+        for factor, follow in zip(carried, 1.0 - plan.decay, strict=True):
+            down = math.floor(math.log2(COUNTS / follow))
+            whole = round(float(factor) * 2.0**self.carried_shift)
+            self.terms.append((whole, round(float(follow) * 2.0**down), down))
 
 
 class Whole:
@@ -197,7 +188,9 @@ class Whole:
         wide = gears.exchanged[:, 0] + plan.kappa * heights
         self.x_axis = Axis(wide, gears.equal_run)
         self.y_axis = Axis(heights, gears.equal_run)
-        self.memory = memory_of(plan, self.x_axis, self.y_axis)
+        self.memory = None
+        if gears.gain.size:
+            self.memory = Memory(plan, self.x_axis, self.y_axis)
         end = gears.x0 + float(heights.sum())
         self.before = fold(plan.forward.tail.inverse, source.min, source.max)
         self.after = fold(plan.forward.head.inverse, gears.x0, end)
