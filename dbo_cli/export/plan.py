@@ -109,17 +109,17 @@ class Plan:
         self.window, slew = forward.inner_limits(limits.move, limits.slew)
         step = largest_step(slew, dt)
         self.step = None if step is None else float(step)
-        self.decay, whole, self.delay_part = np.empty(0), 0, 0.0
+        self.decay, samples, self.delay_part = np.empty(0), 0, 0.0
         self.undone: tuple[SectionInverse, ...] = ()
         if dt is not None:
-            whole, self.delay_part = whole_and_part(forward.delay_seconds / dt)
+            samples, self.delay_part = whole_and_part(forward.delay_seconds / dt)
             if gears.relaxation is not None:
                 self.decay = gears.relaxation.decay(dt)[0]
             if forward.dynamics is not None:
                 self.undone = inverses_of(forward.dynamics.sections, dt)[::-1]
         # term by term, as the kernel adds
         self.kappa = float(sum((gears.gain * (1.0 - self.decay)).tolist()))
-        self.ahead = whole + (AFTER if self.delay_part else 0)
+        self.ahead = samples + (AFTER if self.delay_part else 0)
         self.ahead += sum(inverse.weight.size for inverse in self.undone)
         self.empty = forward.start_drive(forward.output.min, "empty", *limits.move)
         assert self.empty.drive is not None

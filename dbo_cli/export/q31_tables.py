@@ -155,8 +155,8 @@ class Memory:
         self.terms: list[tuple[int, int, int]] = []
         for factor, follow in zip(carried, 1.0 - plan.decay, strict=True):
             down = math.floor(math.log2(COUNTS / follow))
-            whole = round(float(factor) * 2.0**self.carried_shift)
-            self.terms.append((whole, round(float(follow) * 2.0**down), down))
+            scaled = round(float(factor) * 2.0**self.carried_shift)
+            self.terms.append((scaled, round(float(follow) * 2.0**down), down))
 
 
 class Whole:

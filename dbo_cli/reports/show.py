@@ -11,17 +11,17 @@ if TYPE_CHECKING:
     from dbo_cli.model import Cascade, Quantity
 
 LINE_WIDTH = 96  # characters of a line
-EXPECTED = {"expected_rmse": "error {:.3g}{unit} RMS"}
-FIT = {
+EXPECTED_FORMS = {"expected_rmse": "error {:.3g}{unit} RMS"}
+FIT_FORMS = {
     "rmse": "error {:.3g}{unit} RMS on its own logs",
     "line_rmse": "a straight line leaves {:.3g}{unit}",
 }
-RANGE = {
+RANGE_FORMS = {
     "fastest": "drives to {:.3g}{drive}/s",
     "longest_rest": "rests to {:.3g} s",
     "one_amplitude": "one amplitude",
 }
-LOG = {"name": "{}", "rows": "{:,} rows", "rmse": "error {:.3g}{unit} RMS"}
+LOG_FORMS = {"name": "{}", "rows": "{:,} rows", "rmse": "error {:.3g}{unit} RMS"}
 """How the figures of a fit and of a log are written, by their keys."""
 SEPARATE_KEYS = ("logs", "validation", "warnings", "notes")
 """Keys of ``fit`` that stand beside it in the JSON form."""
@@ -73,9 +73,13 @@ def shown_text(model: Cascade, name: str) -> str:
         if values[f"{part}_seconds"]:
             rows.append((part, _time(values[f"{part}_seconds"])))
     rows += [("dynamics", _section(section)) for section in values["dynamics"]]
-    shown = [("expected", fit, EXPECTED), ("fit", fit, FIT), ("range", fit, RANGE)]
-    shown += [("log", log, LOG) for log in values["logs"]]
-    shown += [("validation", log, LOG) for log in values["validation"]]
+    shown = [
+        ("expected", fit, EXPECTED_FORMS),
+        ("fit", fit, FIT_FORMS),
+        ("range", fit, RANGE_FORMS),
+    ]
+    shown += [("log", log, LOG_FORMS) for log in values["logs"]]
+    shown += [("validation", log, LOG_FORMS) for log in values["validation"]]
     for heading, figures, forms in shown:
         texts = []
         for key, form in forms.items():
