@@ -173,11 +173,11 @@ def excess(pair: Pair, expected: Expected, figures: Mapping[str, Any]) -> str:
     if expected.rmse is None or error <= BEYOND_EXPECTED * expected.rmse:
         return ""
     sweep = "" if expected.past_known else "sweep the range before the move, "
-    seconds, late = figures["lag_left_s"], ""
+    seconds, delay = figures["lag_left_s"], ""
     if seconds is not None:
-        late = f"it is {1e3 * seconds:.3g} ms late (match the clocks, or identify with `sensor_delay`), "
+        delay = f"it is {1e3 * seconds:.3g} ms late (match the clocks, or identify with `sensor_delay`), "
     return (
         f"the error is {error / expected.rmse:.2g} times the expected one: its mean is {figures['mean']:.3g} "
-        f"(set the sensor's zero, {sweep}or `remove_offset`), {late}row {figures['max_abs_row']:,} has the "
+        f"(set the sensor's zero, {sweep}or `remove_offset`), {delay}row {figures['max_abs_row']:,} has the "
         "largest; else identify again"
     )
