@@ -88,7 +88,7 @@ def fit_of(table: Floats, model: Cascade) -> Report:
     predicted, _ = model.simulate(voltage)
     pair = Pair("identification", predicted, rows_of(table, rows, MEASURED),
                 time=np.arange(len(voltage)) / RATE, voltage=voltage, rows=(201, 400))  # fmt: skip
-    return Report.of([pair], unit="um", voltage_unit="V", remove_offset=True,
+    return Report([pair], unit="um", voltage_unit="V", remove_offset=True,
                      model=model)  # fmt: skip
 
 
@@ -99,7 +99,7 @@ def tracking_of(table: Floats) -> Report:
     pairs = [replace(whole, name="uncompensated", rows=UNCOMPENSATED)]
     if len(table) >= COMPENSATED[1] + LAG:
         pairs.append(replace(whole, name="compensated", rows=COMPENSATED))
-    return Report.of(pairs, unit="um", voltage_unit="V", lag=LAG, remove_offset=True)
+    return Report(pairs, unit="um", voltage_unit="V", lag=LAG, remove_offset=True)
 
 
 def period_of(drive: Floats) -> float:

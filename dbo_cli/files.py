@@ -24,7 +24,8 @@ import re
 import signal
 import stat
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from types import FrameType, TracebackType
 from typing import IO
 
@@ -39,7 +40,7 @@ UNPRINTABLE = re.compile(
 
 
 _is_command = False  # whether a command line runs: a library's files are not noted
-_inputs: dict[FileId, dict[str, str]] = {}  # of the command line, name by kind
+_inputs: list[tuple[FileId, str, str]] = []  # of the command line: kind and name
 _outputs: dict[str, Output] = {}  # of the command line, by what was typed
 _unfinished: set[str] = set()  # temporary files
 _is_naming = False
@@ -82,16 +83,15 @@ def note_input(path: str, kind: str) -> None:
     identity = _identity(path, sys.stdin)
     if identity is not None:
         name = "standard input" if path == "-" else path
-        _inputs.setdefault(identity, {})[kind] = name
+        _inputs.append((identity, kind, name))
         _require_apart()
 
 
 def _require_apart() -> None:
     """Refuse an output that is an input (OutputError)."""
     for output in _outputs.values():
-        names = _inputs.get(output.identity or (0, 0), {})
-        for kind, name in names.items():
-            if kind != output.replaces:
+        for identity, kind, name in _inputs:
+            if identity == output.identity and kind != output.replaces:
                 shown = "standard output" if output.is_stdout else output.path
                 raise OutputError(
                     f"{shown}: this is the {kind} {name}, which is read: write to another file"
@@ -245,6 +245,21 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a small file, whole or not at all; ``-`` is standard output (OutputError)."""
     with Outputs() as outputs:
         outputs.write_text(path, text)
+
+
+def write_all(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> list[Path]:
+    """Write files into a folder, which is made where there is none: all of them or nothing (OutputError)."""
+    target = Path(folder)
+    with telling(str(folder)):
+        target.mkdir(parents=True, exist_ok=True)
+    try:
+        with Outputs() as outputs:
+            for name, data in files.items():
+                outputs.write_bytes(target / name, data)
+    finally:
+        with contextlib.suppress(OSError):
+            target.rmdir()  # empty: nothing was written
+    return [target / name for name in files]
 
 
 class Output:

@@ -780,7 +780,7 @@ def report(
     reading = Reading(sample_rate=rate)
     pairs, units, _ = pairs_of([table], columns, reading, actuator, start)
     unit = units.get("measured")
-    return Report.of(
+    return Report(
         [dataclasses.replace(pair, rows=rows, name=name) for pair in pairs],
         unit=unit,
         voltage_unit=units.get("voltage"),

@@ -93,7 +93,7 @@ def report(
             for pair, name in zip(pairs, short_names(logs), strict=True):
                 counted.append(dataclasses.replace(pair, rows=rows, name=name))
             unit = units.get("measured")
-            results[channel] = Report.of(
+            results[channel] = Report(
                 counted,
                 unit=unit,
                 voltage_unit=units.get("voltage"),
@@ -125,7 +125,8 @@ def publish(
     for name, result in results.items():
         if figures is not None:
             detail(*map(str, result.figures(os.path.join(figures, name))))
-        text = result.render(form)  # what people read names options as they are typed
+        text: str = getattr(result, f"to_{form}")()
+        # what people read names options as they are typed
         texts[name] = with_options(text) if form in ("text", "html") else text
     if form == "json":
         write_text(output, channels.dumps_files("report", texts))

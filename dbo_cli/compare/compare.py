@@ -18,7 +18,6 @@ from dbo_cli.compare.fitting import (
     RivalProblem,
     counted,
     fit,
-    prepare_logs,
 )
 from dbo_cli.errors import DboError
 from dbo_cli.identification import Options, Recording, identify
@@ -41,12 +40,8 @@ class DboModel:
 
     model: Cascade
 
-    def _dt(self, clock: Floats | None) -> float | None:
-        if not self.model.needs_time:
-            return None
-        if clock is None:
-            return 1.0
-        return float(np.median(np.diff(clock)))
+    def _dt(self, clock: Floats | None) -> float:
+        return 1.0 if clock is None else float(np.median(np.diff(clock)))
 
     def simulate(self, voltage: Floats, clock: Floats | None = None) -> Floats:
         """Return the displacement for a voltage, without delay and dynamics."""
@@ -113,7 +108,7 @@ def compare_operators(
     FitError
         Nothing can be fitted to such logs.
     """
-    problem = prepare_logs(logs, skip)
+    problem = RivalProblem(logs, skip)
     rows = []
     for design in (Design("dbo", "Discrete Backlash Operator"), *RIVALS):
         row: dict[str, Any] = dict.fromkeys(KEYS)
@@ -195,12 +190,11 @@ def costs_of(model: Rival | DboModel, log: Recording) -> tuple[float, float]:
         clock = log.dt * np.arange(float(TIMED_SAMPLES))
     desired = model.simulate(voltage, clock)
     first = float(voltage[0])
-    forward = cost_of(lambda: model.simulate(voltage, clock))
-    inverse = cost_of(lambda: model.invert(desired, first, clock))
-    return forward, inverse
 
+    def cost(run: Callable[[], object]) -> float:
+        """Return the processor's time of a sample, of the fastest of several runs."""
+        timer = timeit.Timer(run, timer=time.thread_time_ns)
+        return min(timer.repeat(TIMED_RUNS, number=1)) / TIMED_SAMPLES
 
-def cost_of(run: Callable[[], object]) -> float:
-    """Return the processor's time (ns) of a sample, of the fastest of several runs."""
-    timer = timeit.Timer(run, timer=time.thread_time_ns)
-    return min(timer.repeat(TIMED_RUNS, number=1)) / TIMED_SAMPLES
+    forward = cost(lambda: model.simulate(voltage, clock))
+    return forward, cost(lambda: model.invert(desired, first, clock))

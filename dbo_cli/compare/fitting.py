@@ -87,13 +87,17 @@ RIVALS = (
 )
 
 
-@dataclass(frozen=True)
 class RivalProblem:
     """All logs in units of the fit.
 
+    Parameters
+    ----------
+    logs : sequence of Recording
+    skip : float
+        Seconds at the beginning of each that are not fitted.
+
     Attributes
     ----------
-    logs : list of Recording
     rows : list of array of int
         The rows of each log that are fitted.
     output : array of shape (rows,)
@@ -113,16 +117,44 @@ class RivalProblem:
         clock.
     """
 
-    logs: Sequence[Recording]
-    rows: list[Integers]
-    output: Floats
-    drift: Floats
-    fold: Integers
-    low: float
-    high: float
-    scale: Scale
-    longest_delay: float
-    fastest: float
+    def __init__(self, logs: Sequence[Recording], skip: float = 0.0) -> None:
+        self.logs = logs
+        self.low = min(float(log.voltage.min()) for log in logs)
+        self.high = max(float(log.voltage.max()) for log in logs)
+        bottom = min(float(log.displacement.min()) for log in logs)
+        top = max(float(log.displacement.max()) for log in logs)
+        self.scale = Scale(top - bottom, bottom)
+        if falling(logs):
+            self.scale = Scale(bottom - top, top)
+        stride = -(-sum(len(log.voltage) for log in logs) // FIT_ROWS)
+        self.rows: list[Integers] = []
+        self.longest_delay = math.inf
+        outputs, drifts, folds = [], [], []
+        for log in logs:
+            swings = Swings.of(log.voltage)
+            longest = DELAY_OF_SWING * swings.usual_rows
+            self.longest_delay = min(self.longest_delay, longest)
+            rows = np.flatnonzero(counted(log, skip))[::stride]
+            if len(rows) < FOLDS:
+                raise FitError(f"{log.name}: only {len(rows)} rows left: reduce `skip`")
+            self.rows.append(rows)
+            outputs.append(self.scale.inverse(log.displacement[rows]))
+            folds.append(np.arange(len(rows)) * FOLDS // len(rows))
+            drift = np.ones((len(rows), 1))
+            if len(swings.sizes) >= SWINGS_FOR_DRIFT:
+                line = np.linspace(-1.0, 1.0, len(rows))
+                drift = np.column_stack([drift, line])
+            drifts.append(drift)
+        self.output: Floats = np.concatenate(outputs)
+        self.drift: Floats = block_diag(*drifts)
+        self.fold: Integers = np.concatenate(folds)
+        span, rates = self.high - self.low, [np.zeros(1)]
+        for log in logs:
+            if log.time is not None:
+                rates.append(rates_of(log.voltage, log.time) / span)
+        self.fastest = 0.0
+        if len(rates) > len(logs):
+            self.fastest = float(np.quantile(np.concatenate(rates), FASTEST_SHARE))
 
     def scaled(self, voltage: Floats) -> Floats:
         """Return a drive, scaled to 0..1."""
@@ -151,56 +183,6 @@ def rates_of(drive: Floats, time: Floats) -> Floats:
     return np.concatenate([[0.0], rates])
 
 
-def prepare_logs(logs: Sequence[Recording], skip: float = 0.0) -> RivalProblem:
-    """Return recordings in units of the fit; ``skip`` seconds of each are not fitted."""
-    low = min(float(log.voltage.min()) for log in logs)
-    high = max(float(log.voltage.max()) for log in logs)
-    bottom = min(float(log.displacement.min()) for log in logs)
-    top = max(float(log.displacement.max()) for log in logs)
-    scale = Scale(top - bottom, bottom)
-    if falling(logs):
-        scale = Scale(bottom - top, top)
-    stride = -(-sum(len(log.voltage) for log in logs) // FIT_ROWS)
-    longest, rows, outputs, drifts, folds = math.inf, [], [], [], []
-    for log in logs:
-        swings = Swings.of(log.voltage)
-        longest = min(longest, DELAY_OF_SWING * swings.usual_rows)
-        fitted = np.flatnonzero(counted(log, skip))[::stride]
-        if len(fitted) < FOLDS:
-            raise FitError(f"{log.name}: only {len(fitted)} rows left: reduce `skip`")
-        rows.append(fitted)
-        outputs.append(scale.inverse(log.displacement[fitted]))
-        folds.append(np.arange(len(fitted)) * FOLDS // len(fitted))
-        drift = np.ones((len(fitted), 1))
-        if len(swings.sizes) >= SWINGS_FOR_DRIFT:
-            line = np.linspace(-1.0, 1.0, len(fitted))
-            drift = np.column_stack([drift, line])
-        drifts.append(drift)
-    return RivalProblem(
-        logs,
-        rows,
-        np.concatenate(outputs),
-        block_diag(*drifts),
-        np.concatenate(folds),
-        low,
-        high,
-        scale,
-        longest,
-        fastest_rate(logs, high - low),
-    )
-
-
-def fastest_rate(logs: Sequence[Recording], span: float) -> float:
-    """Return the rate (1/s, scaled drive) that few rows exceed; 0 where a log has no clock."""
-    rates = [np.zeros(1)]
-    for log in logs:
-        if log.time is None:
-            return 0.0
-        rates.append(rates_of(log.voltage, log.time) / span)
-    return float(np.quantile(np.concatenate(rates), FASTEST_SHARE))
-
-
-@dataclass(frozen=True)
 class Rival:
     """A design with its least-squares problem, its solution and what is made of that.
 
@@ -212,13 +194,8 @@ class Rival:
         cubic, whose unknowns are its slopes at both ends.
     """
 
-    design: Design
-    problem: RivalProblem
-    columns: Floats
-
-    @classmethod
-    def of(cls, design: Design, problem: RivalProblem) -> Rival:
-        """Return the rows of all logs."""
+    def __init__(self, design: Design, problem: RivalProblem) -> None:
+        self.design, self.problem = design, problem
         tables = []
         for log, rows in zip(problem.logs, problem.rows, strict=True):
             drive = problem.scaled(late(log.voltage, design.delay))
@@ -230,23 +207,10 @@ class Rival:
             if design.falling:
                 z[:, 1:] = z[:, :1] - z[:, 1:]
             if design.by_rate:
-                share = shares(drive, log.time, problem.fastest)[rows, None]
+                share = shares(design, problem, drive, log.time)[rows, None]
                 z = np.hstack([(1.0 - share) * z, share * z])
             tables.append(z)
-        return cls(design, problem, np.concatenate(tables))
-
-    @property
-    def lower(self) -> Floats:
-        """The lower bounds of the unknown weights: 0, and of the first the flattest slope."""
-        lower = np.zeros(self.columns.shape[1])
-        lower[0] = SLOPE_FLOOR
-        if self.design.by_rate:
-            lower[self.design.plays] = SLOPE_FLOOR
-        if self.design.one_sided:
-            lower[1] = SLOPE_FLOOR
-        if self.design.free_first:
-            lower[0] = -np.inf
-        return lower
+        self.columns: Floats = np.concatenate(tables)
 
     def solve(
         self, rows: Booleans | slice = slice(None)
@@ -263,7 +227,14 @@ class Rival:
         matrix = np.vstack([np.hstack([columns, -ramps]), fixing])
         right = np.append(np.zeros(len(output)), weight)
         drift = np.vstack([drift, np.zeros(drift.shape[1])])
-        lower = np.append(self.lower, np.full(segments, 1.0 / STEEPEST))
+        # weights of at least 0, and slopes where no play has moved
+        lower = np.zeros(columns.shape[1])
+        lower[0] = -np.inf if self.design.free_first else SLOPE_FLOOR
+        if self.design.by_rate:
+            lower[self.design.plays] = SLOPE_FLOOR
+        if self.design.one_sided:
+            lower[1] = SLOPE_FLOOR
+        lower = np.append(lower, np.full(segments, 1.0 / STEEPEST))
         bounded, free = bounded_minimum(matrix, drift, right, lower)
         weights, slopes = np.split(bounded, [columns.shape[1]])
         return (
@@ -301,17 +272,11 @@ class Rival:
             curves = Curves([curve, *curves])
         return plays_of(self.design, weights), float(drift[0]), curves
 
-    def shares(self, drive: Floats, time: Floats | None) -> Floats:
-        """Return how much of the second set of weights counts, a sample; of [7] alone."""
-        if not self.design.by_rate:
-            return EMPTY
-        return shares(drive, time, self.problem.fastest)
-
     def simulate(self, voltage: Floats, time: Floats | None = None) -> Floats:
         """Return the displacement for a voltage, without the delay."""
         plays, offset, curves = self.operator
         x = self.problem.scaled(voltage)
-        return curves(plays.run(x, self.shares(x, time)) + offset)
+        return curves(plays.run(x, shares(self.design, self.problem, x, time)) + offset)
 
     def invert(
         self, desired: Floats, first: float, time: Floats | None = None
@@ -325,7 +290,7 @@ class Rival:
         begin = float(problem.scaled(np.array([first]))[0])
         u = curves.inverse(desired) - offset
         if design.by_rate or design.free_first or design.one_sided:
-            x = plays.solve(u, begin, self.shares(u, time))
+            x = plays.solve(u, begin, shares(design, problem, u, time))
         else:
             x = plays.closed_inverse(u, begin)
         return problem.low + (problem.high - problem.low) * x
@@ -346,11 +311,15 @@ class Rival:
         return weights + design.segments - 1 + 1 + (design.delay > 0.0)
 
 
-def shares(drive: Floats, time: Floats | None, fastest: float) -> Floats:
-    """Return how much of the second set of weights of [7] counts in each row."""
-    if time is None or not fastest > 0.0:
+def shares(
+    design: Design, problem: RivalProblem, drive: Floats, time: Floats | None
+) -> Floats:
+    """Return how much of the second set of weights counts in each row; of [7] alone."""
+    if not design.by_rate:
+        return EMPTY
+    if time is None or not problem.fastest > 0.0:
         raise FitError("the rate needs a clock: give `time` or `sample_rate`")
-    share: Floats = np.minimum(rates_of(drive, time) / fastest, 1.0)
+    share: Floats = np.minimum(rates_of(drive, time) / problem.fastest, 1.0)
     return share
 
 
@@ -427,7 +396,7 @@ def with_delay(design: Design, problem: RivalProblem) -> Rival:
     """Return a rival with the delay of least error."""
 
     def delayed(delay: float) -> Rival:
-        return Rival.of(replace(design, delay=float(delay)), problem)
+        return Rival(replace(design, delay=float(delay)), problem)
 
     found = minimize_scalar(
         lambda delay: delayed(delay).fit_error,
@@ -441,6 +410,6 @@ def with_delay(design: Design, problem: RivalProblem) -> Rival:
 
 def simplest(designs: Sequence[Design], problem: RivalProblem) -> Rival:
     """Return the rival of the first design, simplest first, that no later one betters by much."""
-    rivals = [Rival.of(design, problem) for design in designs]
+    rivals = [Rival(design, problem) for design in designs]
     least = min(rival.left_out_error for rival in rivals)
     return next(r for r in rivals if r.left_out_error <= (1.0 + WORTH) * least)

@@ -9,7 +9,7 @@ from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import UsageError
 from dbo_cli.export import text as c
 from dbo_cli.export.double import double_sources
-from dbo_cli.export.plan import Loss, Plan, plan_of, with_fewer_gears
+from dbo_cli.export.plan import Loss, Plan, with_fewer_gears
 from dbo_cli.export.q31 import q31_sources
 from dbo_cli.model import Cascade
 
@@ -82,8 +82,8 @@ def export_model(
     forward, loss = model.forward(), None
     if gears is not None:
         forward, loss = with_fewer_gears(forward, gears)
-    plan = plan_of(forward, sample_rate, limits)
-    figures = {
+    plan = Plan(forward, sample_rate, limits)
+    figures: dict[str, Any] = {
         "name": name,
         "arithmetic": arithmetic,
         "sample_rate": sample_rate,
@@ -119,8 +119,9 @@ def _files(values: dict[str, str], sources: c.Sources) -> dict[str, str]:
     values["SOURCES"] = " ".join([f"{name}.c", *compiled])
     values["INCLUDES"] = "".join(f'#include "{header}"\n' for header in headers)
     values["TABLES"] = sources.tables
-    for section in ("members", "init", "reset", "step"):
-        values[section.upper()] = "\n".join(getattr(sources, section))
+    defines = [f"#define {key} {value}\n" for key, value in sources.numbers.items()]
+    values["NUMBERS"] = "".join(defines)
+    values["MEMBERS"] = c.fill(f"state_{arithmetic}.c", values).rstrip()
     values["ABOUT"] = c.fill(f"readme_{arithmetic}.md", values)
     values["DIFFERENCE"] = c.fill(f"same_{arithmetic}.c", values)
     if sources.bounds:
@@ -141,10 +142,8 @@ def _about(plan: Plan, rate: float | None, loss: Loss | None) -> dict[str, str]:
     low, high = limits.move
     values = {
         "TITLE": f"The drive of an actuator, {into} to {out}",
-        "INPUT_NAME": into,
-        "INPUT_RANGE": f"{displacement.min:.9g} to {displacement.max:.9g}{suffix}",
-        "OUTPUT_NAME": out,
-        "OUTPUT_RANGE": f"{drive.min:.9g} to {drive.max:.9g}{unit}",
+        "INPUT": f"{into} ({displacement.min:.9g} to {displacement.max:.9g}{suffix})",
+        "OUTPUT": f"{out} ({drive.min:.9g} to {drive.max:.9g}{unit})",
         "LOWEST": f"{drive.min!r}{unit}",
         "KEPT": f"{low!r} to {high!r}{unit}",
         "GEARS": str(plan.gears.n),
@@ -153,13 +152,10 @@ def _about(plan: Plan, rate: float | None, loss: Loss | None) -> dict[str, str]:
         values["KEPT"] += f", changing by at most {limits.slew!r}{unit} a second"
     if rate is not None:
         values |= {"RATE": repr(rate), "RATE_TEXT": f"{rate:.12g}"}
-    if plan.ahead and plan.dt is not None:
-        seconds = f"{plan.ahead * plan.dt:.9g}"
-        values |= {"AHEAD": str(plan.ahead), "AHEAD_SECONDS": seconds}
+    if plan.ahead:
+        values["AHEAD"] = str(plan.ahead)
     if loss is not None:
-        values["LARGEST_LOSS"] = f"{loss['max']:.3g}{suffix}"
-        values["LOSS_PERCENT"] = f"{100.0 * loss['max'] / displacement.span:.2g}"
-        values["RMS_LOSS"] = f"{loss['rms']:.3g}{suffix}"
+        values["LOSS"] = f"{loss['max']:.3g}{suffix} at most, {loss['rms']:.3g} RMS"
     return values
 
 

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from dbo_cli.errors import OutputError
-from dbo_cli.files import Outputs, telling
+from dbo_cli.files import telling, write_all
+from dbo_cli.reports.words import json_text
 
 MANIFEST = "export.json"
 
@@ -27,20 +28,14 @@ def write_folder(
     """
     names = [*sorted(files), MANIFEST]
     manifest = {"format": "dbo-export", "version": 1, **figures, "files": names}
-    text = json.dumps(manifest, indent=2, ensure_ascii=False) + "\n"
-    target = Path(folder)
+    target, older = Path(folder), set()
+    if target.is_dir():
+        older = _files_of_export(target, [*names, f"{figures['name']}_test"])
+    contents = {**files, MANIFEST: json_text(manifest)}
+    write_all(folder, {name: data.encode() for name, data in contents.items()})
     with telling(folder):
-        target.mkdir(exist_ok=True)
-        try:
-            older = _files_of_export(target, [*names, f"{figures['name']}_test"])
-            with Outputs() as outputs:
-                for name, content in {**files, MANIFEST: text}.items():
-                    outputs.write_bytes(target / name, content.encode())
-            for name in older - set(names):
-                (target / name).unlink()
-        finally:
-            with contextlib.suppress(OSError):
-                target.rmdir()  # empty: nothing was written
+        for name in older - set(names):
+            (target / name).unlink()
 
 
 def _files_of_export(target: Path, names: list[str]) -> set[str]:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from dbo_cli.arrays import Floats, Range
+from dbo_cli.arrays import Floats
 from dbo_cli.drive.limits import Limits
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import UsageError, require_positive
 from dbo_cli.model import Cascade, Gears, Quantity, State
 from dbo_cli.model.delay import AFTER, whole_and_part
 from dbo_cli.model.dynamics import SectionInverse, inverses_of
@@ -51,72 +50,87 @@ class Grid(NamedTuple):
         return count * self.unit + self.offset
 
 
-@dataclass(frozen=True)
 class Plan:
     """The inverse of a model at one time step.
 
-    Attributes
+    Parameters
     ----------
     forward : Model
         The forward model.
-    dt : float, or None
-        Seconds between samples; None where nothing depends on them.
+    sample_rate : float, optional
+        Steps a second (Hz); needed where something depends on time.
     limits : Limits
         Of the drive; the move's range and the slew count.
+
+    Attributes
+    ----------
+    dt : float, or None
+        Seconds between samples; None where nothing depends on them.
+    gears, key : Gears, str
+        The gears, and their key in the model file; the operator that is exported has their
+        axes exchanged.
+    window, step : (float, float), float or None
+        The range of the drive as the gears meet it, and the largest change of their output
+        in a step.
     decay : array
         a_j = exp(-dt/tau_j).
-    delay_samples, delay_part : int, float
-        The delay in whole samples, and the part of one beyond.
+    kappa : float
+        The immediate part of the memory, sum c_j (1 - a_j).
+    delay_part : float
+        The part of the delay beyond whole samples.
     undone : tuple of SectionInverse
         The inverse of each section of the dynamics, the last section first.
+    ahead : int
+        How many samples earlier the input is needed: for the delay, and the dynamics.
     empty : State
         The library's start ``empty``; no gear of the range is engaged.
     first_drive : float
         The drive of an actuator that has been at or below its lower end.
+
+    Raises
+    ------
+    UsageError
+        The sample rate is missing where something depends on it, or is no rate.
+    InputError
+        The rate does not resolve the dynamics.
     """
 
-    forward: Cascade
-    dt: float | None
-    limits: Limits
-    decay: Floats
-    delay_samples: int
-    delay_part: float
-    undone: tuple[SectionInverse, ...]
-    empty: State
-    first_drive: float
+    def __init__(
+        self, forward: Cascade, sample_rate: float | None, limits: Limits
+    ) -> None:
+        require_positive(sample_rate=sample_rate)
+        if sample_rate is None and (forward.needs_time or limits.slew is not None):
+            raise UsageError("the drive depends on time: add `sample_rate` HZ")
+        self.forward = replace(forward, candidates=())
+        self.limits = limits
+        self.dt = dt = None if sample_rate is None else 1.0 / sample_rate
+        self.gears = gears = forward.gears
+        self.key = f"stages[{forward.stages.index(gears)}]"
+        self.window, slew = forward.inner_limits(limits.move, limits.slew)
+        step = largest_step(slew, dt)
+        self.step = None if step is None else float(step)
+        self.decay, samples, self.delay_part = np.empty(0), 0, 0.0
+        self.undone: tuple[SectionInverse, ...] = ()
+        if dt is not None:
+            samples, self.delay_part = whole_and_part(forward.delay_seconds / dt)
+            if gears.relaxation is not None:
+                self.decay = gears.relaxation.decay(dt)[0]
+            if forward.dynamics is not None:
+                self.undone = inverses_of(forward.dynamics.sections, dt)[::-1]
+        # term by term, as the kernel adds
+        self.kappa = float(sum((gears.gain * (1.0 - self.decay)).tolist()))
+        self.ahead = samples + (AFTER if self.delay_part else 0)
+        self.ahead += sum(inverse.weight.size for inverse in self.undone)
+        self.empty = forward.start_drive(forward.output.min, "empty", *limits.move)
+        assert self.empty.drive is not None
+        self.first_drive = self.empty.drive
 
     @property
-    def gears(self) -> Gears:
-        """The gears; the operator that is exported has their axes exchanged."""
-        return self.forward.gears
-
-    @property
-    def key(self) -> str:
-        """The gears' key in the model file."""
-        return f"stages[{self.forward.stages.index(self.gears)}]"
-
-    @property
-    def inner(self) -> tuple[Range, float | None]:
-        """The range of the drive as the gears meet it, and the largest change of their output in a step."""
-        window, slew = self.forward.inner_limits(self.limits.move, self.limits.slew)
-        step = largest_step(slew, self.dt)
-        return window, None if step is None else float(step)
-
-    @property
-    def checkpoints(self) -> int:
-        """How many checkpoints a state keeps of its turns, as dbo_kernel.h and dbo_q31.h have it."""
-        return (self.gears.n - 1) // SPACING
-
-    @property
-    def kappa(self) -> float:
-        """The immediate part of the memory, sum c_j (1 - a_j), added term by term as the kernel does."""
-        return float(sum((self.gears.gain * (1.0 - self.decay)).tolist()))
-
-    @property
-    def ahead(self) -> int:
-        """How many samples earlier the input is needed: for the delay, and the dynamics."""
-        rows = self.delay_samples + (AFTER if self.delay_part else 0)
-        return rows + sum(inverse.weight.size for inverse in self.undone)
+    def sizes(self) -> dict[str, str]:
+        """Places of a state, at least 1: turns, checkpoints (dbo_kernel.h, dbo_q31.h) and memories."""
+        n, terms = self.gears.n, self.gears.gain.size
+        counts = {"TURNS": n, "CHECKPOINTS": (n - 1) // SPACING, "TERMS": terms}
+        return {name: str(count or 1) for name, count in counts.items()}
 
     # ---- starts and runs of the library, for the self-test ----
 
@@ -159,36 +173,6 @@ class Plan:
                 moves = np.array([source.value(source.count(x)) for x in moves])
             runs.append((reset, moves, self.played(moves, state)))
         return runs
-
-
-def plan_of(forward: Cascade, sample_rate: float | None, limits: Limits) -> Plan:
-    """Return the plan of a forward model.
-
-    Raises
-    ------
-    UsageError
-        The sample rate is missing where something depends on it, or is no rate.
-    InputError
-        The rate does not resolve the dynamics.
-    """
-    if sample_rate is not None and not 0.0 < sample_rate < math.inf:
-        raise UsageError(f"`sample_rate` {sample_rate:g}: give a number of Hz above 0")
-    forward = replace(forward, candidates=())
-    decay, delay = np.empty(0), (0, 0.0)
-    undone: tuple[SectionInverse, ...] = ()
-    dt = None if sample_rate is None else 1.0 / sample_rate
-    if dt is None:
-        if forward.needs_time or limits.slew is not None:
-            raise UsageError("the drive depends on time: add `sample_rate` HZ")
-    else:
-        delay = whole_and_part(forward.delay_seconds / dt)
-        if forward.gears.relaxation is not None:
-            decay = forward.gears.relaxation.decay(dt)[0]
-        if forward.dynamics is not None:
-            undone = inverses_of(forward.dynamics.sections, dt)[::-1]
-    empty = forward.start_drive(forward.output.min, "empty", *limits.move)
-    assert empty.drive is not None
-    return Plan(forward, dt, limits, decay, *delay, undone, empty, empty.drive)
 
 
 def trial_moves(low: float, high: float, seed: int = 1) -> Floats:

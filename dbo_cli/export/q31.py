@@ -28,68 +28,67 @@ def q31_sources(plan: Plan) -> c.Sources:
         for which no bound is known.
     """
     _check(plan)
-    gears, terms, starts = plan.gears, plan.gears.gain.size, plan.forward.starts
-    whole = tables.whole_of(plan)
+    gears, starts = plan.gears, plan.forward.starts
+    whole = tables.Whole(plan)
     source, drive = whole.source, whole.drive
     bounds = bounds_of(whole)
     kernel = ["dbo_q31.h", "dbo_q31.c"]
-    sources = c.Sources(
-        kernel,
-        plan.runs(plan.resting(plan.first_drive, starts.empty), source, drive),
-        lambda x: c.whole(source.count(x)),
-        lambda y: c.whole(drive.count(y)),
-        bounds=bounds,
-    )
-    sources.add(
-        "state_q31.c",
-        CHECKPOINTS=str(plan.checkpoints or ""),
-        GEARS=str(gears.n),
-        TERMS=str(terms or ""),
-    )
-    if plan.delay_part:
-        kernel.append("dbo_q31_interpolation.h")
-        part = round(plan.delay_part * STEP_PARTS)
-        between = f"dboq_between(state->wanted, 2, {part})"
-        sources.add("delay.c", NUMBER="int32_t", WINDOW="DBOQ_WINDOW", BETWEEN=between)
     low, high, change, positions = tables.limits_of(whole)
     tolerance = round(-math.log2(bounds["fraction"]))
-    sources.tables += _gear_tables(whole, tolerance)
-    sources.values = _functions(whole, sources)
+    text = _gear_tables(whole, tolerance)
+    curves, numbers = _functions(whole)
     limits = ", ".join(map(c.whole, positions))
-    sources.tables += f"static const dboq_limits limits = {{{limits}}};\n"
-    spare = c.words_of(starts.empty, gears.n, 32)
-    if spare:
-        sources.tables += c.array("uint32_t", "spare", spare)
+    text += f"{curves}static const dboq_limits limits = {{{limits}}};\n"
     first = plan.forward.head.value(plan.first_drive)
     output = min(max(drive.count(plan.first_drive), low), high)
-    sources.values |= {
-        "SPARE": "spare" if spare else "0",
-        "CHECKPOINTS": "state->checkpoints" if plan.checkpoints else "0",
-        "MEMORY": "state->memory" if terms else "0",
-        "COVERED": str(starts.covered),
-        "FIRST_DRIVE": c.whole(round((first - gears.x0) / whole.y_axis.unit)),
-        "FIRST_OUTPUT": c.whole(output),
-        "LEAST": c.whole(low),
-        "MOST": c.whole(high),
-        "MOST_CHANGE": "" if change is None else c.whole(change),
-        "Y_SHIFT": str(whole.y_axis.fine),
+    numbers |= {
+        "SPARE": "0",
+        "COVERED": f"{starts.covered}U",
+        "FIRST_AT_GEARS": c.whole(round((first - gears.x0) / whole.y_axis.unit)),
+        "FIRST_DRIVE": c.whole(output),
+        "LOW": c.whole(low),
+        "HIGH": c.whole(high),
+        "Y_SHIFT": f"{whole.y_axis.fine}U",
+    }
+    values = plan.sizes | {
         "IN_MIDDLE": repr(source.offset),
         "IN_SCALE": repr(1.0 / source.unit),
         "OUT_MIDDLE": repr(drive.offset),
         "OUT_SCALE": repr(drive.unit),
         "FRACTION": f"{bounds['fraction']:.2g}",
     }
+    spare = c.words_of(starts.empty, gears.n, 32)
+    if spare:
+        text += c.array("uint32_t", "spare", spare)
+        numbers["SPARE"] = "spare"
+    if change is not None:
+        numbers["CHANGE"] = c.whole(change)
+    if plan.delay_part:
+        kernel.append("dbo_q31_interpolation.h")
+        numbers["DELAY_WINDOW"] = values["DELAY_WINDOW"] = "DBOQ_WINDOW"
+        numbers["DELAY_PART"] = str(round(plan.delay_part * STEP_PARTS))
+    first_state = plan.resting(plan.first_drive, starts.empty)
+    runs = plan.runs(first_state, source, drive)
     # counts beyond a bound: the library's outputs are rounded, and a slew limit, which
     # binds for some rows, is rounded in each
-    slack = 1 if change is None else 1 + len(sources.runs[0][1])
+    slack = 1 if change is None else 1 + len(runs[0][1])
     unit = c.plain(plan.forward.input.suffix)
     for name in ("same", "close"):
         bound, percent = bounds[name], bounds[f"{name}_percent"]
-        text = f"{bound:.3g}{unit} ({percent:.3g} % of the range)"
-        sources.values[name.upper()] = text
+        words = f"{bound:.3g}{unit} ({percent:.3g} % of the range)"
+        values[name.upper()] = words
         counts = math.ceil(bound / drive.unit) + slack
-        sources.values[f"{name.upper()}_COUNTS"] = str(counts)
-    return sources
+        values[f"{name.upper()}_COUNTS"] = str(counts)
+    return c.Sources(
+        kernel,
+        runs,
+        lambda x: c.whole(source.count(x)),
+        lambda y: c.whole(drive.count(y)),
+        text,
+        numbers,
+        values,
+        bounds,
+    )
 
 
 def _check(plan: Plan) -> None:
@@ -106,22 +105,22 @@ def _check(plan: Plan) -> None:
         raise tables.beyond_q31(f"{plan.key}.dx", "lower `gears`, or ")
 
 
-def _functions(whole: tables.Whole, sources: c.Sources) -> dict[str, str]:
-    """Add the curves around the gears as segments; return how many there are, and their shifts."""
+def _functions(whole: tables.Whole) -> tuple[str, dict[str, str]]:
+    """Return the curves around the gears as segments; and how many there are, and their shifts."""
     gears, at_drive = whole.plan.gears, whole.y_axis
     # where the gears begin on the input, which the memory widens
     begin = gears.y0 + whole.plan.kappa * (gears.x0 - gears.reference)
-    values = {}
+    text, numbers = "", {}
     for name, curve, x, y in (
         ("before", whole.before, whole.source, (begin, whole.x_axis.unit)),
         ("behind", whole.after, (gears.x0, at_drive.count_unit), whole.drive),
         ("drive", whole.start, whole.drive, (gears.x0, at_drive.unit)),
     ):
         rows, shift = tables.segments_of(curve, x, y)
-        sources.tables += c.array("dboq_segment", f"{name}_segments", rows, c.whole)
-        values[f"{name.upper()}_ROWS"] = str(len(rows))
-        values[f"{name.upper()}_SHIFT"] = str(shift)
-    return values
+        text += c.array("dboq_segment", f"{name}_segments", rows, c.whole)
+        numbers[f"{name.upper()}_ROWS"] = f"{len(rows)}U"
+        numbers[f"{name.upper()}_SHIFT"] = f"{shift}U"
+    return text, numbers
 
 
 def _gear_tables(whole: tables.Whole, tolerance: int) -> str:

@@ -34,54 +34,48 @@ class Folded(NamedTuple):
     slope: Floats
 
 
-class Axis(NamedTuple):
+class Axis:
     """The gears along the input or the output, and how counts hold them.
 
-    Attributes
+    Parameters
     ----------
     exact : array of shape (n,)
         The width of each gear; on the input kappa times its height is part of it.
+    run : int
+        So many neighbouring ones are equal.
+
+    Attributes
+    ----------
     widths : array of shape (rows,)
-        Those of the tables, one a run, in the same unit.
+        Those of the tables, one a run, whole multiples of ``unit`` whose running sums
+        follow the exact ones.
     errors : array of shape (n,)
         By how much the tables round each gear.
     unit : float
         Positions are multiples of it.
     fine : int
         A count is 2^fine positions.
+    count_unit : float
+        One count.
     """
 
-    exact: Floats
-    widths: Floats
-    errors: Floats
-    unit: float
-    fine: int
-
-    @property
-    def count_unit(self) -> float:
-        """One count."""
-        return self.unit * 2.0**self.fine
-
-
-def axis_of(exact: Floats, run: int) -> Axis:
-    """Return the axis of widths, ``run`` equal ones side by side.
-
-    Those of the tables are whole multiples of ``unit``, and their running sums follow
-    the exact ones.
-    """
-    sum_of_all, widest = float(exact.sum()), float(exact.max())
-    counts = widest / sum_of_all * COUNTS
-    fine = min(math.floor(math.log2((2.0**31 - 1024.0) / counts)), MOST_FINE_BITS)
-    unit = sum_of_all / COUNTS / 2.0**fine
-    widths, total, reached = [], 0.0, 0.0
-    for begin in range(0, len(exact), run):
-        count = min(run, len(exact) - begin)
-        total += float(exact[begin]) * count
-        width = max(round((total - reached) / count / unit), 1) * unit
-        widths.append(width)
-        reached += width * count
-    errors = np.repeat(widths, run)[: len(exact)] - exact
-    return Axis(exact, np.array(widths), errors, unit, fine)
+    def __init__(self, exact: Floats, run: int) -> None:
+        self.exact = exact
+        sum_of_all, widest = float(exact.sum()), float(exact.max())
+        counts = widest / sum_of_all * COUNTS
+        finest = math.floor(math.log2((2.0**31 - 1024.0) / counts))
+        self.fine = min(finest, MOST_FINE_BITS)
+        self.unit = unit = sum_of_all / COUNTS / 2.0**self.fine
+        self.count_unit = unit * 2.0**self.fine
+        widths, total, reached = [], 0.0, 0.0
+        for begin in range(0, len(exact), run):
+            count = min(run, len(exact) - begin)
+            total += float(exact[begin]) * count
+            width = max(round((total - reached) / count / unit), 1) * unit
+            widths.append(width)
+            reached += width * count
+        self.widths = np.array(widths)
+        self.errors: Floats = np.repeat(widths, run)[: len(exact)] - exact
 
 
 def fold(curves: Curves, low: float, high: float) -> Folded:
@@ -130,8 +124,11 @@ def segments_of(
     return rows.astype(np.int64).tolist(), shift
 
 
-class Memory(NamedTuple):
+class Memory:
     """The relaxation terms in whole numbers.
+
+    One of its counts is one of the output axis, or coarser where the reference is far
+    away: it has 31 bits.
 
     Attributes
     ----------
@@ -145,42 +142,33 @@ class Memory(NamedTuple):
         The memories' count, and that it is 2^shift positions of the output.
     """
 
-    terms: list[tuple[int, int, int]]
-    carried_shift: int
-    offset: float
-    unit: float
-    shift: int
+    def __init__(self, plan: Plan, x_axis: Axis, y_axis: Axis) -> None:
+        self.offset = plan.gears.x0 - plan.gears.reference
+        distance = abs(self.offset) / y_axis.count_unit / COUNTS
+        coarse = max(math.frexp(distance)[1], 0)
+        self.unit = y_axis.count_unit * 2.0**coarse
+        self.shift = y_axis.fine + coarse
+        carried = plan.gears.gain * plan.decay * (self.unit / x_axis.unit)
+        self.carried_shift = shift_for(float(carried.sum()))
+        if self.carried_shift < 0:
+            raise beyond_q31(f"{plan.key}.relaxation.gain")
+        self.terms: list[tuple[int, int, int]] = []
+        for factor, follow in zip(carried, 1.0 - plan.decay, strict=True):
+            down = math.floor(math.log2(COUNTS / follow))
+            scaled = round(float(factor) * 2.0**self.carried_shift)
+            self.terms.append((scaled, round(float(follow) * 2.0**down), down))
 
 
-def memory_of(plan: Plan, x_axis: Axis, y_axis: Axis) -> Memory | None:
-    """Return the memory of a plan.
-
-    One of its counts is one of the output axis, or coarser where the reference is far
-    away: it has 31 bits.
-    """
-    if not plan.gears.gain.size:
-        return None
-    offset = plan.gears.x0 - plan.gears.reference
-    coarse = max(math.frexp(abs(offset) / y_axis.count_unit / COUNTS)[1], 0)
-    unit = y_axis.count_unit * 2.0**coarse
-    carried = plan.gears.gain * plan.decay * (unit / x_axis.unit)
-    shift = shift_for(float(carried.sum()))
-    if shift < 0:
-        raise beyond_q31(f"{plan.key}.relaxation.gain")
-    terms, rest = [], 1.0 - plan.decay
-    for factor, follow in zip(carried.tolist(), rest.tolist(), strict=True):
-        down = math.floor(math.log2(COUNTS / follow))
-        terms.append((round(factor * 2.0**shift), round(follow * 2.0**down), down))
-    return Memory(terms, shift, offset, unit, y_axis.fine + coarse)
-
-
-class Whole(NamedTuple):
+class Whole:
     """A plan as whole numbers hold it.
 
-    Attributes
+    Parameters
     ----------
     plan : Plan
         What is exported.
+
+    Attributes
+    ----------
     source, drive : Grid
         Counts of the displacement that goes in, and of the drive that comes out.
     x_axis, y_axis : Axis
@@ -192,30 +180,21 @@ class Whole(NamedTuple):
         the drive to them.
     """
 
-    plan: Plan
-    source: Grid
-    drive: Grid
-    x_axis: Axis
-    y_axis: Axis
-    memory: Memory | None
-    before: Folded
-    after: Folded
-    start: Folded
-
-
-def whole_of(plan: Plan) -> Whole:
-    """Return a plan in whole numbers."""
-    gears, source, drive = plan.gears, plan.forward.output, plan.forward.input
-    wide = gears.exchanged[:, 0] + plan.kappa * gears.exchanged[:, 1]
-    x_axis = axis_of(wide, gears.equal_run)
-    y_axis = axis_of(gears.exchanged[:, 1].copy(), gears.equal_run)
-    before = fold(plan.forward.tail.inverse, source.min, source.max)
-    end = gears.x0 + float(y_axis.exact.sum())
-    after = fold(plan.forward.head.inverse, gears.x0, end)
-    start = fold(plan.forward.head, drive.min, drive.max)
-    memory = memory_of(plan, x_axis, y_axis)
-    grids = Grid.of(source), Grid.of(drive)
-    return Whole(plan, *grids, x_axis, y_axis, memory, before, after, start)
+    def __init__(self, plan: Plan) -> None:
+        self.plan, gears = plan, plan.gears
+        source, drive = plan.forward.output, plan.forward.input
+        self.source, self.drive = Grid.of(source), Grid.of(drive)
+        heights = gears.exchanged[:, 1].copy()
+        wide = gears.exchanged[:, 0] + plan.kappa * heights
+        self.x_axis = Axis(wide, gears.equal_run)
+        self.y_axis = Axis(heights, gears.equal_run)
+        self.memory = None
+        if gears.gain.size:
+            self.memory = Memory(plan, self.x_axis, self.y_axis)
+        end = gears.x0 + float(heights.sum())
+        self.before = fold(plan.forward.tail.inverse, source.min, source.max)
+        self.after = fold(plan.forward.head.inverse, gears.x0, end)
+        self.start = fold(plan.forward.head, drive.min, drive.max)
 
 
 def limits_of(whole: Whole) -> tuple[int, int, int | None, tuple[int, int, int]]:
@@ -244,17 +223,16 @@ def limits_of(whole: Whole) -> tuple[int, int, int | None, tuple[int, int, int]]
         low += 1
     while drive.value(high) > highest:
         high -= 1
-    window, inner_largest = plan.inner
-    inner_low, inner_high = ((end - plan.gears.x0) / position for end in window)
+    inner_low, inner_high = ((end - plan.gears.x0) / position for end in plan.window)
     if not low < high or max(abs(inner_low), abs(inner_high)) >= 2.0**59:
         raise beyond_q31("`v_min`, `v_max`")
     step, change = -1, None
     largest = plan.limits.largest_step(plan.dt)
-    if largest is not None and inner_largest is not None:
+    if largest is not None and plan.step is not None:
         # 2^32: more than from one end to the other
         change = min(math.floor(float(largest) / drive.unit), 2**32)
         share = min(change * drive.unit / float(largest), 1.0)
-        step = math.floor(min(inner_largest * share / position, 2.0**59))
+        step = math.floor(min(plan.step * share / position, 2.0**59))
         if step < 4:
             raise beyond_q31("`max_slew`", "lower `sample_rate`, or ")
     return low, high, change, (math.ceil(inner_low), math.floor(inner_high), step)

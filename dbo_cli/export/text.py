@@ -5,10 +5,9 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
 from importlib import resources
 from string import Template
-from typing import Any
+from typing import Any, NamedTuple
 
 from dbo_cli.export.plan import SelfTestRun
 
@@ -20,8 +19,7 @@ _LINES = textwrap.TextWrapper(
 _VALUE = re.compile(r"\$\{?([A-Z0-9_]+)")  # in a template
 
 
-@dataclass
-class Sources:
+class Sources(NamedTuple):
     """What a model puts into its sources, in one arithmetic.
 
     Attributes
@@ -34,10 +32,10 @@ class Sources:
         Write a number that goes in, or comes out, as C.
     tables : str
         Constant tables.
-    members, init, reset, step : list of str
-        Lines of the state, and of three functions.
+    numbers : dict
+        Numbers and switches of NAME.c, by their names there.
     values : dict
-        What the templates are filled with.
+        Sizes of the state, and what else the templates are filled with.
     bounds : dict
         How far the numbers can be from the library's; empty: they are the same.
     """
@@ -46,22 +44,10 @@ class Sources:
     runs: list[SelfTestRun]
     input: Constant
     drive: Constant
-    tables: str = ""
-    members: list[str] = field(default_factory=list)
-    init: list[str] = field(default_factory=list)
-    reset: list[str] = field(default_factory=list)
-    step: list[str] = field(default_factory=list)
-    values: dict[str, str] = field(default_factory=dict)
-    bounds: dict[str, float] = field(default_factory=dict)
-
-    def add(self, template: str, **values: str) -> None:
-        """Add a stage: the lines of a template below ``@members``, ``@init``, ``@reset`` and ``@step``."""
-        lines: list[str] = []
-        for line in fill(template, values).splitlines():
-            if line.startswith("@"):
-                lines = getattr(self, line[1:])
-            else:
-                lines.append(line)
+    tables: str
+    numbers: dict[str, str]
+    values: dict[str, str]
+    bounds: Mapping[str, float] = {}
 
 
 def template_text(name: str) -> str:

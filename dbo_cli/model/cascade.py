@@ -545,33 +545,23 @@ class Cascade:
             state = self._undo_amplified(output[:first], state, begin, None, None).state
         drive, clipped, first_clipped = free.y, 0, 0
         for k in range(first, output.size):
-            row = slice(k, k + 1)
-            done = self._undo_row(
-                output[row], state, steps[k], shares[k], changes[row], window
+            driven = np.array([math.nan if state.drive is None else state.drive])
+            low, high = allowed_drive(driven, changes[k : k + 1], window)
+            row = (
+                state.amplifier or 0.0,
+                float(shares[k]),
+                float(low[0]),
+                float(high[0]),
             )
-            drive[k], state = done.y[0], done.state
+            inner, step_k = window_behind(self.head, *row), float(steps[k])
+            done = self.gears.undo(output[k : k + 1], state, step_k, inner)
+            voltage, reached = drive_before(self.head, float(done.y[0]), *row)
+            drive[k] = voltage
+            state = replace(done.state, amplifier=reached, drive=voltage)
             if done.clipped and not clipped:
                 first_clipped = k
             clipped += done.clipped
         return Run(drive, state, clipped, first_clipped)
-
-    def _undo_row(
-        self,
-        output: Floats,
-        state: State,
-        dt: float,
-        share: float,
-        change: Floats,
-        window: Range,
-    ) -> Run:
-        """Return the drive of one row within its window and change; ``share`` is 1 - a of the amplifier."""
-        last = np.array([math.nan if state.drive is None else state.drive])
-        low, high = allowed_drive(last, change, window)
-        row = state.amplifier or 0.0, float(share), float(low[0]), float(high[0])
-        done = self.gears.undo(output, state, float(dt), window_behind(self.head, *row))
-        drive, amplified = drive_before(self.head, float(done.y[0]), *row)
-        after = replace(done.state, amplifier=amplified, drive=drive)
-        return Run(np.array([drive]), after, done.clipped)
 
     def inner_limits(
         self, window: Range, slew: float | None

@@ -201,12 +201,6 @@ class Delay(Keyed):
         signal = np.tile(x, periods + WINDOW // x.size)
         return self.run(signal, State(), dt).y[-x.size :]
 
-    def undo_loop(self, y: Floats, dt: float) -> Floats:
-        """Return one period of a signal that repeats, earlier by the delay."""
-        ahead = self.ahead(dt)
-        signal = np.resize(y, y.size + ahead)
-        return self.undo(signal, tuple(y[-BEFORE:].tolist()), dt, ahead)[0]
-
     def identity(self) -> list[object]:
         """Return what a state of the stage refers to."""
         return [self.seconds]

@@ -37,7 +37,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import kernel
-from dbo_cli.model.delay import Delay
+from dbo_cli.model.delay import BEFORE, Delay
 from dbo_cli.model.fields import Keyed, listed, notes, number, require_above_0
 from dbo_cli.model.relaxation import checked_steps
 from dbo_cli.model.state import Run, SectionStates, State, Undoing
@@ -402,15 +402,6 @@ class Dynamics(Keyed):
 
         return repeated(run, x, len(self.sections))
 
-    def undo_loop(self, y: Floats, dt: float) -> Floats:
-        """Return what ``undo`` does, for one period of a signal that repeats for ever."""
-        ahead = self.ahead(dt)
-
-        def undo(y: Floats, states: SectionStates) -> tuple[Floats, SectionStates]:
-            return self.undo(y, states, dt, ahead)
-
-        return repeated(undo, np.pad(y, (0, ahead), mode="wrap"), len(self.sections))
-
     def identity(self) -> list[object]:
         """Return what a state of the stage refers to."""
         sections = [dataclasses.asdict(section) for section in self.sections]
@@ -529,7 +520,13 @@ class Inverter:
 
     def loop(self, desired: Floats) -> Floats:
         """Return what ``run`` does, for one period of a displacement that repeats for ever."""
-        for stage in (self.delay, self.dynamics):
-            if stage is not None:
-                desired = stage.undo_loop(desired, self.dt)
-        return desired
+        period = np.pad(desired, (0, self.ahead), mode="wrap")
+        past = () if self.delay is None else tuple(desired[-BEFORE:].tolist())
+        if self.dynamics is None:
+            return self.run(period, (self.dt, (), past))[0]
+
+        def undo(y: Floats, states: SectionStates) -> tuple[Floats, SectionStates]:
+            target, undoing = self.run(y, (self.dt, states, past))
+            return target, undoing[1] if undoing else states
+
+        return repeated(undo, period, len(self.dynamics.sections))

@@ -306,7 +306,48 @@ def read_state(path: str, model: Cascade) -> State:
 def parse_state(values: object, model: Cascade, name: str = "the state") -> State:
     """Return the state that JSON values describe (ModelError: they do not, or it is another model's)."""
     with prefixed(name):
-        return _state(values, model)
+        values = fields.contents(values, "", STATE_FORMAT, "a state")
+        amplifier = {}
+        if model.amplifier is not None:
+            amplifier["amplifier"] = fields.unless_null(number)
+        parts = build(
+            dict,
+            values,
+            "",
+            model=fields.text,
+            gears=number,
+            bits=fields.text,
+            memory=fields.unless_null(number_list),
+            time=fields.unless_null(number),
+            drive=fields.unless_null(number),
+            sections=fields.unless_null(number_list),
+            delay=fields.unless_null(_held),
+            **amplifier,
+        )
+        if parts["model"] != model.digest:
+            raise ModelError(
+                "model: the state belongs to another model: save it again with this one"
+            )
+        gears, digits, held = model.gears.n, parts["bits"], parts["delay"]
+        is_hexadecimal = bool(digits) and not set(digits) - set("0123456789abcdef")
+        bits = int(digits, 16) if is_hexadecimal else -1
+        section_count = 0 if model.dynamics is None else len(model.dynamics.sections)
+        counts = {"memory": model.gears.gain.size, "sections": 3 * section_count}
+        fits = {"gears": parts.pop("gears") == gears, "bits": 0 <= bits < 1 << gears}
+        for key, count in counts.items():
+            fits[key] = parts[key] is None or len(parts[key]) == count
+        if held is not None:
+            fits["delay"] = model.delay is not None and 0 < len(held[0]) == len(held[1])
+            fits["delay.times"] = all(a <= b for a, b in pairwise(held[0]))
+        for key, is_right in fits.items():
+            if not is_right:
+                raise ModelError(f"{key}: is none of this model: save the state again")
+        flat = parts["sections"]
+        if flat is not None:
+            parts["sections"] = tuple(
+                zip(flat[::3], flat[1::3], flat[2::3], strict=True)
+            )
+        return State(**{**parts, "bits": bits})
 
 
 def state_of(state: State | str | Path, model: Cascade) -> State | str:
@@ -327,50 +368,6 @@ def state_of(state: State | str | Path, model: Cascade) -> State | str:
         )
     name = str(state)
     return name if name in START_NAMES else read_state(name, model)
-
-
-def _state(values: object, model: Cascade) -> State:
-    """Return the state that an object describes, which must be one of ``model``."""
-    values = fields.contents(values, "", STATE_FORMAT, "a state")
-    amplifier = {}
-    if model.amplifier is not None:
-        amplifier["amplifier"] = fields.unless_null(number)
-    parts = build(
-        dict,
-        values,
-        "",
-        model=fields.text,
-        gears=number,
-        bits=fields.text,
-        memory=fields.unless_null(number_list),
-        time=fields.unless_null(number),
-        drive=fields.unless_null(number),
-        sections=fields.unless_null(number_list),
-        delay=fields.unless_null(_held),
-        **amplifier,
-    )
-    if parts["model"] != model.digest:
-        raise ModelError(
-            "model: the state belongs to another model: save it again with this one"
-        )
-    gears, digits, held = model.gears.n, parts["bits"], parts["delay"]
-    is_hexadecimal = bool(digits) and not set(digits) - set("0123456789abcdef")
-    bits = int(digits, 16) if is_hexadecimal else -1
-    section_count = 0 if model.dynamics is None else len(model.dynamics.sections)
-    counts = {"memory": model.gears.gain.size, "sections": 3 * section_count}
-    fits = {"gears": parts.pop("gears") == gears, "bits": 0 <= bits < 1 << gears}
-    for key, count in counts.items():
-        fits[key] = parts[key] is None or len(parts[key]) == count
-    if held is not None:
-        fits["delay"] = model.delay is not None and 0 < len(held[0]) == len(held[1])
-        fits["delay.times"] = all(a <= b for a, b in pairwise(held[0]))
-    for key, is_right in fits.items():
-        if not is_right:
-            raise ModelError(f"{key}: is none of this model: save the state again")
-    flat = parts["sections"]
-    if flat is not None:
-        parts["sections"] = tuple(zip(flat[::3], flat[1::3], flat[2::3], strict=True))
-    return State(**{**parts, "bits": bits})
 
 
 def _held(values: Any, path: str) -> Held:

@@ -18,8 +18,8 @@ from dbo_cli.arrays import Floats, Range
 from dbo_cli.errors import UsageError, require_positive
 from dbo_cli.model import Cascade
 
-Axes = tuple[tuple[Floats, ...], str]
-"""One signal an axis, and what became of the move, in words."""
+Axes = tuple[Floats, ...]
+"""One signal an axis."""
 
 RANGE_ROUNDING = 1e-8  # of the range: rounding reaches no further
 START = 2.0 / math.pi
@@ -127,7 +127,12 @@ def trajectory(
         if period < FEWEST_CYCLE_ROWS:
             raise _too_fast(frequency, rate / FEWEST_CYCLE_ROWS)
         plan = _Plan(range, period, turn, count, loop, rate)
-    axes, note = SHAPES[shape][0](plan)
+    form = SHAPES[shape]
+    axes = form.make(plan)
+    note = f"{plan.cycles:,} {form.noun}, {plan.period / rate:.6g} s each"
+    if turn and form.lines:
+        flat = 1.0 - form.lines * turn / plan.period
+        note += f", {100.0 * flat:.3g} % of it linear"
     return Trajectory(np.arange(axes[0].size) / rate, axes, note)
 
 
@@ -137,7 +142,7 @@ def _check_options(
     """Refuse a shape that there is not, and options that are missing or of another shape."""
     if shape not in SHAPES:
         raise UsageError(f"SHAPE {shape}: give one of {', '.join(SHAPES)}")
-    _, needed, possible = SHAPES[shape]
+    needed, possible = SHAPES[shape].needed, SHAPES[shape].possible
     for name in needed:
         if figures[name] is None:
             raise UsageError(f"a {shape} needs `{name}`")
@@ -246,7 +251,7 @@ def _between(ends: Range, share: Floats) -> Floats:
     return np.clip(low + (high - low) * share, low, high)
 
 
-# --- the shapes: the axes, and a note ---
+# --- the shapes ---
 
 
 def _raster(plan: _Plan) -> Axes:
@@ -267,16 +272,12 @@ def _raster(plan: _Plan) -> Axes:
     blocks = levels[:, None] + (following - levels)[:, None] * profile
     if plan.loop:
         slow = np.roll(blocks.ravel(), 1)
-        frames = "a frame up and a frame down of "
     else:
         soft_rows = math.floor(START * turn)
         begin = np.full(soft_rows + 1, levels[0])
         end = np.full(flat + soft_rows, levels[-1])
         slow = np.concatenate([begin, blocks[:-1].ravel(), end])
-        frames = ""
-    linear = 100.0 * flat / plan.period
-    note = f"{frames}{count} lines, {plan.period / plan.rate:.6g} s each, {linear:.3g} % of it linear"
-    return (fast, slow), note
+    return fast, slow
 
 
 def _triangle(plan: _Plan) -> Axes:
@@ -288,19 +289,14 @@ def _triangle(plan: _Plan) -> Axes:
         raise _too_fast(plan.rate / plan.period, 0.5 * plan.rate / (turn + 1))
     tip = (high - low) * turn / math.pi / (flat + 2.0 * turn / math.pi)
     waves = _strokes((low + tip, high - tip), flat, turn, 2 * plan.cycles, plan.loop)
-    linear = 100.0 * flat / half
-    note = f"{2 * half / plan.rate:.6g} s a cycle, {linear:.3g} % of it linear"
-    return (np.clip(waves, low, high),), note
+    return (np.clip(waves, low, high),)
 
 
 def _sine(plan: _Plan) -> Axes:
     """Return cycles that begin and end at the lower end, at rest."""
     phase = _eased(plan.period, plan.cycles, plan.loop)
     wave = 0.5 - 0.5 * np.cos(2.0 * math.pi * phase)
-    note = f"{plan.period / plan.rate:.6g} s a cycle"
-    if not plan.loop:
-        note += ", the first and the last half twice as long"
-    return (_between(plan.ends, wave),), note
+    return (_between(plan.ends, wave),)
 
 
 def _spiral(plan: _Plan) -> Axes:
@@ -310,7 +306,7 @@ def _spiral(plan: _Plan) -> Axes:
     radius = 0.5 * phase / plan.cycles
     x = _between(plan.ends, 0.5 + radius * np.cos(angle))
     y = _between(plan.ends, 0.5 + radius * np.sin(angle))
-    return (x, y), f"{plan.cycles} turns, {plan.period / plan.rate:.6g} s each"
+    return x, y
 
 
 def _staircase(plan: _Plan) -> Axes:
@@ -321,18 +317,23 @@ def _staircase(plan: _Plan) -> Axes:
     profile = np.concatenate([_risen(rise), np.ones(dwell)])
     blocks = levels[:-1, None] + np.diff(levels)[:, None] * profile
     stairs = np.concatenate([np.zeros(dwell + 1), blocks.ravel()])
-    seconds = dwell / plan.rate, rise / plan.rate
-    note = (
-        f"{levels.size} levels, {seconds[0]:.6g} s each, {seconds[1]:.3g} s to the next"
-    )
-    return (_between(plan.ends, stairs),), note
+    return (_between(plan.ends, stairs),)
 
 
-SHAPES: dict[str, tuple[Callable[[_Plan], Axes], tuple[str, ...], tuple[str, ...]]] = {
-    "raster": (_raster, ("frequency", "lines"), ("loop",)),
-    "spiral": (_spiral, ("frequency", "duration"), ()),
-    "staircase": (_staircase, ("steps", "dwell"), ()),
-    "sine": (_sine, ("frequency",), ("duration", "loop")),
-    "triangle": (_triangle, ("frequency",), ("duration", "loop")),
+class _Shape(NamedTuple):
+    """How a shape is made, of what, what it needs and takes besides, and the straight lines in a period."""
+
+    make: Callable[[_Plan], Axes]
+    noun: str
+    needed: tuple[str, ...]
+    possible: tuple[str, ...] = ()
+    lines: int = 0
+
+
+SHAPES = {
+    "raster": _Shape(_raster, "lines", ("frequency", "lines"), ("loop",), 1),
+    "spiral": _Shape(_spiral, "turns", ("frequency", "duration")),
+    "staircase": _Shape(_staircase, "steps up and down", ("steps", "dwell")),
+    "sine": _Shape(_sine, "cycles", ("frequency",), ("duration", "loop")),
+    "triangle": _Shape(_triangle, "cycles", ("frequency",), ("duration", "loop"), 2),
 }
-"""How a shape is made, what it needs, and what it takes besides."""

@@ -222,8 +222,10 @@ def waveform(
     form = GENERATORS.get(to)
     if form is None:
         raise UsageError(f"`to` {to}: give one of {', '.join(GENERATORS)}")
-    _check_codes(form, to, codes, volts)
-    _check_numbers(gain, points, rate)
+    _check_options(form, to, codes, volts)
+    require_positive(rate=rate, points=points, gain=abs(gain))
+    if points is not None and (rate is not None or points < 2):
+        raise UsageError(f"`points` {points}: give 2 or more, and no `rate` beside it")
     time = np.arange(voltage.size) / drive_rate
     checked = check_drive(voltage, time, limits, name=name, loop=loop, doubts=doubts)
     checked.require_passed()
@@ -288,39 +290,25 @@ def side_by_side(channels: Sequence[Waveform], to: str) -> bytes | None:
     return GENERATORS[to].write(values, channels[0].rate, (0.0, 0.0))
 
 
-def _check_codes(
+def _check_options(
     form: Generator, to: str, codes: Range | None, volts: Range | None
 ) -> None:
     """Refuse codes and volts that a format does not have, or that cannot be meant."""
-    if form.codes is None:
-        if codes or volts:
-            raise UsageError(
-                f"`{'codes' if codes else 'volts'}`: {to} files hold volts, not codes"
-            )
-        return
+    if form.codes is None and (codes or volts):
+        raise UsageError(f"{to} files hold volts: leave `codes` and `volts` out")
     if form.volts_needed and volts is None:
         raise UsageError(
             f"{to} needs `volts` LOW:HIGH, the voltages of the lowest and highest code"
         )
-    if codes is not None:
-        lowest, highest = form.codes
-        integral = codes[0] == round(codes[0]) and codes[1] == round(codes[1])
-        if not (integral and lowest <= codes[0] < codes[1] <= highest):
-            raise UsageError(
-                f"`codes` {codes[0]:g}:{codes[1]:g}: give whole numbers from {lowest} to {highest}, the "
-                "lower first"
-            )
-
-
-def _check_numbers(gain: float, points: int | None, rate: float | None) -> None:
-    """Refuse numbers that cannot be meant."""
-    if not math.isfinite(gain) or gain == 0.0:
-        raise UsageError(f"`gain` {gain:g}: give a number other than 0")
-    if points is not None and rate is not None:
-        raise UsageError("`points` and `rate` exclude each other: leave one out")
-    if points is not None and points < 2:
-        raise UsageError(f"`points` {points}: give 2 or more")
-    require_positive(rate=rate)
+    if form.codes is None or codes is None:
+        return
+    lowest, highest = form.codes
+    integral = codes[0] == round(codes[0]) and codes[1] == round(codes[1])
+    if not (integral and lowest <= codes[0] < codes[1] <= highest):
+        raise UsageError(
+            f"`codes` {codes[0]:g}:{codes[1]:g}: give whole numbers from {lowest} to {highest}, the "
+            "lower first"
+        )
 
 
 def _at_points(

@@ -110,7 +110,7 @@ def _on_one_clock(recording: Pair, trajectory: Pair) -> Pair:
         )
         if found is not None:
             shifted = _shifted(recording, found, f"that of {name}, by the drive")
-            return replace(shifted, drive_error=_drive_error(shifted, trajectory))
+            return _with_drive_compared(shifted, trajectory)
         recording = recording.warned(f"its drive is not that of {name}")
     found = _by_displacement(recording, trajectory)
     if found is None or -0.5 * (recording.step or 0.0) <= found.ahead <= USUAL_LAG:
@@ -137,8 +137,8 @@ def _on_one_clock(recording: Pair, trajectory: Pair) -> Pair:
     )
 
 
-def _drive_error(recording: Pair, trajectory: Pair) -> float | None:
-    """Return how far the recorded drive is from the one to be played, of its range, if ``check`` refuses it.
+def _with_drive_compared(recording: Pair, trajectory: Pair) -> Pair:
+    """Return a recording with a warning where its drive is another one than ``check`` lets pass.
 
     One that is off by more than half of the range is behind another gain.
     """
@@ -149,9 +149,12 @@ def _drive_error(recording: Pair, trajectory: Pair) -> float | None:
     played = np.interp(time[shared], clock, drive)
     error = float(np.abs(recorded - played).max(initial=0.0))
     span = float(np.ptp(drive))
-    if tolerance_of(drive, recorded, None) < error < 0.5 * span:
-        return error / span
-    return None
+    if not tolerance_of(drive, recorded, None) < error < 0.5 * span:
+        return recording
+    return recording.warned(
+        f"another drive was played, up to {100.0 * error / span:.2g} % of its range apart: dbo check "
+        "`against` tells more"
+    )
 
 
 def _rival_holds(found: Alignment, recording: Pair, trajectory: Pair) -> bool:

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
+from dbo_cli.reports.expected import Expected
 from dbo_cli.reports.pair import Pair
 from dbo_cli.signals import lag, noise, turns
 
@@ -29,6 +31,11 @@ LAG_ROWS = 1 << 17
 """Rows that the lag left is looked for in, evenly picked."""
 LARGEST_UNEXPLAINED = 0.5
 """Part of the measured signal's variance that a lag may leave unexplained at most."""
+
+SAME_MOVE = 0.01
+"""Part of the move by which the ends of a summary's move may differ from the log's."""
+BEYOND_EXPECTED = 2.0
+"""Times the expected error, from which on a warning says so."""
 
 
 def merits(pair: Pair, lag: int = 0, remove_offset: bool = False) -> dict[str, Any]:
@@ -146,3 +153,31 @@ def lag_of(desired: Floats, measured: Floats) -> float | None:
     if math.isinf(shift.deviation):
         return None
     return shift.seconds if abs(shift.seconds) < len(desired) / 4.0 else None
+
+
+def excess(pair: Pair, expected: Expected, figures: Mapping[str, Any]) -> str:
+    """Return a warning where the error is far above the expected one, or that is another move's.
+
+    The sensor's noise is no error of the actuator: it is taken out first. ``figures``
+    are those of ``merits``.
+    """
+    low, high = figures["desired_min"], figures["desired_max"]
+    first, last = expected.move or (low, high)
+    if max(abs(first - low), abs(last - high)) > SAME_MOVE * (high - low):
+        return (
+            f"the move is {low:.4g} to {high:.4g}, the expected error is for"
+            f" {first:.4g} to {last:.4g}: use the summary of this move"
+        )
+    white = noise(pair.measured)
+    error = math.sqrt(max(figures["rmse"] ** 2 - white**2, 0.0))
+    if expected.rmse is None or error <= BEYOND_EXPECTED * expected.rmse:
+        return ""
+    sweep = "" if expected.past_known else "sweep the range before the move, "
+    seconds, delay = figures["lag_left_s"], ""
+    if seconds is not None:
+        delay = f"it is {1e3 * seconds:.3g} ms late (match the clocks, or identify with `sensor_delay`), "
+    return (
+        f"the error is {error / expected.rmse:.2g} times the expected one: its mean is {figures['mean']:.3g} "
+        f"(set the sensor's zero, {sweep}or `remove_offset`), {delay}row {figures['max_abs_row']:,} has the "
+        "largest; else identify again"
+    )

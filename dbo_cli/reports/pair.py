@@ -55,9 +55,6 @@ class Pair:
         Whether the times are those of the drive.
     delay_removed
         Whether the sensor's delay was taken off, as a part of the clock's offset.
-    drive_error : float, optional
-        Largest difference of the recorded drive from the trajectory's, of its range;
-        None: it is that drive, or that is not known.
     notes, warnings : tuple of str
         What a reader of the figures must know.
     """
@@ -73,7 +70,6 @@ class Pair:
     clock_offset: float | None = None
     on_drive_clock: bool = False
     delay_removed: bool = False
-    drive_error: float | None = None
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 

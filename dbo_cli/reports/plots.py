@@ -8,7 +8,6 @@ the pattern of the line. Matplotlib is imported when something is drawn.
 from __future__ import annotations
 
 import io
-import math
 import os
 import re
 from base64 import b64encode
@@ -22,8 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import OutputError
-from dbo_cli.files import Outputs
+from dbo_cli.files import write_all
 from dbo_cli.reports.pair import Pair
 from dbo_cli.reports.words import digits, shown_unit
 
@@ -69,8 +67,6 @@ class Plot:
         Width and height in inches.
     band
         Half height of a band about 0, and its name.
-    logarithmic
-        Whether both axes are.
     """
 
     key: str
@@ -79,7 +75,6 @@ class Plot:
     curves: tuple[Line, ...]
     size: tuple[float, float] = WIDE
     band: tuple[float, str] | None = None
-    logarithmic: bool = False
 
 
 def style() -> AbstractContextManager[None]:
@@ -119,11 +114,6 @@ def figure_of(plot: Plot) -> Figure:
     for x, y, label, look in plot.curves:
         # many points become a picture inside the SVG, or the file takes megabytes
         axes.plot(x, y, label=label, rasterized=len(x) > MOST_POINTS, **look)
-    if plot.logarithmic:
-        axes.set(xscale="log", yscale="log")
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_formatter("{x:g}")
-            axis.set_minor_formatter("")
     axes.set(xlabel=plot.labels[0], ylabel=plot.labels[1])
     handles, labels = axes.get_legend_handles_labels()
     if handles:
@@ -134,25 +124,11 @@ def figure_of(plot: Plot) -> Figure:
 
 def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:
     """Write every figure as ``KEY.png`` and ``KEY.svg``, all or none; return the files (OutputError)."""
-    target = Path(folder)
-    is_new = not target.exists()
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise OutputError(
-            f"{folder}: {problem.strerror}: `figures` needs a folder"
-        ) from None
-    written = []
-    try:
-        with Outputs() as outputs:
-            for plot in plots:
-                for kind in ("png", "svg"):
-                    written.append(target / f"{plot.key}.{kind}")
-                    outputs.write_bytes(written[-1], draw(plot, kind))
-    finally:
-        if is_new and not any(target.iterdir()):
-            target.rmdir()
-    return written
+    files = {}
+    for plot in plots:
+        for kind in ("png", "svg"):
+            files[f"{plot.key}.{kind}"] = draw(plot, kind)
+    return write_all(folder, files)
 
 
 # --- a log ---
@@ -165,7 +141,7 @@ def plots_of_log(
     units: tuple[str | None, str | None],
     stem: str,
 ) -> list[Plot]:
-    """Return the figures of one log: both signals, the error, the loop and the spectrum.
+    """Return the figures of one log: both signals, the error and the loop.
 
     Parameters
     ----------
@@ -190,24 +166,14 @@ def plots_of_log(
         residual, error_title = "Residual", "Residual of the model"
     height = axis_label("Displacement", unit)
     band = f"± RMSE, {digits(rmse, 3)} {shown_unit(unit)}".rstrip()
-    plots = [
-        Plot(
-            f"{stem}-follow",
-            f"{first.capitalize()} and measured",
-            (clock, height),
-            (
-                (time, desired, first, SOLID),
-                (time, measured, "measured", DASHED),
-            ),
-        ),
-        Plot(
-            f"{stem}-error",
-            error_title,
-            (clock, axis_label(residual, unit)),
-            ((time, error, None, THIN),),
-            band=(rmse, band),
-        ),
-    ]
+
+    def both(x: Floats) -> tuple[Line, ...]:
+        return (x, desired, first, SOLID), (x, measured, "measured", DASHED)
+
+    title, labels = f"{first.capitalize()} and measured", (clock, height)
+    plots = [Plot(f"{stem}-follow", title, labels, both(time))]
+    line, labels = (time, error, None, THIN), (clock, axis_label(residual, unit))
+    plots.append(Plot(f"{stem}-error", error_title, labels, (line,), band=(rmse, band)))
     # measured over the drive; over the desired signal, its own line, where no drive is known
     x, title = drive, "Hysteresis loop"
     name = axis_label("Drive voltage", voltage_unit)
@@ -216,23 +182,8 @@ def plots_of_log(
         name = axis_label(f"{first.capitalize()} displacement", unit)
     curves: tuple[Line, ...] = ((x, measured, None, SOLID),)
     if first == "model" or drive is None:
-        curves = (
-            (x, desired, first, SOLID),
-            (x, measured, "measured", DASHED),
-        )
+        curves = both(x)
     plots.append(Plot(f"{stem}-loop", title, (name, height), curves, TALL))
-    spectrum = spectrum_of(error, pair)
-    if spectrum is not None:
-        density = f"{shown_unit(unit)}/√Hz" if unit else "1/√Hz"
-        plots.append(
-            Plot(
-                f"{stem}-spectrum",
-                "Spectrum of the error",
-                ("Frequency (Hz)", f"Error density ({density})"),
-                ((*spectrum, None, THIN),),
-                logarithmic=True,
-            )
-        )
     return plots
 
 
@@ -251,24 +202,6 @@ def axis_label(quantity: str, unit: str | None) -> str:
     if not unit:
         return quantity
     return f"{quantity} ({shown_unit(unit)})"
-
-
-def spectrum_of(error: Floats, pair: Pair) -> tuple[Floats, Floats] | None:
-    """Return frequencies (Hz) and the amplitude density of the error (unit/sqrt(Hz)).
-
-    By Welch's method, the mean of each piece taken off. None without an even clock, with
-    fewer than 64 rows, or where the error is constant.
-    """
-    step, time = pair.step, pair.time
-    if step is None or time is None or len(error) < 64 or not np.ptp(error):
-        return None
-    if np.ptp(np.diff(time)) > 0.01 * step:
-        return None
-    from scipy.signal import welch
-
-    rows = 2 ** int(math.log2(len(error) / 2.0))
-    frequency, power = welch(error, 1.0 / step, nperseg=rows)
-    return frequency[1:], np.sqrt(power[1:])
 
 
 # --- a model ---

@@ -9,16 +9,16 @@ import csv
 import io
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.reports import page, plots
-from dbo_cli.reports.excess import excess
 from dbo_cli.reports.expected import Expected
-from dbo_cli.reports.merits import merits
+from dbo_cli.reports.merits import excess, merits
 from dbo_cli.reports.pair import Pair, scored, undelayed
 from dbo_cli.reports.words import (
     digits,
@@ -39,14 +39,30 @@ LENGTHS = ("RMSE", "expected", "largest", "mean", "offset", "loop")
 """Columns of the table that have the report's unit."""
 
 
-@dataclass(frozen=True)
 class Report:
     """What was compared, and the figures of every log in the order they were given.
 
-    Attributes
+    Parameters
     ----------
     pairs
-        The rows that were compared, one a log.
+        One or more, one a log; as attribute the rows that were compared.
+    unit, voltage_unit
+        Of all lengths, and of the drive in the figures; None: not known.
+    lag
+        Rows by which measured is taken later than desired.
+    remove_offset
+        Take the mean of each error off first (a sensor's arbitrary zero).
+    expected
+        The error that was to be expected, of pairs that have none of their own.
+    max_rmse, max_nrmse_percent
+        Limits for each log, in the unit and in percent of the move.
+    model
+        The model whose prediction was compared, if one was.
+    command
+        The command line, for the footer of the page.
+
+    Attributes
+    ----------
     logs
         The figures of each log, as ``merits`` returns them; ``ratio_to_first`` is the
         RMSE over that of the first log, None where that is 0.
@@ -54,26 +70,17 @@ class Report:
         What comes of the limits that were set, for each log: ``name``, ``figure``
         (``rmse`` or ``nrmse_percent``), ``limit``, ``value`` (None: undefined, which
         keeps no limit) and ``passed``.
-    unit, voltage_unit
-        Of all lengths, and of the drive in the figures; None: not known.
-    model
-        The model whose prediction was compared, if one was.
-    command
-        The command line, for the footer of the page.
+
+    Raises
+    ------
+    InputError
+        There is nothing to compare.
+    UsageError
+        A limit is below 0.
     """
 
-    pairs: tuple[Pair, ...]
-    logs: tuple[dict[str, Any], ...]
-    limits: tuple[dict[str, Any], ...] = ()
-    unit: str | None = None
-    voltage_unit: str | None = None
-    remove_offset: bool = False
-    model: Cascade | None = None
-    command: str | None = None
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         pairs: Sequence[Pair],
         *,
         unit: str | None = None,
@@ -85,54 +92,32 @@ class Report:
         max_nrmse_percent: float | None = None,
         model: Cascade | None = None,
         command: str | None = None,
-    ) -> Report:
-        """Compare the signals of one or several logs, and put the logs side by side.
-
-        Parameters
-        ----------
-        pairs
-            One or more, one a log.
-        unit, voltage_unit, model, command
-            See the class.
-        lag
-            Rows by which measured is taken later than desired.
-        remove_offset
-            Take the mean of each error off first (a sensor's arbitrary zero).
-        expected
-            The error that was to be expected, of pairs that have none of their own.
-        max_rmse, max_nrmse_percent
-            Limits for each log, in the unit and in percent of the move.
-
-        Raises
-        ------
-        InputError
-            There is nothing to compare.
-        UsageError
-            A limit is below 0.
-        """
+    ) -> None:
+        self.unit, self.voltage_unit = unit or None, voltage_unit
+        self.remove_offset, self.model, self.command = remove_offset, model, command
+        self.pairs: list[Pair] = []
+        self.logs: list[dict[str, Any]] = []
+        self.limits: list[dict[str, Any]] = []
         bounds = {"rmse": max_rmse, "nrmse_percent": max_nrmse_percent}
         for figure, bound in bounds.items():
             if bound is not None and bound < 0.0:
                 raise UsageError(f"`max_{figure}` {bound:g}: give 0 or more")
-        compared: list[Pair] = []
-        logs: list[dict[str, Any]] = []
         for pair in pairs:
             if pair.expected is None:
                 pair = replace(pair, expected=expected)
             pair = scored(pair if lag else undelayed(pair), lag)
             figures = merits(pair, lag, remove_offset)
             warning = pair.expected and excess(pair, pair.expected, figures)
-            compared.append(pair.warned(warning) if warning else pair)
-            logs.append(figures)
-            if logs[0]["rmse"] > 0.0:
-                figures["ratio_to_first"] = figures["rmse"] / logs[0]["rmse"]
-        limits = []
-        for log in logs:
+            self.pairs.append(pair.warned(warning) if warning else pair)
+            self.logs.append(figures)
+            if self.rmse > 0.0:
+                figures["ratio_to_first"] = figures["rmse"] / self.rmse
+        for log in self.logs:
             for figure, bound in bounds.items():
                 if bound is None:
                     continue
                 value = log[figure]
-                limits.append(
+                self.limits.append(
                     {
                         "name": log["name"],
                         "figure": figure,
@@ -141,8 +126,6 @@ class Report:
                         "passed": value is not None and value <= bound,
                     }
                 )
-        about = unit or None, voltage_unit, remove_offset, model, command
-        return cls(tuple(compared), tuple(logs), tuple(limits), *about)
 
     @property
     def rmse(self) -> float:
@@ -206,11 +189,6 @@ class Report:
 
     # --- forms ---
 
-    def render(self, form: str) -> str:
-        """Return the report as ``text``, ``json``, ``csv`` or ``html``."""
-        text: str = getattr(self, f"to_{form}")()
-        return text
-
     def to_json(self) -> str:
         """Return the report as JSON text, ``dbo-report`` version 1; numbers read back exactly.
 
@@ -262,7 +240,8 @@ class Report:
     def to_html(self) -> str:
         """Return a page that needs no other file: verdict, table, figures, footer."""
         unit = shown_unit(self.unit)
-        shown = replace(self, unit=unit or None)
+        shown = copy(self)
+        shown.unit = unit or None
         titles, rows = self._table()
         headings = []
         for title in titles:

@@ -11,6 +11,18 @@ if TYPE_CHECKING:
     from dbo_cli.model import Cascade, Quantity
 
 LINE_WIDTH = 96  # characters of a line
+EXPECTED_FORMS = {"expected_rmse": "error {:.3g}{unit} RMS"}
+FIT_FORMS = {
+    "rmse": "error {:.3g}{unit} RMS on its own logs",
+    "line_rmse": "a straight line leaves {:.3g}{unit}",
+}
+RANGE_FORMS = {
+    "fastest": "drives to {:.3g}{drive}/s",
+    "longest_rest": "rests to {:.3g} s",
+    "one_amplitude": "one amplitude",
+}
+LOG_FORMS = {"name": "{}", "rows": "{:,} rows", "rmse": "error {:.3g}{unit} RMS"}
+"""How the figures of a fit and of a log are written, by their keys."""
 SEPARATE_KEYS = ("logs", "validation", "warnings", "notes")
 """Keys of ``fit`` that stand beside it in the JSON form."""
 
@@ -61,18 +73,21 @@ def shown_text(model: Cascade, name: str) -> str:
         if values[f"{part}_seconds"]:
             rows.append((part, _time(values[f"{part}_seconds"])))
     rows += [("dynamics", _section(section)) for section in values["dynamics"]]
-    if fit.get("expected_rmse") is not None:
-        rows.append(("expected", f"error {fit['expected_rmse']:.3g}{unit} RMS"))
-    if fit.get("rmse") is not None:
-        text = f"error {fit['rmse']:.3g}{unit} RMS on its own logs"
-        if fit.get("line_rmse") is not None:
-            text += f"; a straight line leaves {fit['line_rmse']:.3g}{unit}"
-        rows.append(("fit", text))
-    seen = _seen(fit, forward.input)
-    if seen:
-        rows.append(("range", ", ".join(seen)))
-    rows += [("log", _log(log, unit)) for log in values["logs"]]
-    rows += [("validation", _log(log, unit)) for log in values["validation"]]
+    shown = [
+        ("expected", fit, EXPECTED_FORMS),
+        ("fit", fit, FIT_FORMS),
+        ("range", fit, RANGE_FORMS),
+    ]
+    shown += [("log", log, LOG_FORMS) for log in values["logs"]]
+    shown += [("validation", log, LOG_FORMS) for log in values["validation"]]
+    for heading, figures, forms in shown:
+        texts = []
+        for key, form in forms.items():
+            if figures.get(key) not in (None, False):
+                text = form.format(figures[key], unit=unit, drive=forward.input.suffix)
+                texts.append(text)
+        if texts:
+            rows.append((heading, ", ".join(texts)))
     if "program" in values["provenance"]:
         rows.append(("made by", str(values["provenance"]["program"])))
     rows += [("warning", text) for text in values["warnings"]]
@@ -111,27 +126,6 @@ def _section(section: Mapping[str, Any]) -> str:
     )
     if "antiresonance" in section:
         text += f", antiresonance at {section['antiresonance']['frequency']:.5g} Hz"
-    return text
-
-
-def _seen(fit: Mapping[str, Any], drive: Quantity) -> list[str]:
-    """Return how fast the logs were driven, and how long they rested."""
-    texts = []
-    if fit.get("fastest") is not None:
-        texts.append(f"drives to {fit['fastest']:.3g}{drive.suffix}/s")
-    if fit.get("longest_rest") is not None:
-        texts.append(f"rests to {fit['longest_rest']:.3g} s")
-    if fit.get("one_amplitude"):
-        texts.append("one amplitude")
-    return texts
-
-
-def _log(log: Mapping[str, Any], unit: str) -> str:
-    text = str(log.get("name"))
-    if log.get("rows") is not None:
-        text += f", {log['rows']:,} rows"
-    if log.get("rmse") is not None:
-        text += f", error {log['rmse']:.3g}{unit} RMS"
     return text
 
 

@@ -40,7 +40,7 @@ def recording(operator=GROWING, bend=0.0, delay=0.0, noise=0.0, scale=0.2, offse
 
 
 def fitted(name, *logs, skip=0.0):
-    return fitting.fit(RIVAL[name], fitting.prepare_logs(logs, skip))
+    return fitting.fit(RIVAL[name], fitting.RivalProblem(logs, skip))
 
 
 def error(model, log):
@@ -117,4 +117,4 @@ def test_rows_that_are_skipped_do_not_count():
     spoilt = Recording("log.csv", log.voltage, wrong, log.time)
     assert fitted("pi", spoilt, skip=1.0).fit_error < 1e-3
     with pytest.raises(FitError, match="`skip`"):
-        fitting.prepare_logs([log], 7.995)
+        fitting.RivalProblem([log], 7.995)

@@ -15,13 +15,17 @@ def content(folder):
     return {path.name: path.read_text() for path in Path(folder).iterdir()}
 
 
-def test_files_and_missing_folders_are_refused(tmp_path):
+def test_files_are_refused_and_folders_are_made(tmp_path):
     (tmp_path / "file").write_text("")
-    for name in ("file", "no/fw"):
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/a.c").mkdir()
+    for name in ("file", "file/fw", "other"):
         with pytest.raises(OutputError, match=name):
             write_folder(str(tmp_path / name), FILES, {"name": "a"})
     (tmp_path / "empty").mkdir()
-    write_folder(str(tmp_path / "empty"), FILES, {"name": "a"})
+    for name in ("empty", "new/fw"):
+        write_folder(str(tmp_path / name), FILES, {"name": "a"})
+        assert len(content(tmp_path / name)) == 3
 
 
 def test_a_failure_leaves_what_stood_there(tmp_path, monkeypatch):

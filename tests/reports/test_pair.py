@@ -23,7 +23,7 @@ def match(name, measured, desired, measured_time=None, desired_time=None, **opti
 
 
 def rmse(pair, **options):
-    return Report.of([pair], unit="um", **options).rmse
+    return Report([pair], unit="um", **options).rmse
 
 
 def test_lengths_must_agree():
