@@ -130,7 +130,8 @@ def as_numbers(values: Any) -> Floats | None:
     elif hasattr(values, "isna"):
         values = values.to_numpy(na_value=np.nan)
     try:
-        if kind == "O" and any(isinstance(value, str) for value in values):
+        others = (str, bool, np.bool_, complex)
+        if kind == "O" and any(isinstance(value, others) for value in values):
             return None
         return np.ascontiguousarray(np.asarray(values, dtype=np.float64))
     except (TypeError, ValueError):

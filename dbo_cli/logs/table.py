@@ -28,10 +28,8 @@ LONGEST_CELL = 200
 TOO_LONG = f"(more than {LONGEST_CELL} characters)"
 """What stands in the place of a cell that is longer."""
 
-_KINDS = defaultdict(
-    lambda: "text", f="number", i="number", u="number", b="number", M="stamp"
-)
-"""The kind of a column by NumPy's letter of its type."""
+_KINDS = defaultdict(lambda: "text", f="number", i="number", u="number", M="stamp")
+"""The kind of a column by NumPy's letter of its type; truth values are no numbers."""
 
 Settings = dict[str, list[str]]
 """What a file states beside its rows, by key: values with their units."""

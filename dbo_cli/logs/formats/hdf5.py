@@ -28,7 +28,7 @@ _NOT_APPLIED = {
 }  # fmt: skip
 """Attributes that may belong to a dataset's values, by their plain keys, and what changes nothing."""
 _MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
-                  "uint32", "uint64", "logical")  # fmt: skip
+                  "uint32", "uint64")  # fmt: skip
 
 Nodes = dict[str, Any]
 """Groups and datasets by their paths; the file is that of no path."""

@@ -30,7 +30,7 @@ _CLASSES = {
 }  # fmt: skip
 """Classes of matrices that hold no plain numbers; tables are objects without a public form."""
 _NUMBERS = range(6, 16)  # classes: double, single, and integers
-_IS_COMPLEX = 0x0800
+_NO_NUMBERS = 0x0A00  # flags: complex, logical
 
 
 @dataclass
@@ -118,8 +118,8 @@ def _variable_of(elements: Elements, order: str) -> Variable:
         return Variable(_text(elements), _CLASSES[17], ())
     shape = tuple(int(length) for length in _numbers(elements, order))
     name = _text(elements)
-    if number not in _NUMBERS or int(flags[0]) & _IS_COMPLEX:
-        return Variable(name, _CLASSES.get(number, "complex"), shape)
+    if number not in _NUMBERS or int(flags[0]) & _NO_NUMBERS:
+        return Variable(name, _CLASSES.get(number, "complex or logical"), shape)
     values = _numbers(elements, order)
     if np.prod(shape, dtype=object) != len(values):
         raise ValueError(f"{name} has another size than its values")
