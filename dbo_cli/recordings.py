@@ -190,8 +190,7 @@ def arrays_table(
         unit = unit_option or unit or units.get(role)
         arrays.append(column_in_memory(table, name, array, unit))
         columns[role] = f"number={len(arrays)}"
-    first = next(iter(signals.values()))
-    clock = clock_of(first, time, sample_rate, len(first))
+    clock = clock_of(signals, time, sample_rate, arrays[0].length)
     if isinstance(clock, np.ndarray):
         arrays.append(column_in_memory(table, "time", clock, "s"))
         columns["time"] = f"number={len(arrays)}"
@@ -421,7 +420,7 @@ def signal_of(
     factor = to_model_unit(roles[0], stated, unit, quantity.unit)
     warn_unstated(roles[0], stated, quantity.unit)
     values = multiplied(values, factor)
-    clock = clock_of(data, time, sample_rate, len(values))
+    clock = clock_of({roles[0]: data}, time, sample_rate, len(values))
     if isinstance(clock, np.ndarray):
         return Block(clock, {roles[1]: values}, steps_of(clock))
     return Block(None, {roles[1]: values}, clock)

@@ -88,17 +88,34 @@ def frame_table(frame: Any, time: Any = None) -> Table:
             )
             column = replace(column, doubt=doubt)
         columns.append(column)
-    index = getattr(frame, "index", None)
+    index = time_index(frame)
     if time is not None:
         columns = [column for column in columns if column not in clocks]
         columns.append(column_in_memory(name, "time", time, "s"))
-    elif not clocks and dtype_kind(index) in "fmM":
-        title = str(getattr(index, "name", None) or "time")
-        unit = split_header(title)[1] or time_unit(title) or "s"
+    elif not clocks and index is not None:
+        title = str(index.name or "time")
+        unit = split_header(title)[1] or time_unit(title)
         columns.insert(0, column_in_memory(name, title, index, unit))
     table = table_of(name, columns)
     table.has_found_offset = bool(attrs.get("holds_delay"))
     return table
+
+
+def time_index(data: Any) -> Any:
+    """Return the index of a pandas object that is its clock; None where it is a plain count.
+
+    A level is one that is called a time, else one of fractions, durations or dates.
+    """
+    index: Any = getattr(data, "index", None)
+    clocks = []
+    for level in range(getattr(index, "nlevels", 0)):
+        values = index.get_level_values(level)
+        title = str(values.name or "")
+        if is_time(Column(0, title, split_header(title)[1])):
+            return values
+        if dtype_kind(values) in "fmM":
+            clocks.append(values)
+    return clocks[0] if clocks else None
 
 
 def _series_of(frame: Any) -> Iterable[tuple[str, Any]]:
@@ -204,28 +221,32 @@ def floats(values: Any, name: str) -> Floats:
 
 
 def clock_of(
-    data: Any, time: Any, sample_rate: float | None, rows: int
+    signals: Mapping[str, Any], time: Any, sample_rate: float | None, rows: int
 ) -> float | Floats | None:
     """Return the seconds between samples, or the time of each in s; None where neither is known.
 
-    The time index of a pandas object counts where neither is given: seconds if it
-    holds numbers other than a plain count, else durations or dates.
+    The time index of pandas objects (``time_index``) counts where neither is given:
+    seconds if it holds numbers.
 
     Raises
     ------
     UsageError
         Both are given.
     InputError
-        The time has another length, or is in another unit.
+        The time has another length, or is in another unit; or two signals have other times.
     """
     if time is not None and sample_rate is not None:
         raise UsageError("`time` and `sample_rate` are both given: give one of them")
     if sample_rate is not None:
         return 1.0 / sample_rate
     if time is None:
-        time = getattr(data, "index", None)
-        if dtype_kind(time) not in "fmM":
-            return None
+        for role, values in signals.items():
+            index = time_index(values)
+            if time is not None and index is not None and not index.equals(time):
+                raise InputError(
+                    f"`{role}` has other times: give all one index, or `time`"
+                )
+            time = index if time is None else time
     seconds = seconds_of(time)
     if seconds is not None and len(seconds) != rows:
         raise InputError(f"`time`: {len(seconds)} times for {rows} samples")

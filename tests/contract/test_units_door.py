@@ -2,6 +2,7 @@
 
 import inspect
 import warnings
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -580,3 +581,59 @@ def test_attrs_and_a_name_that_disagree_are_refused():
     clock = pd.Series(move, index=pd.Index(1e3 * TIME, name="ms"))
     with pytest.raises(dbo.InputError, match="ms"):
         drive(clock)
+
+
+INDEXES = {
+    "integers": pd.Index((1e6 * TIME).round().astype(int), name="t_us"),
+    "a count": pd.RangeIndex(0, 1000 * len(TIME), 1000, name="t_us"),
+    "a level": pd.MultiIndex.from_arrays([0 * TIME, 1e3 * TIME], names=["run", "t_ms"]),
+    "categories": pd.CategoricalIndex(TIME, name="time_s"),
+}
+
+
+@pytest.mark.parametrize("name", INDEXES)
+def test_an_index_that_is_called_a_time_is_no_plain_count(name, creep):
+    """It is read, or its unit refused; a frame that went without it had no clock."""
+    volts = 2.0 - 2.0 * np.cos(30.0 * TIME)
+    series = pd.Series(volts, index=INDEXES[name], name="voltage_V")
+    expected = creep.simulate(volts, time=TIME)
+    np.testing.assert_allclose(creep.simulate(series.to_frame()), expected, atol=1e-12)
+    with (
+        pytest.raises(dbo.InputError, match="give seconds")
+        if name != "categories"
+        else nullcontext()
+    ):
+        np.testing.assert_array_equal(creep.simulate(series), expected)
+
+
+@pytest.mark.parametrize("name", ["time_s", "time"])
+def test_an_index_of_texts_is_no_clock(name, creep):
+    index = pd.Index([f"{second:.3f}" for second in TIME], name=name)
+    series = pd.Series(2.0 + TIME, index=index, name="voltage_V")
+    for source in (series, series.to_frame()):
+        with pytest.raises(dbo.InputError, match="time"):
+            creep.simulate(source)
+
+
+@pytest.mark.parametrize("name", [None, "time", "t"])
+def test_an_index_of_milliseconds_that_says_no_unit_is_refused(name, creep):
+    frame = pd.DataFrame({"voltage_V": 2.0 + TIME}, pd.Index(1e3 * TIME, name=name))
+    with pytest.raises(dbo.InputError, match="has no unit, and in seconds"):
+        creep.simulate(frame)
+
+
+def test_two_series_have_one_clock(played):
+    time, volts, moved = played
+    drive = pd.Series(volts, index=time, name="voltage_V")
+    for clock in (1.1 * time, time[::-1], time + 0.5):
+        moves = pd.Series(moved, index=clock, name="displacement_um")
+        with pytest.raises(dbo.InputError, match="`displacement` has other times"):
+            quick(drive, moves)
+        with pytest.raises(dbo.InputError, match="`measured` has other times"):
+            dbo.report(moves.set_axis(time), moves)
+        assert quick(drive, moves, time=time) == quick(drive, moves.set_axis(time))
+    days = pd.to_datetime(time, unit="s") + np.timedelta64(1, "D")
+    for clock in (days, pd.to_timedelta(time, unit="h")):
+        with pytest.raises(dbo.InputError, match="other times"):
+            quick(drive.set_axis(pd.to_datetime(time, unit="s")), moves.set_axis(clock))
+    assert quick(volts, moves.set_axis(time)) == quick(volts, moved, time=time)
