@@ -32,6 +32,7 @@ from dbo_cli.units import (
     multiplied,
     quantity_name,
     ratio,
+    split_header,
     to_model_unit,
     warn_unstated,
 )
@@ -187,6 +188,8 @@ def arrays_table(
         unit, unit_option = stated_unit(values, label), unit_options[role]
         to_model_unit(label, unit, unit_option, units.get(role, unit_option))
         name = str(getattr(values, "name", None) or role)
+        if unit_option:  # goes before that of the name
+            name = split_header(name)[0]
         unit = unit_option or unit or units.get(role)
         arrays.append(column_in_memory(table, name, array, unit))
         columns[role] = f"number={len(arrays)}"

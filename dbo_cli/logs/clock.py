@@ -333,7 +333,7 @@ def _clock_of(source: Table, column: Column, spelled: str | None) -> Clock:
             clock.note = f" (`time_unit` {spelled}, in place of {stated})"
         return clock
     if column.doubt:
-        raise InputError(f"{name}: {column.label} {column.doubt}")
+        raise _unclear(name, column, column.doubt.partition(":")[0])
     unit = _stated_unit(name, column)
     clock = Clock(name, "column", column, ratio(unit, "s"), unit)
     with contextlib.suppress(InputError):

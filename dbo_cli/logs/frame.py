@@ -46,7 +46,8 @@ def column_in_memory(table: str, title: str, values: Any, unit: str | None) -> C
         raise InputError(
             f"{table}: column '{title}': give one row of numbers, shape (n,)"
         )
-    unit = "s" if dtype_kind(values) == "m" else unit
+    if dtype_kind(values) == "m":
+        title, unit = split_header(title)[0], "s"
     return replace(next(columns_in(title, cells)), unit=unit)
 
 

@@ -23,7 +23,7 @@ from dbo_cli.logs.settings import (
     read_settings,
 )
 from dbo_cli.logs.table import LONGEST_CELL, Column, Table
-from dbo_cli.units import is_unit, kind_of, parse_unit, spell, split_header, time_unit
+from dbo_cli.units import is_unit, parse_unit, spell, split_header, time_unit
 
 _LINES = 3  # names, units and a remark stand above the rows at most
 _BESIDE = 40  # rows beside which settings may stand
@@ -254,19 +254,6 @@ def _stated_by_channel(layout: Layout, keys: Collection[str]) -> list[str]:
 
 
 def describe_columns(table: Table, layout: Layout) -> None:
-    """Give a table its columns: their names, their units and what their cells hold.
-
-    Raises
-    ------
-    InputError
-        A column's name and its units line state different units.
-    """
+    """Give a table its columns: their names, their units and what their cells hold."""
     for n, (kind, sample) in enumerate(layout.kinds):
-        header, unit = layout.names[n], spell(layout.units[n])
-        named = split_header(header)[1] or unit
-        if named != unit and unit and kind_of(named) == kind_of(unit):
-            raise InputError(
-                f"{table.name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
-                f"{layout.first}"
-            )
-        table.add(Column(0, header, unit, kind, sample))
+        table.add(Column(0, layout.names[n], layout.units[n], kind, sample))

@@ -41,7 +41,8 @@ def scaled_column(
     if role in scale:
         factor, unit = _typed_scale(name, role, column, str(scale[role]))
     elif column.doubt:
-        raise InputError(f"{name}: {column.label} {column.doubt}")
+        doubt = column.doubt.replace("ROLE", role)
+        raise InputError(f"{name}: {column.label} {doubt}")
     else:
         _refuse_unclear_unit(name, role, column)
     target = units.get(role)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.fence import fenced
-from dbo_cli.units import quantity, spell, split_header
+from dbo_cli.units import kind_of, quantity, spell, split_header
 
 ROWS_A_BLOCK = 65536
 OVERLOAD = 9.9e30
@@ -274,14 +274,17 @@ class Table:
         self.find: Callable[[str], Column | None] = lambda name: None
 
     def add(self, column: Column) -> Column:
-        """Append a column; its name holds its unit where none is stated beside it."""
+        """Append a column; its name holds its unit where none is stated beside it, or one of that kind."""
         number, name, unit = len(self.columns) + 1, column.name, column.unit
         if len(name) > LONGEST_CELL or name == TOO_LONG:
             self.remarks.append(f"column {number}: {TOO_LONG[1:-1]} are no name")
             name = ""
         unit = spell(unit) if unit and len(unit) <= LONGEST_CELL else None
-        unit = unit or split_header(name)[1]
-        column = replace(column, number=number, name=name, unit=unit)
+        titled, doubt = split_header(name)[1] or unit, column.doubt
+        if titled != unit and unit and kind_of(titled) == kind_of(unit):
+            doubt = f"is in {titled} by its name, in {unit} beside it: type `scale` ROLE=1UNIT/{unit}"
+        unit = unit or titled
+        column = replace(column, number=number, name=name, unit=unit, doubt=doubt)
         self.columns.append(column)
         return column
 
