@@ -347,8 +347,13 @@ def _stated_unit(name: str, column: Column) -> str | None:
     Raises
     ------
     InputError
-        What it states is no unit of time.
+        What it states is no unit of time, or several: ``time_100us``.
     """
+    for number, word in re.findall(
+        r"(?<![^\W_])(\d[\d.,]*)\s*([^\W\d_]+)", column.name
+    ):
+        if time_unit(word):
+            raise _unclear(name, column, f"counts {number} {word}")
     if column.unit is not None:
         before, _, _ = column.unit.partition(" since ")  # netCDF: s since 2026-01-02
         if time_unit(before) is None:

@@ -203,7 +203,8 @@ def _units_line(headers: Sequence[Sequence[str]]) -> int | None:
         nonempty = [cell for cell in cells if cell.strip("()[]- ")]
         recognised = [cell for cell in nonempty if is_unit(cell)]
         is_long = any(len(spell(cell) or "") > 1 for cell in recognised)
-        if 2 * len(recognised) > len(nonempty) and is_long:
+        is_below = are_names(headers[k + 1])
+        if 2 * len(recognised) > len(nonempty) and (is_long or is_below):
             return k
     return None
 
