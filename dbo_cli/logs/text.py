@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from dbo_cli.errors import InputError
 from dbo_cli.logs.cells import Marks, split_cells, to_number
 from dbo_cli.logs.dialect import find_layout, is_no_row
-from dbo_cli.logs.names import begins_run, describe_columns
+from dbo_cli.logs.names import are_names, begins_run, describe_columns
 from dbo_cli.logs.stream import TextStream
-from dbo_cli.logs.table import Column, Reading, Table
+from dbo_cli.logs.table import Column, Reading, Table, parse_rows
 
 _LONGEST_LINE = 1 << 24  # bytes; what is longer has no line ends
 _SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
@@ -156,14 +156,24 @@ class TextTable(Table):
         return self.layout.partly_fits(comment) or not begins_run(comment)
 
     def _rows_of(self, text: bytes) -> list[list[str]]:
-        """Split a block in Python; rows of another width become rows of empty cells."""
+        """Split a block in Python; rows of another width become rows of empty cells.
+
+        Names of another table are refused (InputError), for its units are others.
+        """
         rows: list[list[str]] = []
-        for line in self._stream.lines(text):
+        last = parse_rows(self._reading.rows)[1]
+        for number, line in enumerate(self._stream.lines(text), self._line):
             if self._is_passed(line):
                 continue
-            cells = split_cells(line, self.layout.delimiter)
+            row, cells = len(rows), split_cells(line, self.layout.delimiter)
+            row += self._first_row
+            is_other = cells not in (self.layout.names, self.layout.units)
+            if row <= last and is_other and are_names(cells) and not is_no_row(line):
+                raise InputError(
+                    f"{self.name}:{number}: another table begins: cut with `rows` :{row - 1}"
+                )
             if len(cells) != self.layout.width:
-                self.torn.append(self._first_row + len(rows))
+                self.torn.append(row)
                 cells = [""] * self.layout.width
             rows.append(cells)
         return rows
