@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 
-from dbo_cli.errors import InputError
 from dbo_cli.logs.cells import Layout, is_number, split_cells
 from dbo_cli.logs.columns import KNOWN_NAMES, words
 from dbo_cli.logs.settings import (
@@ -33,35 +32,21 @@ _LABEL = re.compile(
 )
 
 
-def read_header(
-    name: str, above: Sequence[str], rows: Sequence[str], layout: Layout
-) -> None:
+def read_header(above: Sequence[str], rows: Sequence[str], layout: Layout) -> None:
     """Read names, units and the clock from the lines above the rows.
 
     Parameters
     ----------
-    name
-        The file, for messages.
     above, rows
         The lines above the rows, and the first rows.
     layout
         How the rows are written; receives what is found.
-
-    Raises
-    ------
-    InputError
-        Each channel has a time column.
     """
     margin = []
     for line in rows[:_BESIDE]:
         cells = split_cells(line, layout.delimiter)[: min(layout.numeric)]
         margin.append(layout.delimiter.join(cells))  # where Tektronix has its settings
-    settings = read_settings([*above, *margin], layout.delimiter)
-    if settings.get("X_Columns", [""])[0].lower() == "multi":
-        raise InputError(
-            f"{name}: each channel has an X column: export with X_Columns One or No"
-        )
-    layout.settings = settings
+    layout.settings = read_settings([*above, *margin], layout.delimiter)
     layout.names, layout.units = [""] * layout.width, [""] * layout.width
     headers = _header_lines(above, layout)
     layout.is_headed = bool(headers)
