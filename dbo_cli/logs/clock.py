@@ -353,7 +353,7 @@ def _stated_unit(name: str, column: Column) -> str | None:
         r"(?<![^\W_])(\d[\d.,]*)\s*([^\W\d_]+)", column.name
     ):
         if time_unit(word):
-            raise _unclear(name, column, f"counts {number} {word}")
+            raise _unclear(name, column, f"may count {number} {word}")
     if column.unit is not None:
         before, _, _ = column.unit.partition(" since ")  # netCDF: s since 2026-01-02
         if time_unit(before) is None:

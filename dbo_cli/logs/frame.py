@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError
+from dbo_cli.logs.clock import Clock
 from dbo_cli.logs.columns import is_time
 from dbo_cli.logs.table import OVERLOAD, Column, Table, columns_in
 from dbo_cli.units import spell, split_header, time_unit
@@ -94,9 +95,7 @@ def frame_table(frame: Any, time: Any = None) -> Table:
         columns = [column for column in columns if column not in clocks]
         columns.append(column_in_memory(name, "time", time, "s"))
     elif not clocks and index is not None:
-        title = str(index.name or "time")
-        unit = split_header(title)[1] or time_unit(title)
-        columns.insert(0, column_in_memory(name, title, index, unit))
+        columns.insert(0, _index_column(name, index))
     table = table_of(name, columns)
     table.has_found_offset = bool(attrs.get("holds_delay"))
     return table
@@ -117,6 +116,13 @@ def time_index(data: Any) -> Any:
         if dtype_kind(values) in "fmM":
             clocks.append(values)
     return clocks[0] if clocks else None
+
+
+def _index_column(table: str, index: Any) -> Column:
+    """Return a time index as a column; it is called time where it has no name."""
+    title = str(index.name or "time")
+    unit = split_header(title)[1] or time_unit(title)
+    return column_in_memory(table, title, index, unit)
 
 
 def _series_of(frame: Any) -> Iterable[tuple[str, Any]]:
@@ -248,6 +254,10 @@ def clock_of(
                     f"`{role}` has other times: give all one index, or `time`"
                 )
             time = index if time is None else time
+        if time is not None and dtype_kind(time) != "M":  # judged as a column is
+            column = _index_column("the index", time)
+            clock = Clock("the index", "column", column, unit=column.unit)
+            clock.read(np.arange(1, rows + 1), floats(cells_of(time), "time"))
     seconds = seconds_of(time)
     if seconds is not None and len(seconds) != rows:
         raise InputError(f"`time`: {len(seconds)} times for {rows} samples")

@@ -148,7 +148,9 @@ def parse_rows(rows: str | None) -> tuple[int, int]:
     UsageError
         It is no range.
     """
-    match = re.fullmatch(r"\s*(\d{0,15})\s*:\s*(\d{0,15})\s*", rows or ":", re.ASCII)
+    match = re.fullmatch(
+        r"\s*(\d{0,15})\s*:\s*(\d{0,15})\s*", str(rows or ":"), re.ASCII
+    )
     first = int(match[1] or 1) if match else 0
     last = int(match[2]) if match and match[2] else sys.maxsize
     if not 1 <= first <= last:

@@ -617,9 +617,13 @@ def test_an_index_of_texts_is_no_clock(name, creep):
 
 @pytest.mark.parametrize("name", [None, "time", "t"])
 def test_an_index_of_milliseconds_that_says_no_unit_is_refused(name, creep):
-    frame = pd.DataFrame({"voltage_V": 2.0 + TIME}, pd.Index(1e3 * TIME, name=name))
+    series = pd.Series(2.0 + TIME, pd.Index(1e3 * TIME, name=name), name="voltage_V")
+    for source in (series, series.to_frame()):
+        with pytest.raises(dbo.InputError, match="has no unit, and in seconds"):
+            creep.simulate(source)
     with pytest.raises(dbo.InputError, match="has no unit, and in seconds"):
-        creep.simulate(frame)
+        dbo.identify(series, series.rename("displacement_um"))
+    assert len(creep.simulate(series.set_axis(pd.Index(1e3 * TIME, name="t_s")))) == 400
 
 
 def test_two_series_have_one_clock(played):
