@@ -349,9 +349,8 @@ def _stated_unit(name: str, column: Column) -> str | None:
     InputError
         What it states is no unit of time, or several: ``time_100us``.
     """
-    for number, word in re.findall(
-        r"(?<![^\W_])(\d[\d.,]*)\s*([^\W\d_]+)", column.name
-    ):
+    amount = r"(?<![^\W_])(\d[\d.,]*)\s*([^\W\d_]+)"
+    for number, word in re.findall(amount, column.name):
         if time_unit(word):
             raise _unclear(name, column, f"may count {number} {word}")
     if column.unit is not None:

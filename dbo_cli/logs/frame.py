@@ -97,15 +97,13 @@ def frame_table(frame: Any, time: Any = None) -> Table:
     elif not clocks and index is not None:
         columns.insert(0, _index_column(name, index))
     table = table_of(name, columns)
+    table.hint = " (of a frame: rename its columns)"
     table.has_found_offset = bool(attrs.get("holds_delay"))
     return table
 
 
 def time_index(data: Any) -> Any:
-    """Return the index of a pandas object that is its clock; None where it is a plain count.
-
-    A level is one that is called a time, else one of fractions, durations or dates.
-    """
+    """Return the level of a pandas index that is a time by its name, else by its type; None of a count."""
     index: Any = getattr(data, "index", None)
     clocks = []
     for level in range(getattr(index, "nlevels", 0)):
@@ -250,9 +248,7 @@ def clock_of(
         for role, values in signals.items():
             index = time_index(values)
             if time is not None and index is not None and not index.equals(time):
-                raise InputError(
-                    f"`{role}` has other times: give all one index, or `time`"
-                )
+                raise InputError(f"`{role}` has other times: give one `time`")
             time = index if time is None else time
         if time is not None and dtype_kind(time) != "M":  # judged as a column is
             column = _index_column("the index", time)

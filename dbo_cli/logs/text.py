@@ -156,17 +156,14 @@ class TextTable(Table):
         return self.layout.partly_fits(comment) or not begins_run(comment)
 
     def _rows_of(self, text: bytes) -> list[list[str]]:
-        """Split a block in Python; rows of another width become rows of empty cells.
-
-        Names of another table are refused (InputError), for its units are others.
-        """
+        """Split a block in Python; a row of another width becomes empty cells, another table is refused."""
         rows: list[list[str]] = []
         last = parse_rows(self._reading.rows)[1]
         for number, line in enumerate(self._stream.lines(text), self._line):
             if self._is_passed(line):
                 continue
-            row, cells = len(rows), split_cells(line, self.layout.delimiter)
-            row += self._first_row
+            row = self._first_row + len(rows)
+            cells = split_cells(line, self.layout.delimiter)
             is_other = cells not in (self.layout.names, self.layout.units)
             if row <= last and is_other and are_names(cells) and not is_no_row(line):
                 raise InputError(

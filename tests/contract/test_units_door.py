@@ -294,7 +294,7 @@ def test_no_unit_is_invented(played):
     first, second = quick(frame), quick(frame.set_index("time"))
     pair = [one.simulate(volts, time=time) for one in (first, second)]
     np.testing.assert_array_equal(*pair)
-    with pytest.raises(dbo.InputError, match="`voltage`"):
+    with pytest.raises(dbo.InputError, match=r"`voltage`.*of a frame: rename"):
         dbo.identify(pd.DataFrame({"a": volts, "b": moved}))
 
 
