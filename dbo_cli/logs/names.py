@@ -105,7 +105,8 @@ def _as_header(line: str, layout: Layout, above_units: bool) -> list[str] | None
         line = line[label.end() :]
     elif is_comment and re.match(r"[\w .]+=", line):
         return None  # a setting
-    for cells in _ways_to_split(line, layout.delimiter, is_comment, bool(label)):
+    is_labelled = bool(label) or above_units
+    for cells in _ways_to_split(line, layout.delimiter, is_comment, is_labelled):
         cells = _fitted([cell.strip("'") for cell in cells], layout)
         is_text = any(cell and not is_number(cell, ".") for cell in cells)
         if len(cells) != layout.width or not is_text:
@@ -121,7 +122,7 @@ def _ways_to_split(
 ) -> list[list[str]]:
     """Return how a line may be split: as the rows, and in other ways beside blanks or in a comment.
 
-    At single blanks it is split only where a label, quotes or all words say that it is no title.
+    At single blanks it is split only where a label, units below, quotes or all words say that it is no title.
     """
     ways = [] if delimiter == " " else [split_cells(line, delimiter)]
     if is_comment or delimiter == " ":
