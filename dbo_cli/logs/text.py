@@ -159,13 +159,14 @@ class TextTable(Table):
         """Split a block in Python; a row of another width becomes empty cells, another table is refused."""
         rows: list[list[str]] = []
         last = parse_rows(self._reading.rows)[1]
+        heads = (self.layout.names, self.layout.units)
         for number, line in enumerate(self._stream.lines(text), self._line):
             if self._is_passed(line):
                 continue
             row = self._first_row + len(rows)
             cells = split_cells(line, self.layout.delimiter)
-            is_other = cells not in (self.layout.names, self.layout.units)
-            if row <= last and is_other and are_names(cells) and not is_no_row(line):
+            is_text = line.strip('0123456789+-.,; \t|"') and not is_no_row(line)
+            if is_text and are_names(cells) and cells not in heads and row <= last:
                 raise InputError(
                     f"{self.name}:{number}: another table begins: cut with `rows` :{row - 1}"
                 )
