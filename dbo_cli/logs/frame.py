@@ -230,8 +230,7 @@ def clock_of(
 ) -> float | Floats | None:
     """Return the seconds between samples, or the time of each in s; None where neither is known.
 
-    The time index of pandas objects (``time_index``) counts where neither is given:
-    seconds if it holds numbers.
+    The time index of pandas objects (``time_index``) counts where neither is given, numbers as seconds.
 
     Raises
     ------

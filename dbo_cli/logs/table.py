@@ -282,10 +282,10 @@ class Table:
             self.remarks.append(f"column {number}: {TOO_LONG[1:-1]} are no name")
             name = ""
         unit = spell(unit) if unit and len(unit) <= LONGEST_CELL else None
-        titled, doubt = split_header(name)[1] or unit, column.doubt
-        if titled != unit and unit and kind_of(titled) == kind_of(unit):
+        titled = split_header(name)[1] or unit
+        unit, doubt = unit or titled, column.doubt
+        if titled != unit and kind_of(titled) == kind_of(unit):
             doubt = f"is in {titled} by its name, in {unit} beside it: type `scale` ROLE=1UNIT/{unit}"
-        unit = unit or titled
         column = replace(column, number=number, name=name, unit=unit, doubt=doubt)
         self.columns.append(column)
         return column
