@@ -17,19 +17,22 @@ from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs import Block, Reading, Table, open_log, open_table
 from dbo_cli.logs.frame import (
     column_in_memory,
-    dtype_kind,
     frame_table,
+    index_column,
     is_frame,
     seconds_of,
     stated_unit,
     table_of,
+    time_index,
 )
+from dbo_cli.logs.table import Column
 from dbo_cli.model import Cascade, Quantity, State
 from dbo_cli.units import (
     multiplied,
     parse_quantity,
     quantity_name,
     ratio,
+    split_header,
     unit_of_array,
 )
 from dbo_cli.version import __version__
@@ -176,8 +179,7 @@ def table_in_memory(
         By role, the unit of a model that they are for.
     time, sample_rate
         Time in s, or a rate in Hz. The time index of a pandas object counts where
-        neither is given: seconds if it holds numbers other than a plain count, else
-        durations or dates.
+        neither is given, judged as the time column of a file is.
 
     Raises
     ------
@@ -201,15 +203,27 @@ def table_in_memory(
         stated, given = stated_unit(values, label), unit_options[role]
         unit = unit_of_array(label, stated, given, units.get(role, given))
         name = str(getattr(values, "name", None) or role)
+        if given:  # goes before that of the name
+            name = split_header(name)[0]
         column = table.add(column_in_memory(table.name, name, values, unit))
         columns[role] = f"number={column.number}"
-    index = getattr(first, "index", None)
-    if time is None and sample_rate is None and dtype_kind(index) in "fmM":
-        time = index
+    clock = None
     if time is not None:
         clock = column_in_memory(table.name, "time", seconds_of(time), "s")
+    elif sample_rate is None:
+        clock = _index_of(table.name, signals)
+    if clock is not None:
         columns["time"] = f"number={table.add(clock).number}"
     return table, columns
+
+
+def _index_of(table: str, signals: Mapping[str, Any]) -> Column | None:
+    """Return the time index that pandas objects share; InputError where they have several."""
+    indexes = [time_index(values) for values in signals.values()]
+    indexes = [index for index in indexes if index is not None]
+    if any(not index.equals(indexes[0]) for index in indexes):
+        raise InputError(f"{', '.join(signals)} have other times: give one `time`")
+    return index_column(table, indexes[0]) if indexes else None
 
 
 def pairs_of(

@@ -98,7 +98,7 @@ _TIME_WORDS = {w: unit for unit, text in _TIME_SPELLINGS.items() for w in text.s
 _MICRO = re.compile(r"[µμ](?=[^\W\d])")  # before a unit, nowhere else
 _BRACKETED = re.compile(r"(?P<name>.*?)\s*[\[(<{](?P<unit>[^\[\](){}<>]*)[\])>}]")
 # voltage_V, Weg/nm, CH1 in V, "Drive voltage, V", field_kA/m
-_SUFFIX = re.compile(r"(?P<name>.+?)[\s_,/]+(?:in\s+)?(?P<unit>[^\s_,]+)")
+_SEPARATOR = re.compile(r"[\s_,/]+(?:in\s+)?")
 # "milli volts" is "millivolts"
 _PREFIX_WORD = re.compile(r"(milli|micro|nano|pico|kilo)[\s_-]+(?=\w)", re.IGNORECASE)
 # data[2], x(1), Voltage (CH1), Position (raw): no units
@@ -266,11 +266,14 @@ def _split_at_end(plain: str) -> tuple[str, str | None]:
         if is_node or _REMARK.fullmatch(inner.lower()):
             return plain, None
         return match["name"].strip().rstrip("_,"), spell(inner)
-    match = _SUFFIX.fullmatch(plain)
-    if match and match["name"].lower() not in _LETTERED:
-        is_bare = match["unit"].strip("[](){}<>") == match["unit"]
-        if is_bare and parse_unit(match["unit"]):
-            return match["name"].strip(), spell(match["unit"])
+    for mark in _SEPARATOR.finditer(plain):
+        name, unit = plain[: mark.start()], plain[mark.end() :]
+        *before, word = re.split(r"[\s_,/]+", name)
+        word = re.split("[:.;-]", word)[-1]
+        is_ratio = before and mark[0] == "/" and (is_unit(word) or word.isdigit())
+        is_bare = unit.strip("[](){}<>") == unit and not is_ratio
+        if name and name.lower() not in _LETTERED and is_bare and parse_unit(unit):
+            return name.strip(), spell(unit)
     return plain, None
 
 

@@ -330,7 +330,7 @@ def _clock_of(source: Table, column: Column, spelled: str | None) -> Clock:
             clock.note = f" (`time_unit` {spelled}, in place of {stated})"
         return clock
     if column.doubt:
-        raise InputError(f"{name}: {column.label} {column.doubt}")
+        raise _unclear(name, column, column.doubt.partition(":")[0])
     unit = _stated_unit(name, column)
     clock = Clock(name, "column", column, ratio(unit, "s"), unit)
     with contextlib.suppress(InputError):
@@ -344,8 +344,12 @@ def _stated_unit(name: str, column: Column) -> str | None:
     Raises
     ------
     InputError
-        What it states is no unit of time.
+        What it states is no unit of time, or several: ``time_100us``.
     """
+    amount = r"(?<![^\W_])(\d[\d.,]*)\s*([^\W\d_]+)"
+    for number, word in re.findall(amount, column.name):
+        if time_unit(word):
+            raise _unclear(name, column, f"may count {number} {word}")
     if column.unit is not None:
         before, _, _ = column.unit.partition(" since ")  # netCDF: s since 2026-01-02
         if time_unit(before) is None:

@@ -83,7 +83,7 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     layout.first = _first_row(layout, lines, rows)
     layout.first_line = lines[layout.first]
     above, below = lines[skipped : layout.first], lines[layout.first :]
-    read_header(name, above, below, layout)
+    read_header(above, below, layout)
     unclear = _two_readings(layout, sample, table, reading)
     if unclear is not None:
         text, how = unclear

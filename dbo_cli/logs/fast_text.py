@@ -62,6 +62,7 @@ def read_frame(
         )
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, ValueError):
         return None
+    frame = frame.with_columns(pl.selectors.string().str.strip_chars())
     has_nulls = any(frame[str(column.number)].null_count() for column in columns)
     return None if has_nulls or not _is_regular(text, layout, frame) else frame
 

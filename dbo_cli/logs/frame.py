@@ -46,7 +46,8 @@ def column_in_memory(table: str, title: str, values: Any, unit: str | None) -> C
         raise InputError(
             f"{table}: column '{title}': give one row of numbers, shape (n,)"
         )
-    unit = "s" if dtype_kind(values) == "m" else unit
+    if dtype_kind(values) == "m":
+        title, unit = split_header(title)[0], "s"
     return replace(next(columns_in(title, cells)), unit=unit)
 
 
@@ -92,17 +93,37 @@ def frame_table(frame: Any, time: Any = None) -> Table:
             )
             column = replace(column, doubt=doubt)
         columns.append(column)
-    index = getattr(frame, "index", None)
+    index = time_index(frame)
     if time is not None:
         columns = [column for column in columns if column not in clocks]
         columns.append(column_in_memory(name, "time", time, "s"))
-    elif not clocks and dtype_kind(index) in "fmM":
-        title = str(getattr(index, "name", None) or "time")
-        unit = split_header(title)[1] or time_unit(title) or "s"
-        columns.insert(0, column_in_memory(name, title, index, unit))
+    elif not clocks and index is not None:
+        columns.insert(0, index_column(name, index))
     table = table_of(name, columns)
+    table.hint = " (of a frame: rename its columns)"
     table.has_found_offset = bool(attrs.get("holds_delay"))
     return table
+
+
+def time_index(data: Any) -> Any:
+    """Return the level of a pandas index that is a time by its name, else by its type; None of a count."""
+    index: Any = getattr(data, "index", None)
+    clocks = []
+    for level in range(getattr(index, "nlevels", 0)):
+        values = index.get_level_values(level)
+        title = str(values.name or "")
+        if is_time(Column(0, title, split_header(title)[1])):
+            return values
+        if dtype_kind(values) in "fmM":
+            clocks.append(values)
+    return clocks[0] if clocks else None
+
+
+def index_column(table: str, index: Any) -> Column:
+    """Return a time index as a column; it is called time where it has no name."""
+    title = str(index.name or "time")
+    unit = split_header(title)[1] or time_unit(title)
+    return column_in_memory(table, title, index, unit)
 
 
 # --- values ---
@@ -127,7 +148,8 @@ def as_numbers(values: Any) -> Floats | None:
     elif hasattr(values, "isna"):
         values = values.to_numpy(na_value=np.nan)
     try:
-        if kind == "O" and any(isinstance(value, str) for value in values):
+        others = (str, bool, np.bool_, complex)
+        if kind == "O" and any(isinstance(value, others) for value in values):
             return None
         return np.ascontiguousarray(np.asarray(values, dtype=np.float64))
     except (TypeError, ValueError):

@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Sequence
 
-from dbo_cli.errors import InputError
 from dbo_cli.logs.cells import Layout, is_number, split_cells
 from dbo_cli.logs.columns import KNOWN_NAMES, words
 from dbo_cli.logs.settings import (
@@ -23,7 +22,7 @@ from dbo_cli.logs.settings import (
     read_settings,
 )
 from dbo_cli.logs.table import LONGEST_CELL, Column, Table
-from dbo_cli.units import is_unit, kind_of, parse_unit, spell, split_header, time_unit
+from dbo_cli.units import is_unit, parse_unit, spell, split_header, time_unit
 
 _LINES = 3  # names, units and a remark stand above the rows at most
 _BESIDE = 40  # rows beside which settings may stand
@@ -33,35 +32,21 @@ _LABEL = re.compile(
 )
 
 
-def read_header(
-    name: str, above: Sequence[str], rows: Sequence[str], layout: Layout
-) -> None:
+def read_header(above: Sequence[str], rows: Sequence[str], layout: Layout) -> None:
     """Read names, units and the clock from the lines above the rows.
 
     Parameters
     ----------
-    name
-        The file, for messages.
     above, rows
         The lines above the rows, and the first rows.
     layout
         How the rows are written; receives what is found.
-
-    Raises
-    ------
-    InputError
-        Each channel has a time column.
     """
     margin = []
     for line in rows[:_BESIDE]:
         cells = split_cells(line, layout.delimiter)[: min(layout.numeric)]
         margin.append(layout.delimiter.join(cells))  # where Tektronix has its settings
-    settings = read_settings([*above, *margin], layout.delimiter)
-    if settings.get("X_Columns", [""])[0].lower() == "multi":
-        raise InputError(
-            f"{name}: each channel has an X column: export with X_Columns One or No"
-        )
-    layout.settings = settings
+    layout.settings = read_settings([*above, *margin], layout.delimiter)
     layout.names, layout.units = [""] * layout.width, [""] * layout.width
     headers = _header_lines(above, layout)
     layout.is_headed = bool(headers)
@@ -120,7 +105,8 @@ def _as_header(line: str, layout: Layout, above_units: bool) -> list[str] | None
         line = line[label.end() :]
     elif is_comment and re.match(r"[\w .]+=", line):
         return None  # a setting
-    for cells in _ways_to_split(line, layout.delimiter, is_comment, bool(label)):
+    is_labelled = bool(label) or above_units
+    for cells in _ways_to_split(line, layout.delimiter, is_comment, is_labelled):
         cells = _fitted([cell.strip("'") for cell in cells], layout)
         is_text = any(cell and not is_number(cell, ".") for cell in cells)
         if len(cells) != layout.width or not is_text:
@@ -136,7 +122,7 @@ def _ways_to_split(
 ) -> list[list[str]]:
     """Return how a line may be split: as the rows, and in other ways beside blanks or in a comment.
 
-    At single blanks it is split only where a label, quotes or all words say that it is no title.
+    At single blanks it is split only where a label, units below, quotes or all words say that it is no title.
     """
     ways = [] if delimiter == " " else [split_cells(line, delimiter)]
     if is_comment or delimiter == " ":
@@ -203,7 +189,8 @@ def _units_line(headers: Sequence[Sequence[str]]) -> int | None:
         nonempty = [cell for cell in cells if cell.strip("()[]- ")]
         recognised = [cell for cell in nonempty if is_unit(cell)]
         is_long = any(len(spell(cell) or "") > 1 for cell in recognised)
-        if 2 * len(recognised) > len(nonempty) and is_long:
+        is_below = are_names(headers[k + 1])
+        if 2 * len(recognised) > len(nonempty) and (is_long or is_below):
             return k
     return None
 
@@ -254,19 +241,6 @@ def _stated_by_channel(layout: Layout, keys: Collection[str]) -> list[str]:
 
 
 def describe_columns(table: Table, layout: Layout) -> None:
-    """Give a table its columns: their names, their units and what their cells hold.
-
-    Raises
-    ------
-    InputError
-        A column's name and its units line state different units.
-    """
+    """Give a table its columns: their names, their units and what their cells hold."""
     for n, (kind, sample) in enumerate(layout.kinds):
-        header, unit = layout.names[n], spell(layout.units[n])
-        named = split_header(header)[1] or unit
-        if named != unit and unit and kind_of(named) == kind_of(unit):
-            raise InputError(
-                f"{table.name}: column '{header}' is in {unit} by the units row: type `skip_lines` "
-                f"{layout.first}"
-            )
-        table.add(Column(0, header, unit, kind, sample))
+        table.add(Column(0, layout.names[n], layout.units[n], kind, sample))

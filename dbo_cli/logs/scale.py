@@ -40,7 +40,8 @@ def scaled_column(
     if role in scale:
         factor, unit = _typed_scale(name, role, column, str(scale[role]))
     elif column.doubt:
-        raise InputError(f"{name}: {column.label} {column.doubt}")
+        doubt = column.doubt.replace("ROLE", role)
+        raise InputError(f"{name}: {column.label} {doubt}")
     else:
         _refuse_unclear_unit(name, role, column)
     target = units.get(role)
@@ -98,8 +99,8 @@ def _refuse_unclear_unit(name: str, role: str, column: Column) -> None:
     if capitals:
         spellings = [*value_units_like(capitals), "another unit"]
     if unit and split_header(title)[1] == unit and not re.search(r"[\[(]", title):
-        for amount in re.findall(r"(?<!\S)\d[\d.,]*(?:\s+(\S+)|$)", title):
-            if spell(amount) in (unit, None):  # at 100 V, kV x 1000
+        for amount in re.findall(r"(?<![^\s/*])\d[\d.,]*(?:\s+(\S+)|$)", title):
+            if spell(amount) in (unit, None):  # at 100 V, in 1/10 V, kV x 1000
                 spellings = [unit, "another unit"]
     if len(spellings) > 1:
         raise InputError(

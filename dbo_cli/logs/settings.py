@@ -125,7 +125,7 @@ def stated_rate(
         amount, unit = float(match[1].replace(",", ".")), match[2].strip(' []()"')
         if plain_key(key) in _STARTS and unit in ("", "s"):
             if starts.setdefault(key, amount) != amount:
-                raise _unclear(name, f"'{key}' {starts[key]:.9g} and {amount:.9g}")
+                raise _unclear(name, f"'{key}' {starts[key]} and {amount}")
             start = amount if abs(amount) < _LATEST_START else start
         if plain_key(key) in _DIVIDERS and amount > 1.0:
             divider = f"'{key}' {text}"

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, UsageError, require_positive
 from dbo_cli.logs.fence import fenced
-from dbo_cli.units import quantity, spell, split_header
+from dbo_cli.units import kind_of, quantity, spell, split_header
 
 ROWS_A_BLOCK = 65536
 OVERLOAD = 9.9e30
@@ -29,10 +29,8 @@ LONGEST_CELL = 200
 TOO_LONG = f"(more than {LONGEST_CELL} characters)"
 """What stands in the place of a cell that is longer."""
 
-_KINDS = defaultdict(
-    lambda: "text", f="number", i="number", u="number", b="number", M="stamp"
-)
-"""The kind of a column by NumPy's letter of its type."""
+_KINDS = defaultdict(lambda: "text", f="number", i="number", u="number", M="stamp")
+"""The kind of a column by NumPy's letter of its type; truth values are no numbers."""
 
 Settings = dict[str, list[str]]
 """What a file states beside its rows, by key: values with their units."""
@@ -146,7 +144,9 @@ def parse_rows(rows: str | None) -> tuple[int, int]:
     UsageError
         It is no range.
     """
-    match = re.fullmatch(r"\s*(\d{0,15})\s*:\s*(\d{0,15})\s*", rows or ":", re.ASCII)
+    match = re.fullmatch(
+        r"\s*(\d{0,15})\s*:\s*(\d{0,15})\s*", str(rows or ":"), re.ASCII
+    )
     first = int(match[1] or 1) if match else 0
     last = int(match[2]) if match and match[2] else sys.maxsize
     if not 1 <= first <= last:
@@ -269,14 +269,17 @@ class Table(AbstractContextManager["Table"]):
         self.find: Callable[[str], Column | None] = lambda name: None
 
     def add(self, column: Column) -> Column:
-        """Append a column; its name holds its unit where none is stated beside it."""
+        """Append a column; its name holds its unit where none is stated beside it, or one of that kind."""
         number, name, unit = len(self.columns) + 1, column.name, column.unit
         if len(name) > LONGEST_CELL or name == TOO_LONG:
             self.remarks.append(f"column {number}: {TOO_LONG[1:-1]} are no name")
             name = ""
         unit = spell(unit) if unit and len(unit) <= LONGEST_CELL else None
-        unit = unit or split_header(name)[1]
-        column = replace(column, number=number, name=name, unit=unit)
+        titled = split_header(name)[1] or unit
+        unit, doubt = unit or titled, column.doubt
+        if titled != unit and kind_of(titled) == kind_of(unit):
+            doubt = f"is in {titled} by its name, in {unit} beside it: type `scale` ROLE=1UNIT/{unit}"
+        column = replace(column, number=number, name=name, unit=unit, doubt=doubt)
         self.columns.append(column)
         return column
 

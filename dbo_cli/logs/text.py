@@ -18,9 +18,9 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.cells import Marks, split_cells, to_number
 from dbo_cli.logs.dialect import find_layout, is_no_row
 from dbo_cli.logs.fence import closed_on_error
-from dbo_cli.logs.names import begins_run, describe_columns
+from dbo_cli.logs.names import are_names, begins_run, describe_columns
 from dbo_cli.logs.stream import TextStream
-from dbo_cli.logs.table import Column, Reading, Table
+from dbo_cli.logs.table import Column, Reading, Table, parse_rows
 
 _LONGEST_LINE = 1 << 24  # bytes; what is longer has no line ends
 _SMALL = 1 << 18  # bytes that are read faster in Python than polars is imported
@@ -154,14 +154,22 @@ class TextTable(Table):
         return self.layout.partly_fits(comment) or not begins_run(comment)
 
     def _rows_of(self, text: bytes) -> list[list[str]]:
-        """Split a block in Python; rows of another width become rows of empty cells."""
+        """Split a block in Python; a row of another width becomes empty cells, another table is refused."""
         rows: list[list[str]] = []
-        for line in self._stream.lines(text):
+        last = parse_rows(self._reading.rows)[1]
+        heads = (self.layout.names, self.layout.units)
+        for number, line in enumerate(self._stream.lines(text), self._line):
             if self._is_passed(line):
                 continue
+            row = self._first_row + len(rows)
             cells = split_cells(line, self.layout.delimiter)
+            is_text = line.strip('0123456789+-.,; \t|"') and not is_no_row(line)
+            if is_text and are_names(cells) and cells not in heads and row <= last:
+                raise InputError(
+                    f"{self.name}:{number}: another table begins: cut with `rows` :{row - 1}"
+                )
             if len(cells) != self.layout.width:
-                self.torn.append(self._first_row + len(rows))
+                self.torn.append(row)
                 cells = [""] * self.layout.width
             rows.append(cells)
         return rows

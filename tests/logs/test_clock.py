@@ -44,6 +44,14 @@ def test_units_of_time(header, factor, tmp_path):
     assert time.tolist() == pytest.approx(step * factor * np.arange(4), rel=1e-15)
 
 
+@pytest.mark.parametrize("header", ["time_100us", "t 10 ms", "10ms_time"])
+def test_a_multiple_of_a_unit_is_no_unit(header, tmp_path):
+    path = write(tmp_path, ["0", "0.5", "1"], header)
+    with pytest.raises(InputError, match="`time_unit`"):
+        read(path)
+    assert read(path, time_unit="10us")[0].time.tolist() == [0.0, 5e-6, 1e-5]
+
+
 @pytest.mark.parametrize(
     "stamps",
     [

@@ -13,7 +13,7 @@ import pytest
 import scipy.io
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs import fence
+from dbo_cli.logs import fence, frame_table, open_log
 from dbo_cli.logs.formats import npy, reader_of
 from dbo_cli.logs.settings import stated_rate
 from dbo_cli.logs.table import Reading
@@ -169,6 +169,48 @@ def test_parts_are_chosen_or_asked_for(tmp_path):
     FRAME.to_parquet(tmp_path / "a.parquet")
     with pytest.raises(InputError, match="no parts"):
         opened(tmp_path / "a.parquet", "x")
+
+
+ON = np.array([True, False, True, True])
+SWITCHED = pd.DataFrame({"time_s": T, "voltage_V": ON})
+
+
+def switched_hdf5(path):
+    with h5py.File(path, "w") as file:
+        file.update({"time_s": T, "voltage_V": ON})
+
+
+@pytest.mark.parametrize(
+    ("suffix", "write"),
+    [
+        (".npy", lambda p: np.save(p, SWITCHED.to_records(index=False))),
+        (".mat", lambda p: scipy.io.savemat(p, {"time_s": T, "voltage_V": ON})),
+        (".parquet", SWITCHED.to_parquet),
+        (".h5", switched_hdf5),
+        (".tdms", lambda p: segments(p, nptdms.ChannelObject("g", "voltage_V", ON))),
+    ],
+)
+def test_truth_values_are_no_numbers(suffix, write, tmp_path):
+    path = tmp_path / f"run{suffix}"
+    write(path)
+    roles = {"voltage": "voltage_V"}
+    with pytest.raises(InputError, match=r"voltage_V|no columns of numbers"):
+        open_log(path, roles)
+
+
+def test_a_truth_value_in_a_workbook_or_among_objects_is_no_number(tmp_path):
+    cells = [0.5, True, 1.5, 2.0]
+    frame = pd.DataFrame({"time_s": T, "voltage_V": pd.Series(cells, dtype=object)})
+    frame.to_excel(tmp_path / "a.xlsx", index=False)
+    with (
+        pytest.raises(InputError, match=r"a\.xlsx:3: column 'voltage_V' .* 'true'"),
+        open_log(tmp_path / "a.xlsx", {"voltage": None}) as log,
+    ):
+        log.read()
+    for odd in (True, np.True_, 1j):
+        frame["voltage_V"] = pd.Series([0.5, odd, 1.5, 2.0], dtype=object)
+        with pytest.raises(InputError, match="which column is `voltage`"):
+            open_log(frame_table(frame), {"voltage": None})
 
 
 def test_a_cell_of_a_workbook_keeps_all_its_digits(tmp_path):

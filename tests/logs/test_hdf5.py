@@ -171,6 +171,49 @@ def test_groups_side_by_side(tmp_path):
     source.close()
 
 
+def test_a_missing_number_may_be_rounded(tmp_path):
+    def fill(file):
+        file["x"] = np.array([1.0, 1e20, 3.0], dtype="f4")
+        file["x"].attrs["missing_value"] = 1e20
+
+    source = opened(tmp_path, fill)
+    np.testing.assert_array_equal(values(source, "x"), [1.0, np.nan, 3.0])
+    source.close()
+
+
+def test_a_scale_for_each_column_is_not_passed_over(tmp_path):
+    def fill(file):
+        matrix(file)
+        file["data"].attrs["scale_factor"] = [1.0, 20.0, 1.0]
+
+    path = str(made(tmp_path / "run.h5", fill))
+    with pytest.raises(InputError, match=r"scale_factor.*`scale` voltage=FACTOR"):
+        open_log(path, {"voltage": None}, Reading(sample_rate=10.0))
+
+
+def test_a_unit_that_is_stated_twice_is_stated_alike(tmp_path):
+    def fill(file):
+        for name, unit in (("t_ms", "s"), ("voltage_mV", "V"), ("x_um", "um")):
+            file[name] = T
+            file[name].attrs["units"] = unit
+
+    path, rate = str(made(tmp_path / "run.h5", fill)), Reading(sample_rate=10.0)
+    roles = {"voltage": None, "displacement": None}
+    advice = r"'voltage_mV' is in mV by its name, in V beside it: .*1UNIT/V"
+    with pytest.raises(InputError, match=advice):
+        open_log(path, roles, rate)
+    for unit in ("mV", "V"):
+        reading = Reading(sample_rate=10.0, scale={"voltage": f"1{unit}/V"})
+        with open_log(path, roles, reading) as log:
+            assert log.columns["voltage"].unit == unit
+            np.testing.assert_array_equal(log.read()["voltage"], T)
+    with pytest.raises(InputError, match=r"'t_ms', is in ms by its name.*`time_unit`"):
+        open_log(path, {"time": None, "displacement": None})
+    reading = Reading(time_unit="ms")
+    with open_log(path, {"time": None, "displacement": None}, reading) as log:
+        np.testing.assert_allclose(log.read().time, T / 1000.0)
+
+
 def test_a_scale_beside_a_dataset_is_not_passed_over(tmp_path):
     def fill(file):
         file["x"], file["x_scaling_factor"] = np.arange(3.0), 0.001
@@ -189,9 +232,9 @@ def test_a_scale_beside_a_dataset_is_not_passed_over(tmp_path):
     path = str(tmp_path / "run.h5")
     pairs = {"x": "x_scaling_factor", "z": "conversion"} | {key: key for key in keys}
     for name, key in pairs.items():
-        with pytest.raises(InputError, match=f"{key}.*`scale`"):
+        with pytest.raises(InputError, match=f"{key}.*`scale` voltage=FACTOR"):
             open_log(path, {"voltage": name})
-        with pytest.raises(InputError, match=key):
+        with pytest.raises(InputError, match=f"{key}.*`time_unit`"):
             open_log(path, {"voltage": "y", "time": name})
     scaled = Reading(scale={"voltage": "0.125"}, skip_bad=True)
     with open_log(path, {"voltage": "z"}, scaled) as log:

@@ -55,6 +55,9 @@ def test_blocks_and_ways_of_reading_give_the_same(block, small, tmp_path, monkey
         lambda s: s.replace(",", "\t"),
         lambda s: s.replace(",", "   ").replace("\n", "  \n "),
         lambda s: s.replace(",", " , "),
+        lambda s: s.replace(",", "\t,\t"),
+        lambda s: s.replace(",", ",\u00a0"),
+        lambda s: s.replace("\n7,", "\n7\t,").replace(",9.00,", ",\u00a09.00,"),
         lambda s: s.replace(",", '","').replace("\n", '"\n"')[:-1],
         lambda s: s.replace("\n", ",\n"),
         lambda s: s.replace("\n20000", "\n\n# a remark\n\n20000").replace("\n1.000", "\n\n1.000"),
@@ -98,6 +101,24 @@ def test_an_irregular_row_of_a_large_file_is_named(damage, what, tmp_path):
     left = np.delete(np.arange(30_000.0), 20_000)
     np.testing.assert_array_equal(table["voltage"], left)
     assert len(log.doubtful) == 1 and "1 row left out" in log.doubtful[0]
+
+
+@pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")  # of gaps
+@pytest.mark.parametrize("rows", [100, 30_000])
+def test_a_second_table_is_not_read_in_the_units_of_the_first(rows, tmp_path):
+    path, content = tmp_path / "run.csv", large(rows)
+    below = f"time_ms,voltage_mV,displacement_nm\n{rows}000.0,1000.0,2000.0\n"
+    content = content.replace("\n0.020,20.00,", "\n0.020,,") + below
+    path.write_text(content)
+    advice = rf":{rows + 2}: another table begins: cut with `rows` :{rows}$"
+    for reading in ({}, {"rows": f"{rows + 2}:"}):
+        with pytest.raises(InputError, match=advice):
+            read(path, skip_bad=True, **reading)
+    table, _ = read(path, skip_bad=True, rows=f":{rows}")
+    assert len(table) == rows - 1
+    again = content.replace("time_ms,voltage_mV,displacement_nm\n", HEAD)
+    path.write_text(again)
+    assert len(read(path, skip_bad=True)[0]) == rows
 
 
 def test_points_are_refused_beside_stamps_as_well(tmp_path):

@@ -31,7 +31,7 @@ _FORMATS = (
 """Bytes, where they stand in the file, and the module that reads it."""
 _TEXT_SUFFIXES = (".csv", ".tsv", ".txt", ".dat", ".lvm", ".gz", "")
 _PICKLES = (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
-_REFUSED = tuple(".pkl .pickle .json .jsonl .uff .unv .itx .h5 .hdf5 .mat".split())
+_REFUSED = ".pkl .pickle .json .jsonl .uff .unv .itx .h5 .hdf5 .mat".split()
 """Suffixes of files that are no text, whatever their first bytes look like."""
 
 

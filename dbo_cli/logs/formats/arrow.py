@@ -31,7 +31,7 @@ def read_arrow(path: str, inner: str, reading: Reading) -> Table:
             kind = "text"
             if stored in (pl.Datetime, pl.Time):
                 kind = "stamp"
-            elif stored.is_numeric() or stored == pl.Boolean:
+            elif stored.is_numeric():
                 kind = "number"
             fetch = _fetch_of(scan, name)
             table.add(Column(0, name, kind=kind, length=rows, fetch=fetch))

@@ -38,8 +38,8 @@ def _sheet_as_text(book: Any, name: str) -> bytes:
     for text, number in zip(shown.get_columns(), exact.get_columns(), strict=True):
         words = text.str.replace_all(r"[\t\r\n]", " ")
         figures = number.cast(pl.String).fill_null(words)
-        is_date = text.str.contains(r"^\d{4}-\d\d-\d\d").fill_null(False)
-        columns.append(figures.zip_with(~is_date, words))
+        is_other = text.str.contains(r"^(\d{4}-\d\d-\d\d|true|false)").fill_null(False)
+        columns.append(figures.zip_with(~is_other, words))
     frame = pl.DataFrame(columns)
     written: str = frame.write_csv(
         include_header=False, separator="\t", quote_style="never"

@@ -28,7 +28,7 @@ _NOT_APPLIED = {
 }  # fmt: skip
 """Attributes that may belong to a dataset's values, by their plain keys, and what changes nothing."""
 _MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
-                  "uint32", "uint64", "logical")  # fmt: skip
+                  "uint32", "uint64")  # fmt: skip
 
 Nodes = dict[str, Any]
 """Groups and datasets by their paths; the file is that of no path."""
@@ -170,7 +170,9 @@ def _shallowest(by_group: Mapping[str, Sequence[Column]]) -> list[str]:
 
 def _with_missing(dataset: Any, fetch: Fetch) -> Fetch:
     """Return what fetches rows with NaN in the place of what stands for a missing number."""
-    missing = _attribute(dataset, "_FillValue") + _attribute(dataset, "missing_value")
+    stated = _attribute(dataset, "_FillValue") + _attribute(dataset, "missing_value")
+    missing = [value for value in stated if not isinstance(value, str)]
+    missing += np.array(missing, np.float32).tolist()  # as a dataset may round it
 
     def fetch_numbers(start: int, stop: int) -> Any:
         rows = fetch(start, stop)
@@ -186,8 +188,8 @@ def _not_applied(dataset: Any) -> str:
     stated = ""
     for key, values in factors.items():
         neutral = _NOT_APPLIED.get(plain_key(key))
-        if neutral is not None and len(values) == 1 and values[0] != neutral:
-            stated = f"{key} {values[0]}"
+        if neutral is not None and any(value != neutral for value in values):
+            stated = f"{key} {' '.join(map(str, values))}"
     for sibling in (f"{dataset.name}_scaling_factor", f"{dataset.name}_offset"):
         if sibling in dataset.file:
             stated = sibling

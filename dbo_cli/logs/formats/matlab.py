@@ -26,7 +26,7 @@ _TYPES = {
 """NumPy's names of the types of elements that hold numbers."""
 _NUMBERS = range(6, 16)  # classes of matrices: double, single, and integers
 _TABLE = 17  # and other objects without a public form
-_IS_COMPLEX = 0x0800
+_NO_NUMBERS = 0x0A00  # flags: complex, logical
 
 
 Elements = Iterator[tuple[int, bytes]]
@@ -91,7 +91,7 @@ def _variable_of(elements: Elements, order: str) -> tuple[str, NDArray[Any] | No
         return _text(elements), None
     shape = tuple(int(length) for length in _numbers(elements, order))
     name = _text(elements)
-    if number not in _NUMBERS or int(flags[0]) & _IS_COMPLEX:
+    if number not in _NUMBERS or int(flags[0]) & _NO_NUMBERS:
         return name, None
     values = _numbers(elements, order)
     if np.prod(shape, dtype=object) != len(values):

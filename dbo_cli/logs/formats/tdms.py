@@ -31,7 +31,7 @@ def _add_channels(table: Table, groups: Sequence[Any]) -> None:
     """Add the channels of numbers, and what they state of their rate."""
     for group in groups:
         for channel in group.channels():
-            if not len(channel) or channel.dtype.kind not in "fiubM":
+            if not len(channel) or channel.dtype.kind not in "fiuM":
                 continue
             properties = channel.properties
             unit = properties.get("unit_string") or properties.get("NI_UnitDescription")
