@@ -69,6 +69,19 @@ def test_a_move_that_starts_in_motion_is_said_to_ring(more):
         assert off_at_first(rested) < 0.01 * model.output.span
 
 
+@pytest.mark.parametrize("rows", [4.0, 4.3])
+def test_a_delay_begins_with_what_was_before_and_that_is_said(rows):
+    """The first rows show the past: on a move in motion they miss what no later voltage mends."""
+    model = rig.actuator(delay=rows * DT)
+    wanted, limits = rig.ripple(model, 300, 0.5), limits_of(model)
+    drive = rig.plan(model, wanted, DT, limits)
+    off = np.abs(played(model, drive.voltage) - wanted)
+    assert off[:5].max() > 20.0 * off[10:].max()
+    assert off_at_first(drive) == pytest.approx(off[0], rel=0.05)
+    rested = rig.plan(model, wanted, DT, limits, lead="auto")
+    assert off_at_first(rested) < 0.05 * off[0]
+
+
 @pytest.mark.parametrize(
     ("top", "begins"), [(None, False), (50.0, False), (None, True)]
 )
