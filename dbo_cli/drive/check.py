@@ -21,6 +21,7 @@ TOLERANCE = 1e-3
 """Of the drive's range, by which a recording may differ: a converter of 10 bits rounds to half of it."""
 NOISE = 6.0
 """Standard deviations of a recording's noise: white noise reaches 5 once in two million rows."""
+SAME_ROW = 0.02  # rows off an end of the drive, as far as noise moves a lag
 GAP = 1.5  # longest steps around it, from which on a step is a gap
 NEIGHBOURS = 16  # steps on either side that say what is usual
 EVEN_STEPS = 0.1
@@ -287,8 +288,8 @@ def check_played(
     late, row = 0.0, time / step
     if found is not None:
         late, row = found.lag.seconds, np.round(found.reference_time(time) / step, 6)
-    inside = (row >= 0.0) & (row <= drive.size - 1)
-    row, played = row[inside], recorded[inside]
+    inside = (row >= -SAME_ROW) & (row <= drive.size - 1 + SAME_ROW)
+    row, played = np.clip(row[inside], 0.0, drive.size - 1.0), recorded[inside]
     meant = between(drive, row)
     gain, offset = 1.0, float(np.mean(played - meant))
     if np.ptp(meant) > 0.0:
