@@ -15,7 +15,7 @@ from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.drive.limits import Gate, Limits
 from dbo_cli.drive.smooth import open_seam
 from dbo_cli.errors import LimitError, UsageError, prefixed
-from dbo_cli.signals import between, noise, usual_step
+from dbo_cli.signals import between, noise
 
 TOLERANCE = 1e-3
 """Of the drive's range, by which a recording may differ: a converter of 10 bits rounds to half of it."""
@@ -183,9 +183,9 @@ def _figures(
 def _steps(time: Floats) -> Floats:
     """Return the seconds before each row, none below 0, as much longer as rounded stamps may be too short.
 
-    A stamp is rounded when it is made and when it is read, to its digits or to decimals.
-    In decimals an even clock shows steps of two kinds, and the step that is meant lies
-    between them.
+    The first row has the step of the second, as ``compensate`` counts it. A stamp is rounded
+    when it is made and when it is read, to its digits or to decimals. In decimals an even
+    clock shows steps of two kinds, and the step that is meant lies between them.
     """
     steps = np.maximum(np.diff(time), 0.0)
     shortest, longest = _around(steps)
@@ -193,8 +193,7 @@ def _steps(time: Floats) -> Floats:
     is_even = longest - np.fmin(shortest, steps) <= EVEN_STEPS * steps
     steps = np.where(is_even, longest, steps)
     steps += 2.0 * np.spacing(np.maximum(np.abs(time[1:]), np.abs(time[:-1])))
-    # as ``compensate`` counts the step before the first row
-    return np.concatenate([[max(usual_step(steps), steps[0])], steps])
+    return np.concatenate([steps[:1], steps])
 
 
 def _odd_times(time: Floats) -> list[str]:

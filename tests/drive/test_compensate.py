@@ -39,6 +39,25 @@ def test_values_do_not_depend_on_blocks(model, rows, slow):
     assert drive.lost_rms == pytest.approx(whole.lost_rms, rel=1e-9, abs=1e-15)
 
 
+@pytest.mark.parametrize("rows", [2, 37, 150])
+def test_rows_around_a_move_do_not_depend_on_blocks(rows):
+    """Nor does their step: of an uneven clock it is the first one, which every block tells."""
+    model = rig.actuator(tau=(0.5,), gain=(0.02,))
+    wanted, limits = rig.gentle(model, 300, 0.5), limits_of(model, max_slew=3000.0)
+    time = np.cumsum(np.random.default_rng(3).uniform(0.5, 1.5, 300) * DT)
+    around = {"start": 20.0, "approach": "auto"}
+    whole = rig.plan(model, wanted, time, limits, return_to=5.0, **around)
+    steps = np.diff(time, prepend=time[0])
+    blocks = []
+    for k in range(0, 300, rows):
+        part = slice(k, k + rows)
+        blocks.append((time[part], steps[part], wanted[part]))
+    driver = Driver(Lead(model, limits, **around), return_to=5.0)
+    drive = rig.driven_in_blocks(driver, blocks)
+    np.testing.assert_allclose(drive.voltage, whole.voltage, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(drive.time, whole.time, rtol=0, atol=1e-12)
+
+
 def test_a_pause_lets_memory_go_on():
     model = rig.actuator(tau=(0.5,), gain=(0.02,))
     wanted = rig.ripple(model, 500, 0.4)
