@@ -68,7 +68,7 @@ def compensate(
     """
     from dbo_cli import channels
     from dbo_cli.drive import Driver, Lead, Limits
-    from dbo_cli.files import Outputs, check_outputs
+    from dbo_cli.files import Output, Outputs, check_outputs
     from dbo_cli.logs import open_log
 
     learning = {"history": history, "absolute": absolute}
@@ -84,7 +84,7 @@ def compensate(
     starts = channels.states_of(state, models)
     is_one = "" in models
     streams = is_one and not (tracked or periodic or bandwidth)
-    if streams and output == "-" and on_limit == "auto":
+    if streams and on_limit == "auto" and Output(output).temporary is None:
         on_limit = "clip"  # rows that were sent stay sent
     limits = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
     typed = channels.values_for(limits, models)

@@ -15,12 +15,13 @@ from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.drive.limits import Gate, Limits
 from dbo_cli.drive.smooth import open_seam
 from dbo_cli.errors import LimitError, UsageError, prefixed
-from dbo_cli.signals import between, noise, usual_step
+from dbo_cli.signals import between, noise
 
 TOLERANCE = 1e-3
 """Of the drive's range, by which a recording may differ: a converter of 10 bits rounds to half of it."""
 NOISE = 6.0
 """Standard deviations of a recording's noise: white noise reaches 5 once in two million rows."""
+SAME_ROW = 0.02  # rows off an end of the drive, as far as noise moves a lag
 GAP = 1.5  # longest steps around it, from which on a step is a gap
 NEIGHBOURS = 16  # steps on either side that say what is usual
 EVEN_STEPS = 0.1
@@ -182,9 +183,9 @@ def _figures(
 def _steps(time: Floats) -> Floats:
     """Return the seconds before each row, none below 0, as much longer as rounded stamps may be too short.
 
-    A stamp is rounded when it is made and when it is read, to its digits or to decimals.
-    In decimals an even clock shows steps of two kinds, and the step that is meant lies
-    between them.
+    The first row has the step of the second, as ``compensate`` counts it. A stamp is rounded
+    when it is made and when it is read, to its digits or to decimals. In decimals an even
+    clock shows steps of two kinds, and the step that is meant lies between them.
     """
     steps = np.maximum(np.diff(time), 0.0)
     shortest, longest = _around(steps)
@@ -192,8 +193,7 @@ def _steps(time: Floats) -> Floats:
     is_even = longest - np.fmin(shortest, steps) <= EVEN_STEPS * steps
     steps = np.where(is_even, longest, steps)
     steps += 2.0 * np.spacing(np.maximum(np.abs(time[1:]), np.abs(time[:-1])))
-    # as ``compensate`` counts the step before the first row
-    return np.concatenate([[max(usual_step(steps), steps[0])], steps])
+    return np.concatenate([steps[:1], steps])
 
 
 def _odd_times(time: Floats) -> list[str]:
@@ -287,8 +287,8 @@ def check_played(
     late, row = 0.0, time / step
     if found is not None:
         late, row = found.lag.seconds, np.round(found.reference_time(time) / step, 6)
-    inside = (row >= 0.0) & (row <= drive.size - 1)
-    row, played = row[inside], recorded[inside]
+    inside = (row >= -SAME_ROW) & (row <= drive.size - 1 + SAME_ROW)
+    row, played = np.clip(row[inside], 0.0, drive.size - 1.0), recorded[inside]
     meant = between(drive, row)
     gain, offset = 1.0, float(np.mean(played - meant))
     if np.ptp(meant) > 0.0:

@@ -22,7 +22,6 @@ from dbo_cli.drive.limits import Figure, Gate, voltage_in
 from dbo_cli.drive.simulate import NO_ROWS, Ahead, Due, Rows, stacked
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import State, Steps
-from dbo_cli.signals import usual_step
 
 if TYPE_CHECKING:
     from dbo_cli.drive.learning import Tracked
@@ -275,7 +274,7 @@ class Driver:
         self, first: float, dt: Steps, time: Floats | None
     ) -> tuple[Steps, Rows]:
         """Return the time steps of the first block, and the rows before the move that are ready."""
-        step = self._step = self._usual_step(dt)
+        step = self._step = self._first_step(dt)
         if isinstance(dt, np.ndarray):
             dt = np.concatenate([[step], dt[1:]])
         begin = None if time is None else float(time[0])
@@ -294,8 +293,8 @@ class Driver:
             rows = stacked([rows, rested])
         return dt, rows
 
-    def _usual_step(self, dt: Steps) -> float:
-        """Return the seconds a row at the beginning; 0 without a clock.
+    def _first_step(self, dt: Steps) -> float:
+        """Return the seconds a row at the beginning, the first step that advances; 0 without a clock.
 
         Raises
         ------
@@ -304,7 +303,7 @@ class Driver:
         """
         step, lead = dt, self.lead
         if isinstance(dt, np.ndarray):
-            step = usual_step(dt[1:]) or None
+            step = next((float(each) for each in dt[1:] if each > 0.0), None)
         if step is not None:
             return float(step)
         timed = lead.condition or lead.approach or lead.rest or lead.hold

@@ -54,7 +54,7 @@ class Judge:
     def __init__(self, lead: Lead, on_limit: str, name: str) -> None:
         self.model, self.limits, self.lead = lead.model, lead.limits, lead
         self.on_limit, self.name = on_limit, name
-        # how far the first row starts off its displacement, or dynamics are in motion
+        # how far the first row starts off its displacement, or is in motion
         self._off_at_first: float | None = None
         # rows, least and greatest voltage by part of the drive; and the displacement's
         self._rows: Counter[str] = Counter()
@@ -93,10 +93,7 @@ class Judge:
         """
         model, target = self.model, due.target
         if self._off_at_first is None:
-            delayed = 0
-            if isinstance(dt, float):
-                delayed = round(model.delay_seconds / dt)
-            reached = [due.asked[delayed]]
+            reached = [due.asked[0]]
             is_held = run.clipped and run.first_clipped == 0
             if state.first is not None and not is_held:  # a start that was chosen
                 reached.append(model.static.run(run.y[:1], state, 0.0).y[0])

@@ -199,11 +199,11 @@ class RepeatedMove:
     def _pass_of(self, recording: Tracked) -> tuple[Floats, Floats, Floats]:
         """Return drive, modelled and measured displacement of the rows that belong to the trajectory."""
         voltage, step, count = recording.voltage, self.step, self.desired.size
-        start = self.model.start(float(voltage[0]), self.lead.state)
-        modelled = self.model.run(voltage, start, step).y
-        begin = stamped = self._row_by_stamps(recording)
+        modelled = self.model.run(voltage, self._start(voltage), step).y
+        stamped = self._row_by_stamps(recording)
+        begin = stamped or 0
         if not self.periodic:
-            begin = self._first_row(recording, modelled, stamped)
+            begin = self._first_row(modelled, stamped)
         rows = voltage.size - begin
         if rows < count:
             raise InputError(
@@ -215,12 +215,13 @@ class RepeatedMove:
         measured, _ = without_delay(time, recording.measured, delay)
         if self.periodic:
             drive, measured = self._mean_period(voltage, measured)
-            phase = self._phase(self._repeated(drive))
-            by_stamps = recording.time is not None and rows % count == 0
+            led = voltage[:1] if stamped else voltage[:0]
+            phase = self._phase(self._repeated(drive, led))
+            by_stamps = stamped is not None and rows % count == 0
             if by_stamps and min(phase, count - phase) * step <= ACTUATOR_LAG:
                 phase = 0  # what was learned may be as early
             drive, measured = np.roll(drive, -phase), np.roll(measured, -phase)
-            return drive, self._repeated(drive), measured
+            return drive, self._repeated(drive, led), measured
         self._require_same_past(recording.name, voltage[:begin])
         move = slice(begin, begin + count)  # what stands behind is a return
         return voltage[move], modelled[move], measured[move]
@@ -238,9 +239,17 @@ class RepeatedMove:
         displacement = measured[-rows:].reshape(-1, count)[first:].mean(axis=0)
         return periods[first:].mean(axis=0), displacement
 
-    def _repeated(self, drive: Floats) -> Floats:
-        """Return what the model makes of one period of a drive that was repeated for ever."""
-        start = self.model.start(float(drive[0]), self.lead.state)
+    def _start(self, voltage: Floats) -> State:
+        """Return the state before the first voltage of a drive that was made for it."""
+        standing, past = self.lead.standing, self.lead.state
+        if standing is not None and not isinstance(past, State):
+            rest = self.model.start(standing, past)
+            past = self.model.run(np.array([standing]), rest, self.step).state
+        return self.model.start(float(voltage[0]), past)
+
+    def _repeated(self, drive: Floats, led: Floats) -> Floats:
+        """Return what the model makes of one period that was repeated for ever, behind what led to it."""
+        start = self._start(np.concatenate([led, drive]))
         return settled_run(self.model, drive, self.step, start)
 
     def _phase(self, modelled: Floats) -> int:
@@ -252,7 +261,7 @@ class RepeatedMove:
         spectrum = np.fft.rfft(modelled) * np.fft.rfft(self.desired).conj()
         return int(np.argmax(np.fft.irfft(spectrum, modelled.size)))
 
-    def _first_row(self, recording: Tracked, modelled: Floats, stamped: int) -> int:
+    def _first_row(self, modelled: Floats, stamped: int | None) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead.
 
         A recorder may count from elsewhere than the stamps say: the trajectory is laid
@@ -269,15 +278,15 @@ class RepeatedMove:
         square = float(np.sum(desired**2))
         misfit = squares - 2.0 * products + square
         row = int(np.argmin(misfit))
-        if recording.time is None or stamped >= places:
+        if stamped is None or stamped >= places:
             return row
         enough = min(MUCH_CLOSER * float(misfit[stamped]), DRIVE_RESIDUAL * square)
         # what was learned may be as early
         is_near = abs(row - stamped) * self.step <= ACTUATOR_LAG
         return stamped if is_near or enough <= float(misfit[row]) else row
 
-    def _row_by_stamps(self, recording: Tracked) -> int:
-        """Return the row at the time of the trajectory's first; the first where there is no clock.
+    def _row_by_stamps(self, recording: Tracked) -> int | None:
+        """Return the row at the time of the trajectory's first; None where no stamp is of that time.
 
         Raises
         ------
@@ -286,7 +295,7 @@ class RepeatedMove:
         """
         time = recording.time
         if time is None or time.size < 2:
-            return 0
+            return None
         step, longest = step_of(time), float(np.diff(time).max())
         other_rate = abs(step / self.step - 1.0) > RATE_SLACK
         if other_rate or longest > LONG_STEP * step:
@@ -294,7 +303,10 @@ class RepeatedMove:
                 f"{recording.name}: {1.0 / max(step, 1e-300):.6g} Hz, longest step {longest:.4g} s, the "
                 f"trajectory {1.0 / self.step:.6g} Hz: record each row at its rate, or `resample` HZ"
             )
-        return int(np.searchsorted(time, self.time[0] - 0.5 * self.step))
+        begin = self.time[0] - 0.5 * self.step
+        if not time[0] - self.step <= begin <= time[-1]:
+            return None
+        return int(np.searchsorted(time, begin))
 
     def _require_same_past(self, name: str, lead: Floats) -> None:
         """Refuse a pass with a sweep before it for a drive without, or the other way round (InputError)."""

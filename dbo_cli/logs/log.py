@@ -134,7 +134,14 @@ class Log(AbstractContextManager["Log"]):
         InputError
             A row holds no number, time goes back, or there is no row.
         """
-        for block in self._blocks():
+        blocks = self._blocks()
+        for block in blocks:
+            if self._count == 1 and block.time is not None:
+                following = next(blocks, None)  # tells the first row's step
+                if following is not None:
+                    dt = following.dt
+                    dt = dt[:1] if isinstance(dt, np.ndarray) else dt
+                    block = Block.joined([replace(block, dt=dt), following])
             for start in range(0, len(block), ROWS_A_BLOCK):
                 yield block.part(start, start + ROWS_A_BLOCK)
 

@@ -1,6 +1,9 @@
 """``dbo compensate``: the drive of a move, what stands before and behind it, and what to expect."""
 
 import json
+import os
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -37,6 +40,18 @@ def summary_of(*words, name="small"):
 # --- what limits cut off ---
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_a_named_pipe_clips_as_standard_output_does():
+    """Its reader has played the rows long before they could be refused."""
+    move(sine(11.0))
+    os.mkfifo("player.csv")
+    with ThreadPoolExecutor(1) as pool:
+        played = pool.submit(Path("player.csv").read_bytes)
+        outcome = done(*SMALL, "-o", "player.csv")
+        assert played.result().count(b"\n") == 1 + len(TIME)
+    assert any("clip" in line for line in outcome.warnings)
+
+
 def test_what_costs_little_is_clipped_and_said_unless_error_was_typed():
     move(sine(9.1))
     outcome = done(*SMALL, "-o", "drive.csv")
@@ -54,9 +69,10 @@ def test_what_costs_much_is_refused_unless_asked_for():
     clipped = compensated("small", "--on-limit", "clip")
     assert clipped["voltage_V"].max() == 10.0
     # rows that were sent cannot be taken back: to stdout, auto clips and says so
-    outcome = done("compensate", model("small"), "-", stdin=wish)
-    assert table(outcome)["voltage_V"].max() == 10.0
-    assert any("clip" in line for line in outcome.warnings)
+    for sink in ("-", "/dev/stdout"):
+        outcome = done("compensate", model("small"), "-", "-o", sink, stdin=wish)
+        assert table(outcome)["voltage_V"].max() == 10.0
+        assert any("clip" in line for line in outcome.warnings)
 
 
 @pytest.mark.parametrize(

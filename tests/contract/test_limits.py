@@ -403,11 +403,13 @@ SLOW = np.arange(200) / 500.0
         ((TIME[:150], VOLTS[:150]), "", 3, "250"),
         ((TIME, 50.0 + 20.0 * NOISE), "", 3, ""),
         ((SLOW, np.interp(SLOW, TIME, VOLTS)), "", 0, ""),
+        ((SLOW, np.interp(SLOW, TIME, VOLTS) + 0.02 * NOISE[::2]), "", 0, ""),
+        ((SLOW, np.interp(SLOW, TIME, VOLTS) - 0.02 * NOISE[::2]), "", 0, ""),
         ((TIME, odd_row()), "--tolerance 0.5", 3, ""),
         ((TIME, VOLTS / 20.0), "--gain 20", 0, ""),
         ((TIME, VOLTS / 20.0), "", 3, ""),
     ],
-    ids="noisy gain part other rate row before amplifier".split(),
+    ids="noisy gain part other rate late early row before amplifier".split(),
 )
 def test_a_recording_is_what_was_played(columns, words, code, held):
     write("played.csv", PLAYED, *columns)

@@ -39,6 +39,25 @@ def test_values_do_not_depend_on_blocks(model, rows, slow):
     assert drive.lost_rms == pytest.approx(whole.lost_rms, rel=1e-9, abs=1e-15)
 
 
+@pytest.mark.parametrize("rows", [2, 37, 150])
+def test_rows_around_a_move_do_not_depend_on_blocks(rows):
+    """Nor does their step: of an uneven clock it is the first one, which every block tells."""
+    model = rig.actuator(tau=(0.5,), gain=(0.02,))
+    wanted, limits = rig.gentle(model, 300, 0.5), limits_of(model, max_slew=3000.0)
+    time = np.cumsum(np.random.default_rng(3).uniform(0.5, 1.5, 300) * DT)
+    around = {"start": 20.0, "approach": "auto"}
+    whole = rig.plan(model, wanted, time, limits, return_to=5.0, **around)
+    steps = np.diff(time, prepend=time[0])
+    blocks = []
+    for k in range(0, 300, rows):
+        part = slice(k, k + rows)
+        blocks.append((time[part], steps[part], wanted[part]))
+    driver = Driver(Lead(model, limits, **around), return_to=5.0)
+    drive = rig.driven_in_blocks(driver, blocks)
+    np.testing.assert_allclose(drive.voltage, whole.voltage, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(drive.time, whole.time, rtol=0, atol=1e-12)
+
+
 def test_a_pause_lets_memory_go_on():
     model = rig.actuator(tau=(0.5,), gain=(0.02,))
     wanted = rig.ripple(model, 500, 0.4)
@@ -67,6 +86,19 @@ def test_a_move_that_starts_in_motion_is_said_to_ring(more):
     for rested in (rig.plan(model, wanted, DT, limits, on_limit="clip", lead="auto"),
                    rig.plan(model, rig.gentle(model, 300), DT, limits)):  # fmt: skip
         assert off_at_first(rested) < 0.01 * model.output.span
+
+
+@pytest.mark.parametrize("rows", [4.0, 4.3])
+def test_a_delay_begins_with_what_was_before_and_that_is_said(rows):
+    """The first rows show the past: on a move in motion they miss what no later voltage mends."""
+    model = rig.actuator(delay=rows * DT)
+    wanted, limits = rig.ripple(model, 300, 0.5), limits_of(model)
+    drive = rig.plan(model, wanted, DT, limits)
+    off = np.abs(played(model, drive.voltage) - wanted)
+    assert off[:5].max() > 20.0 * off[10:].max()
+    assert off_at_first(drive) == pytest.approx(off[0], rel=0.05)
+    rested = rig.plan(model, wanted, DT, limits, lead="auto")
+    assert off_at_first(rested) < 0.05 * off[0]
 
 
 @pytest.mark.parametrize(

@@ -129,4 +129,58 @@ def test_a_recording_of_a_loop_may_begin_anywhere_and_hold_one_period(begin, row
         tracked = [Tracked("pass.csv", voltage[stretch], y[stretch])]
         drive = plan(model, wanted, 1e-3, limits, periodic=True, tracked=tracked)
         learned.append(drive.voltage)
+    time = 1e-3 * np.arange(float(rows))
+    for begin in (-1000.0, 1000.0):  # as it began to count, which says nothing
+        tracked = [Tracked("pass.csv", voltage[stretch], y[stretch], begin + time)]
+        drive = plan(model, wanted, 1e-3, limits, periodic=True, tracked=tracked)
+        np.testing.assert_array_equal(drive.voltage, learned[1])
+    np.testing.assert_allclose(learned[1], learned[0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("options", "is_loop"),
+    [
+        ({"start": 0.0}, False),
+        ({"start": 35.0}, False),
+        ({"start": 0.0, "approach": "auto"}, True),
+        ({"passes": 1}, True),
+        ({"start": 0.0, "passes": 2}, True),
+    ],
+)
+def test_a_pass_that_went_as_planned_changes_nothing(options, is_loop):
+    """The model believes of a drive what it was made for: the same past, whatever led to it."""
+    model = actuator(tau=(0.02,), gain=(0.02,))
+    phase = 2 * np.pi * np.arange(500) / 500
+    wanted, limits = 5.0 - 0.6 * np.cos(phase), Limits.within(model.input)
+    options = {**options, "periodic": is_loop}
+    drive = plan(model, wanted, 1e-3, limits, **options)
+    period = drive.voltage[drive.move]
+    voltage = np.concatenate([drive.voltage, np.tile(period, 4 if is_loop else 0)])
+    before = options.get("start", voltage[0])
+    y = believed(model, before, voltage)
+    time = drive.time[0] + 1e-3 * np.arange(voltage.size)
+    tracked = [Tracked("pass.csv", voltage, y, time)]
+    again = plan(model, wanted, 1e-3, limits, **options, tracked=tracked, absolute=True)
+    np.testing.assert_allclose(again.voltage, drive.voltage, rtol=0, atol=1e-6)
+
+
+def believed(model, before, voltage):
+    """Return what a model makes of a drive behind a rest at a voltage."""
+    rows = np.concatenate([[before], voltage])
+    return model.run(rows, model.start(before), 1e-3).y[1:]
+
+
+def test_stamps_of_another_day_say_nothing():
+    """A recorder that counts from elsewhere is laid by the drive, however near its first row is."""
+    model, plant = actuator(growth=1.5), actuator(growth=1.7)
+    wanted, limits = move(), Limits.within(model.input)
+    voltage = plan(model, wanted, DT, limits, state="empty").voltage
+    voltage = np.concatenate([np.full(30, voltage[0]), voltage])
+    y = plant.run(voltage, plant.start(0.0, "empty"), DT).y
+    learned = []
+    for begin in (-30 * DT, 1000.0):
+        time = begin + DT * np.arange(voltage.size)
+        tracked = [Tracked("pass.csv", voltage, y, time)]
+        drive = plan(model, wanted, DT, limits, state="empty", tracked=tracked)
+        learned.append(drive.voltage)
     np.testing.assert_allclose(learned[1], learned[0], rtol=0, atol=1e-9)

@@ -33,6 +33,20 @@ def test_uneven_time_gives_each_step(tmp_path):
     assert "3 gaps or repeats" in texts[0] and "row 3" in texts[0]
 
 
+@pytest.mark.parametrize("times", [[0.0, 0.1, 0.2, 0.3], [0.0, 0.1, 0.22, 0.32], [0.0]])
+def test_a_row_that_comes_alone_waits_for_the_one_that_tells_its_step(times):
+    """A pipe brings its first row long before the second; what is driven needs a step."""
+    frame = pd.DataFrame({"time_s": times, "voltage_V": times})
+    table = frame_table(frame)
+    table.block_rows = 1
+    with open_log(table, VOLTAGE, Reading()) as log:
+        blocks = list(log.blocks())
+    assert [len(block) for block in blocks] == [min(2, len(times)), 1, 1][: len(blocks)]
+    assert sum(map(len, blocks)) == len(times)
+    if len(times) > 1:
+        assert np.all(np.asarray(blocks[0].dt) == pytest.approx(0.1))
+
+
 @pytest.mark.parametrize(
     ("header", "factor"),
     [("t_ms", 1e-3), ("Time (us)", 1e-6), ("time [min]", 60.0), ("Zeit/Sekunden", 1.0), ("millis", 1e-3)],
