@@ -8,6 +8,7 @@ the pattern of the line. Matplotlib is imported when something is drawn.
 from __future__ import annotations
 
 import io
+import math
 import os
 import re
 from base64 import b64encode
@@ -67,6 +68,8 @@ class Plot:
         Width and height in inches.
     band
         Half height of a band about 0, and its name.
+    logarithmic
+        Whether both axes are.
     """
 
     key: str
@@ -75,6 +78,7 @@ class Plot:
     curves: tuple[Line, ...]
     size: tuple[float, float] = WIDE
     band: tuple[float, str] | None = None
+    logarithmic: bool = False
 
 
 def style() -> AbstractContextManager[None]:
@@ -114,6 +118,11 @@ def figure_of(plot: Plot) -> Figure:
     for x, y, label, look in plot.curves:
         # many points become a picture inside the SVG, or the file takes megabytes
         axes.plot(x, y, label=label, rasterized=len(x) > MOST_POINTS, **look)
+    if plot.logarithmic:
+        axes.set(xscale="log", yscale="log")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter("")
     axes.set(xlabel=plot.labels[0], ylabel=plot.labels[1])
     handles, labels = axes.get_legend_handles_labels()
     if handles:
@@ -141,7 +150,7 @@ def plots_of_log(
     units: tuple[str | None, str | None],
     stem: str,
 ) -> list[Plot]:
-    """Return the figures of one log: both signals, the error and the loop.
+    """Return the figures of one log: both signals, the error, the loop and the spectrum.
 
     Parameters
     ----------
@@ -184,6 +193,13 @@ def plots_of_log(
     if first == "model" or drive is None:
         curves = both(x)
     plots.append(Plot(f"{stem}-loop", title, (name, height), curves, TALL))
+    spectrum = spectrum_of(error, pair)
+    if spectrum is not None:
+        density = f"{shown_unit(unit)}/√Hz" if unit else "1/√Hz"
+        title, line = "Spectrum of the error", (*spectrum, None, THIN)
+        labels = "Frequency (Hz)", f"Error density ({density})"
+        key = f"{stem}-spectrum"
+        plots.append(Plot(key, title, labels, (line,), logarithmic=True))
     return plots
 
 
@@ -202,6 +218,24 @@ def axis_label(quantity: str, unit: str | None) -> str:
     if not unit:
         return quantity
     return f"{quantity} ({shown_unit(unit)})"
+
+
+def spectrum_of(error: Floats, pair: Pair) -> tuple[Floats, Floats] | None:
+    """Return frequencies (Hz) and the amplitude density of the error (unit/sqrt(Hz)).
+
+    By Welch's method, the mean of each piece taken off. None without an even clock, with
+    fewer than 64 rows, or where the error is constant.
+    """
+    step, time = pair.step, pair.time
+    if step is None or time is None or len(error) < 64 or not np.ptp(error):
+        return None
+    if np.ptp(np.diff(time)) > 0.01 * step:
+        return None
+    from scipy.signal import welch
+
+    rows = 2 ** int(math.log2(len(error) / 2.0))
+    frequency, power = welch(error, 1.0 / step, nperseg=rows)
+    return frequency[1:], np.sqrt(power[1:])
 
 
 # --- a model ---

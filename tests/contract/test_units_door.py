@@ -624,11 +624,9 @@ def test_two_series_have_one_clock(played):
     drive = pd.Series(volts, index=time, name="voltage_V")
     for clock in (1.1 * time, time[::-1], time + 0.5):
         moves = pd.Series(moved, index=clock, name="displacement_um")
-        with pytest.raises(
-            dbo.InputError, match="voltage, displacement have other times"
-        ):
+        with pytest.raises(dbo.InputError, match="have other times"):
             quick(drive, moves)
-        with pytest.raises(dbo.InputError, match="`measured` has other times"):
+        with pytest.raises(dbo.InputError, match="have other times"):
             dbo.report(moves.set_axis(time), moves)
         assert quick(drive, moves, time=time) == quick(drive, moves.set_axis(time))
     days = pd.to_datetime(time, unit="s") + np.timedelta64(1, "D")

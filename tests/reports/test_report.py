@@ -102,6 +102,8 @@ def test_a_user_s_own_style_changes_nothing():
 
 def test_without_a_clock_rows_are_shown():
     found = Report([Pair("run", np.sin(np.arange(200.0) / 9.0), np.zeros(200))])
+    alike = Report([Pair("run", *[np.arange(200.0)] * 3)])
+    assert len(plots_of(alike)) == 3  # no error, no spectrum
     keys = [plot.key for plot in plots_of(found)]
     assert keys == ["run-follow", "run-error", "run-loop"]
     assert figure_of(plots_of(found)[0]).axes[0].get_xlabel() == "Row"
