@@ -40,7 +40,7 @@ from dbo_cli.recordings import (
     tracked_of,
     typed_constants,
 )
-from dbo_cli.units import quantity
+from dbo_cli.units import Typed, quantity
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -56,10 +56,6 @@ Signal = ArrayLike
 """An array, a Series of pandas or polars, or one of their frames, which is read as a file is."""
 Logs = Signal | Path | Sequence[Signal | Path]
 """A file, a frame, or a list of them."""
-Figured = float | str
-"""A number, or a text with a unit: ``"1.2kV"``, ``"2V/ms"``, ``"5kHz"``."""
-Duration = float | str | None
-"""A number of s, a text with a unit, or ``auto``."""
 StateLike = str | Path | room.State
 """``auto``, ``empty``, ``full``, ``settled``, a state that was returned, or a state file."""
 
@@ -100,19 +96,19 @@ class Fit(TypedDict, total=False):
 class Move(TypedDict, total=False):
     """The arguments of ``Model.compensate`` behind the displacement and its time."""
 
-    sample_rate: Figured | None
+    sample_rate: Typed | None
     unit: str | None
-    v_min: Figured | None
-    v_max: Figured | None
-    max_slew: Figured | None
+    v_min: Typed | None
+    v_max: Typed | None
+    max_slew: Typed | None
     extrapolate: bool
     on_limit: OnLimit
-    from_: Figured | None
-    return_: Figured | None
-    approach: Duration
+    from_: Typed | None
+    return_: Typed | None
+    approach: Typed | None
     condition: bool
-    lead: Duration
-    bandwidth: Figured | None
+    lead: Typed | None
+    bandwidth: Typed | None
     periodic: bool
     passes: int
     tracked: Logs | None
@@ -186,7 +182,7 @@ class Model:
         x: Signal,
         time: Signal | None = None,
         *,
-        sample_rate: Figured | None = None,
+        sample_rate: Typed | None = None,
         unit: str | None = None,
         state: StateLike = "auto",
         outside: room.Outside = "extend",
@@ -199,7 +195,7 @@ class Model:
         x: Signal,
         time: Signal | None = None,
         *,
-        sample_rate: Figured | None = None,
+        sample_rate: Typed | None = None,
         unit: str | None = None,
         state: StateLike = "auto",
         outside: room.Outside = "extend",
@@ -211,7 +207,7 @@ class Model:
         x: Signal,
         time: Signal | None = None,
         *,
-        sample_rate: Figured | None = None,
+        sample_rate: Typed | None = None,
         unit: str | None = None,
         state: StateLike = "auto",
         outside: room.Outside = "extend",
@@ -283,19 +279,19 @@ class Model:
         wanted: Signal,
         time: Signal | None = None,
         *,
-        sample_rate: Figured | None = None,
+        sample_rate: Typed | None = None,
         unit: str | None = None,
-        v_min: Figured | None = None,
-        v_max: Figured | None = None,
-        max_slew: Figured | None = None,
+        v_min: Typed | None = None,
+        v_max: Typed | None = None,
+        max_slew: Typed | None = None,
         extrapolate: bool = False,
         on_limit: OnLimit = "auto",
-        from_: Figured | None = None,
-        return_: Figured | None = None,
-        approach: Duration = None,
+        from_: Typed | None = None,
+        return_: Typed | None = None,
+        approach: Typed | None = None,
         condition: bool = False,
-        lead: Duration = None,
-        bandwidth: Figured | None = None,
+        lead: Typed | None = None,
+        bandwidth: Typed | None = None,
         periodic: bool = False,
         passes: int = 0,
         tracked: Logs | None = None,
@@ -393,15 +389,15 @@ class Model:
 
     def controller(
         self,
-        sample_rate: Figured,
+        sample_rate: Typed,
         *,
-        v_min: Figured | None = None,
-        v_max: Figured | None = None,
-        max_slew: Figured | None = None,
+        v_min: Typed | None = None,
+        v_max: Typed | None = None,
+        max_slew: Typed | None = None,
         extrapolate: bool = False,
         state: StateLike = "auto",
-        from_: Figured | None = None,
-        lookahead: Duration = None,
+        from_: Typed | None = None,
+        lookahead: Typed | None = None,
     ) -> Controller:
         """Return a live controller: one sample at a time; see ``Controller``.
 
@@ -489,17 +485,17 @@ def read_log(
     time: str | int | None = None,
     voltage: str | int | None = None,
     displacement: str | int | None = None,
-    sample_rate: Figured | None = None,
+    sample_rate: Typed | None = None,
     time_unit: str | None = None,
     scale: Mapping[str, str | float] | None = None,
     rows: str | None = None,
     skip_bad: bool = False,
-    resample: Figured | None = None,
+    resample: Typed | None = None,
     delimiter: str | None = None,
     decimal: str | None = None,
     skip_lines: int | None = None,
     encoding: str | None = None,
-    clock_offset: Duration = None,
+    clock_offset: Typed | None = None,
 ) -> pd.DataFrame:
     """Read a log into a DataFrame.
 
@@ -580,19 +576,19 @@ def identify(
     displacement: Signal | None = None,
     *,
     time: Signal | None = None,
-    sample_rate: Figured | None = None,
+    sample_rate: Typed | None = None,
     voltage_unit: str | None = None,
     displacement_unit: str | None = None,
     validate: Logs | None = None,
     prior: Model | str | Path | None = None,
     sign: Literal["rising", "falling"] | None = None,
-    skip: Figured = 0.0,
+    skip: Typed = 0.0,
     zero: float | Literal["none", "mean", "first"] = "none",
-    sensor_delay: Figured = 0.0,
+    sensor_delay: Typed = 0.0,
     gears: int | Literal["auto"] = "auto",
     points: int | Literal["auto"] = "auto",
-    relaxation: Sequence[Figured] | Literal["auto"] = "auto",
-    delay: Figured = "auto",
+    relaxation: Sequence[Typed] | Literal["auto"] = "auto",
+    delay: Typed = "auto",
     dynamics: Literal["auto", 0, 1, 2] = "auto",
     slopes: Literal["auto", "growing", "falling", "free"] = "auto",
     method: Literal["least-squares", "paper"] = "least-squares",
@@ -699,7 +695,7 @@ def report(
     measured: Signal | None = None,
     time: Signal | None = None,
     *,
-    sample_rate: Figured | None = None,
+    sample_rate: Typed | None = None,
     model: Model | None = None,
     state: StateLike = "auto",
     rows: tuple[int | None, int | None] | None = None,
@@ -710,8 +706,8 @@ def report(
     name: str = "log",
     lag: int = 0,
     remove_offset: bool = False,
-    max_rmse: Figured | None = None,
-    max_nrmse_percent: Figured | None = None,
+    max_rmse: Typed | None = None,
+    max_nrmse_percent: Typed | None = None,
 ) -> Report:
     """Report how well a measured displacement follows a desired one, or what a model predicts.
 
@@ -796,7 +792,7 @@ def report(
 # --- typed numbers ---
 
 
-def _rate(value: Figured | None) -> float | None:
+def _rate(value: Typed | None) -> float | None:
     """Return a typed rate in Hz; UsageError where it is not above 0."""
     rate: float | None = quantity("sample_rate", value, "Hz")
     require_positive(sample_rate=rate)

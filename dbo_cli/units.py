@@ -15,6 +15,9 @@ from typing import Any
 
 from dbo_cli.errors import InputError, UsageError
 
+Typed = float | str
+"""What a user types: a number, a text with a unit (``"1.2kV"``, ``"2V/ms"``), or ``auto``."""
+
 
 @dataclass(frozen=True)
 class Unit:
@@ -278,7 +281,7 @@ def _split_at_end(plain: str) -> tuple[str, str | None]:
 
 
 def parse_quantity(
-    text: str | float, unit: str | None, name: str = "value", largest: float = math.inf
+    text: Typed, unit: str | None, name: str = "value", largest: float = math.inf
 ) -> float:
     """Return a typed figure in ``unit``: a number is in it already, ``"1.2kV"`` is converted.
 
@@ -322,7 +325,7 @@ def quantity(name: str, value: Any, unit: str | None, *words: str) -> Any:
     return parse_quantity(value, unit, name)
 
 
-def split_quantity(text: str | float, name: str = "value") -> tuple[float, str | None]:
+def split_quantity(text: Typed, name: str = "value") -> tuple[float, str | None]:
     """Return the number of a typed figure and the unit behind it, None for a plain number.
 
     Raises

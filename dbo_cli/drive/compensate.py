@@ -18,10 +18,11 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.judge import Judge
 from dbo_cli.drive.lead import Lead, ramp
-from dbo_cli.drive.limits import Figure, Gate, voltage_in
+from dbo_cli.drive.limits import Gate, voltage_in
 from dbo_cli.drive.simulate import NO_ROWS, Ahead, Due, Rows, stacked
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import State, Steps
+from dbo_cli.units import Typed
 
 if TYPE_CHECKING:
     from dbo_cli.drive.learning import Tracked
@@ -59,7 +60,7 @@ class Driver:
         lead: Lead,
         *,
         on_limit: OnLimit = "auto",
-        return_to: Figure = None,
+        return_to: Typed | None = None,
         name: str = "trajectory",
         return_rows: int = 0,
     ) -> None:

@@ -14,14 +14,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.limits import Figure, Limits, rounded_up, voltage_in
+from dbo_cli.drive.limits import Limits, rounded_up, voltage_in
 from dbo_cli.drive.smooth import swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.model import Cascade, State
-from dbo_cli.units import parse_quantity
-
-Seconds = float | str | None
-"""A number of s, ``auto``, or None; of ``Lead`` a text with a unit, too."""
+from dbo_cli.units import Typed, parse_quantity
 
 SWEEP_SECONDS = 1.0
 """s over the whole range, where no slew limit asks for more; as ``excite`` by default."""
@@ -80,10 +77,10 @@ class Lead:
     model: Cascade
     limits: Limits
     state: str | State = "auto"
-    start: Figure = None
-    approach: Seconds = None
+    start: Typed | None = None
+    approach: Typed | None = None
     condition: bool = False
-    rest: Seconds = None
+    rest: Typed | None = None
     hold: int = 0
     standing: float | None = field(init=False)
 
@@ -243,7 +240,7 @@ class Lead:
                 "the limits leave none of it"
             )
         begin = low if standing is None else standing
-        inwards: Seconds = "auto"
+        inwards: Typed | None = "auto"
         sweeping = SWEEP_SECONDS
         if isinstance(seconds, float):
             end = self._goes_on(first, dt, self.model.start(low, "empty"))
@@ -259,7 +256,9 @@ class Lead:
         inward = ramp(standing, low, dt, inwards, limits)
         return np.concatenate([inward, swept[1:]])
 
-    def _way(self, first: float, dt: float, state: State, seconds: Seconds) -> Floats:
+    def _way(
+        self, first: float, dt: float, state: State, seconds: Typed | None
+    ) -> Floats:
         """Return the voltages from where a state stands to where the move goes on, with a rest there.
 
         What creeps meanwhile is counted: behind these rows the inverse begins the move at
@@ -295,7 +294,7 @@ class Lead:
         return self.model.run(voltage, state, dt if dt > 0.0 else None).state
 
 
-def _seconds(name: str, value: Seconds) -> Seconds:
+def _seconds(name: str, value: Typed | None) -> Typed | None:
     """Return typed seconds as a number; UsageError where they are not above 0, None or auto."""
     if value is None or value == "auto":
         return value
@@ -320,7 +319,7 @@ def _require_short(untyped: float, option: str, seconds: float) -> None:
 
 
 def ramp(
-    begin: float, end: float, dt: float, seconds: Seconds, limits: Limits
+    begin: float, end: float, dt: float, seconds: Typed | None, limits: Limits
 ) -> Floats:
     """Return the voltages after ``begin`` of a swing to ``end``, as slow as the slew limit needs."""
     if begin == end:
@@ -334,7 +333,7 @@ def ramp(
     return swings([begin, end], [_rows(end - begin, dt, shortest, limits)])[1:]
 
 
-def require_time(seconds: Seconds, shortest: float, dt: float) -> None:
+def require_time(seconds: Typed | None, shortest: float, dt: float) -> None:
     """Refuse typed seconds that are too few for the slew limit, and say how many are not (LimitError)."""
     if isinstance(seconds, float) and shortest > seconds + dt:
         raise LimitError(

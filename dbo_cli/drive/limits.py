@@ -23,10 +23,7 @@ from dbo_cli.arrays import Booleans, Floats, Range
 from dbo_cli.errors import DboError, InputError, LimitError, UsageError
 from dbo_cli.model import Quantity
 from dbo_cli.model.gears import largest_step
-from dbo_cli.units import parse_quantity
-
-Figure = float | str | None
-"""A limit: a number in the unit of the drive, or a text with a unit (``1.2kV``, ``2V/ms``)."""
+from dbo_cli.units import Typed, parse_quantity
 
 STEP_ROUNDING = 8.0 * 2.0**-52
 """Of the larger of two voltages: the last digits of a step, each voltage being rounded once or twice on its
@@ -85,9 +82,9 @@ class Limits:
     def within(
         cls,
         quantity: Quantity,
-        v_min: Figure = None,
-        v_max: Figure = None,
-        max_slew: Figure = None,
+        v_min: Typed | None = None,
+        v_max: Typed | None = None,
+        max_slew: Typed | None = None,
         extrapolate: bool = False,
     ) -> Limits:
         """Return the limits of a drive.
@@ -199,7 +196,7 @@ def in_full(voltage: float) -> str:
     return f"{float(f'{voltage:.4g}'):.12g}"
 
 
-def voltage_in(name: str, figure: Figure, quantity: Quantity) -> float | None:
+def voltage_in(name: str, figure: Typed | None, quantity: Quantity) -> float | None:
     """Return a typed voltage in the unit of a model's drive; None where nothing was typed.
 
     Raises

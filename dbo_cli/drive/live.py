@@ -16,10 +16,11 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.lead import Lead
-from dbo_cli.drive.limits import STEP_ROUNDING, Figure, GateError, Limits
+from dbo_cli.drive.limits import STEP_ROUNDING, GateError, Limits
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import Cascade, State, Undoing
 from dbo_cli.model.amplifier import drive_before, window_behind
+from dbo_cli.units import Typed
 
 WANTED_SPANS = 1e12
 """A wanted value so many ranges away is no displacement but a fault of the loop."""
@@ -84,7 +85,7 @@ class Controller:
         limits: Limits,
         *,
         state: State | str = "auto",
-        from_: Figure = None,
+        from_: Typed | None = None,
         lookahead: float | Literal["auto"] | None = None,
     ) -> None:
         self.limits = limits
