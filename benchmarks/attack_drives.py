@@ -89,14 +89,12 @@ def broken(
 
 
 def steps_of(clock: Any, time_s: Any) -> Any:
-    """Return the seconds of every row; the first row of an uneven clock has the usual step before it."""
+    """Return the seconds of every row; the first row of an uneven clock has the first step that advances."""
     if np.ndim(clock) == 0:
         return np.inf if clock is None else clock
-    usual = 0.0
-    if len(clock) > 1:
-        differences = np.diff(clock)
-        usual = float(np.median(differences[differences > 0.0]))
-    found = np.diff(time_s, prepend=time_s[0] - usual)
+    differences = np.diff(clock)
+    first = next(iter(differences[differences > 0.0]), 0.0)
+    found = np.diff(time_s, prepend=time_s[0] - first)
     return found + 1e-15 * np.abs(time_s).max()
 
 
