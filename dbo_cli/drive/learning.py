@@ -159,6 +159,9 @@ class RepeatedMove:
             f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move), "
             f"{reached:.2g}{unit} of it noise; learned below {cutoff:.4g} Hz"
         )
+        forgotten = len(history) - len(before) - 1
+        if forgotten > 0:
+            note += f"; passes behind it are forgotten, {forgotten} of {len(history)}"
         drive = drive_of(self.desired + learned)
         return replace(
             drive,

@@ -153,8 +153,12 @@ class Clock:
         if steps.min() < 0.0:
             at = int(np.argmax(steps < 0.0))
             after = float(time[at - len(steps)])
-            problem = f"goes back in row {numbers[at]}, from {after - steps[at]:.9g} to {after:.9g} s"
-            raise _unclear(self.name, self.column, f"{problem} (`rows` A:B cuts there)")
+            label = "" if self.column is None else f", {self.column.label},"
+            raise InputError(
+                f"{self.name}: the time{label} goes back in row {numbers[at]}, from {after - steps[at]:.9g} "
+                f"to {after:.9g} s: cut with `rows` :{numbers[at] - 1}, or type `sample_rate` HZ where no "
+                "row is missing"
+            )
         if self.step is not None or self.rows < 2:
             if self.rate is not None:
                 self.step = 1.0 / self.rate if steps.max() < _GAP / self.rate else None

@@ -273,7 +273,10 @@ def _question(
         questions.append(f"which column is `{option}`{which}?")
         options.append(f"`{option}` {example}")
     listing = listing_of(table.columns)
-    return f"{' '.join(questions)} {listing} (for example {' '.join(options)})"
+    remedy = (
+        "for example" if free else "write numbers without marks of thousands, or type"
+    )
+    return f"{' '.join(questions)} {listing} ({remedy} {' '.join(options)})"
 
 
 def fitting(columns: Sequence[Column], role: str) -> list[Column]:

@@ -34,6 +34,8 @@ LARGEST_UNEXPLAINED = 0.5
 
 SAME_MOVE = 0.01
 """Part of the move by which the ends of a summary's move may differ from the log's."""
+A_ROW = 0.5
+"""Rows: a smaller lag is what noise makes of none."""
 BEYOND_EXPECTED = 2.0
 """Times the expected error, from which on a warning says so."""
 
@@ -172,12 +174,13 @@ def excess(pair: Pair, expected: Expected, figures: Mapping[str, Any]) -> str:
     error = math.sqrt(max(figures["rmse"] ** 2 - white**2, 0.0))
     if expected.rmse is None or error <= BEYOND_EXPECTED * expected.rmse:
         return ""
-    sweep = "" if expected.past_known else "sweep the range before the move, "
-    seconds, delay = figures["lag_left_s"], ""
-    if seconds is not None:
-        delay = f"it is {1e3 * seconds:.3g} ms late (match the clocks, or identify with `sensor_delay`), "
+    past = "let it rest" if expected.past_known else "sweep the range"
+    rows, delay = figures["lag_left_samples"], ""
+    if figures["lag_left_s"] is not None and abs(rows) >= A_ROW:
+        late = 1e3 * figures["lag_left_s"]
+        delay = f"it is {late:.3g} ms late (match the clocks, or identify with `sensor_delay`), "
     return (
         f"the error is {error / expected.rmse:.2g} times the expected one: its mean is {figures['mean']:.3g} "
-        f"(set the sensor's zero, {sweep}or `remove_offset`), {delay}row {figures['max_abs_row']:,} has the "
-        "largest; else identify again"
+        f"(set the sensor's zero, {past} before the move, or `remove_offset`), {delay}row "
+        f"{figures['max_abs_row']:,} has the largest; else identify again"
     )

@@ -460,7 +460,7 @@ def test_a_report_of_arrays_is_that_of_a_frame(creep):
     bare = dbo.read_model(without_units())  # a unit was ignored, and a clock taken
     with pytest.raises(dbo.UsageError, match="the model states no unit"):
         dbo.report(drive, MOVE, time=TIME, model=bare, voltage_unit="V")
-    with pytest.raises(dbo.InputError, match="goes back"):
+    with pytest.raises(dbo.InputError, match=r"goes back in row 2.* `rows` :1,"):
         dbo.report(MOVE, MOVE, time=TIME[::-1])
 
 
