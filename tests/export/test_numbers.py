@@ -57,7 +57,9 @@ def test_double_gives_the_bits_of_the_library(name, kept, options, tmp_path):
             assert files[file] == (OWN / file).read_text()
 
 
-@pytest.mark.parametrize("name", ["bent, falling", "few", "negative gains", "dynamics"])
+@pytest.mark.parametrize(
+    "name", ["bent, falling", "few", "negative gains", "amplifier, all"]
+)
 def test_after_a_reset_the_state_is_that_of_a_settled_actuator(name, tmp_path):
     model = fw.MODELS[name]
     options = {"lookup": True} if name == "few" else {}
@@ -67,7 +69,7 @@ def test_after_a_reset_the_state_is_that_of_a_settled_actuator(name, tmp_path):
 
 # ---- q31
 
-REFUSED = ("negative gains", "dynamics", "beyond, soft")
+REFUSED = ("negative gains", "dynamics", "beyond, soft", "amplifier", "amplifier, all")
 
 
 @pytest.mark.parametrize("name", [name for name in fw.MODELS if name not in REFUSED])
@@ -116,6 +118,7 @@ def test_what_q31_cannot_hold_is_refused():
     still = fw.model_of(fw.gears(10, relaxation=Relaxation(0.0, (1e9,), (0.001,))))
     for model, kept, options, problem, named in (
         (fw.MODELS["dynamics"], FREE, {}, ModelError, "dynamics"),
+        (fw.MODELS["amplifier"], FREE, {}, ModelError, "^amplifier: "),
         (fw.MODELS["creep"], FREE, {"lookup": True}, UsageError, "`lookup`"),
         (still, FREE, {}, ModelError, r"relaxation\.tau: .*`sample_rate`"),
         (fw.MODELS["gears"], {"max_slew": 1e-5}, {}, ModelError, "`max_slew`"),
