@@ -21,24 +21,14 @@ from dbo_cli.identification.sections import (
 )
 from dbo_cli.identification.solve import Equations
 from dbo_cli.identification.stages import model_of
+from tests.drive.actuators import actuator
 
 RATE = 2_000.0
 
 
 def plant(*sections, delay=0.0):
     """An actuator of 80 gears with dynamics."""
-    widths = np.full(80, 100.0 / 80.0)
-    gears = dm.Gears(widths, 0.1 * widths * np.linspace(0.6, 1.4, 80), 0.0, 0.0)
-    stages = [gears, dm.Scale(1.0, 0.5)]
-    if sections:
-        stages.append(dm.Dynamics(sections))
-    if delay:
-        stages.append(dm.Delay(delay))
-    drive, moved = (
-        dm.Quantity("voltage", "V", 0.0, 100.0),
-        dm.Quantity("x", "um", 0.5, 10.5),
-    )
-    return dm.Cascade("forward", drive, moved, tuple(stages))
+    return actuator(80, growth=7.0 / 3.0, sections=sections, delay=delay)
 
 
 def swept(slow_seconds=2.0, crest=1.0):
