@@ -34,7 +34,8 @@ def same_bits(found, expected):
 # ---- double
 
 CASES = [(name, LIMITED, {}) for name in fw.MODELS if "beyond" not in name]
-CASES += [(name, FREE, {}) for name in ("creep", "negative gains", "dynamics")]
+CASES += [(name, FREE, {}) for name in ("creep", "amplifier", "dynamics")]
+CASES += [("negative gains", FREE, {})]
 CASES += [(name, BEYOND, {}) for name in ("beyond", "beyond, soft")]
 CASES += [("few", kept, {"lookup": True}) for kept in (FREE, LIMITED)]
 CASES += [("many", FREE, {"flags": ["-DDBO_SMALL"]})]
