@@ -135,14 +135,29 @@ def test_a_bare_pattern_takes_the_columns_of_its_role(channels, header):
     assert "finds none" in error
 
 
-def test_a_pattern_that_finds_nothing_and_a_channel_that_the_set_lacks(channels):
-    error = refused(1, "simulate", "set.json", channels, "--input", "Q{}")
-    assert "mirror.csv" in error and "Q{}" in error
+REFUSED = {
+    "simulate set.json mirror.csv --input Q{}": ("mirror.csv", "Q{}"),
+    "simulate two.json mirror.csv --input V{}_V": ("b", "two.json"),
+    "simulate set.json mirror.csv": ("type set.json::a", "--input '{}'"),
+    "compensate set.json mirror.csv": ("type set.json::a", "--displacement '{}'"),
+    "simulate set.json mirror.csv --input v{}": ("finds none", "--input COLUMN"),
+    "identify upper.csv --voltage V{} --displacement D{}": (
+        "finds X, Y", "finds x, y", "rename", "--voltage COLUMN --displacement COLUMN"
+    ),
+    "check one.csv --against mirror.csv": ("--voltage NAME --against one.csv",),
+}  # fmt: skip
+
+
+def test_what_does_not_pair_is_named_with_what_to_type(channels):
+    log = list(table(channels).values())
+    write("upper.csv", "time_s,VX_V,VY_V,Dx_um,Dy_um", TIME, *log[1:5])
+    write("one.csv", "time_s,U_V", TIME, log[1])
     held = load("set.json")
     del held["models"]["b"]
-    store("set.json", held)
-    error = refused(1, "simulate", "set.json", channels, "--input", "V{}_V")
-    assert "b" in error and "set.json" in error
+    store("two.json", held)
+    for line, words in REFUSED.items():
+        error = refused(1, *line.split())
+        assert all(word in error for word in words), error
 
 
 @pytest.mark.parametrize("line", ["export set.json -o out", "invert set.json",
@@ -156,30 +171,6 @@ def test_a_set_for_one_model_is_refused_with_what_to_type(channels, line):
     )
     assert "type -::a" in error
     done(*line.replace("set.json", "set.json::a").split(), "-q")
-
-
-def test_a_set_for_one_log_is_refused_with_both_ways(channels):
-    lines = [("simulate", "--input"), ("compensate", "--displacement")]
-    for command, option in lines:
-        error = refused(1, command, "set.json", channels)
-        assert "type set.json::a" in error and f"{option} '{{}}'" in error
-
-
-def test_channels_that_do_not_pair_are_named_with_what_to_type(channels):
-    log = table(channels)
-    write("upper.csv", "time_s,VX_V,VY_V,Dx_um,Dy_um", TIME, *list(log.values())[1:5])
-    error = refused(1, "identify", "upper.csv", *SIDES)
-    assert "finds X, Y" in error and "finds x, y" in error and "rename" in error
-    assert "--voltage COLUMN --displacement COLUMN" in error
-    error = refused(1, "simulate", "set.json", "upper.csv", "--input", "v{}")
-    assert "finds none" in error and "--input COLUMN" in error
-
-
-def test_two_drives_to_check_against_are_refused_with_what_to_type(channels):
-    log = table(channels)
-    write("one.csv", "time_s,U_V", TIME, list(log.values())[1])
-    error = refused(1, "check", "one.csv", "--against", channels)
-    assert "--voltage NAME --against one.csv" in error
 
 
 def test_an_error_and_a_warning_of_one_channel_name_it(channels):

@@ -16,6 +16,8 @@ import scipy.signal
 import dbo_cli
 from dbo_cli.errors import FitError
 from dbo_cli.library import Fit
+from dbo_cli.model import Candidate, Cascade, Gears, Quantity, Relaxation
+from dbo_cli.model.expect import expected_error
 
 from .conftest import creep_log
 from .program import (
@@ -384,16 +386,17 @@ def test_noise_of_the_sensor_is_no_error_of_the_actuator():
     assert model.fit["expected_rmse"] < 0.8 * size < model.fit["rmse"]
 
 
-def test_memories_that_may_have_rested_elsewhere_are_in_the_stated_error():
-    from dbo_cli.model import Candidate, Cascade, Gears, Quantity, Relaxation
-    from dbo_cli.model.expect import expected_error
+def even_gears(count, low, relaxation=None):
+    """Return a model of gears of 1 V that states .01 um, identified from 0 to 100 V."""
+    width = np.full(count, 1.0)
+    gears = Gears(width, 0.1 * width, low, 0.1 * low, relaxation)
+    volts, microns = Quantity("voltage", "V", 0, 100), Quantity("d", "um", 0, 12)
+    stated = {"fit": {"left_out_rmse": 0.01}, "candidates": (Candidate(1.0, (gears,)),)}
+    return Cascade("forward", volts, microns, (gears,), **stated)
 
-    width = np.full(100, 1.0)
-    gears = Gears(width, 0.1 * width, 0.0, 0.0, Relaxation(0.0, (1e4,), (0.02,)))
-    volts = Quantity("voltage", "V", 0.0, 100.0)
-    microns = Quantity("d", "um", 0.0, 12.0)
-    model = Cascade("forward", volts, microns, (gears,), fit={"left_out_rmse": 0.01},
-                    candidates=(Candidate(1.0, (gears,)),))  # fmt: skip
+
+def test_memories_that_may_have_rested_elsewhere_are_in_the_stated_error():
+    model = even_gears(100, 0.0, Relaxation(0.0, (1e4,), (0.02,)))
     error = expected_error(model, 50.0 + 10.0 * np.sin(TIME), 0.01)
     assert error.known == pytest.approx(0.01)
     # 100 V times 0.02 um/V, equally likely anywhere: a twelfth of the square
@@ -402,15 +405,7 @@ def test_memories_that_may_have_rested_elsewhere_are_in_the_stated_error():
 
 
 def test_a_kept_start_may_be_wrong_at_an_end_of_the_range_too():
-    from dbo_cli.model import Candidate, Cascade, Gears, Quantity
-    from dbo_cli.model.expect import expected_error
-
-    width = np.full(120, 1.0)
-    gears = Gears(width, 0.1 * width, -10.0, -1.0)
-    volts = Quantity("voltage", "V", 0.0, 100.0)
-    model = Cascade("forward", volts, Quantity("d", "um", 0.0, 12.0), (gears,),
-                    fit={"left_out_rmse": 0.01}, candidates=(Candidate(1.0, (gears,)),),
-                    auto_start="above")  # fmt: skip
+    model = replace(even_gears(120, -10.0), auto_start="above")
     drive = 5.0 - 5.0 * np.cos(TIME)
     kept, settled = (
         model.simulate(drive, dt=0.01, state=s)[0] for s in ("auto", "settled")
@@ -491,6 +486,15 @@ def test_the_start_of_a_log_that_a_recorder_began_late_is_kept():
     assert np.abs(model.simulate(voltage, time=time[60:1000]) - wanted).max() < 1e-9
 
 
+def crept(driven, *terms):
+    """Return what lags behind a drive of 200 rows a second: time constants (s), each with its share."""
+    total = np.zeros(len(driven))
+    for tau, share in terms:
+        decay = np.exp(-0.005 / tau)
+        total += share * scipy.signal.lfilter([1.0 - decay], [1.0, -decay], driven)
+    return total
+
+
 @pytest.mark.parametrize("first", [100, 360], ids=["at 100 V", "falling at 81 V"])
 def test_a_log_that_begins_in_motion_keeps_its_zero(first):
     """What slow creep held of the time before a log was taken for its zero: ten times the stated error."""
@@ -498,11 +502,7 @@ def test_a_log_that_begins_in_motion_keeps_its_zero(first):
     reach = np.linspace(0.0, 50.0, 41)
     share = 0.1 * np.exp(-reach / 15.0) / np.exp(-reach / 15.0).sum()
     jumped = plays_of(drive, reach, np.zeros(41)) @ share
-    moved = jumped.copy()
-    for tau, creep in ((0.3, 0.02), (10.0, 0.03)):
-        decay = np.exp(-0.005 / tau)
-        lag = scipy.signal.lfilter([1.0 - decay], [1.0, -decay], jumped)
-        moved += creep * lag
+    moved = jumped + crept(jumped, (0.3, 0.02), (10.0, 0.03))
     noise = np.random.default_rng(3).normal(0.0, 0.002, len(drive))
     time = np.arange(len(drive)) / 200.0
     rows = slice(first, None)
@@ -522,9 +522,7 @@ def piezo(drive, before):
     weights *= 0.3 / weights.sum()
     plays = plays_of(driven, reach, np.maximum(driven[0] - reach, 0.0))
     moved = 0.85 * driven + plays @ weights
-    for tau, creep in ((0.02, 0.02), (0.5, 0.03), (12.0, 0.03)):
-        decay = np.exp(-0.005 / tau)
-        moved += creep * scipy.signal.lfilter([1.0 - decay], [1.0, -decay], driven)
+    moved += crept(driven, (0.02, 0.02), (0.5, 0.03), (12.0, 0.03))
     return 0.11 * moved[len(before) :]
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import dbo_cli as dbo
 
-from .program import model
+from .program import model, store, values_of
 
 RATE = 1000.0
 TIME = np.arange(400) / RATE
@@ -46,10 +46,14 @@ def test_plan_and_commit_give_the_drive_of_compensate(name, is_limited):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
 
 
+@pytest.mark.parametrize("behind", [(), ({"type": "amplifier", "seconds": 2e-3},)])
 @pytest.mark.parametrize("rows", [1, 20])
-def test_what_was_applied_instead_counts(rows):
+def test_what_was_applied_instead_counts(rows, behind):
     """Behind any voltages, of which the first is far from the plan's, the wish is still reached."""
-    creep, options = actuator("creep"), {"sample_rate": RATE, "state": "empty"}
+    values = values_of("creep")
+    values["stages"] = [*behind, *values["stages"]]
+    creep = dbo.read_model(store("model.json", values))
+    options = {"sample_rate": RATE, "state": "empty"}
     applied = 60.0 + np.random.default_rng(1).normal(0.0, 9.0, rows)
     live = creep.controller(**options)
     for volts in applied:

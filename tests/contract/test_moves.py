@@ -160,8 +160,12 @@ def test_codes_that_do_not_reach_or_round_too_far_are_refused():
     words = ("waveform", "drive.csv", "--to", "uint16", "-o", "d.bin")
     error = refused(3, *words, "--gain", 20, "--volts", "0:4")
     assert "--volts" in error and "0.5 to 4.5 V" in error
-    coarse = ("--volts", "0:100", "--codes", "0:63")
+    coarse = ("--volts", "0:100", "--codes", "0:31")
     refused(3, *words, *coarse, "--max-rounding", 0.1)
+    assert "--max-rounding" in refused(3, *words, *coarse)
+    done(*words, *coarse, "--max-rounding", 3)
+    npy = ("waveform", "drive.csv", "--to", "npy", "-o", "d.npy")
+    assert "--points" in refused(3, *npy, "--points", 30)
 
 
 # --- excite ---

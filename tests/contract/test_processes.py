@@ -144,22 +144,19 @@ def test_descriptors_that_a_shell_names():
     assert ended.returncode == 0
 
 
-def without_the_kernel(*words):
-    """Run the program where its compiled part cannot be imported."""
-    code = (
-        "import sys\n"
-        "sys.modules['dbo_cli.model._kernel'] = None\n"
-        "from dbo_cli.__main__ import main\n"
-        "main()\n"
-    )
-    line = [sys.executable, "-c", code, *(str(word) for word in words)]
-    return subprocess.run(line, capture_output=True, check=False, timeout=600)
+WITHOUT_THE_KERNEL = """
+import sys
+sys.modules["dbo_cli.model._kernel"] = None
+from dbo_cli.__main__ import main
+main()
+"""
 
 
 def test_without_the_compiled_part_one_line_says_what_to_type():
     write("drive.csv", "voltage_V", [0.0, 5.0, 10.0])
-    for words in (("simulate", SMALL, "drive.csv"), ("identify", "drive.csv")):
-        ended = without_the_kernel(*words, "-o", "out")
+    for words in (("simulate", str(SMALL), "drive.csv"), ("identify", "drive.csv")):
+        line = [sys.executable, "-c", WITHOUT_THE_KERNEL, *words, "-o", "out"]
+        ended = subprocess.run(line, capture_output=True, check=False)
         assert ended.returncode == 1
         assert ended.stderr.startswith(b"dbo: error: the compiled part of dbo")
         assert b"`pip install -e .`" in ended.stderr and ended.stderr.count(b"\n") == 1

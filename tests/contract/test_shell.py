@@ -128,7 +128,6 @@ WRONG = {
     "compensate m.json a.csv --periodic --return 0": "--return",
     "compensate m.json a.csv --periodic --lead 1": "--lead",
     "compensate m.json a.csv --uncertainty 1": "--uncertainty",
-    "report r.csv --lag soon": "--lag",
     "report r.csv --format pdf": "--format",
     "report r.csv --max-rmse x": "--max-rmse",
     "excite": "--v-max",

@@ -142,23 +142,19 @@ PLACES = {
 @pytest.mark.parametrize("rows", [0, 1000])
 def test_no_expression_meets_a_text_without_end(place, rows, watched):
     """A long cell is no number, no name and no unit, in small files and in large ones."""
-    for text in ENDLESS:
-        require_no_long_text(text, place, rows, watched)
-
-
-def require_no_long_text(text, place, rows, watched):
-    content = PLACES[place].format(ENDLESS[text])
-    if rows and content.endswith("\n"):
-        mark = " " if place == "blank-delimited" else ","
-        content += f"1{mark}1.5\n" * rows
-    Path("log.csv").write_text(content)
-    outcome = dbo("simulate", model("small"), "log.csv", "--input", "2")
-    assert watched.longest <= MOST, watched.expression
-    assert "internal error" not in outcome.err
-    is_number = text in ("a number", "blanks", "blanks around")
-    if place in ("a cell", "the last cell"):
-        assert outcome.code == 1 and "voltage_V" in outcome.err
-        assert not is_number or "more than 200 characters" in outcome.err
+    mark = " " if place == "blank-delimited" else ","
+    for text, endless in ENDLESS.items():
+        content = PLACES[place].format(endless)
+        if content.endswith("\n"):
+            content += f"1{mark}1.5\n" * rows
+        Path("log.csv").write_text(content)
+        outcome = dbo("simulate", model("small"), "log.csv", "--input", "2")
+        assert watched.longest <= MOST, watched.expression
+        assert "internal error" not in outcome.err
+        is_number = text in ("a number", "blanks", "blanks around")
+        if place in ("a cell", "the last cell"):
+            assert outcome.code == 1 and "voltage_V" in outcome.err
+            assert not is_number or "more than 200 characters" in outcome.err
 
 
 def test_a_long_name_is_no_name():

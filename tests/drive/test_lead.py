@@ -4,7 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.drive.lead import Lead
-from dbo_cli.errors import LimitError, UsageError
+from dbo_cli.drive.limits import Gate, Limits
+from dbo_cli.errors import InputError, LimitError, UsageError
+from dbo_cli.model import Quantity
 
 from .actuators import actuator, actuators, limits_of, plan, ripple
 
@@ -82,3 +84,24 @@ def test_the_way_joins_the_move(model, stands, begins, slew):
     # gentle: no step of the way is larger than a soft rise in a tenth of a second makes it
     most = 1.9 / 100 * model.input.span * 4.0
     assert steps.max(initial=0.0) <= most
+
+
+# --- limits ---
+
+
+def test_units_of_limits():
+    kilo = Quantity("voltage", "kV", 0.0, 1.0)
+    assert Limits.within(kilo, v_max="800V").rating[1] == pytest.approx(0.8)
+    with pytest.raises(UsageError, match="800kV"):
+        Limits.within(kilo, v_max=800)
+    with pytest.raises(UsageError, match="kV/s"):
+        Limits.within(kilo, max_slew=2)
+    bar = Quantity("pressure", "bar", 0.0, 6.0)
+    assert Limits.within(bar, 0, 5, 2).slew == 2.0
+
+
+def test_gate_needs_a_clock_for_slew():
+    with pytest.raises(InputError):
+        Gate(Limits.within(Quantity("voltage", "V", 0.0, 4.0), max_slew=1)).broken(
+            np.array([1.0]), None
+        )

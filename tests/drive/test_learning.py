@@ -22,6 +22,10 @@ def move(rows=6000):
     return 5.0 + 2.5 * np.sin(2 * np.pi * 19 * u) * np.sin(np.pi * u) ** 2
 
 
+MODEL, PLANT = actuator(growth=1.5), actuator(growth=1.7)
+LIMITS = Limits.within(MODEL.input)
+
+
 def learned(model, plant, passes, noise=0.0):
     """Return the error of each pass in % of the move, the model being wrong about the plant."""
     wanted, limits = move(), Limits.within(model.input)
@@ -58,8 +62,8 @@ def test_learning_converges_with_a_mistuned_model(frequency, damping):
 
 
 def test_growth_is_refused():
-    model, plant = actuator(growth=1.5), actuator(growth=1.8)
-    wanted, limits = move(), Limits.within(model.input)
+    model, plant, limits = MODEL, actuator(growth=1.8), LIMITS
+    wanted = move()
     first = plan(model, wanted, DT, limits, state="empty")
     y = plant.run(first.voltage, plant.start(0.0, "empty"), DT).y
     tracked = [Tracked("pass.csv", first.voltage, y)]
@@ -96,19 +100,26 @@ def test_recordings_that_do_not_belong():
         plan(model, wanted, DT, limits, history=[PassRecord("", 1.0)])
 
 
-def test_a_recording_without_a_clock_begins_where_its_drive_does():
-    """However few rows stand before the move: no stamp says that there are none."""
-    model, plant = actuator(growth=1.5), actuator(growth=1.7)
-    wanted, limits = move(), Limits.within(model.input)
-    first = plan(model, wanted, DT, limits, state="empty").voltage
+def test_a_recording_is_laid_by_its_drive_wherever_it_begins_and_counts_from():
+    """However few rows stand before the move: without a clock, by its stamps, and by those of another day."""
+    wanted = move()
+    first = plan(MODEL, wanted, DT, LIMITS, state="empty").voltage
     before = np.full(30, first[0])
+    led = np.concatenate([before, first])
     learned = []
-    for voltage in (first, np.concatenate([before, first, before])):
-        y = plant.run(voltage, plant.start(0.0, "empty"), DT).y
-        tracked = [Tracked("pass.csv", voltage, y)]
-        drive = plan(model, wanted, DT, limits, state="empty", tracked=tracked)
+    for voltage, begin in (
+        (first, None),
+        (np.concatenate([led, before]), None),
+        (led, -30 * DT),
+        (led, 1000.0),
+    ):
+        y = PLANT.run(voltage, PLANT.start(0.0, "empty"), DT).y
+        time = None if begin is None else begin + DT * np.arange(voltage.size)
+        tracked = [Tracked("pass.csv", voltage, y, time)]
+        drive = plan(MODEL, wanted, DT, LIMITS, state="empty", tracked=tracked)
         learned.append(drive.voltage)
-    np.testing.assert_allclose(learned[1], learned[0], rtol=0, atol=1e-9)
+    for voltage in learned[1:]:
+        np.testing.assert_allclose(voltage, learned[0], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -116,24 +127,20 @@ def test_a_recording_without_a_clock_begins_where_its_drive_does():
 )
 def test_a_recording_of_a_loop_may_begin_anywhere_and_hold_one_period(begin, rows):
     """A recorder is started while the loop runs: its first row is not the period's."""
-    model, plant = actuator(growth=1.5), actuator(growth=1.7)
     phase = 2 * np.pi * np.arange(500) / 500
-    wanted, limits = (
-        5.0 + 2.0 * np.sin(phase) + np.cos(2 * phase),
-        Limits.within(model.input),
-    )
-    loop = plan(model, wanted, 1e-3, limits, periodic=True)
+    wanted = 5.0 + 2.0 * np.sin(phase) + np.cos(2 * phase)
+    loop = plan(MODEL, wanted, 1e-3, LIMITS, periodic=True)
     voltage = np.tile(loop.voltage, 8)
-    y = plant.run(voltage, plant.start(float(voltage[0])), 1e-3).y
+    y = PLANT.run(voltage, PLANT.start(float(voltage[0])), 1e-3).y
     learned = []
     for stretch in (slice(2000, 4000), slice(2000 + begin, 2000 + begin + rows)):
         tracked = [Tracked("pass.csv", voltage[stretch], y[stretch])]
-        drive = plan(model, wanted, 1e-3, limits, periodic=True, tracked=tracked)
+        drive = plan(MODEL, wanted, 1e-3, LIMITS, periodic=True, tracked=tracked)
         learned.append(drive.voltage)
     time = 1e-3 * np.arange(float(rows))
     for begin in (-1000.0, 1000.0):  # as it began to count, which says nothing
         tracked = [Tracked("pass.csv", voltage[stretch], y[stretch], begin + time)]
-        drive = plan(model, wanted, 1e-3, limits, periodic=True, tracked=tracked)
+        drive = plan(MODEL, wanted, 1e-3, LIMITS, periodic=True, tracked=tracked)
         np.testing.assert_array_equal(drive.voltage, learned[1])
     np.testing.assert_allclose(learned[1], learned[0], rtol=0, atol=1e-9)
 
@@ -169,19 +176,3 @@ def believed(model, before, voltage):
     """Return what a model makes of a drive behind a rest at a voltage."""
     rows = np.concatenate([[before], voltage])
     return model.run(rows, model.start(before), 1e-3).y[1:]
-
-
-def test_stamps_of_another_day_say_nothing():
-    """A recorder that counts from elsewhere is laid by the drive, however near its first row is."""
-    model, plant = actuator(growth=1.5), actuator(growth=1.7)
-    wanted, limits = move(), Limits.within(model.input)
-    voltage = plan(model, wanted, DT, limits, state="empty").voltage
-    voltage = np.concatenate([np.full(30, voltage[0]), voltage])
-    y = plant.run(voltage, plant.start(0.0, "empty"), DT).y
-    learned = []
-    for begin in (-30 * DT, 1000.0):
-        time = begin + DT * np.arange(voltage.size)
-        tracked = [Tracked("pass.csv", voltage, y, time)]
-        drive = plan(model, wanted, DT, limits, state="empty", tracked=tracked)
-        learned.append(drive.voltage)
-    np.testing.assert_allclose(learned[1], learned[0], rtol=0, atol=1e-9)

@@ -71,6 +71,7 @@ SWINGING = dm.Dynamics(
         dm.Resonance(210.0, 0.04, dm.Mode(180.0, 0.03)),
     )
 )
+LAG = dm.Amplifier(7e-4)
 MODELS = {
     "one gear": model_of(gears(1)),
     "gears": model_of(gears(40)),
@@ -86,6 +87,8 @@ MODELS = {
     "delay": model_of(gears(40, relaxation=CREEP), dm.Delay(0.0043)),
     "short delay": model_of(gears(40), dm.Delay(0.0007)),
     "whole delay": model_of(gears(40), dm.Delay(0.003)),
+    "amplifier": model_of(LAG, curve(LOW, HIGH, 0.3), gears(40, relaxation=SOFT)),
+    "amplifier, all": model_of(LAG, dm.Scale(-1.0, HIGH), gears(40), SWINGING),
     "dynamics": model_of(gears(40, relaxation=SOFT), SWINGING, dm.Delay(0.0012)),
 }  # fmt: skip
 

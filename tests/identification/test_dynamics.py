@@ -21,27 +21,17 @@ from dbo_cli.identification.sections import (
 )
 from dbo_cli.identification.solve import Equations
 from dbo_cli.identification.stages import model_of
+from tests.drive.actuators import actuator
 
 RATE = 2_000.0
 
 
-def plant(*sections: dm.Lag | dm.Resonance, delay: float = 0.0) -> dm.Cascade:
+def plant(*sections, delay=0.0):
     """An actuator of 80 gears with dynamics."""
-    widths = np.full(80, 100.0 / 80.0)
-    gears = dm.Gears(widths, 0.1 * widths * np.linspace(0.6, 1.4, 80), 0.0, 0.0)
-    stages: list[object] = [gears, dm.Scale(1.0, 0.5)]
-    if sections:
-        stages.append(dm.Dynamics(sections))
-    if delay:
-        stages.append(dm.Delay(delay))
-    drive, moved = (
-        dm.Quantity("voltage", "V", 0.0, 100.0),
-        dm.Quantity("x", "um", 0.5, 10.5),
-    )
-    return dm.Cascade("forward", drive, moved, tuple(stages))
+    return actuator(80, growth=7.0 / 3.0, sections=sections, delay=delay)
 
 
-def swept(slow_seconds: float = 2.0, crest: float = 1.0) -> np.ndarray:
+def swept(slow_seconds=2.0, crest=1.0):
     """Loops of 1 Hz, a way to the middle, a sweep of 2 to 200 Hz, a way back."""
     loops = np.arange(round(slow_seconds * RATE)) / RATE
     slow = 50.0 - 50.0 * np.cos(2.0 * np.pi * loops)
@@ -54,18 +44,18 @@ def swept(slow_seconds: float = 2.0, crest: float = 1.0) -> np.ndarray:
     return np.concatenate([slow, way, rest, sweep, rest, way[::-1]])
 
 
-def recorded(model: dm.Cascade, drive: np.ndarray, noise: float = 0.002) -> Recording:
+def recorded(model, drive, noise=0.002):
     moved, _ = model.simulate(drive, dt=1.0 / RATE, state="empty")
     moved = moved + np.random.default_rng(1).normal(0.0, noise, moved.size)
     return Recording("log.csv", drive, moved, np.arange(moved.size) / RATE)
 
 
-def rows_of(model: dm.Cascade, crest: float = 1.0) -> FastRows:
+def rows_of(model, crest=1.0):
     _, fast = split([recorded(model, swept(crest=crest))])
     return FastRows(plant(), fast)
 
 
-def found(model: dm.Cascade, wanted: str | int = "auto") -> tuple:
+def found(model, wanted="auto"):
     """Sections, delay, and what is left of blocks left out; no sections without a resonance."""
     rows = rows_of(model)
     best = dynamics.find(rows, wanted)
@@ -74,7 +64,7 @@ def found(model: dm.Cascade, wanted: str | int = "auto") -> tuple:
     return rows.sections(best), best.delay, best.left_out
 
 
-def test_the_sweep_is_told_from_the_loops() -> None:
+def test_the_sweep_is_told_from_the_loops():
     log = recorded(plant(), swept())
     (slow,), (part,) = split([log])
     assert isinstance(part, FastPart)
@@ -93,9 +83,7 @@ def test_the_sweep_is_told_from_the_loops() -> None:
     ("frequency", "damping", "lag"),
     [(60.0, 0.02, 5e-4), (110.0, 0.005, 2e-3), (35.0, 0.3, 1e-3)],
 )
-def test_a_resonance_and_a_lag_come_back(
-    frequency: float, damping: float, lag: float
-) -> None:
+def test_a_resonance_and_a_lag_come_back(frequency, damping, lag):
     sections, delay, left_out = found(
         plant(dm.Lag(lag), dm.Resonance(frequency, damping))
     )
@@ -108,7 +96,7 @@ def test_a_resonance_and_a_lag_come_back(
     assert left_out < 0.003
 
 
-def test_two_modes_that_add_up_have_an_antiresonance() -> None:
+def test_two_modes_that_add_up_have_an_antiresonance():
     notch = dm.Resonance(150.0, 0.02, dm.Mode(120.0, 0.02))
     sections, _, _ = found(plant(dm.Resonance(60.0, 0.02), notch))
     first, second = (one for one in sections if isinstance(one, dm.Resonance))
@@ -118,13 +106,13 @@ def test_two_modes_that_add_up_have_an_antiresonance() -> None:
     assert second.antiresonance.frequency == pytest.approx(120.0, rel=0.01)
 
 
-def test_no_resonance_is_found_where_there_is_none() -> None:
+def test_no_resonance_is_found_where_there_is_none():
     assert found(plant(dm.Lag(1e-3)))[:2] == ((), 0.0)
     sections, _, _ = found(plant(dm.Lag(1e-3)), 0)
     assert sections == ()
 
 
-def test_a_late_sensor_hides_no_resonance() -> None:
+def test_a_late_sensor_hides_no_resonance():
     sections, delay, _ = found(plant(dm.Resonance(60.0, 0.02), delay=0.02))
     resonance = sections[-1]
     assert isinstance(resonance, dm.Resonance)
@@ -133,7 +121,7 @@ def test_a_late_sensor_hides_no_resonance() -> None:
     assert late == pytest.approx(0.02, rel=0.05)
 
 
-def test_refining_keeps_what_fits_and_offers_one_more() -> None:
+def test_refining_keeps_what_fits_and_offers_one_more():
     model = plant(dm.Resonance(60.0, 0.02), dm.Resonance(150.0, 0.02))
     begun = FastDynamics(Form(1), np.log([61.0, 0.03, 1e-6]))
     refined = dynamics.refine(rows_of(model), begun)
@@ -146,8 +134,8 @@ def test_refining_keeps_what_fits_and_offers_one_more() -> None:
     [(1.0, False, True), (15.0, False, True), (15.0, True, False)],
 )
 def test_a_lag_stands_before_the_gears_unless_a_large_sweep_shows_it_behind(
-    crest: float, is_behind: bool, is_found_before: bool
-) -> None:
+    crest, is_behind, is_found_before
+):
     resonance = dm.Resonance(60.0, 0.05)
     model = plant(*((dm.Lag(2e-3), resonance) if is_behind else (resonance,)))
     if not is_behind:
@@ -158,13 +146,13 @@ def test_a_lag_stands_before_the_gears_unless_a_large_sweep_shows_it_behind(
     assert refined.amplifier + refined.lag == pytest.approx(2e-3, rel=0.1)
 
 
-def test_resonances_without_a_sweep_are_refused() -> None:
+def test_resonances_without_a_sweep_are_refused():
     log = recorded(plant(), swept()[:4000])
     with pytest.raises(FitError, match="`dynamics` 1"):
         identify([log], Options(dynamics=1))
 
 
-def test_fast_memories_act_at_once_and_slow_ones_stay() -> None:
+def test_fast_memories_act_at_once_and_slow_ones_stay():
     time = np.arange(2000) / 100.0
     drive = 50.0 - 50.0 * np.cos(2.0 * np.pi * 0.1 * time)
     log = Recording("log.csv", drive, 0.1 * drive, time)

@@ -11,7 +11,7 @@ from random_actuators import undone
 from dbo_cli.errors import FitError
 from dbo_cli.identification.paper import identify_paper
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.model import Cascade, Gears, Scale, State
+from dbo_cli.model import Gears, Scale, State
 
 PAPER = Path(
     os.environ.get(
@@ -20,12 +20,12 @@ PAPER = Path(
 )
 
 
-def sine(amplitude: float = 1.0, cycles: int = 1, rows: int = 200) -> np.ndarray:
+def sine(amplitude=1.0, cycles=1, rows=200):
     phase = 2.0 * np.pi * np.arange(rows * cycles) / rows
     return 1.8 - 1.8 * amplitude * np.cos(phase)
 
 
-def played(voltage: np.ndarray) -> np.ndarray:
+def played(voltage):
     """Displacement of a fine operator that was at its lower end."""
     count = 300
     widths = np.full(count, 3.6 / count)
@@ -34,13 +34,13 @@ def played(voltage: np.ndarray) -> np.ndarray:
     return np.asarray(moved)
 
 
-def of_cycle(**options: object) -> tuple[Cascade, np.ndarray]:
+def of_cycle(**options):
     moved = played(sine(cycles=2))[200:]
     recording = Recording("cycle.csv", sine(), moved)
     return identify_paper(recording, dataclasses.replace(Options(), **options)), moved
 
 
-def test_scale_and_origins_follow_the_papers_rule() -> None:
+def test_scale_and_origins_follow_the_papers_rule():
     model, moved = of_cycle(zero="mean")
     gears, scale = model.gears, model.stages[-1]
     assert isinstance(scale, Scale)
@@ -50,7 +50,7 @@ def test_scale_and_origins_follow_the_papers_rule() -> None:
     assert gears.dx.sum() == pytest.approx(np.ptp(sine()), rel=1e-9)
 
 
-def test_few_gears_follow_the_cycle_and_smaller_ones() -> None:
+def test_few_gears_follow_the_cycle_and_smaller_ones():
     model, moved = of_cycle()
     for amplitude in (1.0, 0.6, 0.35):
         voltage = np.concatenate([sine(), sine(amplitude, cycles=2)])
@@ -59,7 +59,7 @@ def test_few_gears_follow_the_cycle_and_smaller_ones() -> None:
         assert np.std(found[-200:] - truth) < 0.01 * np.ptp(moved)
 
 
-def test_the_inverse_is_exact_and_gears_are_as_asked_for() -> None:
+def test_the_inverse_is_exact_and_gears_are_as_asked_for():
     model, _ = of_cycle(gears=9, points=1)
     assert model.gears.n == 9
     assert len(model.stages) == 2
@@ -69,14 +69,14 @@ def test_the_inverse_is_exact_and_gears_are_as_asked_for() -> None:
     assert np.abs(back - voltage).max() < 1e-9
 
 
-def test_a_falling_displacement_is_refused() -> None:
+def test_a_falling_displacement_is_refused():
     recording = Recording("cycle.csv", sine(), -played(sine()))
     with pytest.raises(FitError, match=r"cycle\.csv"):
         identify_paper(recording, Options())
 
 
 @pytest.mark.skipif(not PAPER.exists(), reason=f"the authors' logs are not in {PAPER}")
-def test_the_published_scale_comes_out() -> None:
+def test_the_published_scale_comes_out():
     table = np.loadtxt(PAPER / "identification.dat", usecols=(0, 4))[3151:3351]
     recording = Recording("identification.dat", table[:, 0], table[:, 1])
     model = identify_paper(recording, Options(zero="mean"))

@@ -12,9 +12,7 @@ RATE = 500.0
 NOISE = 0.005
 
 
-def actuator(
-    gain: float = 1.0, offset: float = 0.0, delay: float = 0.004, grow: float = 0.8
-) -> Cascade:
+def actuator(gain=1.0, offset=0.0, delay=0.004, grow=0.8):
     """An actuator of 60 gears; ``grow`` widens its loop."""
     widths = np.full(60, 100.0 / 60.0)
     slopes = 1.0 + grow * np.linspace(-0.5, 0.5, 60)
@@ -29,7 +27,7 @@ def actuator(
     return Cascade("forward", drive, moved, tuple(stages), fit, (other,))
 
 
-def waves(low: float, high: float, cycles: int = 4, shape: str = "sine") -> np.ndarray:
+def waves(low, high, cycles=4, shape="sine"):
     part = np.arange(int(cycles * RATE)) / RATE
     if shape == "triangle":
         wave = 2.0 * np.abs(part - np.floor(part + 0.5))
@@ -38,16 +36,14 @@ def waves(low: float, high: float, cycles: int = 4, shape: str = "sine") -> np.n
     return low + (high - low) * wave
 
 
-def recorded(
-    model: Cascade, drive: np.ndarray, seed: int = 1, skip: int = 0
-) -> Recording:
+def recorded(model, drive, seed=1, skip=0):
     moved, _ = model.simulate(drive, dt=1.0 / RATE, state="empty")
     moved = moved + np.random.default_rng(seed).normal(0.0, NOISE, moved.size)
     time = np.arange(drive.size) / RATE
     return Recording("new.csv", drive[skip:], moved[skip:], time[skip:])
 
 
-def error(model: Cascade, truth: Cascade) -> float:
+def error(model, truth):
     """RMS error of new moves."""
     rng = np.random.default_rng(5)
     levels = np.concatenate([[0.0, 100.0], rng.uniform(0.0, 100.0, 12)])
@@ -57,7 +53,7 @@ def error(model: Cascade, truth: Cascade) -> float:
     return float(np.sqrt(np.mean((moved - wanted) ** 2)))
 
 
-def test_gain_offset_and_delay_come_back() -> None:
+def test_gain_offset_and_delay_come_back():
     truth = actuator(1.07, 1.3, 0.011)
     refreshed = rescale(actuator(), [recorded(truth, waves(0.0, 100.0))], Options())
     moved = refreshed.fit["prior"]
@@ -72,9 +68,7 @@ def test_gain_offset_and_delay_come_back() -> None:
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("shape", ["sine", "triangle"])
 @pytest.mark.parametrize("ends", [(0.0, 100.0), (40.0, 60.0), (75.0, 95.0)])
-def test_an_unchanged_actuator_keeps_its_numbers(
-    ends: tuple[float, float], shape: str, seed: int
-) -> None:
+def test_an_unchanged_actuator_keeps_its_numbers(ends, shape, seed):
     prior = actuator()
     way = np.concatenate([waves(0.0, 90.0, 2), np.linspace(0.0, ends[0], 200)])
     drive = np.concatenate([way, waves(*ends, 3, shape)])
@@ -83,7 +77,7 @@ def test_an_unchanged_actuator_keeps_its_numbers(
     assert error(refreshed, prior) < 0.002
 
 
-def test_a_changed_shape_is_refused_and_kept_by_force() -> None:
+def test_a_changed_shape_is_refused_and_kept_by_force():
     log = recorded(actuator(grow=1.6), waves(0.0, 100.0))
     with pytest.raises(FitError, match=r"new\.csv"):
         rescale(actuator(), [log], Options())
@@ -92,7 +86,7 @@ def test_a_changed_shape_is_refused_and_kept_by_force() -> None:
     assert kept.fit["expected_rmse"] > 0.02
 
 
-def test_what_cannot_be_refreshed_is_refused() -> None:
+def test_what_cannot_be_refreshed_is_refused():
     log = recorded(actuator(), waves(0.0, 100.0))
     against = Recording("new.csv", log.voltage, -log.displacement, log.time)
     with pytest.raises(FitError, match="runs against"):
@@ -110,7 +104,7 @@ def test_what_cannot_be_refreshed_is_refused() -> None:
     assert rescale(prior, [without_clock], Options()).delay_seconds == 0.0
 
 
-def test_errors_are_those_of_the_stated_size_and_a_past_between_the_ends() -> None:
+def test_errors_are_those_of_the_stated_size_and_a_past_between_the_ends():
     """n rows with s swings count as s; a past that the rows do not show is uniform on -1 to 1."""
     table = np.zeros((40, 5))
     table[:, :4] = np.linalg.qr(np.random.default_rng(1).normal(size=(40, 4)))[0]

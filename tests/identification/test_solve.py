@@ -17,16 +17,16 @@ from dbo_cli.identification.basis import (
     sums_of,
 )
 from dbo_cli.identification.clean import clean
-from dbo_cli.identification.problem import Problem, prepare
+from dbo_cli.identification.problem import prepare
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.identification.solve import Equations, FittedRows, Solution, minimum
+from dbo_cli.identification.solve import Equations, FittedRows, minimum
 from dbo_cli.identification.stages import model_of
 
 TIME = np.arange(4000) / 200.0
 DRIVE = 50.0 - 50.0 * np.cos(2.0 * np.pi * 0.5 * TIME) * np.exp(-TIME / 15.0)
 
 
-def hysteresis(drive: np.ndarray) -> np.ndarray:
+def hysteresis(drive):
     """Return a sum of plays of a drive from 0 to 100 V that has come down."""
     reach = np.linspace(0.0, 0.4, 9)
     x = drive / 100.0
@@ -34,18 +34,18 @@ def hysteresis(drive: np.ndarray) -> np.ndarray:
     return 5.0 * plays @ np.linspace(2.0, 0.4, 9)
 
 
-def log_of(drive: np.ndarray, cells: Cells) -> PreparedLog:
+def log_of(drive, cells):
     every = np.arange(len(drive))
     return PreparedLog(drive, drive, 0.01 * every, 0.01, every, every + 1)
 
 
-def columns(log: PreparedLog, taus: list[float], delay: float = 0.0) -> np.ndarray:
+def columns(log, taus, delay=0.0):
     cells = Cells.of()
     sums = sums_of(log, cells, np.asarray(taus), 0.0)
     return fitted_columns(log, sums, cells, delay)
 
 
-def test_a_gain_is_believed_as_far_as_the_log_shows_it() -> None:
+def test_a_gain_is_believed_as_far_as_the_log_shows_it():
     drive = (DRIVE - DRIVE.min()) / np.ptp(DRIVE)
     table = columns(log_of(drive, Cells.of()), [0.02, 100.0])
     noise = np.random.default_rng(3).standard_normal(len(drive))
@@ -61,7 +61,7 @@ def test_a_gain_is_believed_as_far_as_the_log_shows_it() -> None:
     assert gains[2] < 0.1
 
 
-def test_a_solution_beyond_all_numbers_is_refused() -> None:
+def test_a_solution_beyond_all_numbers_is_refused():
     matrix = np.eye(3)
     matrix[0, 1] = matrix[1, 0] = 1.0 - 1e-15
     right = np.array([1e300, -1e300, 1.0])
@@ -71,8 +71,8 @@ def test_a_solution_beyond_all_numbers_is_refused() -> None:
             minimum(matrix, right, bounded, guess)
 
 
-def test_a_fit_without_a_score_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    def unjudged(problem: Problem, fit: Solution, equations: Equations) -> Solution:
+def test_a_fit_without_a_score_is_left_out(monkeypatch):
+    def unjudged(problem, fit, equations):
         score = fit.rmse if fit.structure.bend else np.nan
         return replace(
             fit, score=score, residuals=tuple(fit.error for _ in problem.parts)
@@ -93,7 +93,7 @@ def test_a_fit_without_a_score_is_left_out(monkeypatch: pytest.MonkeyPatch) -> N
 
 @pytest.mark.parametrize("slopes", ["growing", "falling", "free"])
 @pytest.mark.parametrize("memories", ["", "t", "tr"])
-def test_model_is_what_was_fitted(slopes: str, memories: str) -> None:
+def test_model_is_what_was_fitted(slopes, memories):
     lagging = hysteresis(DRIVE) + 0.3 * np.sin(TIME)
     log = Recording("log", DRIVE, lagging, TIME)
     problem = prepare([log], Options())
@@ -113,9 +113,7 @@ def test_model_is_what_was_fitted(slopes: str, memories: str) -> None:
 
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
-def test_a_drive_beyond_the_range_goes_on_as_the_last_gears_do(
-    direction: float,
-) -> None:
+def test_a_drive_beyond_the_range_goes_on_as_the_last_gears_do(direction):
     log = Recording("log", DRIVE, hysteresis(DRIVE), TIME)
     problem = prepare([log], Options())
     structure = Structure(memories="")
@@ -132,7 +130,7 @@ def test_a_drive_beyond_the_range_goes_on_as_the_last_gears_do(
     assert moves[1] < 10.0 * moves[0]  # by the last cell alone, 1.6 % of the range: 20
 
 
-def test_slopes_keep_their_floor() -> None:
+def test_slopes_keep_their_floor():
     log = Recording("log", DRIVE, 100.0 - hysteresis(DRIVE)[::-1], TIME)
     problem = prepare([log], Options())
     structure = Structure("free", "tr", 1e-6, 1e-5)
@@ -146,7 +144,7 @@ def test_slopes_keep_their_floor() -> None:
 # --- recordings, and what no actuator does ---
 
 
-def test_stuck_and_clipped_sensors_are_left_out() -> None:
+def test_stuck_and_clipped_sensors_are_left_out():
     stuck = hysteresis(DRIVE)
     stuck += 0.005 * np.random.default_rng(7).normal(size=len(TIME))
     stuck[1000:1100] = stuck[1000]
@@ -159,12 +157,12 @@ def test_stuck_and_clipped_sensors_are_left_out() -> None:
     assert (~logs[0].usable).sum() > 0.8 * (clipped == clipped.max()).sum()
 
 
-def test_skip_needs_a_clock() -> None:
+def test_skip_needs_a_clock():
     with pytest.raises(UsageError, match="skip"):
         clean([Recording("log", DRIVE, hysteresis(DRIVE))], Options(skip=1.0))
 
 
-def test_recordings_are_checked() -> None:
+def test_recordings_are_checked():
     with pytest.raises(FitError, match="too few"):
         Recording("log", DRIVE[:10], DRIVE[:10])
     with pytest.raises(InputError, match="sample_rate"):

@@ -10,10 +10,10 @@ from dbo_cli.logs import Reading, frame_table, open_log
 VOLTAGE = {"voltage": None}
 
 
-def write(folder, times, header="time_s", above=""):
+def write(folder, times, header="time_s"):
     path = folder / "run.csv"
     rows = [f"{time},{number}.5" for number, time in enumerate(times)]
-    path.write_text("\n".join([above + f"{header},voltage_V", *rows]) + "\n")
+    path.write_text("\n".join([f"{header},voltage_V", *rows]) + "\n")
     return str(path)
 
 

@@ -9,10 +9,7 @@ from dbo_cli.units import drive_unit, quantity_name, split_header
     ("header", "name", "unit"),
     [
         ("voltage_V", "voltage", "V"),
-        ("Position [µm]", "Position", "um"),
         ("Weg/nm", "Weg", "nm"),
-        ("time (ms)", "time", "ms"),
-        ("CH1 in V", "CH1", "V"),
         ("Drive voltage, V", "Drive voltage", "V"),
         ("voltage in milli volts", "voltage", "mV"),
         ("Displacement (microns)", "Displacement", "um"),
