@@ -88,7 +88,9 @@ MODELS = {
     "short delay": model_of(gears(40), dm.Delay(0.0007)),
     "whole delay": model_of(gears(40), dm.Delay(0.003)),
     "amplifier": model_of(LAG, curve(LOW, HIGH, 0.3), gears(40, relaxation=SOFT)),
-    "amplifier, all": model_of(LAG, dm.Scale(-1.0, HIGH), gears(40), SWINGING),
+    "amplifier, all": model_of(
+        LAG, dm.Scale(-1.0, HIGH), gears(40), SWINGING, dm.Delay(0.0012)
+    ),
     "dynamics": model_of(gears(40, relaxation=SOFT), SWINGING, dm.Delay(0.0012)),
 }  # fmt: skip
 
