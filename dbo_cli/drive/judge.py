@@ -16,10 +16,6 @@ from dbo_cli.drive.simulate import Due
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Run, State, Steps, expect
 
-WAYS_OUT = (
-    "give wider limits, a slower or smaller move, `from_` VOLT and `approach` auto for a way to row 1, or "
-    "`on_limit` clip"
-)
 ALLOWED_PART = 0.01
 """Of the move: so much of it (RMS) may be cut off unasked; the order of a good model's error; chosen."""
 # of the range: a trajectory this little outside is clipped like any other
@@ -249,7 +245,15 @@ class Judge:
         needed = f"; it needs {low:.4g} to {high:.4g}{unit}"
         if self.limits.slew is not None:
             needed += f", {rate:.3g}{unit}/s"
-        return f"{needed}: {WAYS_OUT}"
+        way = (
+            ""
+            if self.lead.approach
+            else "a way to row 1 (`from_` VOLT, `approach` auto), "
+        )
+        return (
+            f"{needed}: give wider limits, {way}a slower, smaller or smoother move (`bandwidth` HZ), or "
+            "`on_limit` clip"
+        )
 
     # --- the end ---
 
