@@ -43,6 +43,8 @@ PLACE = "{}"
 ALONE = ("",)
 """The channels of a log whose columns are no patterns."""
 MOST_TRIES = 20  # to make channels equally long; what creeps meanwhile may change a row
+LIMIT_SLACK = 0.1
+"""Of a channel's range: so far beyond it a limit is only that of the channel whose name it has."""
 
 
 def columns_for(columns: Mapping[str, str | None], name: str) -> dict[str, str | None]:
@@ -157,6 +159,26 @@ def values_for(
         for channel, own in values.items():
             own[option] = by_owner.get(channel, by_owner.get(""))
     return values
+
+
+def require_own_limit(
+    name: str, texts: Sequence[str] | None, channel: str, model: Cascade
+) -> None:
+    """Refuse a limit for all channels that is far beyond the range of one of them (UsageError)."""
+    from dbo_cli.drive import voltage_in
+
+    common = [text for text in texts or () if "=" not in text]
+    if not channel or not common or any(f"{channel}=" in text for text in texts or ()):
+        return
+    drive = model.input
+    value = voltage_in(name, common[0], drive)
+    slack = LIMIT_SLACK * drive.span
+    if value is None or drive.min - slack <= value <= drive.max + slack:
+        return
+    raise UsageError(
+        f"`{name}` {value:g}{drive.suffix} is beyond channel {channel}, {drive.min:.6g} to {drive.max:.6g}"
+        f"{drive.suffix}: type `{name}` {channel}=VOLT"
+    )
 
 
 # --- tables and drives of all channels ---

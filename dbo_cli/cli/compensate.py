@@ -93,6 +93,8 @@ def compensate(
     def driver(channel: str, hold: int = 0, return_rows: int = 0) -> Driver:
         actuator, state = models[channel], starts[channel]
         begin, end = ends[channel]["from"], ends[channel]["return"]
+        for name, texts in {"v_min": v_min, "v_max": v_max}.items():
+            channels.require_own_limit(name, texts, channel, actuator)
         given = typed[channel]
         bounds = Limits.within(actuator.input, **given, extrapolate=extrapolate)
         before = Lead(actuator, bounds, state, begin, approach, condition, lead, hold)

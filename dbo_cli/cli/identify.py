@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import READING, Text, Texts, flag, option, rare
 from dbo_cli.cli.say import detail, say, say_logs, say_output, working
 from dbo_cli.units import quantity
-
-if TYPE_CHECKING:
-    pass
 
 
 def structure(metavar: str | None, text: str, default: str = "auto") -> Any:

@@ -192,7 +192,7 @@ def costs_of(model: Rival | DboModel, log: Recording) -> tuple[float, float]:
     first = float(voltage[0])
 
     def cost(run: Callable[[], object]) -> float:
-        """Return the processor's time of a sample, of the fastest of several runs."""
+        """Return the processor's time (ns) of a sample, of the fastest of several runs."""
         timer = timeit.Timer(run, timer=time.thread_time_ns)
         return min(timer.repeat(TIMED_RUNS, number=1)) / TIMED_SAMPLES
 

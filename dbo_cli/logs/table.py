@@ -248,6 +248,8 @@ class Table(AbstractContextManager["Table"]):
         The rows (from 1) of the last block that have another number of cells.
     block_rows
         Rows of a block.
+    doubt
+        What is remarked behind the last row.
     find
         Finds what the user names and no column is called; None where there is nothing.
     """
@@ -258,6 +260,7 @@ class Table(AbstractContextManager["Table"]):
     cure: str = "`skip_bad` drops such rows"
     has_found_offset: bool = False
     block_rows: int = ROWS_A_BLOCK
+    doubt: str = ""
 
     def __init__(self, name: str, close: Callable[[], object] = lambda: None) -> None:
         self.name = name
@@ -315,6 +318,8 @@ class Table(AbstractContextManager["Table"]):
         for start in range(0, lengths[0], self.block_rows):
             stop = min(lengths[0], start + self.block_rows)
             yield [self._rows(column, start, stop) for column in columns]
+        if self.doubt:
+            self.remarks.append(self.doubt)
 
     def _rows(self, column: Column, start: int, stop: int) -> NDArray[Any]:
         """Read rows of one column as float64, or dates as int64 nanoseconds."""

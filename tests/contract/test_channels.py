@@ -312,7 +312,10 @@ def test_a_scanner_is_learned_and_looped(scanner):
 
 def test_a_limit_of_a_channel_is_typed_with_its_name(scanner):
     words = ("compensate", "scanner.json", scanner, *SCANNER, "-o", "x.csv")
-    for wrong in ("--v-max z=9", "--v-max x=9 --v-max x=8"):
+    twice = ("--v-max z=9", "--v-max x=9 --v-max x=8")
+    # one limit for all would let a small channel go to the end of a large one
+    beyond = ("--v-max 120 --extrapolate", "--v-max 120 --from 0 --return 110")
+    for wrong in (*twice, *beyond):
         assert "--v-max" in refused(2, *words, *wrong.split())
     done(*words, "--v-max", "x=12", "--v-max", "y=10", "--extrapolate")
     line = ("compensate", "scanner.json::x", scanner, "--displacement", "Dx_um")

@@ -383,6 +383,25 @@ def test_what_matlab_holds_is_named_with_lines_that_save_it(contents):
     assert "save('flat.mat', '-struct', 'NAME')" in error and "writetable" in error
 
 
+def test_a_cut_tdms_file_is_said():
+    """At a chunk a cut leaves rows that look whole."""
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter("run.tdms") as file:
+        for start in range(0, ROWS, 10):
+            columns = {"time_s": TIME, "voltage_V": VOLTS}
+            file.write_segment([
+                nptdms.ChannelObject("g", name, values[start : start + 10])
+                for name, values in columns.items()
+            ])  # fmt: skip
+    whole = Path("run.tdms").read_bytes()
+    outcome = done("simulate", model("small"), "run.tdms", "--verbose")
+    assert len(table(outcome)["voltage_V"]) == ROWS and "cut" not in outcome.err
+    for lost in (1, 80, 160):
+        Path("cut.tdms").write_bytes(whole[:-lost])
+        outcome = dbo("simulate", model("small"), "cut.tdms", "--verbose")
+        assert "cut" in outcome.err and outcome.code in (0, 1)
+
+
 def test_what_a_library_logs_is_no_line_of_the_program():
     nptdms = pytest.importorskip("nptdms")
     with nptdms.TdmsWriter("run.tdms") as file:

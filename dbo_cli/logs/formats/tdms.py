@@ -22,6 +22,8 @@ def read_tdms(path: str, inner: str, reading: Reading) -> Table:
         groups = [group for group in file.groups() if inner in ("", group.name)]
         _add_channels(table, groups)
         table.require_numbers(f"::{group.name}" for group in file.groups())
+    if file.file_status.incomplete_final_segment:
+        table.doubt = "the file ends within a segment: was the record cut there?"
     if len(groups) > 1:
         table.hint = f" (or one group alone: {path}::{groups[0].name})"
     return table
