@@ -285,7 +285,8 @@ class Judge:
             if not past_known:
                 error_from_rest = error
                 error = math.hypot(math.hypot(*expected), missed)
-        texts += expect.move_warnings(self.model, voltage, steps)
+        move = slice(lead_rows, lead_rows + move_rows)
+        texts += expect.move_warnings(self.model, voltage, steps, move)
         texts += self._end_warnings(error, state)
         warnings = [f"{self.name}: {text}" for text in texts]
         for text in warnings:
@@ -296,7 +297,7 @@ class Judge:
             self.model,
             self.limits,
             self.name,
-            move=slice(lead_rows, lead_rows + move_rows),
+            move=move,
             rows=self._rows.total(),
             voltage_range=[low, high],
             lead_range=self._ranges.get("lead"),

@@ -11,10 +11,10 @@ from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.errors import FitError, UsageError, warn
 from dbo_cli.identification.recording import (
     FEWEST_ROWS,
-    SMALLEST_SWING,
     Options,
     Recording,
 )
+from dbo_cli.model.expect import SWING
 from dbo_cli.signals import NORMAL_MEDIAN, turns, without_delay
 
 SPIKE_WINDOW = 7  # rows: longer ones have turns of the drive in them
@@ -61,7 +61,7 @@ def refuse_wrong_voltage(log: Recording) -> None:
     """Refuse (FitError) a voltage that stands alone beyond all others: the range would be that of a fault."""
     wrong = spiked_rows(log.voltage)
     low, high = float(log.voltage[~wrong].min()), float(log.voltage[~wrong].max())
-    alone = SMALLEST_SWING * (high - low)
+    alone = SWING * (high - low)
     wrong &= (log.voltage < low - alone) | (log.voltage > high + alone)
     wrong &= log.usable
     if wrong.any():

@@ -30,7 +30,12 @@ from dbo_cli.identification.recording import (
 )
 from dbo_cli.identification.search import FEWEST_SWINGS
 from dbo_cli.model import Cascade
-from dbo_cli.model.expect import expected_error, fastest_drive, longest_rest
+from dbo_cli.model.expect import (
+    expected_error,
+    fastest_drive,
+    longest_rest,
+    longest_swing,
+)
 from dbo_cli.signals import noise
 
 NO_BETTER = 0.95  # of another error: above it there is nothing to be learnt
@@ -149,8 +154,7 @@ def measured(
             steps = np.diff(log.time)
             speeds.append(fastest_drive(log.voltage, steps))
             rests.append(longest_rest(log.voltage, steps))
-            turns = Swings.of(log.voltage).turns
-            ways.append(float(np.diff(log.time[turns]).max()))
+            ways.append(longest_swing(log.voltage, log.time))
     figures: dict[str, Any] = {
         **model.fit,
         "sign": model.sign,

@@ -12,10 +12,10 @@ import numpy as np
 from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.errors import FitError, InputError, UsageError
 from dbo_cli.model import Cascade
+from dbo_cli.model.expect import SWING
 from dbo_cli.signals import turns, usual_step
 
 FEWEST_ROWS = 20  # fewer tell nothing of a loop
-SMALLEST_SWING = 0.05  # of the drive's range
 SAME_LEVEL = 0.1  # of the range: turns that are nearer are alike
 
 
@@ -175,7 +175,7 @@ class Swings:
     @staticmethod
     def of(drive: Floats) -> Swings:
         """Return the swings of a drive, those below 5 % of its range passed over."""
-        rows = turns(drive, SMALLEST_SWING * float(np.ptp(drive)))
+        rows = turns(drive, SWING * float(np.ptp(drive)))
         sizes = np.abs(np.diff(drive[rows]))
         number = np.searchsorted(rows[1:-1], np.arange(len(drive)), side="right")
         return Swings(rows, sizes, number.astype(np.int64))

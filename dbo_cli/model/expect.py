@@ -18,11 +18,13 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.model.cascade import Cascade
+from dbo_cli.signals import turns
 
 FIRST_ROWS = 131_072  # of a move, that expectations and refusals look at
 STARTS = ("empty", "full", "settled")
 UNLIKE = 3.0
-"""Times the logs' fastest drive or longest rest: time constants of a model are as far apart."""
+"""Times the logs' fastest drive or longest swing: time constants of a model are as far apart."""
+SWING = 0.05  # of the range: a drive that goes back by more has turned
 STILL = 1e-3  # of the range, within which a drive rests
 FAST_WAY = 0.05  # of the way: it is gone at the fastest rate, or faster
 
@@ -105,17 +107,19 @@ def _mean_square(values: Floats) -> float:
 
 
 def move_warnings(
-    model: Cascade, voltage: Floats, dt: float | Floats | None
+    model: Cascade, voltage: Floats, dt: float | Floats | None, move: slice
 ) -> list[str]:
-    """Return what of a move the logs did not show: a faster drive, a longer rest; in words.
+    """Return what of a move the logs did not show: a faster drive, a slower swing; in words.
 
     Parameters
     ----------
     voltage, dt : as of ``expected_error``
+    move : its rows
     """
-    if dt is None or len(voltage) < 2:
+    if dt is None or len(voltage[move]) < 2:
         return []
-    steps = np.broadcast_to(np.asarray(dt, dtype=np.float64), (len(voltage),))[1:]
+    steps = np.broadcast_to(np.asarray(dt), (len(voltage),))[move][1:]
+    voltage = voltage[move]
     texts = []
     fit, unit = model.fit, model.input.suffix.strip() or "units"
     fastest, speed = fit.get("fastest"), fastest_drive(voltage, steps)
@@ -124,14 +128,21 @@ def move_warnings(
             f"{speed:.3g} {unit}/s, the logs at most {float(fastest):.3g}: the error may be larger; "
             "identify with a faster log"
         )
-    remaining, hold = fit.get("longest_rest"), longest_rest(voltage, steps)
-    slowest = max(float(remaining or 0.0), float(fit.get("longest_swing") or 0.0))
-    if remaining is not None and hold > UNLIKE * slowest:
+    shown = [fit.get("longest_rest"), fit.get("longest_swing")]
+    slowest = max((float(seconds) for seconds in shown if seconds), default=None)
+    swing = longest_swing(voltage, np.concatenate(([0.0], np.cumsum(steps))))
+    if slowest is not None and swing > UNLIKE * slowest:
         texts.append(
-            f"holds for {hold:.3g} s, the logs take at most {slowest:.3g} for a rest or a swing: the error "
-            f"may be larger; identify with a longer hold (excite `rest` {hold:.2g})"
+            f"takes {swing:.3g} s from turn to turn or holds so long, the logs at most {slowest:.3g}: creep "
+            f"may add to the error; identify with a slower log (excite `rest` {swing:.2g})"
         )
     return texts
+
+
+def longest_swing(voltage: Floats, time: Floats) -> float:
+    """Return the seconds from one turn of the drive to the next, at most; a hold belongs to the swing."""
+    rows = turns(voltage, SWING * float(np.ptp(voltage)))
+    return float(np.diff(time[rows]).max())
 
 
 def fastest_drive(voltage: Floats, steps: Floats) -> float:

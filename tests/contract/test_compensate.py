@@ -419,6 +419,20 @@ def test_a_summary_states_what_to_expect():
     assert unknown["expected_rmse_past_known"] < unknown["expected_rmse"]
 
 
+@pytest.mark.parametrize("form", ["hold", "swing"])
+@pytest.mark.parametrize(("seconds", "warns"), [(2.0, False), (4.0, True)])
+def test_a_move_slower_than_three_times_the_logs_is_warned_of(form, seconds, warns):
+    """What stands before the move takes as long as it likes; the logs' longest swing takes 1 s."""
+    values = values_of("known")
+    values["fit"] |= {"longest_swing": 1.0}
+    goes = [0.0, 0.2, 0.2 + seconds] if form == "hold" else [0.0, seconds, seconds]
+    time = np.arange(0.0, goes[2], 0.01)
+    write("wish.csv", MOVE, time, np.interp(time, goes, [2.0, 6.0, 6.0]))
+    slow = ("compensate", store("slow.json", values), "wish.csv", "-o", "drive.csv")
+    outcome = done(*slow, "--from", 0.0, "--approach", 20.0)
+    assert any("turn to turn" in line for line in outcome.lines) is warns
+
+
 def test_hdf5_holds_units_model_and_limits():
     move(sine(8.0))
     done(*SMALL, "--v-max", 9.5, "-o", "drive.h5")
