@@ -25,6 +25,7 @@ from dbo_cli.identification.recording import (
     Options,
     Recording,
     Swings,
+    begins_in_motion,
     centred,
     falling,
 )
@@ -35,6 +36,7 @@ from dbo_cli.model.expect import (
     fastest_drive,
     longest_rest,
     longest_swing,
+    unknown_memory,
 )
 from dbo_cli.signals import noise
 
@@ -170,6 +172,7 @@ def measured(
     if options.known_sensor_delay:
         figures["sensor_delay"] = options.known_sensor_delay
     found = [*figures.get("warnings", []), *_warnings(model, figures), *drifts]
+    found += _zero_warnings(model, logs)
     return replace(model, fit={**figures, "warnings": found})
 
 
@@ -232,6 +235,26 @@ def _drift_warnings(
                 " (`force` keeps it)"
             )
         found.append(f"{text}: warm up, and record again")
+    return found
+
+
+def _zero_warnings(model: Cascade, logs: Sequence[Recording]) -> list[str]:
+    """Return a warning for each log that begins in motion, if the creep from before it may hide the zero."""
+    expected = model.fit.get("expected_rmse")
+    if expected is None or model.gears.relaxation is None:
+        return []
+    found, unit = [], model.output.suffix
+    for log in logs:
+        if log.time is None or not begins_in_motion(log.voltage, log.time):
+            continue
+        steps = np.diff(log.time, prepend=log.time[0])
+        share, added = unknown_memory(model, log.voltage, steps)
+        error = math.sqrt(share) * abs(float(added.mean()))
+        if error > BEYOND_STATED * expected:
+            found.append(
+                f"{os.path.basename(log.name)}: begins in motion: creep from before it may shift the zero by "
+                f"{error:.2g}{unit}, which is not in the expected error; begin the record before the drive"
+            )
     return found
 
 

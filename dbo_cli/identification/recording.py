@@ -16,6 +16,8 @@ from dbo_cli.model.expect import SWING
 from dbo_cli.signals import turns, usual_step
 
 FEWEST_ROWS = 20  # fewer tell nothing of a loop
+AT_REST, SLOWER = 0.01, 3.0
+"""A drive that needs three times as long as usual for a hundredth of its range begins at rest."""
 SAME_LEVEL = 0.1  # of the range: turns that are nearer are alike
 
 
@@ -143,6 +145,14 @@ def falling(logs: Sequence[Recording]) -> bool:
     """Whether the displacement falls as the drive rises."""
     drive, displacement = centred(logs)
     return float(np.sum(drive * displacement)) < 0.0
+
+
+def begins_in_motion(voltage: Floats, time: Floats) -> bool:
+    """Whether the drive moves in the first rows as fast as it does on the whole."""
+    way, span = Swings.of(voltage).sizes.sum(), float(np.ptp(voltage))
+    speed = float(way) / float(time[-1] - time[0])
+    row = int(np.argmax(np.abs(voltage - voltage[0]) > AT_REST * span))
+    return float(time[row] - time[0]) * speed < SLOWER * AT_REST * span
 
 
 def noise_variance(signals: Sequence[Floats]) -> float:

@@ -84,10 +84,18 @@ def expected_error(
 def _spread_of_memory(
     model: Cascade, drive: Floats, dt: float | Floats | None, begin: int
 ) -> float:
-    """Return the mean square of what memories add that rested elsewhere than at the first voltage.
+    """Return the mean square of what memories add that rested elsewhere than at the first voltage."""
+    share, added = unknown_memory(model, drive, dt)
+    return share * _mean_square(added[begin:])
 
-    They add a share of D, the difference between a rest at the greatest and the least
-    voltage. A rest that is equally likely anywhere is off by 1/12 + (p - 1/2)^2 of that,
+
+def unknown_memory(
+    model: Cascade, drive: Floats, dt: float | Floats | None
+) -> tuple[float, Floats]:
+    """Return the mean square of the share that memories of an unknown past add of D, and D; (rows,).
+
+    D is the difference between a rest at the greatest and the least voltage before the
+    drive. A rest that is equally likely anywhere is off by 1/12 + (p - 1/2)^2 of that,
     squared, where the first voltage is at the part p of the range.
     """
     relaxation = model.gears.relaxation
@@ -96,9 +104,9 @@ def _spread_of_memory(
     for voltage in (model.input.min, model.input.max):
         remaining = model.head.value(voltage) - relaxation.reference
         rested = replace(state, memory=(remaining,) * len(relaxation.tau))
-        simulated.append(model.simulate(drive, dt=dt, state=rested)[0][begin:])
+        simulated.append(model.simulate(drive, dt=dt, state=rested)[0])
     index = (float(drive[0]) - model.input.min) / model.input.span
-    return (1.0 / 12.0 + (index - 0.5) ** 2) * _mean_square(simulated[1] - simulated[0])
+    return 1.0 / 12.0 + (index - 0.5) ** 2, simulated[1] - simulated[0]
 
 
 def _mean_square(values: Floats) -> float:

@@ -1,6 +1,7 @@
 """``dbo identify``: errors within bounds, sign, delay, past, what is refused and what is said."""
 
 import json
+import re
 import math
 import os
 import subprocess
@@ -553,3 +554,19 @@ def test_the_number_holds_a_zero_that_a_log_begun_in_motion_does_not_show():
     )
     moved = piezo(plan.voltage, np.zeros(1))[plan.lead_rows :][: len(wanted)]
     assert rms(moved - wanted) < 2.5 * plan.expected_error
+
+
+@pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
+def test_a_zero_that_creep_from_before_a_log_may_shift_is_told():
+    """Begun on a way, a log stated .009 um, and .022 came, most of it the zero."""
+    drive = table(done("excite", "--v-max", 100, "--sample-rate", 200))["voltage_V"]
+    noise = np.random.default_rng(3).normal(0.0, 0.002, len(drive))
+    moved = piezo(drive, np.zeros(1)) + noise
+    texts = []
+    for first in (0, 250):
+        model = dbo_cli.identify(drive[first:], moved[first:], sample_rate=200.0)
+        texts.append([text for text in model.fit["warnings"] if "in motion" in text])
+    assert not texts[0]
+    error = (model.simulate(drive, sample_rate=200.0) - moved)[1000:]
+    shift = float(re.search(r"zero by (\d+\.\d+)", texts[1][0])[1])
+    assert model.fit["expected_rmse"] < abs(np.mean(error)) < shift
