@@ -78,12 +78,13 @@ def columns_of(
     if path == "-":
         raise UsageError("-: channels need a file, not a pipe")
     with open_table(path, reading) as source:
-        table = source.columns
+        table, paths = source.columns, source.paths
     found: dict[str, list[str]] = {}
     for role, pattern in columns.items():
         if pattern is not None and PLACE in pattern:
             of_role = fitting(table, role) if pattern == PLACE else table
-            found[role] = _matches(pattern, [column.name for column in of_role])
+            names = [column.name for column in of_role]
+            found[role] = _matches(pattern, names) or _in_paths(pattern, paths)
     channels = next(iter(found.values()))
     if not channels or any(set(names) != set(channels) for names in found.values()):
         lists = []
@@ -107,6 +108,13 @@ def _matches(pattern: str, headers: Sequence[str]) -> list[str]:
         if match is not None:
             channels.append(match[1])
     return channels
+
+
+def _in_paths(pattern: str, paths: Sequence[str]) -> list[str]:
+    """Return what stands in the place of ``{}`` in the paths of a file that fit, within one level."""
+    before, _, after = pattern.lstrip("/").partition(PLACE)
+    fit = re.compile(re.escape(before) + "([^/]+)" + re.escape(after))
+    return [match[1] for match in map(fit.fullmatch, paths) if match]
 
 
 def models_of(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, Texts, column, flag, option, rare
-from dbo_cli.cli.say import detail
+from dbo_cli.cli.say import detail, with_options
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 
 if TYPE_CHECKING:
@@ -88,11 +88,12 @@ def check(
             check_played(result, meant["voltage"], recorded, steps, allowed)
         detail(*log.doubtful)
     is_json = opt.form_of(form, output) == "json"
-    pages = {name: c.json() if is_json else c.text() for name, c in checks.items()}
     if is_json:
+        pages = {name: result.json() for name, result in checks.items()}
         write_text(output, channels.dumps_files("check", pages))
     else:
-        write_text(output, "".join(pages.values()))
+        texts = [with_options(result.text()) for result in checks.values()]
+        write_text(output, "".join(texts))
     for result in checks.values():
         result.require_passed()
 

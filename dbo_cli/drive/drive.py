@@ -125,19 +125,19 @@ class Drive:
         """Return the error to expect; empty where it is not known."""
         if self.expected_error is None:
             return ""
-        error = f"{self.expected_error:.2g}"
+        error = in_full(self.expected_error, 2)
         unit = self.model.output.suffix
         text = f"expected error {error}{unit} RMS"
         if self.mean_left_out is not None:
-            return f"{text} without the mean, {self.mean_left_out:.2g}{unit} (`absolute` learns it)"
+            return f"{text} without the mean, {in_full(self.mean_left_out, 2)}{unit} (`absolute` learns it)"
         if self.past_known:
-            unrested = f"{self.expected_unrested or self.expected_error:.2g}"
+            unrested = in_full(self.expected_unrested or self.expected_error, 2)
             if unrested == error:
                 return text
             return f"{text} from rest; {unrested} if the actuator moved just before"
         if self.expected_known is None:
             return f"{text} (past unknown)"
-        from_rest = f"{self.expected_known:.2g}"
+        from_rest = in_full(self.expected_known, 2)
         if from_rest == error:
             return f"{text}, whatever the past"
         way = "from a known `state`" if self.is_loop else "from rest with `condition`"

@@ -247,7 +247,7 @@ class Judge:
             needed += f", {rate:.3g}{unit}/s"
         way = (
             ""
-            if self.lead.approach
+            if self.lead.approach or self.lead.condition
             else "a way to row 1 (`from_` VOLT, `approach` auto), "
         )
         return (

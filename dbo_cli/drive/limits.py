@@ -191,9 +191,9 @@ class Limits:
         return text
 
 
-def in_full(voltage: float) -> str:
-    """Return a voltage to four digits, for lines: 100000 of a drive in mV, not 1e+05."""
-    return f"{float(f'{voltage:.4g}'):.12g}"
+def in_full(value: float, digits: int = 4) -> str:
+    """Return a value to so many digits, for lines: 100000 of a drive in mV, not 1e+05."""
+    return f"{float(f'{value:.{digits}g}'):.12g}"
 
 
 def voltage_in(name: str, figure: Typed | None, quantity: Quantity) -> float | None:

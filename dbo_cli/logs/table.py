@@ -252,6 +252,8 @@ class Table(AbstractContextManager["Table"]):
         What is remarked behind the last row.
     find
         Finds what the user names and no column is called; None where there is nothing.
+    paths
+        What else it finds, where the file can list that.
     """
 
     decimal: str = "."
@@ -270,6 +272,7 @@ class Table(AbstractContextManager["Table"]):
         self.remarks: list[str] = []
         self.torn: list[int] = []
         self.find: Callable[[str], Column | None] = lambda name: None
+        self.paths: list[str] = []
 
     def add(self, column: Column) -> Column:
         """Append a column; its name holds its unit where none is stated beside it, or one of that kind."""

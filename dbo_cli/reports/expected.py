@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from dbo_cli.arrays import Range
-from dbo_cli.errors import InputError, ModelError, prefixed
+from dbo_cli.errors import ModelError, prefixed
 from dbo_cli.model import fields
+from dbo_cli.units import ratio
 
 SUMMARY_KEYS: dict[str, fields.Reader] = {
     "unit": fields.text,
@@ -60,7 +61,7 @@ def expected_in(
     Raises
     ------
     InputError
-        It is in another unit than what is compared.
+        Its unit measures something else than what is compared.
     ModelError
         It is neither, or states no expected error.
     """
@@ -78,12 +79,12 @@ def expected_in(
         values = {}
         for key, read in SUMMARY_KEYS.items():
             values[key] = fields.unless_null(read)(content.get(key), key)
-        if unit and values["unit"] not in (None, "", unit):
-            raise InputError(f"is in {values['unit']}, the comparison in {unit}")
+        factor = float(ratio(values["unit"] or None, unit or None))
+    rmse, move = values["expected_rmse"], values["move_range"]
     # an error of exactly 0 was never measured: it states nothing
     return Expected(
-        values["expected_rmse"] or None,
-        values["move_range"],
+        factor * rmse if rmse else None,
+        None if move is None else (factor * move[0], factor * move[1]),
         values["move_time"],
         values["sensor_delay"] or 0.0,
         content.get("past_known") is True,

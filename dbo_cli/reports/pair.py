@@ -174,9 +174,10 @@ def _move_of(pair: Pair) -> Pair:
         return pair
     begin, end = 0.0, math.inf
     move_time = None if pair.expected is None else pair.expected.move_time
-    if pair.on_drive_clock and move_time is not None:
+    if pair.on_drive_clock:
+        begin, end = move_time or (begin, end)
         slack = 0.5 * (pair.step or 0.0)
-        begin, end = move_time[0] - slack, move_time[1] + slack
+        begin, end = begin - slack, end + slack
     move = pair.taken(stretch((pair.time >= begin) & (pair.time <= end)))
     outside = len(pair) - len(move)
     if outside in (0, len(pair)):

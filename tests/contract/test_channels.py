@@ -3,6 +3,7 @@
 import wave
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -133,6 +134,25 @@ def test_a_bare_pattern_takes_the_columns_of_its_role(channels, header):
     assert bare.out == done(*command, "--displacement", "{}_um").out
     error = refused(1, "simulate", "xy.json", "xy.csv", "--input", "{}_A")
     assert "finds none" in error
+
+
+@pytest.mark.parametrize("pattern", ["/axes/V{}_V", "/{}/drive_V", "{}/drive_V"])
+def test_a_pattern_may_be_the_path_of_datasets(channels, pattern):
+    log = table(channels)
+    with h5py.File("log.h5", "w") as file:
+        file["time_s"] = TIME
+        for name in NAMES:
+            file[pattern.replace("{}", name)] = log[f"V{name}_V"]
+            file[f"axes/deep/V{name}_V"] = np.zeros(3)
+    words = ("-q", "-o", "out.csv", "--input")
+    done("simulate", "set.json", channels, *words, "V{}_V")
+    expected = table("out.csv")
+    done("simulate", "set.json", "log.h5", *words, pattern)
+    for name in NAMES:
+        moved, alone = (of_channel(t, name, "um") for t in (table("out.csv"), expected))
+        np.testing.assert_array_equal(moved, alone)
+    words = ("simulate", "set.json", "log.h5", "--input", "/none/V{}_V")
+    assert "finds none" in refused(1, *words)
 
 
 REFUSED = {

@@ -106,10 +106,12 @@ def test_a_jump_to_row_1_that_limits_forbid_is_answered_with_a_way_there(start):
     words = ("compensate", model("creep"), "wish.csv", "--max-slew", 5000)
     told = refused(3, *words, *start.split(), "-o", "drive.csv")
     assert "--from VOLT, --approach auto" in told
-    words = (*words, "--from", 0, "--state", "empty", "--approach", "auto")
-    done(*words)
-    told = refused(3, *words, "--v-max", 1, "-o", "x.csv")
-    assert "a way to row 1" not in told and "--bandwidth HZ" in told
+    words = (*words, "--from", 0)
+    ways = ("--state empty --approach auto", "--condition")
+    for way in ways:
+        done(*words, *way.split())
+        told = refused(3, *words, *way.split(), "--v-max", 1, "-o", "x.csv")
+        assert "a way to row 1" not in told and "--bandwidth HZ" in told
 
 
 def test_what_limits_cut_off_is_no_reason_to_identify_again():

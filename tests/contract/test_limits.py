@@ -368,7 +368,8 @@ def test_a_loop_behind_its_run_in_asks_for_the_rows_of_the_period():
     write("period.csv", MOVE, TIME[:200], period)
     words = ("--periodic", "--passes", 2, "-o", "loop.csv")
     done("compensate", model("creep"), "period.csv", *words)
-    assert "--rows" in failed("loop.csv", "--loop").lines[-1]
+    told = failed("loop.csv", "--loop")
+    assert "--rows" in told.lines[-1] and "--rows" in told.out
     words = ("waveform", "loop.csv", "--to", "npy", "--loop", "-o", "loop.npy")
     assert "--rows" in dbo(*words).lines[-1]
     done("check", "loop.csv", "--loop", "--rows", "401:")

@@ -155,6 +155,27 @@ def test_rows_of_the_way_back_are_none_of_the_move_or_it_is_told():
     assert not any("way back" in note for note in plain["notes"])
 
 
+def test_the_first_row_of_the_move_counts_by_any_clock():
+    words = ("--from", 0, "--approach", "auto", "-o", "d.csv")
+    write("wish.csv", MOVE, TIME, 0.5 * WANTED)
+    done("compensate", model("creep"), "wish.csv", *words)
+    drive, moved = table("d.csv"), simulated("creep", "d.csv")
+    for ahead in np.arange(40) * 0.138:
+        time = np.round(drive["time_s"] + ahead, 4)
+        write("log.csv", LOG, time, drive["voltage_V"], moved)
+        words = ("log.csv", "--measured", "displacement_um", "--trajectory", "d.csv")
+        assert merits(*words)["samples"] == len(TIME), ahead
+
+
+def test_a_summary_in_another_unit_is_converted_or_refused():
+    words = ("good.csv", "--expected", "s.json")
+    move = {"move_range": [2000.0, 8000.0], "expected_rmse": 10.0, "unit": "nm"}
+    store("s.json", SUMMARY | move)
+    assert merits(*words)["expected_rmse"] == pytest.approx(0.01)
+    store("s.json", SUMMARY | {"unit": "V"})
+    assert "V" in refused(1, "report", *words)
+
+
 def test_rows_of_two_rates_are_not_matched():
     half = np.arange(300) / 250.0
     write("measured.csv", MOVE, half, np.interp(half, TIME, WANTED))

@@ -540,6 +540,13 @@ def test_a_model_in_mv_says_its_voltages_in_full():
     assert " mV" in said and "e+0" not in said
 
 
+def test_an_expected_error_is_said_in_full(played):
+    time, volts, moved = played
+    model = quick(volts, 1e5 * moved, time=time)
+    drive = model.compensate(1e5 * moved, time=time, on_limit="clip", details=True)
+    assert drive.expected_error > 100.0 and "e+" not in drive.expected_line()
+
+
 def test_logs_of_one_actuator_have_units_alike(played):
     time, volts, moved = played
     write("a.csv", "time,voltage,displacement", time, volts, moved)

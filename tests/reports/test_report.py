@@ -86,8 +86,9 @@ def test_expected_of_another_move_is_a_warning(tmp_path):
 def test_expected_in_files(tmp_path):
     expected = expected_of(tmp_path)
     assert (expected.rmse, expected.move_time) == (0.1, (0.0, 2.0))
-    with pytest.raises(InputError, match="is in nm"):
-        expected_of(tmp_path, unit="nm")
+    assert expected_of(tmp_path, unit="mm").rmse == pytest.approx(100.0)
+    with pytest.raises(InputError, match="V cannot be converted to um"):
+        expected_of(tmp_path, unit="V")
 
 
 def test_a_user_s_own_style_changes_nothing():

@@ -85,6 +85,7 @@ def _table_of(path: str, inner: str, file: Any) -> Table:
         return None
 
     table.find = find
+    table.paths = [name for name in nodes if isinstance(nodes[name], h5py.Dataset)]
     return table
 
 
