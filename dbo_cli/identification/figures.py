@@ -250,7 +250,7 @@ def _zero_warnings(model: Cascade, logs: Sequence[Recording]) -> list[str]:
         steps = np.diff(log.time, prepend=log.time[0])
         share, added = unknown_memory(model, log.voltage, steps)
         error = math.sqrt(share) * abs(float(added.mean()))
-        if error > BEYOND_STATED * expected:
+        if error > expected:
             found.append(
                 f"{os.path.basename(log.name)}: begins in motion: creep from before it may shift the zero by "
                 f"{error:.2g}{unit}, which is not in the expected error; begin the record before the drive"
