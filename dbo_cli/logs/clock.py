@@ -66,8 +66,9 @@ class Clock:
     note
         How messages tell of these seconds, and of what was typed in the place of what the
         file states.
-    usual_step, irregular, first_irregular
-        The median step (s); how many steps are zero or much longer, and the row of the first.
+    usual_step, repeats, irregular, first_irregular
+        The median step (s); how many steps are zero; how many are zero or much longer, and
+        the row of the first.
     """
 
     name: str
@@ -87,6 +88,7 @@ class Clock:
     first: float = 0.0
     last: float = 0.0
     usual_step: float = 0.0
+    repeats: int = 0
     irregular: int = 0
     first_irregular: int = 0
 
@@ -169,6 +171,7 @@ class Clock:
             self.usual_step = self.step or float(np.median(steps))
             self._require_seconds(float(time[-1]))
         if self.step is None and self.rate is None:
+            self.repeats += int(np.count_nonzero(steps == 0.0))
             irregular = (steps == 0.0) | (steps > _GAP * self.usual_step)
             if irregular.any():
                 first = int(numbers[np.argmax(irregular)])
@@ -194,7 +197,10 @@ class Clock:
         raise _unclear(self.name, self.column, f"has no unit, and in seconds {reason}")
 
     def close(self) -> None:
-        """Warn of what is doubtful once all rows are read."""
+        """Warn of what is doubtful once all rows are read; refuse a time that mostly stands still."""
+        if 2 * self.repeats >= max(self.rows, 1):
+            problem = f"stands still at {self.repeats:,} of {self.rows:,} rows"
+            raise _unclear(self.name, self.column, problem)
         if self.irregular:
             warn(
                 f"{self.name}: {self.irregular:,} gaps or repeats among {self.rows:,} time stamps, the "
@@ -298,7 +304,7 @@ def _time_columns(source: Table, used: Sequence[Column], needed: bool) -> list[C
     read is refused where it is needed (InputError).
     """
     free = [column for column in source.columns if column not in used]
-    timed = [c for c in free if kind_of(c.unit) in _KINDS or time_unit(c.unit)]
+    timed = [c for c in free if kind_of(c.unit) in _KINDS or _may_count_time(c.unit)]
     called = [c for c in timed if c.quantity.lower() in TIME_NAMES]
     called = called or [c for c in timed if words(c.quantity) & TIME_NAMES]
     matches = [column for column in called if column.kind == "number"]
@@ -312,6 +318,11 @@ def _time_columns(source: Table, used: Sequence[Column], needed: bool) -> list[C
             raise _unclear(source.name, column, problem)
     first = [column for column in source.columns[:1] if column in free]
     return [c for c in first if c.kind == "number" and time_unit(c.unit)]
+
+
+def _may_count_time(unit: str | None) -> bool:
+    """Return whether a unit is one of time, or m, which may be minutes where a name says time."""
+    return unit == "m" or time_unit(unit) is not None
 
 
 def _clock_of(source: Table, column: Column, spelled: str | None) -> Clock:

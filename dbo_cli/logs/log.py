@@ -240,7 +240,7 @@ class Log(AbstractContextManager["Log"]):
         good = numbers[~is_bad]
         lost = list(self._source.torn)
         is_guarded = len(columns) > len(self.columns) + self.clock.is_read
-        if is_guarded and columns[-1].kind == "number":
+        if is_guarded and columns[-1].kind != "stamp":
             lost += numbers[bad[-1]].tolist()  # the guard alone shows these
         for row in lost:
             is_behind = self._count or (len(good) and row > good[0])

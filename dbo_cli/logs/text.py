@@ -50,7 +50,8 @@ class TextTable(Table):
             describe_columns(self, self.layout)
         self.settings = self.layout.settings
         self.decimal = self.layout.decimal
-        if self.columns[0].kind in ("number", "stamp"):
+        is_guard = self.columns[0].kind in ("number", "stamp")
+        if is_guard or self.layout.has_blank_front:
             self.guard = self.columns[0]
         self._line = self.layout.first + 1  # of the first row in the text
         self._text = start.split(b"\n", self.layout.first)[-1]
@@ -124,13 +125,15 @@ class TextTable(Table):
         return [self._array_of(c, [row[c.number - 1] for row in rows]) for c in columns]
 
     def _array_of(self, column: Column, cells: Any) -> NDArray[Any]:
-        """Return the cells of a column, texts or a series, as numbers or stamps; NaN for other texts."""
+        """Return the cells of a column, texts or a series, as numbers or stamps; NaN for others."""
         if column.kind == "stamp":
             import polars as pl
 
             from dbo_cli.logs.fast_text import read_stamps
 
             return read_stamps(pl.Series(cells, dtype=pl.String), column.sample)
+        if column.kind == "empty":  # nothing is what it should hold
+            return np.array([np.nan if cell else 0.0 for cell in cells])
         sign = self.layout.decimal
         marks = self._marks.get(column.number, Marks("", is_clear=True))
         if isinstance(cells, list):
