@@ -273,9 +273,7 @@ def _question(
         questions.append(f"which column is `{option}`{which}?")
         options.append(f"`{option}` {example}")
     listing = listing_of(table.columns)
-    remedy = (
-        "for example" if free else "write numbers without marks of thousands, or type"
-    )
+    remedy = "for example" if free else "write plain numbers, or type"
     return f"{' '.join(questions)} {listing} ({remedy} {' '.join(options)})"
 
 

@@ -123,8 +123,10 @@ class Reading:
     clock_offset: float | str | None = None
 
     def __post_init__(self) -> None:
-        """Refuse rates that are none (UsageError)."""
+        """Refuse rates, and numbers of lines, that are none (UsageError)."""
         require_positive(sample_rate=self.sample_rate, resample=self.resample)
+        if self.skip_lines is not None and self.skip_lines < 0:
+            raise UsageError(f"`skip_lines` {self.skip_lines}: give 0 or more")
 
     @classmethod
     def typed(cls, **options: Any) -> Reading:

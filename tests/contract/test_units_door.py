@@ -356,6 +356,12 @@ def test_a_state_is_of_its_model(creep):
         creep.controller(sample_rate=1000.0, state="no.json")
 
 
+def test_nothing_is_no_signal(creep):
+    for call in (creep.simulate, creep.compensate, creep.inverse().simulate):
+        with pytest.raises(dbo.InputError, match="give an array"):
+            call(None)
+
+
 @pytest.mark.parametrize("verb", ["compensate", "simulate", "identify", "report"])
 def test_a_wrong_word_is_named(verb, creep):
     call = getattr(creep, verb, None) or getattr(dbo, verb)
