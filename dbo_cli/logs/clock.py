@@ -50,8 +50,8 @@ class Clock:
         The time column.
     factor
         By what its figures become seconds.
-    unit
-        The unit that the file states, empty where the user does; None where nothing states it.
+    assumption
+        What is assumed of a unit that nothing states; empty where all is stated.
     rate, start
         Samples a second (Hz) and the time (s) of the first row, without a column.
     rate_beside
@@ -75,7 +75,7 @@ class Clock:
     kind: str = "none"
     column: Column | None = None
     factor: Fraction = Fraction(1)
-    unit: str | None = None
+    assumption: str = ""
     rate: float | None = None
     start: float = 0.0
     rate_beside: float | None = None
@@ -96,13 +96,6 @@ class Clock:
     def is_read(self) -> bool:
         """Whether the times stand in a column."""
         return self.kind in ("column", "stamps")
-
-    @property
-    def assumption(self) -> str:
-        """What is assumed of a unit that nothing states; empty where all is stated."""
-        if self.kind == "column" and self.unit is None and self.column is not None:
-            return f"the time {self.column.label} has no unit: s is assumed"
-        return next((text for text in self.remarks if "assumed" in text), "")
 
     def read(
         self, numbers: NDArray[np.int64], stored: NDArray[Any]
@@ -180,7 +173,7 @@ class Clock:
 
     def _require_seconds(self, reach: float) -> None:
         """Refuse figures without a unit that can hardly be seconds."""
-        if self.kind != "column" or self.unit is not None:
+        if self.kind != "column" or not self.assumption:
             return
         is_epoch = _EPOCH[0] < self.first < _EPOCH[1]
         is_days = abs(86400.0 * self.usual_step - 1.0) < _SAME  # rows a second apart
@@ -284,9 +277,10 @@ def find_clock(
     rate, start, remark = stated_rate(name, source.settings, source.decimal)
     if rate is None:
         return Clock(name)
-    remarks = [remark] if remark else []
-    step = 1.0 / rate
-    return Clock(name, "rate", None, rate=rate, start=start, step=step, remarks=remarks)
+    clock = Clock(name, "rate", rate=rate, start=start, step=1.0 / rate)
+    if remark:
+        clock.assumption, clock.remarks = remark, [remark]
+    return clock
 
 
 def _unclear(name: str, column: Column | None, problem: str) -> InputError:
@@ -337,17 +331,19 @@ def _clock_of(source: Table, column: Column, spelled: str | None) -> Clock:
     if column.kind == "stamp" and spelled is not None:
         raise InputError(f"{name}: {column.label} holds stamps: leave out `time_unit`")
     if column.kind == "stamp":
-        return Clock(name, "stamps", column, unit="s")
+        return Clock(name, "stamps", column)
     if spelled is not None:
         factor, stated = parse_time_unit(spelled), time_unit(column.unit)
-        clock = Clock(name, "column", column, factor, unit="")
+        clock = Clock(name, "column", column, factor)
         if stated is not None and ratio(stated, "s") != factor:
             clock.note = f" (`time_unit` {spelled}, in place of {stated})"
         return clock
     if column.doubt:
         raise _unclear(name, column, column.doubt.partition(":")[0])
     unit = _stated_unit(name, column)
-    clock = Clock(name, "column", column, ratio(unit, "s"), unit)
+    clock = Clock(name, "column", column, ratio(unit, "s"))
+    if unit is None:
+        clock.assumption = f"the time {column.label} has no unit: s is assumed"
     with contextlib.suppress(InputError):
         clock.rate_beside = stated_rate(name, source.settings, source.decimal)[0]
     return clock

@@ -18,7 +18,7 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs.cells import Marks, split_cells, to_number
 from dbo_cli.logs.dialect import find_layout, is_no_row
 from dbo_cli.logs.fence import closed_on_error
-from dbo_cli.logs.names import are_names, begins_run, describe_columns
+from dbo_cli.logs.names import are_names, begins_run
 from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import Column, Reading, Table, parse_rows
 
@@ -47,7 +47,11 @@ class TextTable(Table):
             if not stream.ended and len(lines) > 2:
                 lines.pop()  # perhaps not whole
             self.layout = find_layout(self.name, lines, reading)
-            describe_columns(self, self.layout)
+        columns = zip(
+            self.layout.names, self.layout.units, self.layout.kinds, strict=True
+        )
+        for name, unit, (kind, sample) in columns:
+            self.add(Column(0, name, unit, kind, sample))
         self.settings = self.layout.settings
         self.decimal = self.layout.decimal
         is_guard = self.columns[0].kind in ("number", "stamp")
