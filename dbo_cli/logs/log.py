@@ -58,6 +58,8 @@ class Log(AbstractContextManager["Log"]):
         What was assumed, skipped or noticed; complete after the last block.
     doubtful
         The remarks about rows that were left out or cut.
+    left_out
+        The numbers of the rows (from 1) that held no numbers; complete after the last block.
     """
 
     def __init__(
@@ -86,7 +88,7 @@ class Log(AbstractContextManager["Log"]):
         self._typed_rows = reading.rows or ":"
         self._first, self._last = parse_rows(reading.rows)
         self._skip_bad = reading.skip_bad
-        self._dropped = 0
+        self.left_out: list[int] = []
         self._first_dropped = ""
         self._lost: tuple[int, str] | None = None
         self._count = 0
@@ -109,7 +111,7 @@ class Log(AbstractContextManager["Log"]):
         rows, others = base.read(), guest.read()
         noted = len(base.clock.remarks)
         self._rows = joined(rows, base.clock, others, guest.clock, taken, clock_offset)
-        self.clock = base.clock
+        self.clock, self.left_out = base.clock, base.left_out
         kept = {r: column for r, column in base.columns.items() if r not in taken}
         self.columns = kept | {role: guest.columns[role] for role in taken}
         self.remarks = [*base.remarks, *guest.remarks, *self.clock.remarks[noted:]]
@@ -198,11 +200,10 @@ class Log(AbstractContextManager["Log"]):
 
     def _finish(self, rows: int) -> None:
         """Remark on what was left out of so many rows (InputError where nothing is left)."""
-        if self._dropped:
-            s = "" if self._dropped == 1 else "s"
-            text = (
-                f"{self._dropped:,} row{s} left out, the first: {self._first_dropped}"
-            )
+        count = len(self.left_out)
+        if count:
+            s = "" if count == 1 else "s"
+            text = f"{count:,} row{s} left out, the first: {self._first_dropped}"
             self.remarks.append(text)
             self.doubtful.append(text)
         if not self._count:
@@ -235,7 +236,7 @@ class Log(AbstractContextManager["Log"]):
             more = f", and {count - 1:,} more such rows near it" if count > 1 else ""
             raise InputError(f"{where}{more} ({self._source.cure})")
         self._first_dropped = self._first_dropped or where
-        self._dropped += count
+        self.left_out += numbers[is_bad].tolist()
         good = numbers[~is_bad]
         lost = list(self._source.torn)
         is_guarded = len(columns) > len(self.columns) + self.clock.is_read
