@@ -248,32 +248,52 @@ def find_clock(
     InputError
         Several columns may be meant, or the unit is none of time.
     UsageError
-        ``time`` and ``sample_rate`` are both given.
+        ``sample_rate`` is given beside ``time`` or ``time_unit``.
     """
-    name, rate = source.name, reading.sample_rate
-    if rate is not None and selector is not None:
-        raise UsageError("`time` and `sample_rate` exclude each other: leave one out")
+    if reading.sample_rate is not None:
+        return _typed_clock(source, reading.sample_rate, reading, selector, used)
     if selector is not None:
         matches = [named(source, selector, "time")]
     else:
-        matches = _time_columns(source, used, needed=rate is None)
-    if rate is not None:
-        clock = Clock(name, "rate", rate=rate, step=1.0 / rate)
-        if len(matches) == 1:
-            clock.column = matches[0]
-            clock.note = f" (`sample_rate`, in place of {matches[0].label})"
-        return clock
+        matches = _time_columns(source, used, needed=True)
     if len(matches) > 1:
         which = " or ".join(f"{column.number} ('{column.name}')" for column in matches)
         raise InputError(
-            f"{name}: which column is the time? Type `time` {which}{source.hint}; columns of two clocks "
-            "belong into two files (`clock_offset`)"
+            f"{source.name}: which column is the time? Type `time` {which}{source.hint}; columns of two "
+            "clocks belong into two files (`clock_offset`)"
         )
     if matches:
         return _clock_of(source, matches[0], reading.time_unit)
     if reading.time_unit is not None:
         listing = listing_of(source.columns)
-        raise _unclear(name, None, f"of `time_unit` is in no column, {listing}")
+        raise _unclear(source.name, None, f"of `time_unit` is in no column, {listing}")
+    return _stated_clock(source)
+
+
+def _typed_clock(
+    source: Table,
+    rate: float,
+    reading: Reading,
+    selector: str | None,
+    used: Sequence[Column],
+) -> Clock:
+    """Return the clock of a rate that the user states; it tells which column it replaces."""
+    for option, typed in (("time", selector), ("time_unit", reading.time_unit)):
+        if typed is not None:
+            raise UsageError(
+                f"`{option}` and `sample_rate` exclude each other: leave one out"
+            )
+    clock = Clock(source.name, "rate", rate=rate, step=1.0 / rate)
+    matches = _time_columns(source, used, needed=False)
+    if len(matches) == 1:
+        clock.column = matches[0]
+        clock.note = f" (`sample_rate`, in place of {matches[0].label})"
+    return clock
+
+
+def _stated_clock(source: Table) -> Clock:
+    """Return the clock of a rate that the file states beside its rows, if it does."""
+    name = source.name
     rate, start, remark = stated_rate(name, source.settings, source.decimal)
     if rate is None:
         return Clock(name)

@@ -154,6 +154,8 @@ def listing_of(columns: Sequence[Column]) -> str:
         if column.kind in ("text", "empty"):
             sample = f": '{column.sample}'" if column.sample else ""
             shown[-1] += f" (no numbers{sample})"
+        if column.kind == "stamp":
+            shown[-1] += " (dates or clock times)"
     more = f", ... ({len(columns)} in all)" if len(columns) > _LISTED else ""
     return f"it has {', '.join(shown)}{more}"
 
