@@ -318,7 +318,12 @@ def _time_columns(source: Table, used: Sequence[Column], needed: bool) -> list[C
     read is refused where it is needed (InputError).
     """
     free = [column for column in source.columns if column not in used]
-    timed = [c for c in free if kind_of(c.unit) in _KINDS or _may_count_time(c.unit)]
+    # m may be minutes where a name says time: it is refused, not passed over
+    timed = [
+        c
+        for c in free
+        if kind_of(c.unit) in _KINDS or time_unit(c.unit) or c.unit == "m"
+    ]
     called = [c for c in timed if c.quantity.lower() in TIME_NAMES]
     called = called or [c for c in timed if words(c.quantity) & TIME_NAMES]
     matches = [column for column in called if column.kind == "number"]
@@ -332,11 +337,6 @@ def _time_columns(source: Table, used: Sequence[Column], needed: bool) -> list[C
             raise _unclear(source.name, column, problem)
     first = [column for column in source.columns[:1] if column in free]
     return [c for c in first if c.kind == "number" and time_unit(c.unit)]
-
-
-def _may_count_time(unit: str | None) -> bool:
-    """Return whether a unit is one of time, or m, which may be minutes where a name says time."""
-    return unit == "m" or time_unit(unit) is not None
 
 
 def _clock_of(source: Table, column: Column, spelled: str | None) -> Clock:
