@@ -317,8 +317,9 @@ class Table(AbstractContextManager["Table"]):
             pairs = zip(columns, lengths, strict=True)
             text = ", ".join(f"{column.label} {rows:,} rows" for column, rows in pairs)
             raise InputError(f"{self.name}: the columns are of unequal length: {text}")
-        for start in range(0, lengths[0], self.block_rows):
-            stop = min(lengths[0], start + self.block_rows)
+        rows = max(lengths, default=0)
+        for start in range(0, rows, self.block_rows):
+            stop = min(rows, start + self.block_rows)
             yield [self._rows(column, start, stop) for column in columns]
         if self.doubt:
             self.remarks.append(self.doubt)

@@ -326,3 +326,13 @@ def test_a_part_behind_a_link_is_refused(tmp_path, part):
 
     with pytest.raises(InputError, match=r"or a link"):
         opened(tmp_path, fill, part)
+
+
+def test_a_file_with_none_of_the_optional_columns_is_refused(tmp_path):
+    def fill(file):
+        file["temperature"] = T
+
+    path = str(made(tmp_path / "run.h5", fill))
+    with open_log(path, {"voltage": None}, optional=("voltage",)) as log:
+        with pytest.raises(InputError, match="none of its"):
+            log.read()
