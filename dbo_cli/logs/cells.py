@@ -34,6 +34,8 @@ _CLOCK = r"\d\d?:\d\d:\d\d(?:[.,]\d{1,9})?"
 _ZONE = r"(?:Z|[+-]\d\d:?\d\d)"
 
 
+DATE = re.compile(r"\d[/:-]\d", re.ASCII)
+"""What a date or a clock time holds, whether or not its format is read."""
 STAMPS = {"%H:%M:%S%.f": _CLOCK}
 """The formats of time stamps that are read, as polars writes them, and how their cells look."""
 for _form, _pattern in _DATES.items():

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import (
+    DATE,
     MISSING,
     Layout,
     is_number,
@@ -254,6 +255,9 @@ def _kind_of(cells: Sequence[tuple[str, float]], sign: str) -> tuple[str, str]:
     if form is not None:
         return "stamp", form
     texts = [cell for cell, _ in cells if cell and not is_number(cell, sign)]
+    dates = [text for text in texts if DATE.search(text)]
+    if 2 * len(dates) > len(texts):
+        texts = dates
     return "text", texts[-1][: len(TOO_LONG)]
 
 

@@ -236,7 +236,7 @@ class Table(AbstractContextManager["Table"]):
         What it states beside the rows, and the decimal sign of that; the clock of a file
         without a time column is among it.
     guard
-        A column that must hold numbers, stamps or nothing in every row, even if nothing is
+        A column that must hold numbers, dates or nothing in every row, even if nothing is
         read of it: rows that begin with something else are no samples.
     hint
         What is appended to a refusal about columns.

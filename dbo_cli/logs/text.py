@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.cells import Marks, split_cells, to_number
+from dbo_cli.logs.cells import DATE, Marks, split_cells, to_number
 from dbo_cli.logs.dialect import find_layout, is_no_row
 from dbo_cli.logs.fence import closed_on_error
 from dbo_cli.logs.names import are_names, begins_run
@@ -54,7 +54,8 @@ class TextTable(Table):
             self.add(Column(0, name, unit, kind, sample))
         self.settings = self.layout.settings
         self.decimal = self.layout.decimal
-        is_guard = self.columns[0].kind in ("number", "stamp")
+        kind, sample = self.layout.kinds[0]
+        is_guard = kind in ("number", "stamp") or DATE.search(sample)
         if is_guard or self.layout.has_blank_front:
             self.guard = self.columns[0]
         self._line = self.layout.first + 1  # of the first row in the text
@@ -138,6 +139,8 @@ class TextTable(Table):
             return read_stamps(pl.Series(cells, dtype=pl.String), column.sample)
         if column.kind == "empty":  # nothing is what it should hold
             return np.array([np.nan if cell else 0.0 for cell in cells])
+        if column.kind == "text":
+            return np.array([0.0 if DATE.search(cell) else np.nan for cell in cells])
         sign = self.layout.decimal
         marks = self._marks.get(column.number, Marks("", is_clear=True))
         if isinstance(cells, list):
