@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from dbo_cli.drive import Drive, Driver
     from dbo_cli.drive.drive import PassRecord
     from dbo_cli.files import Outputs
-    from dbo_cli.logs import Reading
+    from dbo_cli.logs import Log, Reading
     from dbo_cli.logs.write import Named
     from dbo_cli.model import Cascade
 
@@ -314,6 +314,25 @@ def histories_of(
 
 
 # --- tables of all channels ---
+
+
+def require_same_rows(logs: Mapping[str, Log]) -> None:
+    """Refuse channels of which other rows are left out: side by side, rows would not be of one time.
+
+    Raises
+    ------
+    InputError
+        A row holds numbers for one channel alone.
+    """
+    (first, log), *others = logs.items()
+    for name, other in others:
+        apart = set(log.left_out) ^ set(other.left_out)
+        if apart:
+            row = min(apart)
+            raise InputError(
+                f"{log.name}: row {row} is left out in one of the channels {first} and {name}, not in both: "
+                f"mend it, or cut with `rows` :{row - 1}"
+            )
 
 
 def named_columns(

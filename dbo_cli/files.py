@@ -171,6 +171,7 @@ class Outputs:
 
     def __init__(self) -> None:
         self._files: list[Output] = []
+        self._folders: list[Path] = []
 
     def add(self, path: str | os.PathLike[str], replaces: str = "") -> Output:
         """Note an output.
@@ -214,6 +215,18 @@ class Outputs:
             stream.write(data)
             stream.flush()
 
+    def write_all(
+        self, folder: str | os.PathLike[str], files: Mapping[str, bytes]
+    ) -> list[Path]:
+        """Write files into a folder, which is made where there is none; see :meth:`add`."""
+        target = Path(folder)
+        with telling(str(folder)):
+            target.mkdir(parents=True, exist_ok=True)
+        self._folders.append(target)
+        for name, data in files.items():
+            self.write_bytes(target / name, data)
+        return [target / name for name in files]
+
     def __enter__(self) -> Outputs:
         """Begin."""
         return self
@@ -237,6 +250,9 @@ class Outputs:
             _is_naming = False
             for file in self._files:
                 file.remove()
+            for folder in self._folders:
+                with contextlib.suppress(OSError):
+                    folder.rmdir()  # empty: nothing was written
             if _late_signals:
                 end_by_signal(_late_signals[0])
 
@@ -249,17 +265,8 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 def write_all(folder: str | os.PathLike[str], files: Mapping[str, bytes]) -> list[Path]:
     """Write files into a folder, which is made where there is none: all of them or nothing (OutputError)."""
-    target = Path(folder)
-    with telling(str(folder)):
-        target.mkdir(parents=True, exist_ok=True)
-    try:
-        with Outputs() as outputs:
-            for name, data in files.items():
-                outputs.write_bytes(target / name, data)
-    finally:
-        with contextlib.suppress(OSError):
-            target.rmdir()  # empty: nothing was written
-    return [target / name for name in files]
+    with Outputs() as outputs:
+        return outputs.write_all(folder, files)
 
 
 class Output:

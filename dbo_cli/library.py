@@ -658,6 +658,8 @@ def identify(
         )
     else:
         sources = _listed(data)
+        if not sources:
+            raise InputError("no log: give a file, a frame, or two arrays")
         if time is not None:
             if not all(map(is_frame, sources)):
                 raise UsageError("`time` is of arrays and frames: a file has its own")

@@ -194,6 +194,8 @@ def table_in_memory(
         if any(value is not None for value in (*others, *unit_options.values())):
             raise UsageError("a frame has its own columns and units: leave out `unit`")
         return frame_table(first, seconds_of(time)), columns
+    if first is None:
+        raise InputError(f"{next(iter(signals))}: give an array, a Series or a frame")
     table = table_of("the arrays", [])
     for role, values in signals.items():
         if values is None:

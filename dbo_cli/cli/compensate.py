@@ -136,6 +136,8 @@ def compensate(
                 tracked or [], roles, reading_of_pass, actuator
             )
 
+    channels.require_same_rows(logs)
+
     def drive_of(name: str, hold: int, return_rows: int) -> Drive:
         table = tables[name]
         return driver(name, hold, return_rows).whole(

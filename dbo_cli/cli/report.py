@@ -118,24 +118,22 @@ def publish(
     Of channels, text and JSON stand in one file, other forms in a file a channel.
     """
     from dbo_cli import channels
-    from dbo_cli.files import check_outputs, write_text
+    from dbo_cli.files import Outputs, check_outputs
 
     check_outputs(output)
     texts = {}
     for name, result in results.items():
-        if figures is not None:
-            detail(*map(str, result.figures(os.path.join(figures, name))))
         text: str = getattr(result, f"to_{form}")()
         # what people read names options as they are typed
         texts[name] = with_options(text) if form in ("text", "html") else text
-    if form == "json":
-        write_text(output, channels.dumps_files("report", texts))
-    elif form == "text":
-        pages = [f"channel {name}\n" * bool(name) + texts[name] for name in texts]
-        write_text(output, "\n".join(pages))
-    else:
-        for name, path in channels.paths_of(output, texts).items():
-            write_text(path, texts[name])
+    files = _files_of(texts, output, form)
+    with Outputs() as outputs:
+        if figures is not None:
+            for name, result in results.items():
+                folder = os.path.join(figures, name)
+                detail(*map(str, outputs.write_all(folder, result.drawn())))
+        for path, text in files.items():
+            outputs.write_text(path, text)
     for name, result in results.items():
         if output != "-":
             say(f"{name}: {result.line()}" if name else result.line())
@@ -145,6 +143,19 @@ def publish(
     for name, result in results.items():
         with channels.naming(name):
             result.require_passed()
+
+
+def _files_of(texts: dict[str, str], output: str, form: str) -> dict[str, str]:
+    """Return the text of each file, of the texts of the channels."""
+    from dbo_cli import channels
+
+    if form == "json":
+        return {output: channels.dumps_files("report", texts)}
+    if form == "text":
+        pages = [f"channel {name}\n" * bool(name) + texts[name] for name in texts]
+        return {output: "\n".join(pages)}
+    paths = channels.paths_of(output, texts)
+    return {path: texts[name] for name, path in paths.items()}
 
 
 def short_names(logs: list[str]) -> list[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text
 from dbo_cli.cli.say import detail
@@ -18,22 +20,24 @@ def show(
     Examples: dbo show model.json;
     dbo show model.json --format json | jq .fit.expected_rmse
     """
-    from dbo_cli.files import check_outputs, write_text
+    from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.model import read_cascades
-    from dbo_cli.reports.plots import model_plots, save
+    from dbo_cli.reports.plots import drawn, model_plots
     from dbo_cli.reports.show import shown_text, shown_values
     from dbo_cli.reports.words import json_text
 
-    models = {}
-    for name, channel in read_cascades(model).items():
-        models[f"{model}::{name}" if name else model] = channel
+    models = read_cascades(model)
     check_outputs(output)
     texts = []
-    for name, shown in models.items():
+    for channel, shown in models.items():
         if opt.form_of(form, output) == "json":
             texts.append(json_text(shown_values(shown)))
         else:
-            texts.append(shown_text(shown, name))
+            texts.append(shown_text(shown, f"{model}::{channel}" if channel else model))
+    with Outputs() as outputs:
         if figures is not None:
-            detail(*map(str, save(model_plots(shown), figures)))
-    write_text(output, "\n".join(texts))
+            for channel, shown in models.items():
+                folder = os.path.join(figures, channel)
+                files = outputs.write_all(folder, drawn(model_plots(shown)))
+                detail(*map(str, files))
+        outputs.write_text(output, "\n".join(texts))

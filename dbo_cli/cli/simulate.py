@@ -103,6 +103,7 @@ def write_rows(
             simulator.name = logs[name].name
             for rows in simulated(simulator, logs[name]):
                 rows.send(table.write)
+    channels.require_same_rows(logs)
     if signals:
         table.write(*time, *signals)
 

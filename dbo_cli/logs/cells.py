@@ -34,6 +34,8 @@ _CLOCK = r"\d\d?:\d\d:\d\d(?:[.,]\d{1,9})?"
 _ZONE = r"(?:Z|[+-]\d\d:?\d\d)"
 
 
+DATE = re.compile(r"\d[/:-]\d", re.ASCII)
+"""What a date or a clock time holds, whether or not its format is read."""
 STAMPS = {"%H:%M:%S%.f": _CLOCK}
 """The formats of time stamps that are read, as polars writes them, and how their cells look."""
 for _form, _pattern in _DATES.items():
@@ -138,9 +140,19 @@ class Layout:
         """The columns of numbers (from 0)."""
         return [n for n, (kind, _) in enumerate(self.kinds) if kind == "number"]
 
+    @property
+    def has_blank_front(self) -> bool:
+        """Whether one blank cell stands before the numbers of a row: no room for a key and its value."""
+        return self.kinds[0][0] == "empty" and self.numeric[0] == 1
+
     def partly_fits(self, line: str) -> bool:
-        """Return whether half of the numbers stand where the rows have theirs."""
+        """Return whether half of the numbers stand where the rows have theirs.
+
+        A word in front is none of the rows that begin with nothing.
+        """
         cells = split_cells(line, self.delimiter)
+        if self.has_blank_front and any(map(str.isalpha, cells[0])):
+            return False
         numeric = self.numeric
         places = [n for n in numeric if n < len(cells)]
         numbers = [n for n in places if is_number(cells[n], self.decimal)]

@@ -50,8 +50,8 @@ class Clock:
         The time column.
     factor
         By what its figures become seconds.
-    unit
-        The unit that the file states, empty where the user does; None where nothing states it.
+    assumption
+        What is assumed of a unit that nothing states; empty where all is stated.
     rate, start
         Samples a second (Hz) and the time (s) of the first row, without a column.
     rate_beside
@@ -66,15 +66,16 @@ class Clock:
     note
         How messages tell of these seconds, and of what was typed in the place of what the
         file states.
-    usual_step, irregular, first_irregular
-        The median step (s); how many steps are zero or much longer, and the row of the first.
+    usual_step, repeats, irregular, first_irregular
+        The median step (s); how many steps are zero; how many are zero or much longer, and
+        the row of the first.
     """
 
     name: str
     kind: str = "none"
     column: Column | None = None
     factor: Fraction = Fraction(1)
-    unit: str | None = None
+    assumption: str = ""
     rate: float | None = None
     start: float = 0.0
     rate_beside: float | None = None
@@ -87,6 +88,7 @@ class Clock:
     first: float = 0.0
     last: float = 0.0
     usual_step: float = 0.0
+    repeats: int = 0
     irregular: int = 0
     first_irregular: int = 0
 
@@ -94,13 +96,6 @@ class Clock:
     def is_read(self) -> bool:
         """Whether the times stand in a column."""
         return self.kind in ("column", "stamps")
-
-    @property
-    def assumption(self) -> str:
-        """What is assumed of a unit that nothing states; empty where all is stated."""
-        if self.kind == "column" and self.unit is None and self.column is not None:
-            return f"the time {self.column.label} has no unit: s is assumed"
-        return next((text for text in self.remarks if "assumed" in text), "")
 
     def read(
         self, numbers: NDArray[np.int64], stored: NDArray[Any]
@@ -169,6 +164,7 @@ class Clock:
             self.usual_step = self.step or float(np.median(steps))
             self._require_seconds(float(time[-1]))
         if self.step is None and self.rate is None:
+            self.repeats += int(np.count_nonzero(steps == 0.0))
             irregular = (steps == 0.0) | (steps > _GAP * self.usual_step)
             if irregular.any():
                 first = int(numbers[np.argmax(irregular)])
@@ -177,7 +173,7 @@ class Clock:
 
     def _require_seconds(self, reach: float) -> None:
         """Refuse figures without a unit that can hardly be seconds."""
-        if self.kind != "column" or self.unit is not None:
+        if self.kind != "column" or not self.assumption:
             return
         is_epoch = _EPOCH[0] < self.first < _EPOCH[1]
         is_days = abs(86400.0 * self.usual_step - 1.0) < _SAME  # rows a second apart
@@ -194,7 +190,10 @@ class Clock:
         raise _unclear(self.name, self.column, f"has no unit, and in seconds {reason}")
 
     def close(self) -> None:
-        """Warn of what is doubtful once all rows are read."""
+        """Warn of what is doubtful once all rows are read; refuse a time that mostly stands still."""
+        if 2 * self.repeats >= max(self.rows, 1):
+            problem = f"stands still at {self.repeats:,} of {self.rows:,} rows"
+            raise _unclear(self.name, self.column, problem)
         if self.irregular:
             warn(
                 f"{self.name}: {self.irregular:,} gaps or repeats among {self.rows:,} time stamps, the "
@@ -249,38 +248,59 @@ def find_clock(
     InputError
         Several columns may be meant, or the unit is none of time.
     UsageError
-        ``time`` and ``sample_rate`` are both given.
+        ``sample_rate`` is given beside ``time`` or ``time_unit``.
     """
-    name, rate = source.name, reading.sample_rate
-    if rate is not None and selector is not None:
-        raise UsageError("`time` and `sample_rate` exclude each other: leave one out")
+    if reading.sample_rate is not None:
+        return _typed_clock(source, reading.sample_rate, reading, selector, used)
     if selector is not None:
         matches = [named(source, selector, "time")]
     else:
-        matches = _time_columns(source, used, needed=rate is None)
-    if rate is not None:
-        clock = Clock(name, "rate", rate=rate, step=1.0 / rate)
-        if len(matches) == 1:
-            clock.column = matches[0]
-            clock.note = f" (`sample_rate`, in place of {matches[0].label})"
-        return clock
+        matches = _time_columns(source, used, needed=True)
     if len(matches) > 1:
         which = " or ".join(f"{column.number} ('{column.name}')" for column in matches)
         raise InputError(
-            f"{name}: which column is the time? Type `time` {which}{source.hint}; columns of two clocks "
-            "belong into two files (`clock_offset`)"
+            f"{source.name}: which column is the time? Type `time` {which}{source.hint}; columns of two "
+            "clocks belong into two files (`clock_offset`)"
         )
     if matches:
         return _clock_of(source, matches[0], reading.time_unit)
     if reading.time_unit is not None:
         listing = listing_of(source.columns)
-        raise _unclear(name, None, f"of `time_unit` is in no column, {listing}")
+        raise _unclear(source.name, None, f"of `time_unit` is in no column, {listing}")
+    return _stated_clock(source)
+
+
+def _typed_clock(
+    source: Table,
+    rate: float,
+    reading: Reading,
+    selector: str | None,
+    used: Sequence[Column],
+) -> Clock:
+    """Return the clock of a rate that the user states; it tells which column it replaces."""
+    for option, typed in (("time", selector), ("time_unit", reading.time_unit)):
+        if typed is not None:
+            raise UsageError(
+                f"`{option}` and `sample_rate` exclude each other: leave one out"
+            )
+    clock = Clock(source.name, "rate", rate=rate, step=1.0 / rate)
+    matches = _time_columns(source, used, needed=False)
+    if len(matches) == 1:
+        clock.column = matches[0]
+        clock.note = f" (`sample_rate`, in place of {matches[0].label})"
+    return clock
+
+
+def _stated_clock(source: Table) -> Clock:
+    """Return the clock of a rate that the file states beside its rows, if it does."""
+    name = source.name
     rate, start, remark = stated_rate(name, source.settings, source.decimal)
     if rate is None:
         return Clock(name)
-    remarks = [remark] if remark else []
-    step = 1.0 / rate
-    return Clock(name, "rate", None, rate=rate, start=start, step=step, remarks=remarks)
+    clock = Clock(name, "rate", rate=rate, start=start, step=1.0 / rate)
+    if remark:
+        clock.assumption, clock.remarks = remark, [remark]
+    return clock
 
 
 def _unclear(name: str, column: Column | None, problem: str) -> InputError:
@@ -298,7 +318,12 @@ def _time_columns(source: Table, used: Sequence[Column], needed: bool) -> list[C
     read is refused where it is needed (InputError).
     """
     free = [column for column in source.columns if column not in used]
-    timed = [c for c in free if kind_of(c.unit) in _KINDS or time_unit(c.unit)]
+    # m may be minutes where a name says time: it is refused, not passed over
+    timed = [
+        c
+        for c in free
+        if kind_of(c.unit) in _KINDS or time_unit(c.unit) or c.unit == "m"
+    ]
     called = [c for c in timed if c.quantity.lower() in TIME_NAMES]
     called = called or [c for c in timed if words(c.quantity) & TIME_NAMES]
     matches = [column for column in called if column.kind == "number"]
@@ -326,17 +351,19 @@ def _clock_of(source: Table, column: Column, spelled: str | None) -> Clock:
     if column.kind == "stamp" and spelled is not None:
         raise InputError(f"{name}: {column.label} holds stamps: leave out `time_unit`")
     if column.kind == "stamp":
-        return Clock(name, "stamps", column, unit="s")
+        return Clock(name, "stamps", column)
     if spelled is not None:
         factor, stated = parse_time_unit(spelled), time_unit(column.unit)
-        clock = Clock(name, "column", column, factor, unit="")
+        clock = Clock(name, "column", column, factor)
         if stated is not None and ratio(stated, "s") != factor:
             clock.note = f" (`time_unit` {spelled}, in place of {stated})"
         return clock
     if column.doubt:
         raise _unclear(name, column, column.doubt.partition(":")[0])
     unit = _stated_unit(name, column)
-    clock = Clock(name, "column", column, ratio(unit, "s"), unit)
+    clock = Clock(name, "column", column, ratio(unit, "s"))
+    if unit is None:
+        clock.assumption = f"the time {column.label} has no unit: s is assumed"
     with contextlib.suppress(InputError):
         clock.rate_beside = stated_rate(name, source.settings, source.decimal)[0]
     return clock

@@ -154,6 +154,8 @@ def listing_of(columns: Sequence[Column]) -> str:
         if column.kind in ("text", "empty"):
             sample = f": '{column.sample}'" if column.sample else ""
             shown[-1] += f" (no numbers{sample})"
+        if column.kind == "stamp":
+            shown[-1] += " (dates or clock times)"
     more = f", ... ({len(columns)} in all)" if len(columns) > _LISTED else ""
     return f"it has {', '.join(shown)}{more}"
 
@@ -273,9 +275,7 @@ def _question(
         questions.append(f"which column is `{option}`{which}?")
         options.append(f"`{option}` {example}")
     listing = listing_of(table.columns)
-    remedy = (
-        "for example" if free else "write numbers without marks of thousands, or type"
-    )
+    remedy = "for example" if free else "write plain numbers, or type"
     return f"{' '.join(questions)} {listing} ({remedy} {' '.join(options)})"
 
 

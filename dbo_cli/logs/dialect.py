@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import (
+    DATE,
     MISSING,
     Layout,
     is_number,
@@ -23,6 +24,7 @@ from dbo_cli.logs.names import are_names, read_header
 from dbo_cli.logs.settings import is_setting
 from dbo_cli.logs.table import LONGEST_CELL, TOO_LONG, Reading
 
+_PLAINLY = "write plain numbers, with points where commas delimit"
 COMMENTS = "#%"
 """A line that begins with one of these is a comment."""
 
@@ -77,7 +79,7 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     layout = _best_layout(sample, reading)
     if layout is None:
         raise InputError(
-            f"{name}: no line holds numbers only: try `delimiter`, `decimal` or `skip_lines`"
+            f"{name}: no line holds numbers only: try `delimiter`, `decimal` or `skip_lines`, or {_PLAINLY}"
         )
     table = [split_cells(lines[n], layout.delimiter) for n in rows[-_JUDGED:]]
     layout.first = _first_row(layout, lines, rows)
@@ -94,6 +96,7 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
             text = " ".join(lines[n].split())[:40]
             raise InputError(
                 f"{name}:{n + 1}: '{text}': row or names? Type `skip_lines` {skip}, `delimiter` or `decimal`"
+                f", or {_PLAINLY}"
             )
     return layout
 
@@ -252,6 +255,9 @@ def _kind_of(cells: Sequence[tuple[str, float]], sign: str) -> tuple[str, str]:
     if form is not None:
         return "stamp", form
     texts = [cell for cell, _ in cells if cell and not is_number(cell, sign)]
+    dates = [text for text in texts if DATE.search(text)]
+    if 2 * len(dates) > len(texts):
+        texts = dates
     return "text", texts[-1][: len(TOO_LONG)]
 
 

@@ -63,6 +63,8 @@ def read_frame(
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, ValueError):
         return None
     frame = frame.with_columns(pl.selectors.string().str.strip_chars())
+    if layout.has_blank_front:
+        frame = frame.with_columns(pl.col("1").fill_null(""))
     has_nulls = any(frame[str(column.number)].null_count() for column in columns)
     return None if has_nulls or not _is_regular(text, layout, frame) else frame
 

@@ -106,16 +106,27 @@ def frame_table(frame: Any, time: Any = None) -> Table:
 
 
 def time_index(data: Any) -> Any:
-    """Return the level of a pandas index that is a time by its name, else by its type; None of a count."""
+    """Return the level of a pandas index that is a time by its name, else by its type; None of a count.
+
+    Raises
+    ------
+    InputError
+        Several levels may be meant.
+    """
     index: Any = getattr(data, "index", None)
-    clocks = []
+    called, typed = [], []
     for level in range(getattr(index, "nlevels", 0)):
         values = index.get_level_values(level)
         title = str(values.name or "")
         if is_time(Column(0, title, split_header(title)[1])):
-            return values
-        if dtype_kind(values) in "fmM":
-            clocks.append(values)
+            called.append(values)
+        elif dtype_kind(values) in "fmM":
+            typed.append(values)
+    clocks = called or typed
+    if len(clocks) > 1:
+        raise InputError(
+            "which level of the index is the time? Name one, or give `time`"
+        )
     return clocks[0] if clocks else None
 
 

@@ -64,22 +64,21 @@ def joined(
     """
     names = f"{clock.name} and {guest_clock.name}"
     at, time = _on_one_clock(rows, clock, guest, guest_clock, clock_offset)
-    seconds, how = 0.0, ""
     if clock_offset is None:
         _warn_if_apart(names, at, rows, time, guest)
-    elif clock_offset == "auto":
-        alignment, by_drive = _found(names, at, rows, time, guest)
-        clock.holds_delay |= not by_drive
-        how = ", by the drive" if by_drive else ", delay included"
-        time, seconds = alignment.recorded_time(time), alignment.ahead
-        clock.remarks.append(
-            f"{clock.name}: its clock is {seconds:.6g} ± {2.0 * alignment.lag.deviation:.1g} s "
-            f"ahead of that of {guest_clock.name} and {1e6 * alignment.lag.rate:.2g} ppm fast{how}"
-        )
     else:
-        seconds = float(clock_offset)
-        time = time + seconds
-    if clock_offset is not None:
+        seconds, how = clock_offset, ""
+        if isinstance(seconds, str):
+            alignment, by_drive = _found(names, at, rows, time, guest)
+            time, seconds = alignment.recorded_time(time), alignment.ahead
+            how = ", by the drive" if by_drive else ", delay included"
+            clock.holds_delay |= not by_drive
+            clock.remarks.append(
+                f"{clock.name}: its clock is {seconds:.6g} ± {2.0 * alignment.lag.deviation:.1g} s "
+                f"ahead of that of {guest_clock.name} and {1e6 * alignment.lag.rate:.2g} ppm fast{how}"
+            )
+        else:
+            time = time + seconds
         file = os.path.basename(guest_clock.name)
         clock.note = f", {file} moved by {seconds:.4g} s{how}{clock.note}"
     covered = _covered(at, time)
@@ -93,16 +92,23 @@ def joined(
         clock.remarks.append(
             f"{left_out:,} rows of {clock.name} left out: {guest_clock.name} has none there"
         )
-    at, dt = at[covered], rows.dt
-    has_gap = np.diff(np.flatnonzero(covered)).max(initial=1) > 1
-    if isinstance(dt, np.ndarray) or has_gap:
-        steps = np.diff(at)
-        dt = np.concatenate([steps[:1], steps])
+    at, dt = at[covered], _steps(rows.dt, at, covered)
     values = {r: array[covered] for r, array in rows.values.items() if r not in taken}
     for role in taken:
         values[role] = np.interp(at, time, guest[role])
     clock.first, clock.last, clock.rows = float(at[0]), float(at[-1]), len(at)
     return Block(at, values, dt)
+
+
+def _steps(
+    dt: float | Floats | None, at: Floats, covered: NDArray[np.bool_]
+) -> float | Floats | None:
+    """Return the steps between the rows that are left: a number where all are even and none is missing."""
+    has_gap = np.diff(np.flatnonzero(covered)).max(initial=1) > 1
+    if not isinstance(dt, np.ndarray) and not has_gap:
+        return dt
+    steps = np.diff(at[covered])
+    return np.concatenate([steps[:1], steps])
 
 
 def _on_one_clock(

@@ -39,7 +39,7 @@ from dbo_cli.units import kind_of, multiplied
 _Numbers = NDArray[np.int64]  # of rows, from 1
 _Arrays = list[NDArray[Any]]
 
-_TWINS = ("voltage", "input")  # roles of a drive, which two recorders may both hold
+_DRIVES = ("voltage", "input")  # roles that two recorders may both hold
 _FIRST_BYTES = 1024  # MATLAB 7.3 has the mark of HDF5 at byte 512
 
 
@@ -58,6 +58,8 @@ class Log(AbstractContextManager["Log"]):
         What was assumed, skipped or noticed; complete after the last block.
     doubtful
         The remarks about rows that were left out or cut.
+    left_out
+        The numbers of the rows (from 1) that held no numbers; complete after the last block.
     """
 
     def __init__(
@@ -86,7 +88,7 @@ class Log(AbstractContextManager["Log"]):
         self._typed_rows = reading.rows or ":"
         self._first, self._last = parse_rows(reading.rows)
         self._skip_bad = reading.skip_bad
-        self._dropped = 0
+        self.left_out: list[int] = []
         self._first_dropped = ""
         self._lost: tuple[int, str] | None = None
         self._count = 0
@@ -109,7 +111,7 @@ class Log(AbstractContextManager["Log"]):
         rows, others = base.read(), guest.read()
         noted = len(base.clock.remarks)
         self._rows = joined(rows, base.clock, others, guest.clock, taken, clock_offset)
-        self.clock = base.clock
+        self.clock, self.left_out = base.clock, base.left_out
         kept = {r: column for r, column in base.columns.items() if r not in taken}
         self.columns = kept | {role: guest.columns[role] for role in taken}
         self.remarks = [*base.remarks, *guest.remarks, *self.clock.remarks[noted:]]
@@ -170,22 +172,12 @@ class Log(AbstractContextManager["Log"]):
         noted, row = len(self.remarks), 1
         for arrays in self._source.blocks(columns):
             numbers = np.arange(row, row + len(arrays[0]))
+            inside = slice(max(self._first - row, 0), max(self._last + 1 - row, 0))
             row += len(numbers)
-            inside = (numbers >= self._first) & (numbers <= self._last)
-            if not inside.all():
-                numbers = numbers[inside]
-                arrays = [array[inside] for array in arrays]
-            numbers, arrays = self._good(numbers, arrays, columns)
+            inner = [array[inside] for array in arrays]
+            numbers, arrays = self._good(numbers[inside], inner, columns)
             if len(numbers):
-                if (
-                    self._lost
-                    and self.clock.kind == "rate"
-                    and numbers[-1] > self._lost[0]
-                ):
-                    raise InputError(
-                        f"{self._lost[1]}: the time behind it is not known: cut with `rows` {self._first}:"
-                        f"{self._lost[0] - 1}"
-                    )
+                self._require_time(int(numbers[-1]))
                 self._count += len(numbers)
                 time, dt = self.clock.read(numbers, arrays[time_place])
                 values = {}
@@ -197,13 +189,21 @@ class Log(AbstractContextManager["Log"]):
         self.doubtful += self.remarks[noted:]
         self._finish(row - 1)
 
+    def _require_time(self, row: int) -> None:
+        """Refuse a row behind one that may be no sample, where rows are counted (InputError)."""
+        if self._lost is None or self.clock.kind != "rate" or row <= self._lost[0]:
+            return
+        lost, where = self._lost
+        raise InputError(
+            f"{where}: the time behind it is not known: cut with `rows` {self._first}:{lost - 1}"
+        )
+
     def _finish(self, rows: int) -> None:
         """Remark on what was left out of so many rows (InputError where nothing is left)."""
-        if self._dropped:
-            s = "" if self._dropped == 1 else "s"
-            text = (
-                f"{self._dropped:,} row{s} left out, the first: {self._first_dropped}"
-            )
+        count = len(self.left_out)
+        if count:
+            s = "" if count == 1 else "s"
+            text = f"{count:,} row{s} left out, the first: {self._first_dropped}"
             self.remarks.append(text)
             self.doubtful.append(text)
         if not self._count:
@@ -236,11 +236,11 @@ class Log(AbstractContextManager["Log"]):
             more = f", and {count - 1:,} more such rows near it" if count > 1 else ""
             raise InputError(f"{where}{more} ({self._source.cure})")
         self._first_dropped = self._first_dropped or where
-        self._dropped += count
+        self.left_out += numbers[is_bad].tolist()
         good = numbers[~is_bad]
         lost = list(self._source.torn)
         is_guarded = len(columns) > len(self.columns) + self.clock.is_read
-        if is_guarded and columns[-1].kind == "number":
+        if is_guarded and columns[-1].kind != "stamp":
             lost += numbers[bad[-1]].tolist()  # the guard alone shows these
         for row in lost:
             is_behind = self._count or (len(good) and row > good[0])
@@ -298,9 +298,33 @@ def open_log(
     UsageError
         The options contradict each other or are malformed.
     """
-    reading = reading or Reading()
-    units = units or {}
+    reading, units = reading or Reading(), units or {}
     elsewhere = {role: text for role, text in roles.items() if text and "::" in text}
+    second = _second_file(elsewhere, reading)
+    here = {role: text for role, text in roles.items() if role not in elsewhere}
+    drives: list[str] = []  # that both files may hold
+    if second and reading.clock_offset == "auto":
+        drives = [role for role in _DRIVES if role in roles]
+    source = path if isinstance(path, Table) else open_table(os.fspath(path), reading)
+    with closed_on_error(source.close):
+        here = {**dict.fromkeys(drives), **here}
+        log = Log(source, here, reading, units, (*optional, *elsewhere))
+        if second:
+            typed = {role: text.rpartition("::")[2] for role, text in elsewhere.items()}
+            there = {**dict.fromkeys(drives), **typed}
+            whole = replace(reading, rows=None)
+            with open_table(second, whole) as table:
+                guest = Log(table, there, whole, units, drives)
+                log.join(guest, elsewhere, reading.clock_offset)
+        if reading.resample is not None:
+            log.resample(reading.resample)
+        _refuse_unused(log, reading.scale)
+        _refuse_exchanged(log)
+    return log
+
+
+def _second_file(elsewhere: Mapping[str, str], reading: Reading) -> str:
+    """Return the one file of columns ``FILE::COLUMN``, by role; empty where there are none (UsageError)."""
     files = {text.rpartition("::")[0] for text in elsewhere.values()}
     has_offset = reading.clock_offset is not None
     if "time" in elsewhere or len(files) > 1 or (has_offset and not files):
@@ -309,31 +333,15 @@ def open_log(
             f"a log{listing} takes columns FILE::COLUMN of one second file, `time` never; these alone need "
             "`clock_offset`"
         )
-    roles = {role: text for role, text in roles.items() if role not in elsewhere}
-    twins: list[str] = []
-    if elsewhere and reading.clock_offset == "auto":  # a drive that both may hold
-        twins = [role for role in _TWINS if role in roles or role in elsewhere]
-        roles = {**dict.fromkeys(twins), **roles}
-        optional = (*optional, *(role for role in twins if role in elsewhere))
-    source = path if isinstance(path, Table) else open_table(os.fspath(path), reading)
-    with closed_on_error(source.close):
-        log = Log(source, roles, reading, units, optional)
-        if elsewhere:
-            roles = dict.fromkeys(twins)
-            for role, text in elsewhere.items():
-                roles[role] = text.rpartition("::")[2]
-            whole = replace(reading, rows=None)
-            with open_table(files.pop(), whole) as table:
-                second = Log(table, roles, whole, units, twins)
-                log.join(second, elsewhere, reading.clock_offset)
-        if reading.resample is not None:
-            log.resample(reading.resample)
-        for role in reading.scale:
-            if role not in log.columns:
-                listing = ", ".join(log.columns)
-                raise UsageError(f"`scale` {role}=...: give one of {listing}")
-        _refuse_exchanged(log)
-    return log
+    return files.pop() if files else ""
+
+
+def _refuse_unused(log: Log, scale: Mapping[str, object]) -> None:
+    """Refuse a scale of a role that the log does not have (UsageError)."""
+    for role in scale:
+        if role not in log.columns:
+            listing = ", ".join(log.columns)
+            raise UsageError(f"`scale` {role}=...: give one of {listing}")
 
 
 def _refuse_exchanged(log: Log) -> None:

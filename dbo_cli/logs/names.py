@@ -21,7 +21,7 @@ from dbo_cli.logs.settings import (
     plain_key,
     read_settings,
 )
-from dbo_cli.logs.table import LONGEST_CELL, Column, Table
+from dbo_cli.logs.table import LONGEST_CELL
 from dbo_cli.units import is_unit, parse_unit, spell, split_header, time_unit
 
 _LINES = 3  # names, units and a remark stand above the rows at most
@@ -238,9 +238,3 @@ def _stated_by_channel(layout: Layout, keys: Collection[str]) -> list[str]:
         if len(values) + 1 == layout.width and key in values:  # in the columns' places
             statements = ["" if value == key else value for value in (key, *values)]
     return statements
-
-
-def describe_columns(table: Table, layout: Layout) -> None:
-    """Give a table its columns: their names, their units and what their cells hold."""
-    for n, (kind, sample) in enumerate(layout.kinds):
-        table.add(Column(0, layout.names[n], layout.units[n], kind, sample))

@@ -89,21 +89,31 @@ def _typed_scale(
 
 
 def _refuse_unclear_unit(name: str, role: str, column: Column) -> None:
-    """Refuse a unit whose capitals are those of the name (``VOLTAGE (MV)``), and several units."""
+    """Refuse a column of whose unit several may be meant (InputError)."""
+    units = _units_of(column)
+    if len(units) > 1:
+        raise InputError(
+            f"{name}: {column.label} may be in {' or '.join(units)}: add `scale` {role}=1UNIT/"
+            f"{column.unit or units[0]}"
+        )
+
+
+def _units_of(column: Column) -> list[str]:
+    """Return the units that a column may be in: one or none where that is clear.
+
+    Several where an amount of its unit stands in its name (``at 100 V``, ``in 1/10 V``,
+    ``kV x 1000``), where its capitals are those of the name (``VOLTAGE (MV)``,
+    ``DISPLACEMENT_MM``, ``VoltageMv``), and where the name holds several.
+    """
     unit, title = column.unit, column.name
-    spellings = sorted(units_in(title)) if parse_unit(unit) is None else []
+    if unit and split_header(title)[1] == unit and not re.search(r"[\[(]", title):
+        for amount in re.findall(r"(?<![^\s/*])\d[\d.,]*(?:\s+(\S+)|$)", title):
+            if spell(amount) in (unit, None):
+                return [unit, "another unit"]
     capitals = unit if unit in ("MV", "Mv", "MM", "Mm") else None
-    if not unit:  # DISPLACEMENT_MM, VoltageMv; PV is a process value
+    if not unit:  # PV is a process value
         written = re.search(r"[\s_/](?!PV$)([A-Z]{2,4})$|[a-z]([KMN][mv]|Uv)$", title)
         capitals = written and (written[1] or written[2])
     if capitals:
-        spellings = [*value_units_like(capitals), "another unit"]
-    if unit and split_header(title)[1] == unit and not re.search(r"[\[(]", title):
-        for amount in re.findall(r"(?<![^\s/*])\d[\d.,]*(?:\s+(\S+)|$)", title):
-            if spell(amount) in (unit, None):  # at 100 V, in 1/10 V, kV x 1000
-                spellings = [unit, "another unit"]
-    if len(spellings) > 1:
-        raise InputError(
-            f"{name}: {column.label} may be in {' or '.join(spellings)}: add `scale` "
-            f"{role}=1UNIT/{unit or spellings[0]}"
-        )
+        return [*value_units_like(capitals), "another unit"]
+    return sorted(units_in(title)) if parse_unit(unit) is None else []

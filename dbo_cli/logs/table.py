@@ -123,8 +123,10 @@ class Reading:
     clock_offset: float | str | None = None
 
     def __post_init__(self) -> None:
-        """Refuse rates that are none (UsageError)."""
+        """Refuse rates, and numbers of lines, that are none (UsageError)."""
         require_positive(sample_rate=self.sample_rate, resample=self.resample)
+        if self.skip_lines is not None and self.skip_lines < 0:
+            raise UsageError(f"`skip_lines` {self.skip_lines}: give 0 or more")
 
     @classmethod
     def typed(cls, **options: Any) -> Reading:
@@ -234,8 +236,8 @@ class Table(AbstractContextManager["Table"]):
         What it states beside the rows, and the decimal sign of that; the clock of a file
         without a time column is among it.
     guard
-        A column that must hold numbers or stamps in every row, even if nothing is read
-        of it: rows that begin with something else are no samples.
+        A column that must hold numbers, dates or nothing in every row, even if nothing is
+        read of it: rows that begin with something else are no samples.
     hint
         What is appended to a refusal about columns.
     cure
@@ -318,8 +320,9 @@ class Table(AbstractContextManager["Table"]):
             pairs = zip(columns, lengths, strict=True)
             text = ", ".join(f"{column.label} {rows:,} rows" for column, rows in pairs)
             raise InputError(f"{self.name}: the columns are of unequal length: {text}")
-        for start in range(0, lengths[0], self.block_rows):
-            stop = min(lengths[0], start + self.block_rows)
+        rows = max(lengths, default=0)
+        for start in range(0, rows, self.block_rows):
+            stop = min(rows, start + self.block_rows)
             yield [self._rows(column, start, stop) for column in columns]
         if self.doubt:
             self.remarks.append(self.doubt)

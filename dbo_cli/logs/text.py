@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.cells import Marks, split_cells, to_number
+from dbo_cli.logs.cells import DATE, Marks, split_cells, to_number
 from dbo_cli.logs.dialect import find_layout, is_no_row
 from dbo_cli.logs.fence import closed_on_error
-from dbo_cli.logs.names import are_names, begins_run, describe_columns
+from dbo_cli.logs.names import are_names, begins_run
 from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import Column, Reading, Table, parse_rows
 
@@ -47,10 +47,16 @@ class TextTable(Table):
             if not stream.ended and len(lines) > 2:
                 lines.pop()  # perhaps not whole
             self.layout = find_layout(self.name, lines, reading)
-            describe_columns(self, self.layout)
+        columns = zip(
+            self.layout.names, self.layout.units, self.layout.kinds, strict=True
+        )
+        for name, unit, (kind, sample) in columns:
+            self.add(Column(0, name, unit, kind, sample))
         self.settings = self.layout.settings
         self.decimal = self.layout.decimal
-        if self.columns[0].kind in ("number", "stamp"):
+        kind, sample = self.layout.kinds[0]
+        is_guard = kind in ("number", "stamp") or DATE.search(sample)
+        if is_guard or self.layout.has_blank_front:
             self.guard = self.columns[0]
         self._line = self.layout.first + 1  # of the first row in the text
         self._text = start.split(b"\n", self.layout.first)[-1]
@@ -124,13 +130,17 @@ class TextTable(Table):
         return [self._array_of(c, [row[c.number - 1] for row in rows]) for c in columns]
 
     def _array_of(self, column: Column, cells: Any) -> NDArray[Any]:
-        """Return the cells of a column, texts or a series, as numbers or stamps; NaN for other texts."""
+        """Return the cells of a column, texts or a series, as numbers or stamps; NaN for others."""
         if column.kind == "stamp":
             import polars as pl
 
             from dbo_cli.logs.fast_text import read_stamps
 
             return read_stamps(pl.Series(cells, dtype=pl.String), column.sample)
+        if column.kind == "empty":  # nothing is what it should hold
+            return np.array([np.nan if cell else 0.0 for cell in cells])
+        if column.kind == "text":
+            return np.array([0.0 if DATE.search(cell) else np.nan for cell in cells])
         sign = self.layout.decimal
         marks = self._marks.get(column.number, Marks("", is_clear=True))
         if isinstance(cells, list):

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import math
-import os
 import re
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
@@ -22,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.files import write_all
 from dbo_cli.reports.pair import Pair
 from dbo_cli.reports.words import digits, shown_unit
 
@@ -131,13 +129,13 @@ def figure_of(plot: Plot) -> Figure:
     return figure
 
 
-def save(plots: Sequence[Plot], folder: str | os.PathLike[str]) -> list[Path]:
-    """Write every figure as ``KEY.png`` and ``KEY.svg``, all or none; return the files (OutputError)."""
+def drawn(plots: Sequence[Plot]) -> dict[str, bytes]:
+    """Draw every figure as ``KEY.png`` and ``KEY.svg``; return the files by name."""
     files = {}
     for plot in plots:
         for kind in ("png", "svg"):
             files[f"{plot.key}.{kind}"] = draw(plot, kind)
-    return write_all(folder, files)
+    return files
 
 
 # --- a log ---

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dbo_cli.errors import LimitError, UsageError
+from dbo_cli.files import write_all
 from dbo_cli.reports import page, plots
 from dbo_cli.reports.expected import Expected
 from dbo_cli.reports.merits import excess, merits
@@ -267,10 +268,12 @@ class Report:
 
     def figures(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Draw the figures into a folder, PNG and SVG; return the files."""
-        drawn = []
-        for _, section in self._sections():
-            drawn += section
-        return plots.save(drawn, folder)
+        return write_all(folder, self.drawn())
+
+    def drawn(self) -> dict[str, bytes]:
+        """Draw the figures, PNG and SVG; return the files by name."""
+        sections = [section for _, section in self._sections()]
+        return plots.drawn([plot for section in sections for plot in section])
 
     def _table(self) -> tuple[list[str], list[list[str]]]:
         """Return the headings of the table and a row a log; what is not known of any is left out."""

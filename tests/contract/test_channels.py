@@ -89,6 +89,25 @@ def test_simulate_and_compensate_write_all_channels_side_by_side(channels):
         np.testing.assert_allclose(ours, table("one.csv")["voltage_V"], atol=1e-12)
 
 
+@pytest.mark.parametrize("command", [
+    "simulate set.json torn.csv --input V{}_V",
+    "compensate set.json torn.csv --displacement D{}_um --on-limit clip",
+])  # fmt: skip
+@pytest.mark.parametrize("time", ["time_s", "count"])
+@pytest.mark.parametrize("rows", [{"a": 100, "b": 200, "c": 200}, {"b": 7}])
+def test_rows_left_out_of_one_channel_alone_are_refused(channels, command, time, rows):
+    log = table(channels)
+    for name, row in rows.items():
+        log[f"V{name}_V"][row] = log[f"D{name}_um"][row] = np.nan
+    write("torn.csv", ",".join(log).replace("time_s", time), *log.values())
+    rate = () if time == "time_s" else ("--sample-rate", 500)
+    words = (*command.split(), *rate, "--skip-bad", "-o", "out.csv")
+    told = refused(1, *words)
+    first = min(rows.values())
+    assert f"row {first + 1} " in told and f"--rows :{first}" in told
+    done(*words, "--rows", f":{first}")
+
+
 def test_identify_says_what_was_read_of_each_channel(channels):
     log = table(channels)
     columns = {name: log[name] for name in log if name[1:2] != "c"}

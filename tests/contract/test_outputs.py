@@ -132,6 +132,23 @@ def test_figures_follow_no_link_and_replace_no_input(files):
     assert Path("precious").read_text() == "precious\n"
 
 
+@pytest.mark.parametrize("name", ["pair-error.png", "sub/../pair-loop.svg"])
+def test_no_figure_takes_the_name_of_another_output(files, name):
+    Path("figures/sub").mkdir(parents=True)
+    words = ("-o", f"figures/{name}", "--figures", "figures")
+    assert "two outputs" in refused(1, "report", "pair.csv", *words)
+    words = ("-o", "figures/model-loop.png", "--figures", "figures")
+    assert "two outputs" in refused(1, "show", "mm.json", *words)
+
+
+def test_figures_of_channels_stand_in_folders_of_their_own(files):
+    done("show", model("set"), "--figures", "figures")
+    drawn = sorted(os.listdir("figures"))
+    assert len(drawn) == 2
+    for channel in drawn:
+        assert "model-loop.png" in os.listdir(f"figures/{channel}")
+
+
 @posix
 @pytest.mark.parametrize("words", [
     ("report", "pair.csv", "--figures", "figures", "-o", "page.html"),

@@ -12,6 +12,9 @@ import pandas as pd
 import pytest
 import scipy.io
 
+from dbo_cli.errors import UsageError
+from dbo_cli.logs import Reading
+
 from .program import DRIVE, dbo, done, model, process, refused, table, write
 
 ROWS = 60
@@ -275,6 +278,17 @@ def test_an_empty_file_is_called_empty(content):
     told = asked("log.csv")
     assert "empty" in told and "--" not in told
     assert "--skip-lines" in asked(pair(), "--skip-lines", 10**6)
+    with pytest.raises(UsageError, match="`skip_lines` -1"):
+        Reading(skip_lines=-1)
+
+
+@pytest.mark.parametrize("cells", ["{0},5,1{0},5", "1'00{0};2'00{0}"])
+def test_numbers_that_are_not_plain_are_asked_for_plainly(cells):
+    rows = [cells.format(n) for n in range(5)]
+    Path("log.csv").write_text("\n".join(["voltage_V,displacement_um", *rows]) + "\n")
+    typed = ("--delimiter", "comma", "--decimal", "comma")
+    for words in ((), typed):
+        assert "write plain numbers" in asked("log.csv", *words, command="identify")
 
 
 @pytest.mark.parametrize(

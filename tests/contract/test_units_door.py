@@ -356,6 +356,26 @@ def test_a_state_is_of_its_model(creep):
         creep.controller(sample_rate=1000.0, state="no.json")
 
 
+def test_nothing_is_no_signal(creep):
+    for call in (creep.simulate, creep.compensate, creep.inverse().simulate):
+        with pytest.raises(dbo.InputError, match="give an array"):
+            call(None)
+    for logs in (None, []):
+        with pytest.raises(dbo.InputError, match="no log"):
+            dbo.identify(logs)
+
+
+@pytest.mark.parametrize("names", [[None, None], ["time_s", "t_s"]])
+def test_two_times_of_an_index_are_asked_about(names, creep):
+    index = pd.MultiIndex.from_arrays([TIME, 2.0 * TIME], names=names)
+    drive = pd.Series(np.linspace(1.0, 2.0, len(TIME)), index)
+    with pytest.raises(dbo.InputError, match=r"which level .* give `time`"):
+        creep.simulate(drive)
+    creep.simulate(drive, time=TIME)
+    one = drive.set_axis(index.set_names(["time_s", "set"]))
+    np.testing.assert_array_equal(creep.simulate(one), creep.simulate(drive, time=TIME))
+
+
 @pytest.mark.parametrize("verb", ["compensate", "simulate", "identify", "report"])
 def test_a_wrong_word_is_named(verb, creep):
     call = getattr(creep, verb, None) or getattr(dbo, verb)

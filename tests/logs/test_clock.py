@@ -90,6 +90,14 @@ def test_polars_reads_stamps_as_the_cells_are_read(tmp_path):
     assert log.clock.first_stamp == 1767394770 * 10**9
 
 
+@pytest.mark.parametrize("typed", [{"time_unit": "ms"}, {"time": "1"}])
+def test_a_rate_stands_in_the_place_of_a_column(tmp_path, typed):
+    path, unit = write(tmp_path, "0 1 2".split()), typed.get("time_unit")
+    roles = {"time": typed.get("time"), **VOLTAGE}
+    with pytest.raises(UsageError, match="exclude each other"):
+        open_log(path, roles, Reading(sample_rate=10.0, time_unit=unit))
+
+
 @pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 def test_resampling_is_said_and_needs_a_rate_that_leaves_rows(tmp_path):
     path = write(tmp_path, ["0", "0.1", "0.4", "0.5"])

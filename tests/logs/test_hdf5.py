@@ -214,6 +214,30 @@ def test_a_unit_that_is_stated_twice_is_stated_alike(tmp_path):
         np.testing.assert_allclose(log.read().time, T / 1000.0)
 
 
+@pytest.mark.parametrize("units", [["V", "um"], ["s", "V", "um", "V"]])
+def test_units_of_a_matrix_are_as_many_as_its_columns(tmp_path, units):
+    def fill(file):
+        matrix(file)
+        file["data"].attrs["units"] = units
+
+    path, roles = str(made(tmp_path / "run.h5", fill)), {"displacement": None}
+    with pytest.raises(InputError, match=r"one of the units .*V, um.*`scale`"):
+        open_log(path, roles, Reading(sample_rate=10.0))
+    reading = Reading(sample_rate=10.0, scale={"displacement": "1um/um"})
+    with open_log(path, roles, reading) as log:
+        assert log.columns["displacement"].unit == "um"
+
+
+def test_two_attributes_that_state_another_unit_are_refused(tmp_path):
+    def fill(file):
+        plain(file)
+        file["voltage"].attrs["unit"] = "mV"
+
+    path = str(made(tmp_path / "run.h5", fill))
+    with pytest.raises(InputError, match=r"one of the units V, mV: .*`scale` voltage"):
+        open_log(path, {"voltage": None})
+
+
 def test_a_scale_beside_a_dataset_is_not_passed_over(tmp_path):
     def fill(file):
         file["x"], file["x_scaling_factor"] = np.arange(3.0), 0.001
@@ -225,7 +249,7 @@ def test_a_scale_beside_a_dataset_is_not_passed_over(tmp_path):
             file[key] = np.arange(3.0)
             file[key].attrs[key] = 2.0
 
-    keys = ("scale_factor", "Scale", "Scale Factor", "GAIN")
+    keys = ("scale_factor", "Scale", "Scale Factor", "GAIN", "slope", "intercept")
     source = opened(tmp_path, fill)
     np.testing.assert_array_equal(values(source, "y"), [0.0, np.nan, 2.0])
     source.close()
@@ -302,3 +326,13 @@ def test_a_part_behind_a_link_is_refused(tmp_path, part):
 
     with pytest.raises(InputError, match=r"or a link"):
         opened(tmp_path, fill, part)
+
+
+def test_a_file_with_none_of_the_optional_columns_is_refused(tmp_path):
+    def fill(file):
+        file["temperature"] = T
+
+    path = str(made(tmp_path / "run.h5", fill))
+    with open_log(path, {"voltage": None}, optional=("voltage",)) as log:
+        with pytest.raises(InputError, match="none of its"):
+            log.read()

@@ -63,6 +63,7 @@ def test_blocks_and_ways_of_reading_give_the_same(block, small, tmp_path, monkey
         lambda s: s.replace("\n20000", "\n\n# a remark\n\n20000").replace("\n1.000", "\n\n1.000"),
         lambda s: s.replace("\n", ",ok\n"),
         lambda s: "junk\nRate: 5 kHz\n\n" + s,
+        lambda s: "," + s.replace("\n", "\n,")[:-1],
     ],
 )  # fmt: skip
 def test_large_files_of_many_ways(change, tmp_path):
@@ -101,6 +102,18 @@ def test_an_irregular_row_of_a_large_file_is_named(damage, what, tmp_path):
     left = np.delete(np.arange(30_000.0), 20_000)
     np.testing.assert_array_equal(table["voltage"], left)
     assert len(log.doubtful) == 1 and "1 row left out" in log.doubtful[0]
+
+
+@pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
+def test_a_word_in_front_of_a_row_of_a_large_file_is_named(tmp_path):
+    path = tmp_path / "run.csv"
+    text = "," + large().replace("\n", "\n,")[:-1]
+    path.write_text(text.replace(",20.000,", "AVG,20.000,"))
+    with pytest.raises(InputError, match=r"run\.csv:20002: .*'AVG'.*`skip_bad`"):
+        read(path)
+    table, _ = read(path, skip_bad=True)
+    left = np.delete(np.arange(30_000.0), 20_000)
+    np.testing.assert_array_equal(table["voltage"], left)
 
 
 @pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")  # of gaps

@@ -24,7 +24,8 @@ _CHUNK_CACHE = 1 << 22
 _LISTED = 9  # datasets that a message names at most
 _NOT_APPLIED = {
     "scalefactor": 1.0, "addoffset": 0.0, "scale": 1.0, "offset": 0.0, "gain": 1.0, "factor": 1.0,
-    "sensitivity": 1.0, "calibration": 1.0, "conversion": 1.0, "scalingfactor": 1.0, "yinc": 1.0,
+    "slope": 1.0, "intercept": 0.0, "sensitivity": 1.0, "calibration": 1.0, "conversion": 1.0,
+    "scalingfactor": 1.0, "yinc": 1.0,
 }  # fmt: skip
 """Attributes that may belong to a dataset's values, by their plain keys, and what changes nothing."""
 _MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
@@ -118,21 +119,31 @@ def _columns_of(path: str, dataset: Any) -> list[Column]:
         return []
     group, _, name = path.rpartition("/")
     labels = _texts(dataset, "columns", "column_names", "names")
-    units = _texts(dataset, "units", "unit", "Units", "Unit")
     columns = []
     stored = list(columns_in(name, dataset))
+    units, doubt = _units_of(dataset, len(stored))
     for number, column in enumerate(stored):
         label = column.name
         if dataset.dtype.names is not None:
             label = f"{name}/{label}"
         elif len(labels) == len(stored) > 1:
             label = labels[number]
-        unit = units[0] if len(units) == 1 else "".join(units[number : number + 1])
         fetch = _with_missing(dataset, column.fetch)
-        doubt = _not_applied(dataset)
-        label = posixpath.join(group, label)
+        label, unit = posixpath.join(group, label), units[number]
         columns.append(replace(column, name=label, unit=unit, fetch=fetch, doubt=doubt))
     return columns
+
+
+def _units_of(dataset: Any, count: int) -> tuple[list[str], str]:
+    """Return the units of so many columns of a dataset, and what is doubtful in these or in its values."""
+    stated = [_texts(dataset, name) for name in ("units", "unit", "Units", "Unit")]
+    stated = [texts for texts in stated if texts] or [[""]]
+    units = stated[0]
+    if any(texts != units for texts in stated) or len(units) not in (1, count):
+        listing = ", ".join(text for texts in stated for text in texts)
+        doubt = f"has one of the units {listing}: type `scale` ROLE=1UNIT/UNIT"
+        return [""] * count, doubt
+    return units * (count // len(units)), _not_applied(dataset)
 
 
 def _listing(nodes: Nodes) -> str:
