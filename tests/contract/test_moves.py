@@ -65,6 +65,25 @@ def test_a_loop_goes_on_where_it_ended(kind):
         assert abs(moved[0] - moved[-1]) <= 2.0 * inside + 1e-9
 
 
+def test_the_turns_of_a_raster_are_said():
+    words = ("raster", *WORDS, "--lines", 8, *SMALL, "-o", "move.csv")
+    assert "turns from" not in done("trajectory", *words).said[-1]
+    said = done("trajectory", *words, "--bandwidth", 50).said[-1]
+    least, greatest = re.search(r"turns from (\S+) to (\S+);", said).groups()
+    moved = table("move.csv")["x_um"]
+    assert moved.min() == pytest.approx(float(least), abs=1e-4)
+    assert moved.max() == pytest.approx(float(greatest), abs=1e-4)
+
+
+def test_a_set_of_models_holds_those_of_the_axes():
+    words = ("trajectory", "raster", *WORDS, "--lines", 4, "--range")
+    both = ("--model", f"{model('set')}::x", "--model", f"{model('set')}::y")
+    apart = done(*words, "2:3", *both)
+    assert done(*words, "2:3", "--model", model("set")).raw == apart.raw
+    alone = ("sine", *WORDS, "--model", model("set"))
+    assert "MODEL::CHANNEL" in refused(2, "trajectory", *alone)
+
+
 def test_bandwidth_rounds_corners():
     words = ("triangle", "--rate", 5000, *WORDS[2:])
     moves = [shape(*words)["displacement_um"]]
