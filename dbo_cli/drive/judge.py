@@ -11,7 +11,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import Lead
-from dbo_cli.drive.limits import in_full
+from dbo_cli.drive.limits import in_full, rounded_down, rounded_up
 from dbo_cli.drive.simulate import Due
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Run, State, Steps, expect
@@ -240,18 +240,22 @@ class Judge:
 
     def _remedy(self) -> str:
         """Return which limits would let the move pass, and what to type."""
-        low, high, rate = self._needed
+        low, high = rounded_down(self._needed[0], 4), rounded_up(self._needed[1], 4)
         unit = self.limits.suffix
+        lowest, highest = self.limits.identified
+        wider = "wider limits"
+        if not self.limits.extrapolate and not lowest <= low <= high <= highest:
+            wider += " and `extrapolate`"
         needed = f"; it needs {low:.4g} to {high:.4g}{unit}"
         if self.limits.slew is not None:
-            needed += f", {rate:.3g}{unit}/s"
+            needed += f", {rounded_up(self._needed[2], 3):.3g}{unit}/s"
         way = (
             ""
             if self.lead.approach
             else "a way to row 1 (`from_` VOLT, `approach` auto), "
         )
         return (
-            f"{needed}: give wider limits, {way}a slower, smaller or smoother move (`bandwidth` HZ), or "
+            f"{needed}: give {wider}, {way}a slower, smaller or smoother move (`bandwidth` HZ), or "
             "`on_limit` clip"
         )
 

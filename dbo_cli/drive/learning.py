@@ -43,6 +43,7 @@ OTHER_SCALE = 1.25
 ANOTHER_MOVE = 0.5
 # of the squares that stamps leave: with more left elsewhere, they are believed
 MUCH_CLOSER = 0.25
+LEAD_TRIES = 3  # to lay a recording by what led to the move
 SWEEP_TRAVEL = 1.7  # ranges that the drive travels in a sweep there and back
 # of what was asked, in a third of an octave: a pass takes two thirds off
 TRUSTED_ERROR = 1.0 / 3.0
@@ -206,7 +207,7 @@ class RepeatedMove:
         stamped = self._row_by_stamps(recording)
         begin = stamped or 0
         if not self.periodic:
-            begin = self._first_row(modelled, stamped)
+            begin = self._first_row(voltage, modelled, stamped)
         rows = voltage.size - begin
         if rows < count:
             raise InputError(
@@ -264,29 +265,45 @@ class RepeatedMove:
         spectrum = np.fft.rfft(modelled) * np.fft.rfft(self.desired).conj()
         return int(np.argmax(np.fft.irfft(spectrum, modelled.size)))
 
-    def _first_row(self, modelled: Floats, stamped: int | None) -> int:
+    def _first_row(self, voltage: Floats, modelled: Floats, stamped: int | None) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead.
 
         A recorder may count from elsewhere than the stamps say: the trajectory is laid
-        where what the model makes of the recorded drive is closest to it.
+        where what the model makes of the recorded drive is closest to it, or behind what
+        led to it.
         """
-        desired, count = self.desired - self.desired.mean(), self.desired.size
-        level = modelled - self.desired.mean()
-        places = max(level.size - count + 1, 1)
-        size = level.size + count
-        spectrum = np.fft.rfft(level, size) * np.fft.rfft(desired, size).conj()
-        products = np.fft.irfft(spectrum, size)[:places]
-        squares = np.cumsum(np.append(0.0, level**2))
-        squares = squares[-places:] - squares[:places]
-        square = float(np.sum(desired**2))
-        misfit = squares - 2.0 * products + square
+        desired, mean = self.desired - self.desired.mean(), self.desired.mean()
+        misfit = sliding_misfit(modelled - mean, desired)
         row = int(np.argmin(misfit))
-        if stamped is None or stamped >= places:
-            return row
-        enough = min(MUCH_CLOSER * float(misfit[stamped]), DRIVE_RESIDUAL * square)
+        behind = self._row_behind_lead(voltage, modelled, row)
+        best = row if behind is None else behind
+        if stamped is None or stamped >= misfit.size:
+            return best
         # what was learned may be as early
-        is_near = abs(row - stamped) * self.step <= ACTUATOR_LAG
-        return stamped if is_near or enough <= float(misfit[row]) else row
+        if abs(best - stamped) * self.step <= ACTUATOR_LAG:
+            return stamped
+        square = float(np.sum(desired**2))
+        enough = min(MUCH_CLOSER * float(misfit[stamped]), DRIVE_RESIDUAL * square)
+        return stamped if behind is None and enough <= float(misfit[row]) else best
+
+    def _row_behind_lead(
+        self, voltage: Floats, modelled: Floats, row: int
+    ) -> int | None:
+        """Return the row behind what led to the move, which begins at about ``row``; None: not recorded.
+
+        What was learned has changed the shape of the move, and moved it by some rows.
+        """
+        close = ONE_DRIVE * self.model.input.span
+        for _ in range(LEAD_TRIES):  # what leads to it depends on its first value
+            _, led, still = self.lead.planned(float(modelled[row]), self.step, None)
+            if not 0 < led.size <= voltage.size or np.ptp(led) <= close:
+                return None
+            misfit = sliding_misfit(voltage - led.mean(), led - led.mean())
+            begin = int(np.argmin(misfit))
+            row = begin + led.size + still
+            if row + self.desired.size > voltage.size:
+                return None
+        return row if misfit[begin] <= led.size * close**2 else None
 
     def _row_by_stamps(self, recording: Tracked) -> int | None:
         """Return the row at the time of the trajectory's first; None where no stamp is of that time.
@@ -361,6 +378,18 @@ class RepeatedMove:
             f"sensor's scale, or learn from pass {number} ({best:.3g}) with `bandwidth` "
             f"{0.5 * cutoff:.3g} (it was {cutoff:.3g} Hz)"
         )
+
+
+def sliding_misfit(values: Floats, template: Floats) -> Floats:
+    """Return the sum of squared differences from a template at each place where it fits in; one at least."""
+    places = max(values.size - template.size + 1, 1)
+    size = values.size + template.size
+    spectrum = np.fft.rfft(values, size) * np.fft.rfft(template, size).conj()
+    products = np.fft.irfft(spectrum, size)[:places]
+    squares = np.cumsum(np.append(0.0, values**2))
+    squares = squares[-places:] - squares[:places]
+    misfit: Floats = squares - 2.0 * products + float(np.sum(template**2))
+    return misfit
 
 
 def rms(values: Floats) -> float:

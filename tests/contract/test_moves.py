@@ -233,3 +233,13 @@ def test_other_units_of_drive_and_limits_that_are_too_slow():
     assert name.endswith("_bar") and written[name].max() <= 4.0
     words = ("excite", "--v-max", 100, "--max-slew", 1, "--duration", 5)
     assert dbo(*words).code in (2, 3)
+
+
+@pytest.mark.parametrize("sweep_to", [116.8441693, 33.3333, 77.0])
+def test_what_a_refused_sweep_names_does(sweep_to):
+    words = ("excite", "--v-min", 0, "--v-max", 10, "--sweep-to", sweep_to)
+    error = refused(2, *words, "--sample-rate", 100)
+    rate = re.search(r"--sample-rate (\S+) or more", error)[1]
+    words = (*words, "--sample-rate", rate, "--max-slew", 7.7)
+    crest = re.search(r"; (\S+) fits", refused(3, *words, "--sweep-amplitude", 1))[1]
+    done(*words, "--sweep-amplitude", crest)

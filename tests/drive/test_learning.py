@@ -122,6 +122,28 @@ def test_a_recording_is_laid_by_its_drive_wherever_it_begins_and_counts_from():
         np.testing.assert_allclose(voltage, learned[0], rtol=0, atol=1e-9)
 
 
+def test_a_learned_pass_is_laid_by_what_led_to_it():
+    """By its own shape, no longer the trajectory's, it was laid some rows off where no stamp helped."""
+    model, plant = actuator(growth=1.2), actuator(growth=2.2)
+    rows, dt = 1000, 1e-3
+    wanted = 4.0 - 2.0 * np.cos(2.0 * np.pi * np.arange(rows) / rows)
+    more = {"start": 40.0, "approach": "auto", "bandwidth": 40.0}
+    limits, begin = Limits.within(model.input), plant.start(40.0, "settled")
+    tracked, held = [], np.full(5, 40.0)
+    for _ in range(3):
+        given = more if tracked else {**more, "bandwidth": None}
+        drive = plan(model, wanted, dt, limits, tracked=tracked, **given)
+        voltage = np.append(held, drive.voltage)
+        measured = plant.run(voltage, begin, dt).y
+        stamps = drive.time[0] + dt * np.arange(-held.size, drive.voltage.size)
+        tracked = [Tracked("pass.csv", voltage, measured, stamps)]
+        by_stamps = plan(model, wanted, dt, limits, tracked=tracked, **more)
+        for other in (stamps + 100.0, stamps - stamps[0]):
+            late = [Tracked("pass.csv", voltage, measured, other)]
+            by_drive = plan(model, wanted, dt, limits, tracked=late, **more)
+            np.testing.assert_array_equal(by_drive.voltage, by_stamps.voltage)
+
+
 @pytest.mark.parametrize(
     ("begin", "rows"), [(0, 500), (170, 500), (440, 500), (20, 900), (170, 1170)]
 )
