@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, cast, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
@@ -23,9 +23,6 @@ from dbo_cli.drive.simulate import NO_ROWS, Ahead, Due, Rows, stacked
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import State, Steps
 from dbo_cli.units import Typed
-
-if TYPE_CHECKING:
-    from dbo_cli.drive.learning import Tracked
 
 OnLimit = Literal["auto", "clip", "error"]
 
@@ -205,7 +202,7 @@ class Driver:
         bandwidth: float | None = None,
         periodic: bool = False,
         passes: int = 0,
-        tracked: Sequence[Tracked] = (),
+        tracked: Sequence[tuple[str, Rows]] = (),
         history: Sequence[PassRecord] = (),
         absolute: bool = False,
     ) -> Drive:
@@ -221,8 +218,8 @@ class Driver:
         periodic, passes
             The trajectory is one period of a loop, after so many passes of run-in.
         tracked, history, absolute
-            Recordings of the last pass, and the passes so far: the move is learned, with
-            ``absolute`` the mean of its error, too.
+            Recordings of the last pass (names, and rows of drive and displacement), and
+            the passes so far: the move is learned, with ``absolute`` its mean error, too.
 
         Raises
         ------
@@ -244,30 +241,36 @@ class Driver:
             )
         stamps, step = cast(Floats, time), cast(float, dt)  # where the clock is even
 
-        def drive_of(target: Floats) -> Drive:
-            if periodic:
-                return self.loop(desired, target, stamps, step, passes)
-            blocks = []
-            for begin in range(0, desired.size, DRIVEN_ROWS):
-                rows = slice(begin, begin + DRIVEN_ROWS)
-                times = None if time is None else time[rows]
-                steps = dt[rows] if isinstance(dt, np.ndarray) else dt
-                blocks.append(self.rows(desired[rows], steps, times, target[rows]))
-            last, drive = self.finish()
-            return drive.with_rows(stacked([*blocks, last]))
-
+        target, figures = desired, dict[str, Any]()
         if tracked:
             from dbo_cli.drive.learning import RepeatedMove
 
             move = RepeatedMove(self.lead, desired, stamps, step, periodic, absolute)
-            return move.learned(tracked, history, bandwidth, drive_of)
-        if bandwidth is None:
-            return drive_of(desired)
-        from dbo_cli.drive.smooth import low_pass
+            target, figures = move.learned(tracked, history, bandwidth)
+        elif bandwidth is not None:
+            from dbo_cli.drive.smooth import low_pass
 
-        target = low_pass(desired, bandwidth, step, periodic)
-        self._judge.rounding = float(np.sqrt(np.mean((target - desired) ** 2)))
-        return drive_of(target)
+            target = low_pass(desired, bandwidth, step, periodic)
+            self._judge.rounding = float(np.sqrt(np.mean((target - desired) ** 2)))
+        if periodic:
+            drive = self.loop(desired, target, stamps, step, passes)
+        else:
+            drive = self._in_blocks(desired, target, dt, time)
+        notes = (*figures.pop("notes", ()), *drive.notes)
+        return replace(drive, notes=notes, **figures)
+
+    def _in_blocks(
+        self, desired: Floats, target: Floats, dt: Steps, time: Floats | None
+    ) -> Drive:
+        """Return the drive of a whole trajectory that is driven in blocks, with its rows."""
+        blocks = []
+        for begin in range(0, desired.size, DRIVEN_ROWS):
+            rows = slice(begin, begin + DRIVEN_ROWS)
+            times = None if time is None else time[rows]
+            steps = dt[rows] if isinstance(dt, np.ndarray) else dt
+            blocks.append(self.rows(desired[rows], steps, times, target[rows]))
+        last, drive = self.finish()
+        return drive.with_rows(stacked([*blocks, last]))
 
     # --- before the move ---
 

@@ -11,18 +11,20 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
+from typing import Any
 
 import numpy as np
 
 from dbo_cli.alignment import ACTUATOR_LAG, DRIVE_RESIDUAL, RATE_SLACK
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.drive import Drive, PassRecord
+from dbo_cli.drive.drive import PassRecord
 from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.loops import settled_run
+from dbo_cli.drive.simulate import Rows
 from dbo_cli.drive.smooth import low_pass, soft_rise
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import Cascade, State, fields
@@ -49,26 +51,6 @@ SWEEP_TRAVEL = 1.7  # ranges that the drive travels in a sweep there and back
 TRUSTED_ERROR = 1.0 / 3.0
 # of the strongest third of an octave (amplitude): with less a band says nothing
 BAND_ENERGY = 1e-3
-
-
-@dataclass(frozen=True)
-class Tracked:
-    """One recording of a drive played, in the units of the model.
-
-    Attributes
-    ----------
-    name : str
-        Of the file, for messages.
-    voltage, measured : array
-        Drive and displacement, row by row.
-    time : array, optional
-        Seconds on the drive's clock; rows before the trajectory's first are its lead.
-    """
-
-    name: str
-    voltage: Floats
-    measured: Floats
-    time: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -99,33 +81,30 @@ class RepeatedMove:
 
     def learned(
         self,
-        recordings: Sequence[Tracked],
+        recordings: Sequence[tuple[str, Rows]],
         history: Sequence[PassRecord],
         bandwidth: float | None,
-        drive_of: Callable[[Floats], Drive],
-    ) -> Drive:
-        """Return the drive of the next pass, with what is to be said of the last one.
+    ) -> tuple[Floats, dict[str, Any]]:
+        """Return what the next pass asks of the model, and what its ``Drive`` says of the last one.
 
         The error to expect is that of the last pass, which the next one should stay below.
 
         Parameters
         ----------
         recordings
-            Of the last pass, one or more of the same drive.
+            Names, and rows of drive and displacement of the last pass; all of one drive.
         history
             The passes so far, the oldest first; from one with this very drive on they
             are forgotten.
         bandwidth
             Cut-off of Q (Hz); None: as far as the model can be trusted.
-        drive_of
-            Makes the drive of what is asked of the model.
 
         Raises
         ------
         InputError
             A recording is not of this trajectory, or the error grew.
         """
-        name, unit = recordings[0].name, self.model.output.suffix
+        name, unit = recordings[0][0], self.model.output.suffix
         if not np.ptp(self.desired) > 0.0:
             raise InputError(f"{name}: the trajectory holds still: nothing is learned")
         voltage, modelled, measured = self._mean_of(recordings)
@@ -163,21 +142,21 @@ class RepeatedMove:
         forgotten = len(history) - len(before) - 1
         if forgotten > 0:
             note += f"; passes behind it are forgotten, {forgotten} of {len(history)}"
-        drive = drive_of(self.desired + learned)
-        return replace(
-            drive,
-            # the model's own error is what was learned
-            expected_error=passed.rmse,
-            expected_known=None,
-            expected_unrested=None,
-            mean_left_out=None if self.absolute else -zero,
-            history=(*before, passed),
-            notes=(note, *drive.notes),
-        )
+        figures = {
+            "expected_error": passed.rmse,
+            "expected_known": None,  # the model's own error is what was learned
+            "expected_unrested": None,
+            "mean_left_out": None if self.absolute else -zero,
+            "history": (*before, passed),
+            "notes": (note,),
+        }
+        return self.desired + learned, figures
 
     # --- the rows of a recording ---
 
-    def _mean_of(self, recordings: Sequence[Tracked]) -> tuple[Floats, Floats, Floats]:
+    def _mean_of(
+        self, recordings: Sequence[tuple[str, Rows]]
+    ) -> tuple[Floats, Floats, Floats]:
         """Return the drive of the first recording, what the model makes of them, and the mean measured.
 
         Raises
@@ -185,13 +164,12 @@ class RepeatedMove:
         InputError
             A recording is of another drive than the first.
         """
-        passes = [self._pass_of(recording) for recording in recordings]
-        voltage = passes[0][0]
-        for recording, (other, _, _) in zip(recordings, passes, strict=True):
+        passes = [self._pass_of(name, block) for name, block in recordings]
+        first, voltage = recordings[0][0], passes[0][0]
+        for (name, _), (other, _, _) in zip(recordings, passes, strict=True):
             if not self._is_same_drive(other, voltage):
                 raise InputError(
-                    f"{recording.name}: not the drive of {recordings[0].name}: average recordings of one "
-                    "drive only"
+                    f"{name}: not the drive of {first}: average recordings of one drive only"
                 )
         modelled = np.mean([rows[1] for rows in passes], axis=0)
         return voltage, modelled, np.mean([rows[2] for rows in passes], axis=0)
@@ -200,23 +178,23 @@ class RepeatedMove:
         """Return whether two recordings are of one drive, but for what a monitor adds."""
         return rms(voltage - other) <= ONE_DRIVE * self.model.input.span
 
-    def _pass_of(self, recording: Tracked) -> tuple[Floats, Floats, Floats]:
+    def _pass_of(self, name: str, recording: Rows) -> tuple[Floats, Floats, Floats]:
         """Return drive, modelled and measured displacement of the rows that belong to the trajectory."""
-        voltage, step, count = recording.voltage, self.step, self.desired.size
+        voltage, step, count = recording.x, self.step, self.desired.size
         modelled = self.model.run(voltage, self._start(voltage), step).y
-        stamped = self._row_by_stamps(recording)
+        stamped = self._row_by_stamps(name, recording.time)
         begin = stamped or 0
         if not self.periodic:
             begin = self._first_row(voltage, modelled, stamped)
         rows = voltage.size - begin
         if rows < count:
             raise InputError(
-                f"{recording.name}: {rows:,} rows from the start of the move, the trajectory has "
+                f"{name}: {rows:,} rows from the start of the move, the trajectory has "
                 f"{count:,}: record each row of it"
             )
         time = step * np.arange(float(voltage.size))
         delay = self.model.sensor_delay
-        measured, _ = without_delay(time, recording.measured, delay)
+        measured, _ = without_delay(time, recording.y, delay)
         if self.periodic:
             drive, measured = self._mean_period(voltage, measured)
             led = voltage[:1] if stamped else voltage[:0]
@@ -226,7 +204,7 @@ class RepeatedMove:
                 phase = 0  # what was learned may be as early
             drive, measured = np.roll(drive, -phase), np.roll(measured, -phase)
             return drive, self._repeated(drive, led), measured
-        self._require_same_past(recording.name, voltage[:begin])
+        self._require_same_past(name, voltage[:begin])
         move = slice(begin, begin + count)  # what stands behind is a return
         return voltage[move], modelled[move], measured[move]
 
@@ -305,7 +283,7 @@ class RepeatedMove:
                 return None
         return row if misfit[begin] <= led.size * close**2 else None
 
-    def _row_by_stamps(self, recording: Tracked) -> int | None:
+    def _row_by_stamps(self, name: str, time: Floats | None) -> int | None:
         """Return the row at the time of the trajectory's first; None where no stamp is of that time.
 
         Raises
@@ -313,14 +291,13 @@ class RepeatedMove:
         InputError
             The clock has another rate, or a gap.
         """
-        time = recording.time
         if time is None or time.size < 2:
             return None
         step, longest = step_of(time), float(np.diff(time).max())
         other_rate = abs(step / self.step - 1.0) > RATE_SLACK
         if other_rate or longest > LONG_STEP * step:
             raise InputError(
-                f"{recording.name}: {1.0 / max(step, 1e-300):.6g} Hz, longest step {longest:.4g} s, the "
+                f"{name}: {1.0 / max(step, 1e-300):.6g} Hz, longest step {longest:.4g} s, the "
                 f"trajectory {1.0 / self.step:.6g} Hz: record each row at its rate, or `resample` HZ"
             )
         begin = self.time[0] - 0.5 * self.step

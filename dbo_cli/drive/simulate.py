@@ -22,7 +22,7 @@ MaybeFloats = Floats | None
 
 
 class Rows(NamedTuple):
-    """Rows that are ready: seconds (None without a clock), what was asked for, and what came of it."""
+    """Rows, ready or recorded: seconds (None without a clock), what was asked for, what came of it."""
 
     time: MaybeFloats
     x: Floats
