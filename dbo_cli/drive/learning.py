@@ -45,7 +45,7 @@ OTHER_SCALE = 1.25
 ANOTHER_MOVE = 0.5
 # of the squares that stamps leave: with more left elsewhere, they are believed
 MUCH_CLOSER = 0.25
-LEAD_TRIES = 3  # to lay a recording by what led to the move
+LEAD_TRIES = 6  # to lay a recording by what led to the move
 SWEEP_TRAVEL = 1.7  # ranges that the drive travels in a sweep there and back
 # of what was asked, in a third of an octave: a pass takes two thirds off
 TRUSTED_ERROR = 1.0 / 3.0
@@ -278,10 +278,12 @@ class RepeatedMove:
                 return None
             misfit = sliding_misfit(voltage - led.mean(), led - led.mean())
             begin = int(np.argmin(misfit))
-            row = begin + led.size + still
+            before, row = row, begin + led.size + still
             if row + self.desired.size > voltage.size:
                 return None
-        return row if misfit[begin] <= led.size * close**2 else None
+            if row == before:
+                return row if misfit[begin] <= led.size * close**2 else None
+        return None
 
     def _row_by_stamps(self, name: str, time: Floats | None) -> int | None:
         """Return the row at the time of the trajectory's first; None where no stamp is of that time.
