@@ -113,7 +113,8 @@ class Driver:
         if self._ahead is None:
             dt, before = self._begin(float(target[0]), dt, time)
         assert self._ahead is not None
-        return stacked([before, self._ahead.take(dt, target, desired, time)])
+        due = self._ahead.take(dt, target, desired, time)
+        return stacked([before, *map(self._driven, due)])
 
     def finish(self) -> tuple[Rows, Drive]:
         """Return the rows that were held back and the way back, and the figures of the whole drive.
@@ -127,7 +128,7 @@ class Driver:
         """
         if self._ahead is None:
             raise InputError(f"{self.name}: has no rows")
-        rows = self._ahead.remaining()
+        rows = stacked([self._driven(due) for due in self._ahead.remaining()])
         self._judge.require_reached(self._step)
         voltage = self._way_back()
         assert self._state is not None
@@ -289,12 +290,12 @@ class Driver:
             self._gate.require_reachable(*self.limits.move, dt)
         way, at_rest = np.split(stamps, [voltage.size])
         rows = self._played(way, voltage, "lead", time is not None)
-        self._ahead = Ahead(self.model, dt, self._state, self._driven)
+        self._ahead = Ahead(self.model, dt, self._state)
         if still_rows:
             still = np.full(still_rows, first)
             stamped = None if time is None else at_rest
-            rested = self._ahead.take(step, still, still, stamped, "lead")
-            rows = stacked([rows, rested])
+            due = self._ahead.take(step, still, still, stamped, "lead")
+            rows = stacked([rows, *map(self._driven, due)])
         return dt, rows
 
     def _first_step(self, dt: Steps) -> float:
@@ -321,7 +322,7 @@ class Driver:
 
     # --- the way of a row ---
 
-    def _driven(self, due: Due, dt: Steps) -> Rows:
+    def _driven(self, due: Due) -> Rows:
         """Return the drive of rows that are due, with which the static part reaches their target."""
         model, limits, target = self.model, self.limits, due.target
         if self._state is None:  # nothing leads to the move
@@ -330,9 +331,9 @@ class Driver:
             if self._gate.last is None and limits.slew is not None:
                 self._gate.last = self._state.drive
         state = self._state
-        run = model.drive(target, state, dt, limits.move, limits.slew)
-        self._judge.see(due, run, state, dt)
-        self._admit(run.y, dt, due.phase)
+        run = model.drive(target, state, due.dt, limits.move, limits.slew)
+        self._judge.see(due, run, state)
+        self._admit(run.y, due.dt, due.phase)
         self._state = run.state
         if due.time is not None:
             self._state = replace(run.state, time=float(due.time[-1]))

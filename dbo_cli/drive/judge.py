@@ -70,7 +70,7 @@ class Judge:
 
     # --- rows ---
 
-    def see(self, due: Due, run: Run, state: State, dt: Steps) -> None:
+    def see(self, due: Due, run: Run, state: State) -> None:
         """Look at rows that are driven: how the first ones begin, and what limits cut off the move.
 
         Parameters
@@ -79,8 +79,6 @@ class Judge:
             The rows, and what the static part was to reach for them.
         run, state
             The drive of them, and the state before it.
-        dt
-            Seconds since the row before.
 
         Raises
         ------
@@ -95,7 +93,7 @@ class Judge:
                 reached.append(model.static.run(run.y[:1], state, 0.0).y[0])
             self._off_at_first = max(abs(float(target[0] - y)) for y in reached)
         if due.phase == "move":
-            self.clip(due.desired, target, run, state, dt)
+            self.clip(due.desired, target, run, state, due.dt)
 
     def clip(
         self, desired: Floats, target: Floats, run: Run, state: State, dt: Steps

@@ -41,6 +41,8 @@ ONE_DRIVE = 0.02
 LONG_STEP = 1.5  # steps: a longer one lacks rows
 # times what the model expects of the drive, by which a sensor's scale is told to be another
 OTHER_SCALE = 1.25
+# of a recording to what the model makes of its drive: with less it is of another thing
+LEAST_CORRELATION = 0.5
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
 # of the squares that stamps leave: with more left elsewhere, they are believed
@@ -260,9 +262,11 @@ class RepeatedMove:
         # what was learned may be as early
         if abs(best - stamped) * self.step <= ACTUATOR_LAG:
             return stamped
+        if behind is not None and misfit[behind] < misfit[stamped]:
+            return behind
         square = float(np.sum(desired**2))
         enough = min(MUCH_CLOSER * float(misfit[stamped]), DRIVE_RESIDUAL * square)
-        return stamped if behind is None and enough <= float(misfit[row]) else best
+        return stamped if enough <= float(misfit[row]) else row
 
     def _row_behind_lead(
         self, voltage: Floats, modelled: Floats, row: int
@@ -395,6 +399,10 @@ def _require_same_scale(name: str, modelled: Floats, measured: Floats) -> None:
     gain = float(move @ measured) / max(float(move @ move), 1e-300)
     if 1.0 / OTHER_SCALE <= gain <= OTHER_SCALE:
         return
+    if abs(gain) * rms(move) <= LEAST_CORRELATION * float(np.std(measured)):
+        raise InputError(
+            f"{name}: the displacement does not follow the drive: check columns, units and sensor"
+        )
     raise InputError(
         f"{name}: the displacement is {gain:.3g} times what the model expects of this drive: if the sensor's "
         f"scale is another, type `scale` measured={1.0 / gain:.3g}, else identify with `prior`"

@@ -124,6 +124,17 @@ def test_a_recording_is_laid_by_its_drive_wherever_it_begins_and_counts_from():
         np.testing.assert_allclose(voltage, learned[0], rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.002])
+def test_a_sensor_that_stands_still_is_refused(noise):
+    """The scale to type was infinite, or blew its noise up."""
+    wanted = move()
+    drive = plan(MODEL, wanted, DT, LIMITS, state="empty")
+    still = 3.0 + noise * np.random.default_rng(2).standard_normal(wanted.size)
+    tracked = [played("pass.csv", drive.voltage, still)]
+    with pytest.raises(InputError, match="does not follow the drive"):
+        plan(MODEL, wanted, DT, LIMITS, state="empty", tracked=tracked)
+
+
 def test_a_learned_pass_is_laid_by_what_led_to_it():
     """By its own shape, no longer the trajectory's, it was laid some rows off where no stamp helped."""
     model, plant = actuator(growth=1.2), actuator(growth=2.2)
