@@ -43,6 +43,7 @@ LONG_STEP = 1.5  # steps: a longer one lacks rows
 OTHER_SCALE = 1.25
 # of a recording to what the model makes of its drive: with less it is of another thing
 LEAST_CORRELATION = 0.5
+STANDS_STILL = 1e-9  # of the move: what rounding leaves of a constant
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
 # of the squares that stamps leave: with more left elsewhere, they are believed
@@ -399,7 +400,8 @@ def _require_same_scale(name: str, modelled: Floats, measured: Floats) -> None:
     gain = float(move @ measured) / max(float(move @ move), 1e-300)
     if 1.0 / OTHER_SCALE <= gain <= OTHER_SCALE:
         return
-    if abs(gain) * rms(move) <= LEAST_CORRELATION * float(np.std(measured)):
+    spread = LEAST_CORRELATION * float(np.std(measured))
+    if abs(gain) * rms(move) <= spread + STANDS_STILL * rms(move):
         raise InputError(
             f"{name}: the displacement does not follow the drive: check columns, units and sensor"
         )
