@@ -18,13 +18,11 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Cascade, Outside, State, Steps, steps_behind
 
-MaybeFloats = Floats | None
-
 
 class Rows(NamedTuple):
     """Rows, ready or recorded: seconds (None without a clock), what was asked for, what came of it."""
 
-    time: MaybeFloats
+    time: Floats | None
     x: Floats
     y: Floats
 
@@ -68,7 +66,7 @@ class Due(NamedTuple):
     target: Floats
     asked: Floats
     desired: Floats
-    time: MaybeFloats
+    time: Floats | None
     phase: str
     dt: Steps
 
@@ -92,7 +90,7 @@ class Ahead:
         inverter = model.inverter(dt)
         self._count = inverter.ahead
         self._undoing = inverter.behind(state) if isinstance(state, State) else None
-        self._waiting: deque[tuple[Floats, MaybeFloats, str]] = deque()
+        self._waiting: deque[tuple[Floats, Floats | None, str]] = deque()
         self._asked = np.empty(0)  # of the blocks that wait, and of those after
 
     def take(
@@ -100,7 +98,7 @@ class Ahead:
         dt: Steps,
         asked: Floats,
         desired: Floats,
-        time: MaybeFloats,
+        time: Floats | None,
         phase: str = "move",
     ) -> list[Due]:
         """Take a block, what is asked for and what is desired; return the blocks that are due."""
@@ -218,7 +216,7 @@ class Simulator:
             )
         return rows
 
-    def _counted(self, x: Floats, y: Floats, time: MaybeFloats) -> Rows:
+    def _counted(self, x: Floats, y: Floats, time: Floats | None) -> Rows:
         """Count rows that are ready, and return them."""
         self.row_count += x.size
         if time is not None:
