@@ -121,13 +121,9 @@ class RepeatedMove:
         before = tuple(history)
         if passed.drive_sha256 in drives:  # what came of learning from it is forgotten
             before = before[: drives.index(passed.drive_sha256)]
-        # a third of the lowest resonance: nothing grows where the model has it 25 % off
-        cutoff = bandwidth or self.model.trusted_frequency
+        cutoff = bandwidth
         if cutoff is None:
-            residual = measured - modelled
-            cutoff = _trusted_by_bands(name, self.desired, residual, self.step)
-        if bandwidth is None:
-            cutoff = min(cutoff, 0.45 / self.step)
+            cutoff = self._trusted_cutoff(name, measured - modelled)
         errors = [record.rmse for record in before]
         self._require_no_growth(name, errors, passed.rmse, cutoff)
         change = modelled - self.desired + error
@@ -154,6 +150,14 @@ class RepeatedMove:
             "notes": (note,),
         }
         return self.desired + learned, figures
+
+    def _trusted_cutoff(self, name: str, residual: Floats) -> float:
+        """Return the cut-off (Hz) up to which the model can be trusted."""
+        # a third of the lowest resonance: nothing grows where the model has it 25 % off
+        cutoff = self.model.trusted_frequency
+        if cutoff is None:
+            cutoff = _trusted_by_bands(name, self.desired, residual, self.step)
+        return min(cutoff, 0.45 / self.step)
 
     # --- the rows of a recording ---
 

@@ -102,6 +102,15 @@ def test_recordings_that_do_not_belong():
         plan(model, wanted, DT, limits, history=[PassRecord("", 1.0)])
 
 
+def test_a_cut_off_of_0_is_refused():
+    """It was taken for none."""
+    drive = plan(MODEL, move(), DT, LIMITS, state="empty")
+    y = PLANT.run(drive.voltage, PLANT.start(0.0, "empty"), DT).y
+    passes = {"tracked": [played("pass.csv", drive.voltage, y)], "bandwidth": 0.0}
+    with pytest.raises(UsageError, match="`bandwidth` 0: must be above 0"):
+        plan(MODEL, move(), DT, LIMITS, state="empty", **passes)
+
+
 def test_a_recording_is_laid_by_its_drive_wherever_it_begins_and_counts_from():
     """However few rows stand before the move: without a clock, by its stamps, and by those of another day."""
     wanted = move()
