@@ -174,15 +174,10 @@ class Judge:
 
     def _exceeding(self) -> str:
         """Return how much of the move the limits forbid, in words; rows before the move do not count."""
-        text = (
+        return (
             f"{self._clipped:,} of {self._rows['move']:,} rows read (first: row {self._first_clipped:,}) "
             f"exceed {self.limits.describe()}"
         )
-        head, slew = self.model.head, self.limits.slew
-        if head and slew is not None:
-            slower = slew * head.least_slope * head.inverse.least_slope
-            text += f" ({slower:.3g}{self.limits.suffix}/s where the model's drive is bent most)"
-        return text
 
     def require_reached(self, step: float) -> None:
         """Refuse a move of which nothing can be reached, or of which the limits cut off too much.

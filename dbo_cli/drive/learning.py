@@ -138,9 +138,6 @@ class RepeatedMove:
             f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move), "
             f"{reached:.2g}{unit} of it noise; learned below {cutoff:.4g} Hz"
         )
-        forgotten = len(history) - len(before) - 1
-        if forgotten > 0:
-            note += f"; passes behind it are forgotten, {forgotten} of {len(history)}"
         figures = {
             "expected_error": passed.rmse,
             "expected_known": None,  # the model's own error is what was learned
@@ -260,15 +257,15 @@ class RepeatedMove:
         desired, mean = self.desired - self.desired.mean(), self.desired.mean()
         misfit = sliding_misfit(modelled - mean, desired)
         row = int(np.argmin(misfit))
-        behind = self._row_behind_lead(voltage, modelled, row)
-        best = row if behind is None else behind
+        led = self._row_behind_lead(voltage, modelled, row)
+        best = row if led is None else led
         if stamped is None or stamped >= misfit.size:
             return best
         # what was learned may be as early
         if abs(best - stamped) * self.step <= ACTUATOR_LAG:
             return stamped
-        if behind is not None and misfit[behind] < misfit[stamped]:
-            return behind
+        if led is not None and misfit[led] < misfit[stamped]:
+            return led
         square = float(np.sum(desired**2))
         enough = min(MUCH_CLOSER * float(misfit[stamped]), DRIVE_RESIDUAL * square)
         return stamped if enough <= float(misfit[row]) else row
@@ -287,10 +284,10 @@ class RepeatedMove:
                 return None
             misfit = sliding_misfit(voltage - led.mean(), led - led.mean())
             begin = int(np.argmin(misfit))
-            before, row = row, begin + led.size + still
+            tried, row = row, begin + led.size + still
             if row + self.desired.size > voltage.size:
                 return None
-            if row == before:
+            if row == tried:
                 return row if misfit[begin] <= led.size * close**2 else None
         return None
 

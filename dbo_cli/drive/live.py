@@ -101,7 +101,7 @@ class Controller:
         self._memory_planned: Undoing | None = None
         # of a first row: the state before it, and that behind it, of an amplifier
         self._first: State | None = None
-        self._behind_first: State | None = None
+        self._first_run: State | None = None
         self._to_gears = model.tail.inverse
         self._from_gears = model.head.inverse
         self._amplifier = model.amplifier
@@ -155,7 +155,7 @@ class Controller:
         target, self._queue_planned, self._memory_planned = self._undone(value)
         voltage, clipped, output = self._way_in(), True, 0.0
         if self._stepper is None:
-            self._behind_first = None
+            self._first_run = None
             (low, high), slew = self.limits.move, self.limits.slew
             start = self._model.start_drive(target, self._begin, low, high)
             if voltage is None:
@@ -163,7 +163,7 @@ class Controller:
                 run = self._model.drive(row, start, self._dt, (low, high), slew)
                 voltage, clipped = float(run.y[0]), bool(run.clipped)
                 if self._amplifier is not None:
-                    self._behind_first = run.state
+                    self._first_run = run.state
             self._first = start
         elif voltage is None:
             voltage, clipped, output = self._planned(target)
@@ -189,7 +189,7 @@ class Controller:
         voltage, output = self._voltage, self._output_planned
         if applied is not None:
             voltage = _number(applied, "applied", *self.limits.rating, APPLIED_SPANS)
-            self._behind_first = None
+            self._first_run = None
         if self._stepper is None:
             output = self._set_out(voltage)
         else:
@@ -203,7 +203,7 @@ class Controller:
 
     def _set_out(self, voltage: float) -> float:
         """Commit the first voltage; return what comes out of the amplifier."""
-        model, state = self._model, self._behind_first
+        model, state = self._model, self._first_run
         if state is None:
             assert self._first is not None
             state = model.static.run(np.array([voltage]), self._first, self._dt).state

@@ -80,8 +80,8 @@ def test_a_set_of_models_holds_those_of_the_axes():
     both = ("--model", f"{model('set')}::x", "--model", f"{model('set')}::y")
     apart = done(*words, "2:3", *both)
     assert done(*words, "2:3", "--model", model("set")).raw == apart.raw
-    alone = ("sine", *WORDS, "--model", model("set"))
-    assert "MODEL::CHANNEL" in refused(2, "trajectory", *alone)
+    more = ("--model", model("small"), *both)
+    assert "MODEL::CHANNEL" in refused(2, *words, "2:3", *more)
 
 
 def test_bandwidth_rounds_corners():
