@@ -8,10 +8,12 @@ option (`` `skip_bad` `` becomes ``--skip-bad``).
 
 from __future__ import annotations
 
+import inspect
 import math
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import FrameType
 
 
 class DboError(Exception):
@@ -63,8 +65,21 @@ def prefixed(name: str) -> Iterator[None]:
 
 
 def warn(text: str) -> None:
-    """Warn the user: the command line prints it, the library leaves it to ``warnings``."""
-    warnings.warn(text, DboWarning, stacklevel=3)
+    """Warn the user: the command line prints it, the library leaves it to ``warnings``.
+
+    A warning points at the line that called this package.
+    """
+    level = 1
+    frame = inspect.currentframe()
+    while frame is not None and _is_ours(frame):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, DboWarning, stacklevel=level)
+
+
+def _is_ours(frame: FrameType) -> bool:
+    """Return whether a line of this package runs in a frame."""
+    module: str = frame.f_globals.get("__name__", "")
+    return module.partition(".")[0] == __name__.partition(".")[0]
 
 
 def require_positive(**figures: float | None) -> None:

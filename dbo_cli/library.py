@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from dbo_cli import model as room
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError, UsageError, require_positive
+from dbo_cli.errors import InputError, UsageError
 from dbo_cli.files import write_text
 from dbo_cli.logs import Reading, frame_table, is_frame, open_log, seconds_of
 from dbo_cli.recordings import (
@@ -246,7 +246,7 @@ class Model:
         from dbo_cli.drive.simulate import Simulator
 
         role = "voltage" if self.direction == "forward" else "displacement"
-        rate = _rate(sample_rate)
+        rate = Reading.typed(sample_rate=sample_rate).sample_rate
         signal = signal_of(x, (role, "input"), self.input, time, rate, unit)
         begin = room.state_of(state, self.actuator)
         simulator = Simulator(self.actuator, begin, outside)
@@ -354,8 +354,9 @@ class Model:
         from dbo_cli.drive import Driver, Lead, Limits
 
         self.actuator.require("forward")
-        rate, role = _rate(sample_rate), "displacement"
-        signal = signal_of(wanted, (role, role), self.output, time, rate, unit)
+        rate = Reading.typed(sample_rate=sample_rate).sample_rate
+        roles = ("displacement", "displacement")
+        signal = signal_of(wanted, roles, self.output, time, rate, unit)
         start = room.state_of(state, self.actuator)
         limits = Limits.within(self.input, v_min, v_max, max_slew, extrapolate)
         before = Lead(self.actuator, limits, start, from_, approach, condition, lead)
@@ -414,9 +415,10 @@ class Model:
         from dbo_cli.drive.live import Controller
 
         self.actuator.require("forward")
+        rate = Reading.typed(sample_rate=sample_rate).sample_rate
         return Controller(
             self.actuator,
-            cast(float, _rate(sample_rate)),
+            cast(float, rate),
             Limits.within(self.input, v_min, v_max, max_slew, extrapolate),
             state=room.state_of(state, self.actuator),
             from_=from_,
@@ -752,7 +754,7 @@ def report(
     """
     from dbo_cli.reports import Report, expected_in
 
-    rate = _rate(sample_rate)
+    reading = Reading.typed(sample_rate=sample_rate)
     if model is None and state != "auto":
         raise UsageError("`state` needs `model`")
     if model is not None and voltage is not None:
@@ -769,13 +771,12 @@ def report(
         signals = {"voltage": desired, "measured": measured}
     if measured is None and not is_frame(desired):
         raise UsageError("report: give `desired` and `measured`, or a frame")
-    table, columns = table_in_memory(signals, options, units, time, rate)
+    table, columns = table_in_memory(signals, options, units, time, reading.sample_rate)
     stated = [column.unit or "no unit" for column in table.columns[:2]]
     if measured is not None and actuator is None and stated[0] != stated[1]:
         raise InputError(
             f"desired is in {stated[0]}, measured in {stated[1]}: convert one, and pass `unit` of both"
         )
-    reading = Reading(sample_rate=rate)
     pairs, units, _ = pairs_of([table], columns, reading, actuator, start)
     unit = units.get("measured")
     return Report(
@@ -789,13 +790,3 @@ def report(
         max_nrmse_percent=quantity("max_nrmse_percent", max_nrmse_percent, "%"),
         model=actuator,
     )
-
-
-# --- typed numbers ---
-
-
-def _rate(value: Typed | None) -> float | None:
-    """Return a typed rate in Hz; UsageError where it is not above 0."""
-    rate: float | None = quantity("sample_rate", value, "Hz")
-    require_positive(sample_rate=rate)
-    return rate

@@ -38,7 +38,7 @@ from dbo_cli.units import (
 from dbo_cli.version import __version__
 
 if TYPE_CHECKING:
-    from dbo_cli.drive.learning import Tracked
+    from dbo_cli.drive.simulate import Rows
     from dbo_cli.identification import Options, Recording
     from dbo_cli.logs import Log
     from dbo_cli.reports import Pair
@@ -360,8 +360,8 @@ def warn_of_doubts(log: Log) -> None:
 
 def tracked_of(
     sources: Sequence[Any], columns: Columns, reading: Reading, model: Cascade
-) -> list[Tracked]:
-    """Read recordings of the last pass of a move, in the units of a model.
+) -> list[tuple[str, Rows]]:
+    """Read recordings of the last pass of a move, in the units of a model: names, and rows.
 
     Parameters
     ----------
@@ -370,18 +370,15 @@ def tracked_of(
     model : Cascade
         A forward model.
     """
-    if not sources:  # nothing is loaded for it
-        return []
-    from dbo_cli.drive.learning import Tracked
+    from dbo_cli.drive.simulate import Rows
 
     units = {"voltage": model.input.unit, "measured": model.output.unit}
     recordings = []
     for source in sources:
         log, table = read_table(source, columns, reading, units)
         warn_of_assumed(log)
-        recordings.append(
-            Tracked(log.name, table["voltage"], table["measured"], table.time)
-        )
+        rows = Rows(table.time, table["voltage"], table["measured"])
+        recordings.append((log.name, rows))
     return recordings
 
 

@@ -144,7 +144,7 @@ def _scales(texts: list[str]) -> dict[str, str | float]:
 def speak(
     *,
     quiet: bool = option(
-        None, "Print errors only.", OUTPUT, "-q", "--quiet", default=False
+        None, "Print no messages but errors.", OUTPUT, "-q", "--quiet", default=False
     ),
     verbose: bool = flag("--verbose", "Print details.", OUTPUT),
     debug: bool = flag("--debug", "Print a traceback, too.", OUTPUT, hidden=True),

@@ -11,6 +11,7 @@ from dbo_cli.errors import UsageError
 from dbo_cli.units import quantity
 
 UNIT = "um"  # without a model
+TWO_AXES = ("raster", "spiral")  # whose models may be those of a set
 
 
 def trajectory(
@@ -33,7 +34,9 @@ def trajectory(
     duration: Text = option("SECONDS", "Length of other shapes; default one cycle."),
     loop: bool = flag("--loop", "One closed period, for compensate --periodic."),
     bandwidth: Text = option("HZ", "Round corners, start and stop to this bandwidth."),
-    model: Texts = option("MODEL", "Keep its range and bandwidth; twice: x, y."),
+    model: Texts = option(
+        "MODEL", "Keep its range and bandwidth; a set or twice: x, y."
+    ),
 ) -> None:
     """Write a move: raster, spiral, staircase, sine or triangle.
 
@@ -43,14 +46,18 @@ def trajectory(
     Example: dbo trajectory raster --rate 10kHz --range 2:9 --lines 64 --frequency 5
     """
     from dbo_cli.logs import create
-    from dbo_cli.model import read_cascade
+    from dbo_cli.model import read_cascade, read_cascades
     from dbo_cli.moves import check_reach
     from dbo_cli.moves import trajectory as make
     from dbo_cli.units import kind_of, parse_unit, spell
 
-    models = [read_cascade(path) for path in model or []]
-    for path, actuator in zip(model or [], models, strict=True):
-        actuator.require("forward", path)
+    paths = model or []
+    if shape in TWO_AXES and len(paths) == 1:
+        models = list(read_cascades(paths[0]).values())
+    else:
+        models = [read_cascade(path) for path in paths]
+    for number, actuator in enumerate(models):
+        actuator.require("forward", paths[min(number, len(paths) - 1)])
     typed_unit = spell(opt.unit_behind(range_.rpartition(":")[2]))
     range_unit = typed_unit or UNIT
     if parse_unit(range_unit) is None:
@@ -83,7 +90,10 @@ def trajectory(
         bandwidth=limit,
     )
     if len(models) > len(move.axes):
-        raise UsageError(f"`model`: a {shape} has one axis; give one model")
+        raise UsageError(
+            f"`model`: {len(models)} models, and the axes of a {shape} are {len(move.axes)}: name one of a "
+            "set as MODEL::CHANNEL"
+        )
     if models:
         check_reach(move, models)
     names = ("displacement",) if len(move.axes) == 1 else ("x", "y")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, cast, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
@@ -23,9 +23,6 @@ from dbo_cli.drive.simulate import NO_ROWS, Ahead, Due, Rows, stacked
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import State, Steps
 from dbo_cli.units import Typed
-
-if TYPE_CHECKING:
-    from dbo_cli.drive.learning import Tracked
 
 OnLimit = Literal["auto", "clip", "error"]
 
@@ -116,7 +113,8 @@ class Driver:
         if self._ahead is None:
             dt, before = self._begin(float(target[0]), dt, time)
         assert self._ahead is not None
-        return stacked([before, self._ahead.take(dt, target, desired, time)])
+        due = self._ahead.take(dt, target, desired, time)
+        return stacked([before, *map(self._driven, due)])
 
     def finish(self) -> tuple[Rows, Drive]:
         """Return the rows that were held back and the way back, and the figures of the whole drive.
@@ -130,7 +128,7 @@ class Driver:
         """
         if self._ahead is None:
             raise InputError(f"{self.name}: has no rows")
-        rows = self._ahead.remaining()
+        rows = stacked([self._driven(due) for due in self._ahead.remaining()])
         self._judge.require_reached(self._step)
         voltage = self._way_back()
         assert self._state is not None
@@ -205,7 +203,7 @@ class Driver:
         bandwidth: float | None = None,
         periodic: bool = False,
         passes: int = 0,
-        tracked: Sequence[Tracked] = (),
+        tracked: Sequence[tuple[str, Rows]] = (),
         history: Sequence[PassRecord] = (),
         absolute: bool = False,
     ) -> Drive:
@@ -221,8 +219,8 @@ class Driver:
         periodic, passes
             The trajectory is one period of a loop, after so many passes of run-in.
         tracked, history, absolute
-            Recordings of the last pass, and the passes so far: the move is learned, with
-            ``absolute`` the mean of its error, too.
+            Recordings of the last pass (names, and rows of drive and displacement), and
+            the passes so far: the move is learned, with ``absolute`` its mean error, too.
 
         Raises
         ------
@@ -244,30 +242,36 @@ class Driver:
             )
         stamps, step = cast(Floats, time), cast(float, dt)  # where the clock is even
 
-        def drive_of(target: Floats) -> Drive:
-            if periodic:
-                return self.loop(desired, target, stamps, step, passes)
-            blocks = []
-            for begin in range(0, desired.size, DRIVEN_ROWS):
-                rows = slice(begin, begin + DRIVEN_ROWS)
-                times = None if time is None else time[rows]
-                steps = dt[rows] if isinstance(dt, np.ndarray) else dt
-                blocks.append(self.rows(desired[rows], steps, times, target[rows]))
-            last, drive = self.finish()
-            return drive.with_rows(stacked([*blocks, last]))
-
+        target, figures = desired, dict[str, Any]()
         if tracked:
             from dbo_cli.drive.learning import RepeatedMove
 
             move = RepeatedMove(self.lead, desired, stamps, step, periodic, absolute)
-            return move.learned(tracked, history, bandwidth, drive_of)
-        if bandwidth is None:
-            return drive_of(desired)
-        from dbo_cli.drive.smooth import low_pass
+            target, figures = move.learned(tracked, history, bandwidth)
+        elif bandwidth is not None:
+            from dbo_cli.drive.smooth import low_pass
 
-        target = low_pass(desired, bandwidth, step, periodic)
-        self._judge.rounding = float(np.sqrt(np.mean((target - desired) ** 2)))
-        return drive_of(target)
+            target = low_pass(desired, bandwidth, step, periodic)
+            self._judge.rounding = float(np.sqrt(np.mean((target - desired) ** 2)))
+        if periodic:
+            drive = self.loop(desired, target, stamps, step, passes)
+        else:
+            drive = self._in_blocks(desired, target, dt, time)
+        notes = (*figures.pop("notes", ()), *drive.notes)
+        return replace(drive, notes=notes, **figures)
+
+    def _in_blocks(
+        self, desired: Floats, target: Floats, dt: Steps, time: Floats | None
+    ) -> Drive:
+        """Return the drive of a whole trajectory that is driven in blocks, with its rows."""
+        blocks = []
+        for begin in range(0, desired.size, DRIVEN_ROWS):
+            rows = slice(begin, begin + DRIVEN_ROWS)
+            times = None if time is None else time[rows]
+            steps = dt[rows] if isinstance(dt, np.ndarray) else dt
+            blocks.append(self.rows(desired[rows], steps, times, target[rows]))
+        last, drive = self.finish()
+        return drive.with_rows(stacked([*blocks, last]))
 
     # --- before the move ---
 
@@ -286,12 +290,12 @@ class Driver:
             self._gate.require_reachable(*self.limits.move, dt)
         way, at_rest = np.split(stamps, [voltage.size])
         rows = self._played(way, voltage, "lead", time is not None)
-        self._ahead = Ahead(self.model, dt, self._state, self._driven)
+        self._ahead = Ahead(self.model, dt, self._state)
         if still_rows:
             still = np.full(still_rows, first)
             stamped = None if time is None else at_rest
-            rested = self._ahead.take(step, still, still, stamped, "lead")
-            rows = stacked([rows, rested])
+            due = self._ahead.take(step, still, still, stamped, "lead")
+            rows = stacked([rows, *map(self._driven, due)])
         return dt, rows
 
     def _first_step(self, dt: Steps) -> float:
@@ -318,7 +322,7 @@ class Driver:
 
     # --- the way of a row ---
 
-    def _driven(self, due: Due, dt: Steps) -> Rows:
+    def _driven(self, due: Due) -> Rows:
         """Return the drive of rows that are due, with which the static part reaches their target."""
         model, limits, target = self.model, self.limits, due.target
         if self._state is None:  # nothing leads to the move
@@ -327,9 +331,9 @@ class Driver:
             if self._gate.last is None and limits.slew is not None:
                 self._gate.last = self._state.drive
         state = self._state
-        run = model.drive(target, state, dt, limits.move, limits.slew)
-        self._judge.see(due, run, state, dt)
-        self._admit(run.y, dt, due.phase)
+        run = model.drive(target, state, due.dt, limits.move, limits.slew)
+        self._judge.see(due, run, state)
+        self._admit(run.y, due.dt, due.phase)
         self._state = run.state
         if due.time is not None:
             self._state = replace(run.state, time=float(due.time[-1]))

@@ -21,6 +21,7 @@ import random
 import numpy as np
 
 from dbo_cli.arrays import Floats
+from dbo_cli.drive.limits import rounded_down, rounded_up
 from dbo_cli.drive.smooth import MOST_SIGNAL_ROWS, swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError, require_positive
 
@@ -207,18 +208,21 @@ def _check_sweep(
     span: float, rate: float, sweep_to: float, crest: float, max_slew: float | None
 ) -> None:
     """Refuse a sweep that the rate does not resolve, or that range or slew do not allow."""
-    if rate < SWEEP_ROWS_A_PERIOD * sweep_to * (1.0 - 1e-9):
+    least_rate = SWEEP_ROWS_A_PERIOD * sweep_to
+    if rate < least_rate * (1.0 - 1e-9):
         raise UsageError(
-            f"`sweep_to` {sweep_to:g}: needs `sample_rate` {SWEEP_ROWS_A_PERIOD * sweep_to:g} or "
-            f"more, not {rate:g}"
+            f"`sweep_to` {sweep_to:g}: needs `sample_rate` {rounded_up(least_rate, 4):.9g} or more, not "
+            f"{rate:g}"
         )
     if not 0.0 < crest <= 0.5 * span:
+        largest = rounded_down(0.5 * span, 6)
         raise UsageError(
-            f"`sweep_amplitude` {crest:g}: give more than 0, at most {0.5 * span:g}"
+            f"`sweep_amplitude` {crest:g}: give more than 0, at most {largest:.6g}"
         )
     fastest = 2.0 * math.pi * sweep_to * crest * SWEEP_FADED
     if max_slew is not None and fastest > max_slew:
+        slower = rounded_down(crest * max_slew / fastest, 3)
         raise LimitError(
             f"`sweep_amplitude` {crest:g}: needs {fastest:.6g}/s at {sweep_to:g} Hz, more than "
-            f"`max_slew` {max_slew:g}; {crest * max_slew / fastest:.3g} fits"
+            f"`max_slew` {max_slew:g}; {slower:.9g} fits"
         )

@@ -11,7 +11,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import Lead
-from dbo_cli.drive.limits import in_full
+from dbo_cli.drive.limits import in_full, rounded_down, rounded_up
 from dbo_cli.drive.simulate import Due
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Run, State, Steps, expect
@@ -70,7 +70,7 @@ class Judge:
 
     # --- rows ---
 
-    def see(self, due: Due, run: Run, state: State, dt: Steps) -> None:
+    def see(self, due: Due, run: Run, state: State) -> None:
         """Look at rows that are driven: how the first ones begin, and what limits cut off the move.
 
         Parameters
@@ -79,8 +79,6 @@ class Judge:
             The rows, and what the static part was to reach for them.
         run, state
             The drive of them, and the state before it.
-        dt
-            Seconds since the row before.
 
         Raises
         ------
@@ -95,7 +93,7 @@ class Judge:
                 reached.append(model.static.run(run.y[:1], state, 0.0).y[0])
             self._off_at_first = max(abs(float(target[0] - y)) for y in reached)
         if due.phase == "move":
-            self.clip(due.desired, target, run, state, dt)
+            self.clip(due.desired, target, run, state, due.dt)
 
     def clip(
         self, desired: Floats, target: Floats, run: Run, state: State, dt: Steps
@@ -176,15 +174,10 @@ class Judge:
 
     def _exceeding(self) -> str:
         """Return how much of the move the limits forbid, in words; rows before the move do not count."""
-        text = (
+        return (
             f"{self._clipped:,} of {self._rows['move']:,} rows read (first: row {self._first_clipped:,}) "
             f"exceed {self.limits.describe()}"
         )
-        head, slew = self.model.head, self.limits.slew
-        if head and slew is not None:
-            slower = slew * head.least_slope * head.inverse.least_slope
-            text += f" ({slower:.3g}{self.limits.suffix}/s where the model's drive is bent most)"
-        return text
 
     def require_reached(self, step: float) -> None:
         """Refuse a move of which nothing can be reached, or of which the limits cut off too much.
@@ -240,18 +233,22 @@ class Judge:
 
     def _remedy(self) -> str:
         """Return which limits would let the move pass, and what to type."""
-        low, high, rate = self._needed
+        low, high = rounded_down(self._needed[0], 4), rounded_up(self._needed[1], 4)
         unit = self.limits.suffix
+        lowest, highest = self.limits.identified
+        wider = "wider limits"
+        if not self.limits.extrapolate and not lowest <= low <= high <= highest:
+            wider += " and `extrapolate`"
         needed = f"; it needs {low:.4g} to {high:.4g}{unit}"
         if self.limits.slew is not None:
-            needed += f", {rate:.3g}{unit}/s"
+            needed += f", {rounded_up(self._needed[2], 3):.3g}{unit}/s"
         way = (
             ""
             if self.lead.approach or self.lead.condition
             else "a way to row 1 (`from_` VOLT, `approach` auto), "
         )
         return (
-            f"{needed}: give wider limits, {way}a slower, smaller or smoother move (`bandwidth` HZ), or "
+            f"{needed}: give {wider}, {way}a slower, smaller or smoother move (`bandwidth` HZ), or "
             "`on_limit` clip"
         )
 

@@ -150,26 +150,35 @@ class Lead:
         UsageError
             A piece is too long for any memory.
         """
+        state, voltage = self._standing_state(time, dt)
         moves = self.condition or self.approach is not None
-        rest, untyped = self.rest, 0.0
-        still = self.model.inverter(dt).ahead if moves or rest == "auto" else 0
-        if isinstance(rest, float):
-            still = swing_rows(0.0, dt, rest)
-        else:
-            untyped = still * dt
-        state, before, standing = self.state, NO_VOLTAGES, self.standing
-        if isinstance(state, State):
-            state = replace(self._held(state, time, dt), drive=standing)
-        elif standing is not None:
-            state = self.model.start(standing, state)
-            before = np.array([standing])
+        rest, chosen = 0, 0.0
+        if isinstance(self.rest, float):
+            rest = swing_rows(0.0, dt, self.rest)
+        elif moves or self.rest == "auto":
+            rest = self.model.inverter(dt).ahead
+            chosen = rest * dt
         if moves:
-            return *self._way_in(first, dt, state, before, untyped), still
-        _require_short(untyped, "lead", untyped)
-        begin = None
+            return *self._way_in(first, dt, state, voltage, chosen), rest
+        _require_short(chosen, "lead", chosen)
         if isinstance(state, State):
-            begin = self._state_after(before, state, dt)
-        return begin, NO_VOLTAGES, still + self.hold
+            return self._state_after(voltage, state, dt), NO_VOLTAGES, rest + self.hold
+        return None, NO_VOLTAGES, rest + self.hold
+
+    def _standing_state(
+        self, time: float | None, dt: float
+    ) -> tuple[State | str, Floats]:
+        """Return the state in which the amplifier stands, and a row of where it stands behind that state.
+
+        No row stands behind a state that was left; and where it stands is not known, the
+        state is the name of a start.
+        """
+        state, standing = self.state, self.standing
+        if isinstance(state, State):
+            return replace(self._held(state, time, dt), drive=standing), NO_VOLTAGES
+        if standing is None:
+            return state, NO_VOLTAGES
+        return self.model.start(standing, state), np.array([standing])
 
     def _held(self, state: State, time: float | None, dt: float) -> State:
         """Return a state after the pause behind its last row, in which the voltage was held."""
@@ -186,35 +195,35 @@ class Lead:
         dt: float,
         state: State | str,
         before: Floats,
-        untyped: float,
+        chosen: float,
     ) -> tuple[State, Floats]:
         """Return the state before the first row, and the voltages that lead to the move.
 
-        ``before`` is where the amplifier stands, if a row of it is to be written;
-        ``untyped`` are seconds that nobody typed so far.
+        ``before`` is a row of where the amplifier stands, or none; ``chosen`` are seconds
+        of the rest before the move that nobody typed.
         """
-        swept, seconds = NO_VOLTAGES, self.approach
+        seconds, voltage = self.approach, before
         if self.condition:
             swept = self._conditioning(first, dt)
+            voltage = np.concatenate([before, swept])
             if isinstance(seconds, float):
                 seconds = max(seconds - swept.size * dt, dt)
             else:
                 seconds = "auto"
-        before = np.concatenate([before, swept])
-        stands = before[:1] if before.size else np.array([self.standing])
-        before = np.concatenate([np.repeat(stands, self.hold), before])
+        stands = voltage[0] if voltage.size else self.standing
+        voltage = np.concatenate([np.full(self.hold, stands), voltage])
         if not isinstance(state, State):
-            state = self.model.start(float(before[0]), state)
-        path = self._way(first, dt, self._state_after(before, state, dt), seconds)
-        voltage = np.concatenate([before, path])
-        still = rest_rows(self.model, dt)
+            state = self.model.start(float(voltage[0]), state)
+        path = self._way(first, dt, self._state_after(voltage, state, dt), seconds)
+        voltage = np.concatenate([voltage, path])
+        quiet = rest_rows(self.model, dt)
         if not self.condition:
-            require_time(seconds, (path.size - still) * dt, dt)
-        swing = (voltage.size - self.hold - still) * dt
-        untyped += still * dt
+            require_time(seconds, (path.size - quiet) * dt, dt)
+        swing = (voltage.size - self.hold - quiet) * dt
+        chosen += quiet * dt
         if not isinstance(self.approach, float):
-            untyped += swing
-        _require_short(untyped, "approach", swing)
+            chosen += swing
+        _require_short(chosen, "approach", swing)
         return state, voltage
 
     def _conditioning(self, first: float, dt: float) -> Floats:
@@ -265,12 +274,12 @@ class Lead:
         the voltage at which they end.
         """
         static, limits = self.model.static, self.limits
-        begin, still = state.drive, rest_rows(self.model, dt)
+        begin, quiet = state.drive, rest_rows(self.model, dt)
         assert begin is not None
 
         def way_to(end: float) -> Floats:
             swing = ramp(begin, end, dt, seconds, limits)
-            return np.concatenate([swing, np.full(still, end)])
+            return np.concatenate([swing, np.full(quiet, end)])
 
         if self.model.gears.relaxation is None:
             return way_to(self._goes_on(first, dt, state))
@@ -304,13 +313,13 @@ def _seconds(name: str, value: Typed | None) -> Typed | None:
     raise UsageError(f"`{name}` {value}: give seconds above 0, or auto")
 
 
-def _require_short(untyped: float, option: str, seconds: float) -> None:
+def _require_short(chosen: float, option: str, seconds: float) -> None:
     """Refuse to choose more than a minute before a move; name the seconds to type (LimitError)."""
-    if untyped <= LONGEST_CHOSEN:
+    if chosen <= LONGEST_CHOSEN:
         return
     more = " or more `max_slew`" if option == "approach" else ""
     raise LimitError(
-        f"{untyped:.4g} s before the move, and at most {LONGEST_CHOSEN:g} s are chosen: give `{option}` "
+        f"{chosen:.4g} s before the move, and at most {LONGEST_CHOSEN:g} s are chosen: give `{option}` "
         f"{rounded_up(seconds, 3):.9g}{more}"
     )
 

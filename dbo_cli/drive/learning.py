@@ -11,18 +11,20 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
+from typing import Any
 
 import numpy as np
 
 from dbo_cli.alignment import ACTUATOR_LAG, DRIVE_RESIDUAL, RATE_SLACK
 from dbo_cli.arrays import Floats
-from dbo_cli.drive.drive import Drive, PassRecord
+from dbo_cli.drive.drive import PassRecord
 from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.loops import settled_run
+from dbo_cli.drive.simulate import Rows
 from dbo_cli.drive.smooth import low_pass, soft_rise
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import Cascade, State, fields
@@ -39,35 +41,19 @@ ONE_DRIVE = 0.02
 LONG_STEP = 1.5  # steps: a longer one lacks rows
 # times what the model expects of the drive, by which a sensor's scale is told to be another
 OTHER_SCALE = 1.25
+# of a recording to what the model makes of its drive: with less it is of another thing
+LEAST_CORRELATION = 0.5
+STANDS_STILL = 1e-9  # of the move: what rounding leaves of a constant
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
 # of the squares that stamps leave: with more left elsewhere, they are believed
 MUCH_CLOSER = 0.25
+LEAD_TRIES = 6  # to lay a recording by what led to the move
 SWEEP_TRAVEL = 1.7  # ranges that the drive travels in a sweep there and back
 # of what was asked, in a third of an octave: a pass takes two thirds off
 TRUSTED_ERROR = 1.0 / 3.0
 # of the strongest third of an octave (amplitude): with less a band says nothing
 BAND_ENERGY = 1e-3
-
-
-@dataclass(frozen=True)
-class Tracked:
-    """One recording of a drive played, in the units of the model.
-
-    Attributes
-    ----------
-    name : str
-        Of the file, for messages.
-    voltage, measured : array
-        Drive and displacement, row by row.
-    time : array, optional
-        Seconds on the drive's clock; rows before the trajectory's first are its lead.
-    """
-
-    name: str
-    voltage: Floats
-    measured: Floats
-    time: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -98,33 +84,30 @@ class RepeatedMove:
 
     def learned(
         self,
-        recordings: Sequence[Tracked],
+        recordings: Sequence[tuple[str, Rows]],
         history: Sequence[PassRecord],
         bandwidth: float | None,
-        drive_of: Callable[[Floats], Drive],
-    ) -> Drive:
-        """Return the drive of the next pass, with what is to be said of the last one.
+    ) -> tuple[Floats, dict[str, Any]]:
+        """Return what the next pass asks of the model, and what its ``Drive`` says of the last one.
 
         The error to expect is that of the last pass, which the next one should stay below.
 
         Parameters
         ----------
         recordings
-            Of the last pass, one or more of the same drive.
+            Names, and rows of drive and displacement of the last pass; all of one drive.
         history
             The passes so far, the oldest first; from one with this very drive on they
             are forgotten.
         bandwidth
             Cut-off of Q (Hz); None: as far as the model can be trusted.
-        drive_of
-            Makes the drive of what is asked of the model.
 
         Raises
         ------
         InputError
             A recording is not of this trajectory, or the error grew.
         """
-        name, unit = recordings[0].name, self.model.output.suffix
+        name, unit = recordings[0][0], self.model.output.suffix
         if not np.ptp(self.desired) > 0.0:
             raise InputError(f"{name}: the trajectory holds still: nothing is learned")
         voltage, modelled, measured = self._mean_of(recordings)
@@ -138,13 +121,9 @@ class RepeatedMove:
         before = tuple(history)
         if passed.drive_sha256 in drives:  # what came of learning from it is forgotten
             before = before[: drives.index(passed.drive_sha256)]
-        # a third of the lowest resonance: nothing grows where the model has it 25 % off
-        cutoff = bandwidth or self.model.trusted_frequency
+        cutoff = bandwidth
         if cutoff is None:
-            residual = measured - modelled
-            cutoff = _trusted_by_bands(name, self.desired, residual, self.step)
-        if bandwidth is None:
-            cutoff = min(cutoff, 0.45 / self.step)
+            cutoff = self._trusted_cutoff(name, measured - modelled)
         errors = [record.rmse for record in before]
         self._require_no_growth(name, errors, passed.rmse, cutoff)
         change = modelled - self.desired + error
@@ -159,24 +138,29 @@ class RepeatedMove:
             f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move), "
             f"{reached:.2g}{unit} of it noise; learned below {cutoff:.4g} Hz"
         )
-        forgotten = len(history) - len(before) - 1
-        if forgotten > 0:
-            note += f"; passes behind it are forgotten, {forgotten} of {len(history)}"
-        drive = drive_of(self.desired + learned)
-        return replace(
-            drive,
-            # the model's own error is what was learned
-            expected_error=passed.rmse,
-            expected_known=None,
-            expected_unrested=None,
-            mean_left_out=None if self.absolute else -zero,
-            history=(*before, passed),
-            notes=(note, *drive.notes),
-        )
+        figures = {
+            "expected_error": passed.rmse,
+            "expected_known": None,  # the model's own error is what was learned
+            "expected_unrested": None,
+            "mean_left_out": None if self.absolute else -zero,
+            "history": (*before, passed),
+            "notes": (note,),
+        }
+        return self.desired + learned, figures
+
+    def _trusted_cutoff(self, name: str, residual: Floats) -> float:
+        """Return the cut-off (Hz) up to which the model can be trusted."""
+        # a third of the lowest resonance: nothing grows where the model has it 25 % off
+        cutoff = self.model.trusted_frequency
+        if cutoff is None:
+            cutoff = _trusted_by_bands(name, self.desired, residual, self.step)
+        return min(cutoff, 0.45 / self.step)
 
     # --- the rows of a recording ---
 
-    def _mean_of(self, recordings: Sequence[Tracked]) -> tuple[Floats, Floats, Floats]:
+    def _mean_of(
+        self, recordings: Sequence[tuple[str, Rows]]
+    ) -> tuple[Floats, Floats, Floats]:
         """Return the drive of the first recording, what the model makes of them, and the mean measured.
 
         Raises
@@ -184,13 +168,12 @@ class RepeatedMove:
         InputError
             A recording is of another drive than the first.
         """
-        passes = [self._pass_of(recording) for recording in recordings]
-        voltage = passes[0][0]
-        for recording, (other, _, _) in zip(recordings, passes, strict=True):
+        passes = [self._pass_of(name, block) for name, block in recordings]
+        first, voltage = recordings[0][0], passes[0][0]
+        for (name, _), (other, _, _) in zip(recordings, passes, strict=True):
             if not self._is_same_drive(other, voltage):
                 raise InputError(
-                    f"{recording.name}: not the drive of {recordings[0].name}: average recordings of one "
-                    "drive only"
+                    f"{name}: not the drive of {first}: average recordings of one drive only"
                 )
         modelled = np.mean([rows[1] for rows in passes], axis=0)
         return voltage, modelled, np.mean([rows[2] for rows in passes], axis=0)
@@ -199,23 +182,23 @@ class RepeatedMove:
         """Return whether two recordings are of one drive, but for what a monitor adds."""
         return rms(voltage - other) <= ONE_DRIVE * self.model.input.span
 
-    def _pass_of(self, recording: Tracked) -> tuple[Floats, Floats, Floats]:
+    def _pass_of(self, name: str, recording: Rows) -> tuple[Floats, Floats, Floats]:
         """Return drive, modelled and measured displacement of the rows that belong to the trajectory."""
-        voltage, step, count = recording.voltage, self.step, self.desired.size
+        voltage, step, count = recording.x, self.step, self.desired.size
         modelled = self.model.run(voltage, self._start(voltage), step).y
-        stamped = self._row_by_stamps(recording)
+        stamped = self._row_by_stamps(name, recording.time)
         begin = stamped or 0
         if not self.periodic:
-            begin = self._first_row(modelled, stamped)
+            begin = self._first_row(voltage, modelled, stamped)
         rows = voltage.size - begin
         if rows < count:
             raise InputError(
-                f"{recording.name}: {rows:,} rows from the start of the move, the trajectory has "
+                f"{name}: {rows:,} rows from the start of the move, the trajectory has "
                 f"{count:,}: record each row of it"
             )
         time = step * np.arange(float(voltage.size))
         delay = self.model.sensor_delay
-        measured, _ = without_delay(time, recording.measured, delay)
+        measured, _ = without_delay(time, recording.y, delay)
         if self.periodic:
             drive, measured = self._mean_period(voltage, measured)
             led = voltage[:1] if stamped else voltage[:0]
@@ -225,7 +208,7 @@ class RepeatedMove:
                 phase = 0  # what was learned may be as early
             drive, measured = np.roll(drive, -phase), np.roll(measured, -phase)
             return drive, self._repeated(drive, led), measured
-        self._require_same_past(recording.name, voltage[:begin])
+        self._require_same_past(name, voltage[:begin])
         move = slice(begin, begin + count)  # what stands behind is a return
         return voltage[move], modelled[move], measured[move]
 
@@ -264,31 +247,51 @@ class RepeatedMove:
         spectrum = np.fft.rfft(modelled) * np.fft.rfft(self.desired).conj()
         return int(np.argmax(np.fft.irfft(spectrum, modelled.size)))
 
-    def _first_row(self, modelled: Floats, stamped: int | None) -> int:
+    def _first_row(self, voltage: Floats, modelled: Floats, stamped: int | None) -> int:
         """Return the recording's row of the trajectory's first; what stands before is its lead.
 
         A recorder may count from elsewhere than the stamps say: the trajectory is laid
-        where what the model makes of the recorded drive is closest to it.
+        where what the model makes of the recorded drive is closest to it, or behind what
+        led to it.
         """
-        desired, count = self.desired - self.desired.mean(), self.desired.size
-        level = modelled - self.desired.mean()
-        places = max(level.size - count + 1, 1)
-        size = level.size + count
-        spectrum = np.fft.rfft(level, size) * np.fft.rfft(desired, size).conj()
-        products = np.fft.irfft(spectrum, size)[:places]
-        squares = np.cumsum(np.append(0.0, level**2))
-        squares = squares[-places:] - squares[:places]
-        square = float(np.sum(desired**2))
-        misfit = squares - 2.0 * products + square
+        desired, mean = self.desired - self.desired.mean(), self.desired.mean()
+        misfit = sliding_misfit(modelled - mean, desired)
         row = int(np.argmin(misfit))
-        if stamped is None or stamped >= places:
-            return row
-        enough = min(MUCH_CLOSER * float(misfit[stamped]), DRIVE_RESIDUAL * square)
+        led = self._row_behind_lead(voltage, modelled, row)
+        best = row if led is None else led
+        if stamped is None or stamped >= misfit.size:
+            return best
         # what was learned may be as early
-        is_near = abs(row - stamped) * self.step <= ACTUATOR_LAG
-        return stamped if is_near or enough <= float(misfit[row]) else row
+        if abs(best - stamped) * self.step <= ACTUATOR_LAG:
+            return stamped
+        if led is not None and misfit[led] < misfit[stamped]:
+            return led
+        square = float(np.sum(desired**2))
+        enough = min(MUCH_CLOSER * float(misfit[stamped]), DRIVE_RESIDUAL * square)
+        return stamped if enough <= float(misfit[row]) else row
 
-    def _row_by_stamps(self, recording: Tracked) -> int | None:
+    def _row_behind_lead(
+        self, voltage: Floats, modelled: Floats, row: int
+    ) -> int | None:
+        """Return the row behind what led to the move, which begins at about ``row``; None: not recorded.
+
+        What was learned has changed the shape of the move, and moved it by some rows.
+        """
+        close = ONE_DRIVE * self.model.input.span
+        for _ in range(LEAD_TRIES):  # what leads to it depends on its first value
+            _, led, still = self.lead.planned(float(modelled[row]), self.step, None)
+            if not 0 < led.size <= voltage.size or np.ptp(led) <= close:
+                return None
+            misfit = sliding_misfit(voltage - led.mean(), led - led.mean())
+            begin = int(np.argmin(misfit))
+            tried, row = row, begin + led.size + still
+            if row + self.desired.size > voltage.size:
+                return None
+            if row == tried:
+                return row if misfit[begin] <= led.size * close**2 else None
+        return None
+
+    def _row_by_stamps(self, name: str, time: Floats | None) -> int | None:
         """Return the row at the time of the trajectory's first; None where no stamp is of that time.
 
         Raises
@@ -296,14 +299,13 @@ class RepeatedMove:
         InputError
             The clock has another rate, or a gap.
         """
-        time = recording.time
         if time is None or time.size < 2:
             return None
         step, longest = step_of(time), float(np.diff(time).max())
         other_rate = abs(step / self.step - 1.0) > RATE_SLACK
         if other_rate or longest > LONG_STEP * step:
             raise InputError(
-                f"{recording.name}: {1.0 / max(step, 1e-300):.6g} Hz, longest step {longest:.4g} s, the "
+                f"{name}: {1.0 / max(step, 1e-300):.6g} Hz, longest step {longest:.4g} s, the "
                 f"trajectory {1.0 / self.step:.6g} Hz: record each row at its rate, or `resample` HZ"
             )
         begin = self.time[0] - 0.5 * self.step
@@ -363,6 +365,18 @@ class RepeatedMove:
         )
 
 
+def sliding_misfit(values: Floats, template: Floats) -> Floats:
+    """Return the sum of squared differences from a template at each place where it fits in; one at least."""
+    places = max(values.size - template.size + 1, 1)
+    size = values.size + template.size
+    spectrum = np.fft.rfft(values, size) * np.fft.rfft(template, size).conj()
+    products = np.fft.irfft(spectrum, size)[:places]
+    squares = np.cumsum(np.append(0.0, values**2))
+    squares = squares[-places:] - squares[:places]
+    misfit: Floats = squares - 2.0 * products + float(np.sum(template**2))
+    return misfit
+
+
 def rms(values: Floats) -> float:
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(values**2)))
@@ -387,6 +401,11 @@ def _require_same_scale(name: str, modelled: Floats, measured: Floats) -> None:
     gain = float(move @ measured) / max(float(move @ move), 1e-300)
     if 1.0 / OTHER_SCALE <= gain <= OTHER_SCALE:
         return
+    spread = LEAST_CORRELATION * float(np.std(measured))
+    if abs(gain) * rms(move) <= spread + STANDS_STILL * rms(move):
+        raise InputError(
+            f"{name}: the displacement does not follow the drive: check columns, units and sensor"
+        )
     raise InputError(
         f"{name}: the displacement is {gain:.3g} times what the model expects of this drive: if the sensor's "
         f"scale is another, type `scale` measured={1.0 / gain:.3g}, else identify with `prior`"

@@ -215,8 +215,15 @@ def voltage_in(name: str, figure: Typed | None, quantity: Quantity) -> float | N
 
 def rounded_up(value: float, digits: int = 2) -> float:
     """Return a bound to some digits, no smaller than it is."""
-    unit = 10.0 ** (math.floor(math.log10(value)) + 1 - digits)
+    if not value:
+        return value
+    unit = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
     return math.ceil(value / unit) * unit
+
+
+def rounded_down(value: float, digits: int = 2) -> float:
+    """Return a bound to some digits, no larger than it is."""
+    return -rounded_up(-value, digits)
 
 
 # --- the gate ---

@@ -27,14 +27,6 @@ WANTED_SPANS = 1e12
 APPLIED_SPANS = 1e3
 """Likewise of an applied voltage."""
 
-Planned = tuple[
-    float, bool, float, Floats | None, Undoing | None, State | None, State | None
-]
-"""Voltage, whether it was clipped, the amplifier's output, what is wanted from then on, what undoing
-remembers; of a first row the state before it, and that behind an amplifier. A tuple: making a record would
-take a fifth of a plan's time.
-"""
-
 
 class Controller:
     """Drives an actuator sample by sample.
@@ -102,7 +94,14 @@ class Controller:
             state = dataclasses.replace(state, drive=self.last)
         self._begin = state
         self._stepper: Any = None
-        self._pending: Planned | None = None
+        # what is planned, and not committed yet: attributes, since a record takes time
+        self._is_planned = False
+        self._voltage, self._is_clipped, self._output_planned = 0.0, False, 0.0
+        self._queue_planned: Floats | None = None
+        self._memory_planned: Undoing | None = None
+        # of a first row: the state before it, and that behind it, of an amplifier
+        self._first: State | None = None
+        self._first_run: State | None = None
         self._to_gears = model.tail.inverse
         self._from_gears = model.head.inverse
         self._amplifier = model.amplifier
@@ -150,26 +149,29 @@ class Controller:
         InputError
             What is wanted is no number, or absurdly far away; nothing is left to commit.
         """
-        self._pending = None
+        self._is_planned = False
         reach = self._model.output
         value = _number(wanted, "wanted", reach.min, reach.max, WANTED_SPANS)
-        target, queue, memory = self._undone(value)
+        target, self._queue_planned, self._memory_planned = self._undone(value)
         voltage, clipped, output = self._way_in(), True, 0.0
-        start = after = None
         if self._stepper is None:
+            self._first_run = None
             (low, high), slew = self.limits.move, self.limits.slew
             start = self._model.start_drive(target, self._begin, low, high)
             if voltage is None:
-                first = np.array([target])
-                run = self._model.drive(first, start, self._dt, (low, high), slew)
+                row = np.array([target])
+                run = self._model.drive(row, start, self._dt, (low, high), slew)
                 voltage, clipped = float(run.y[0]), bool(run.clipped)
-                after = run.state if self._amplifier is not None else None
+                if self._amplifier is not None:
+                    self._first_run = run.state
+            self._first = start
         elif voltage is None:
             voltage, clipped, output = self._planned(target)
         else:
             output = self._follow(voltage)
         self._admit(voltage)
-        self._pending = voltage, clipped, output, queue, memory, start, after
+        self._voltage, self._is_clipped, self._output_planned = voltage, clipped, output
+        self._is_planned = True
         return voltage
 
     def commit(self, applied: float | None = None) -> None:
@@ -182,29 +184,33 @@ class Controller:
         InputError
             ``applied`` is no number, or absurdly far away; nothing has moved.
         """
-        if self._pending is None:
+        if not self._is_planned:
             raise UsageError("`commit`: nothing is planned (`plan` comes first)")
-        voltage, clipped, output, queue, memory, start, after = self._pending
+        voltage, output = self._voltage, self._output_planned
         if applied is not None:
             voltage = _number(applied, "applied", *self.limits.rating, APPLIED_SPANS)
-            after = None
-        if start is not None:
-            model = self._model
-            if after is None:
-                first = np.array([voltage])
-                after = model.static.run(first, start, self._dt).state
-            window, slew = model.inner_limits(self.limits.move, self.limits.slew)
-            at_gears = dataclasses.replace(after, drive=model.head.value(voltage))
-            self._stepper = model.gears.stepper(at_gears, self._dt, window, slew)
-            output = after.amplifier or 0.0
+            self._first_run = None
+        if self._stepper is None:
+            output = self._set_out(voltage)
         else:
             if applied is not None:
                 output = self._follow(voltage)
             self._stepper.commit()
         self.last, self._output = voltage, output
-        self._queue, self._memory = queue, memory
-        self.clipped += clipped
-        self._pending = None
+        self._queue, self._memory = self._queue_planned, self._memory_planned
+        self.clipped += self._is_clipped
+        self._is_planned = False
+
+    def _set_out(self, voltage: float) -> float:
+        """Commit the first voltage; return what comes out of the amplifier."""
+        model, state = self._model, self._first_run
+        if state is None:
+            assert self._first is not None
+            state = model.static.run(np.array([voltage]), self._first, self._dt).state
+        window, slew = model.inner_limits(self.limits.move, self.limits.slew)
+        at_gears = dataclasses.replace(state, drive=model.head.value(voltage))
+        self._stepper = model.gears.stepper(at_gears, self._dt, window, slew)
+        return state.amplifier or 0.0
 
     def step(self, wanted: float) -> float:
         """Plan and commit at once."""

@@ -18,13 +18,11 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Cascade, Outside, State, Steps, steps_behind
 
-MaybeFloats = Floats | None
-
 
 class Rows(NamedTuple):
-    """Rows that are ready: seconds (None without a clock), what was asked for, and what came of it."""
+    """Rows, ready or recorded: seconds (None without a clock), what was asked for, what came of it."""
 
-    time: MaybeFloats
+    time: Floats | None
     x: Floats
     y: Floats
 
@@ -61,13 +59,16 @@ class Due(NamedTuple):
         Of the rows; no time without a clock.
     phase : {"move", "lead"}
         Whether they stand before the move.
+    dt : float, array or None
+        Seconds since the row before.
     """
 
     target: Floats
     asked: Floats
     desired: Floats
-    time: MaybeFloats
+    time: Floats | None
     phase: str
+    dt: Steps
 
 
 class Ahead:
@@ -77,13 +78,6 @@ class Ahead:
     ----------
     model, dt, state
         A forward model, seconds a row, and the state before the first row.
-    drive : callable
-        Drives rows that are due, with their time steps.
-
-    Attributes
-    ----------
-    dt : float, array or None
-        Seconds since the row before, of the last block.
     """
 
     def __init__(
@@ -91,14 +85,12 @@ class Ahead:
         model: Cascade,
         dt: Steps,
         state: State | str | None,
-        drive: Callable[[Due, Steps], Rows],
     ) -> None:
-        self.dt = dt
-        self._model, self._drive = model, drive
+        self._model, self._dt = model, dt
         inverter = model.inverter(dt)
         self._count = inverter.ahead
         self._undoing = inverter.behind(state) if isinstance(state, State) else None
-        self._waiting: deque[tuple[Floats, MaybeFloats, str]] = deque()
+        self._waiting: deque[tuple[Floats, Floats | None, str]] = deque()
         self._asked = np.empty(0)  # of the blocks that wait, and of those after
 
     def take(
@@ -106,19 +98,19 @@ class Ahead:
         dt: Steps,
         asked: Floats,
         desired: Floats,
-        time: MaybeFloats,
+        time: Floats | None,
         phase: str = "move",
-    ) -> Rows:
-        """Take a block, what is asked for and what is desired; return the rows that are due, driven."""
-        self.dt = dt
+    ) -> list[Due]:
+        """Take a block, what is asked for and what is desired; return the blocks that are due."""
+        self._dt = dt
         self._waiting.append((desired, time, phase))
         return self._due(asked)
 
-    def remaining(self) -> Rows:
-        """Return the rows that are left: the last value goes on for ever."""
+    def remaining(self) -> list[Due]:
+        """Return the blocks that are left: the last value goes on for ever."""
         return self._due(np.repeat(self._asked[-1:], self._count))
 
-    def _due(self, asked: Floats) -> Rows:
+    def _due(self, asked: Floats) -> list[Due]:
         """Return each block of which enough is known with what is asked for behind it."""
         if self._asked.size:
             asked = np.concatenate([self._asked, asked])
@@ -127,11 +119,11 @@ class Ahead:
             desired, time, phase = self._waiting.popleft()
             read = asked[: desired.size + self._count]
             asked = asked[desired.size :]
-            inverter = self._model.inverter(self.dt)
+            inverter = self._model.inverter(self._dt)
             target, self._undoing = inverter.run(read, self._undoing)
-            blocks.append(self._drive(Due(target, read, desired, time, phase), self.dt))
+            blocks.append(Due(target, read, desired, time, phase, self._dt))
         self._asked = asked
-        return stacked(blocks)
+        return blocks
 
 
 class Simulator:
@@ -200,18 +192,18 @@ class Simulator:
             if isinstance(self.state, State):
                 dt = steps_behind(self.state.time, time, dt)
             if not self.model.is_forward:
-                self._ahead = Ahead(self._forward, dt, self.state, self._driven)
+                self._ahead = Ahead(self._forward, dt, self.state)
         if self._ahead is None:
             start = self.model.start(float(x[0]), self.state)
             self._watch(x, self.model)
             run = self.model.run(x, start, dt, self.outside)
             self.state = run.state
             return self._counted(x, run.y, time)
-        return self._ahead.take(dt, x, x, time)
+        return self._driven(self._ahead.take(dt, x, x, time))
 
     def finish(self) -> Rows:
         """Return what was held back, as if the last value went on for ever; warn of rows outside."""
-        rows = NO_ROWS if self._ahead is None else self._ahead.remaining()
+        rows = NO_ROWS if self._ahead is None else self._driven(self._ahead.remaining())
         if isinstance(self.state, State):
             self.state = replace(self.state, model=self.model.digest)
         if self.outside_count:
@@ -224,7 +216,7 @@ class Simulator:
             )
         return rows
 
-    def _counted(self, x: Floats, y: Floats, time: MaybeFloats) -> Rows:
+    def _counted(self, x: Floats, y: Floats, time: Floats | None) -> Rows:
         """Count rows that are ready, and return them."""
         self.row_count += x.size
         if time is not None:
@@ -232,20 +224,23 @@ class Simulator:
             self.state = replace(self.state, time=float(time[-1]))
         return Rows(time, x, y)
 
-    def _driven(self, due: Due, dt: Steps) -> Rows:
+    def _driven(self, blocks: list[Due]) -> Rows:
         """Return rows with the drive that an inverse model makes, within its range where it is held."""
         model, is_held = self._forward, self.outside == "hold"
         window = (model.input.min, model.input.max) if is_held else None
-        self.state = model.start_drive(float(due.target[0]), self.state)
-        run = model.drive(due.target, self.state, dt, window)
-        self.state = run.state
-        if run.clipped and not self.outside_count:
-            self.first_outside = self.row_count + run.first_clipped + 1
-        self.outside_count += run.clipped
-        if self.outside == "error":
-            self._watch(due.desired, self.model)
-        self._watch(run.y, model)
-        return self._counted(due.desired, run.y, due.time)
+        driven = []
+        for due in blocks:
+            self.state = model.start_drive(float(due.target[0]), self.state)
+            run = model.drive(due.target, self.state, due.dt, window)
+            self.state = run.state
+            if run.clipped and not self.outside_count:
+                self.first_outside = self.row_count + run.first_clipped + 1
+            self.outside_count += run.clipped
+            if self.outside == "error":
+                self._watch(due.desired, self.model)
+            self._watch(run.y, model)
+            driven.append(self._counted(due.desired, run.y, due.time))
+        return stacked(driven)
 
     def _watch(self, values: Floats, model: Cascade) -> None:
         """Count the rows that are outside the input's range of a model, or refuse the first of them."""

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dbo_cli.arrays import Floats
+from dbo_cli.drive.limits import rounded_down
 from dbo_cli.errors import UsageError
 
 REACH = 10.0
@@ -97,8 +98,9 @@ def low_pass(
     """
     rate = 1.0 / dt
     if not 0.0 < cutoff <= 0.5 * rate:
+        highest = rounded_down(0.5 * rate, 6)
         raise UsageError(
-            f"`bandwidth` {cutoff:g}: must be above 0 and at most half the sample rate, {0.5 * rate:.6g}"
+            f"`bandwidth` {cutoff:g}: must be above 0 and at most half the sample rate, {highest:.6g}"
         )
     reach = 0 if loop else math.ceil(REACH * rate / cutoff)
     if reach > MOST_SIGNAL_ROWS:

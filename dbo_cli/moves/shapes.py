@@ -133,6 +133,9 @@ def trajectory(
     if turn and form.lines:
         flat = 1.0 - form.lines * turn / plan.period
         note += f", {100.0 * flat:.3g} % of it linear"
+    least, greatest = float(axes[0].min()), float(axes[0].max())
+    if least < low or greatest > high:
+        note += f", turns from {least:.6g} to {greatest:.6g}"
     return Trajectory(np.arange(axes[0].size) / rate, axes, note)
 
 

@@ -176,6 +176,16 @@ def test_what_is_warned_of_is_part_of_the_result():
     assert said and set(said) <= set(found.fit["warnings"])
 
 
+def test_a_warning_points_at_the_line_that_called():
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        soft = dbo.read_model(model("small"))
+        soft.compensate(np.linspace(1.0, 9.0, 50), sample_rate=1e3, from_=9.0)
+        soft.simulate([0.0, 12.0])
+    lines = {one.lineno for one in caught if one.filename == __file__}
+    assert len(caught) >= 2 and len(lines) == 2
+
+
 # --- models ---
 
 

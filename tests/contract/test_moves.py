@@ -65,6 +65,25 @@ def test_a_loop_goes_on_where_it_ended(kind):
         assert abs(moved[0] - moved[-1]) <= 2.0 * inside + 1e-9
 
 
+def test_the_turns_of_a_raster_are_said():
+    words = ("raster", *WORDS, "--lines", 8, *SMALL, "-o", "move.csv")
+    assert "turns from" not in done("trajectory", *words).said[-1]
+    said = done("trajectory", *words, "--bandwidth", 50).said[-1]
+    least, greatest = re.search(r"turns from (\S+) to (\S+);", said).groups()
+    moved = table("move.csv")["x_um"]
+    assert moved.min() == pytest.approx(float(least), abs=1e-4)
+    assert moved.max() == pytest.approx(float(greatest), abs=1e-4)
+
+
+def test_a_set_of_models_holds_those_of_the_axes():
+    words = ("trajectory", "raster", *WORDS, "--lines", 4, "--range")
+    both = ("--model", f"{model('set')}::x", "--model", f"{model('set')}::y")
+    apart = done(*words, "2:3", *both)
+    assert done(*words, "2:3", "--model", model("set")).raw == apart.raw
+    more = ("--model", model("small"), *both)
+    assert "MODEL::CHANNEL" in refused(2, *words, "2:3", *more)
+
+
 def test_bandwidth_rounds_corners():
     words = ("triangle", "--rate", 5000, *WORDS[2:])
     moves = [shape(*words)["displacement_um"]]
@@ -214,3 +233,13 @@ def test_other_units_of_drive_and_limits_that_are_too_slow():
     assert name.endswith("_bar") and written[name].max() <= 4.0
     words = ("excite", "--v-max", 100, "--max-slew", 1, "--duration", 5)
     assert dbo(*words).code in (2, 3)
+
+
+@pytest.mark.parametrize("sweep_to", [116.8441693, 33.3333, 77.0])
+def test_what_a_refused_sweep_names_does(sweep_to):
+    words = ("excite", "--v-min", 0, "--v-max", 10, "--sweep-to", sweep_to)
+    error = refused(2, *words, "--sample-rate", 100)
+    rate = re.search(r"--sample-rate (\S+) or more", error)[1]
+    words = (*words, "--sample-rate", rate, "--max-slew", 7.7)
+    crest = re.search(r"; (\S+) fits", refused(3, *words, "--sweep-amplitude", 1))[1]
+    done(*words, "--sweep-amplitude", crest)

@@ -1,11 +1,9 @@
-import dataclasses
-
 import numpy as np
 import pytest
 
 from dbo_cli.drive import Limits
 from dbo_cli.drive.drive import PassRecord
-from dbo_cli.drive.learning import Tracked
+from dbo_cli.drive.simulate import Rows
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import Resonance
 
@@ -20,6 +18,10 @@ def move(rows=6000):
     t = np.arange(rows) / rows
     u = np.clip((t - 0.1) / 0.8, 0.0, 1.0)
     return 5.0 + 2.5 * np.sin(2 * np.pi * 19 * u) * np.sin(np.pi * u) ** 2
+
+
+def played(name, voltage, measured, time=None):
+    return name, Rows(time, voltage, measured)
 
 
 MODEL, PLANT = actuator(growth=1.5), actuator(growth=1.7)
@@ -42,7 +44,7 @@ def learned(model, plant, passes, noise=0.0):
         error = (y - wanted)[700:-700]
         errors.append(100.0 * float(np.std(error)) / float(np.ptp(wanted)))
         measured = y + noise * rng.standard_normal(y.size)
-        tracked = [Tracked("pass.csv", drive.voltage, measured)]
+        tracked = [played("pass.csv", drive.voltage, measured)]
     return errors
 
 
@@ -66,11 +68,11 @@ def test_growth_is_refused():
     wanted = move()
     first = plan(model, wanted, DT, limits, state="empty")
     y = plant.run(first.voltage, plant.start(0.0, "empty"), DT).y
-    tracked = [Tracked("pass.csv", first.voltage, y)]
+    tracked = [played("pass.csv", first.voltage, y)]
     small = [PassRecord("earlier", 1e-6)]
     with pytest.raises(InputError, match=r"grew.*`bandwidth` .* \(it was"):
         plan(model, wanted, DT, limits, state="empty", tracked=tracked, history=small)
-    scaled = [Tracked("pass.csv", first.voltage, 1.3 * y + 0.4)]
+    scaled = [played("pass.csv", first.voltage, 1.3 * y + 0.4)]
     before = [PassRecord("earlier", float(np.std(y - wanted)))]
     with pytest.raises(InputError, match="the sensor's scale"):
         plan(model, wanted, DT, limits, state="empty", tracked=scaled, history=before)
@@ -79,7 +81,6 @@ def test_growth_is_refused():
     learned_again = {"state": "empty", "tracked": tracked, "history": again}
     repeated = plan(model, wanted, DT, limits, **learned_again)
     assert repeated.history == lesson.history
-    assert "passes behind it are forgotten, 1 of 2" in repeated.notes[0]
 
 
 def test_recordings_that_do_not_belong():
@@ -87,10 +88,10 @@ def test_recordings_that_do_not_belong():
     wanted, limits = move(), Limits.within(model.input)
     drive = plan(model, wanted, DT, limits, state="empty")
     y = model.run(drive.voltage, model.start(0.0, "empty"), DT).y
-    good = Tracked("pass.csv", drive.voltage, y)
-    short = dataclasses.replace(good, voltage=good.voltage[:-1], measured=y[:-1])
-    other = dataclasses.replace(good, voltage=100.0 - good.voltage)
-    slow = dataclasses.replace(good, time=2 * DT * np.arange(y.size))
+    good = played("pass.csv", drive.voltage, y)
+    short = played("pass.csv", drive.voltage[:-1], y[:-1])
+    other = played("pass.csv", 100.0 - drive.voltage, y)
+    slow = played("pass.csv", drive.voltage, y, 2 * DT * np.arange(y.size))
     for wrong in ([short], [other], [slow], [good, other]):
         with pytest.raises(InputError, match=r"pass\.csv"):
             plan(model, wanted, DT, limits, state="empty", tracked=wrong)
@@ -98,6 +99,15 @@ def test_recordings_that_do_not_belong():
         plan(model, np.full(y.size, 5.0), DT, limits, tracked=[good])
     with pytest.raises(UsageError):
         plan(model, wanted, DT, limits, history=[PassRecord("", 1.0)])
+
+
+def test_a_cut_off_of_0_is_refused():
+    """It was taken for none."""
+    drive = plan(MODEL, move(), DT, LIMITS, state="empty")
+    y = PLANT.run(drive.voltage, PLANT.start(0.0, "empty"), DT).y
+    passes = {"tracked": [played("pass.csv", drive.voltage, y)], "bandwidth": 0.0}
+    with pytest.raises(UsageError, match="`bandwidth` 0: must be above 0"):
+        plan(MODEL, move(), DT, LIMITS, state="empty", **passes)
 
 
 def test_a_recording_is_laid_by_its_drive_wherever_it_begins_and_counts_from():
@@ -115,11 +125,44 @@ def test_a_recording_is_laid_by_its_drive_wherever_it_begins_and_counts_from():
     ):
         y = PLANT.run(voltage, PLANT.start(0.0, "empty"), DT).y
         time = None if begin is None else begin + DT * np.arange(voltage.size)
-        tracked = [Tracked("pass.csv", voltage, y, time)]
+        tracked = [played("pass.csv", voltage, y, time)]
         drive = plan(MODEL, wanted, DT, LIMITS, state="empty", tracked=tracked)
         learned.append(drive.voltage)
     for voltage in learned[1:]:
         np.testing.assert_allclose(voltage, learned[0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.002])
+def test_a_sensor_that_stands_still_is_refused(noise):
+    """The scale to type was infinite, or blew its noise up."""
+    wanted = move()
+    drive = plan(MODEL, wanted, DT, LIMITS, state="empty")
+    still = 3.0 + noise * np.random.default_rng(2).standard_normal(wanted.size)
+    tracked = [played("pass.csv", drive.voltage, still)]
+    with pytest.raises(InputError, match="does not follow the drive"):
+        plan(MODEL, wanted, DT, LIMITS, state="empty", tracked=tracked)
+
+
+def test_a_learned_pass_is_laid_by_what_led_to_it():
+    """By its own shape, no longer the trajectory's, it was laid some rows off where no stamp helped."""
+    model, plant = actuator(growth=1.2), actuator(growth=2.2)
+    rows, dt = 1000, 1e-3
+    wanted = 4.0 - 2.0 * np.cos(2.0 * np.pi * np.arange(rows) / rows)
+    more = {"start": 40.0, "approach": "auto", "bandwidth": 40.0}
+    limits, begin = Limits.within(model.input), plant.start(40.0, "settled")
+    tracked, held = [], np.full(5, 40.0)
+    for _ in range(3):
+        given = more if tracked else {**more, "bandwidth": None}
+        drive = plan(model, wanted, dt, limits, tracked=tracked, **given)
+        voltage = np.append(held, drive.voltage)
+        measured = plant.run(voltage, begin, dt).y
+        stamps = drive.time[0] + dt * np.arange(-held.size, drive.voltage.size)
+        tracked = [played("pass.csv", voltage, measured, stamps)]
+        by_stamps = plan(model, wanted, dt, limits, tracked=tracked, **more)
+        for other in (stamps + 100.0, stamps - stamps[0]):
+            late = [played("pass.csv", voltage, measured, other)]
+            by_drive = plan(model, wanted, dt, limits, tracked=late, **more)
+            np.testing.assert_array_equal(by_drive.voltage, by_stamps.voltage)
 
 
 @pytest.mark.parametrize(
@@ -134,12 +177,12 @@ def test_a_recording_of_a_loop_may_begin_anywhere_and_hold_one_period(begin, row
     y = PLANT.run(voltage, PLANT.start(float(voltage[0])), 1e-3).y
     learned = []
     for stretch in (slice(2000, 4000), slice(2000 + begin, 2000 + begin + rows)):
-        tracked = [Tracked("pass.csv", voltage[stretch], y[stretch])]
+        tracked = [played("pass.csv", voltage[stretch], y[stretch])]
         drive = plan(MODEL, wanted, 1e-3, LIMITS, periodic=True, tracked=tracked)
         learned.append(drive.voltage)
     time = 1e-3 * np.arange(float(rows))
     for begin in (-1000.0, 1000.0):  # as it began to count, which says nothing
-        tracked = [Tracked("pass.csv", voltage[stretch], y[stretch], begin + time)]
+        tracked = [played("pass.csv", voltage[stretch], y[stretch], begin + time)]
         drive = plan(MODEL, wanted, 1e-3, LIMITS, periodic=True, tracked=tracked)
         np.testing.assert_array_equal(drive.voltage, learned[1])
     np.testing.assert_allclose(learned[1], learned[0], rtol=0, atol=1e-9)
@@ -167,7 +210,7 @@ def test_a_pass_that_went_as_planned_changes_nothing(options, is_loop):
     before = options.get("start", voltage[0])
     y = believed(model, before, voltage)
     time = drive.time[0] + 1e-3 * np.arange(voltage.size)
-    tracked = [Tracked("pass.csv", voltage, y, time)]
+    tracked = [played("pass.csv", voltage, y, time)]
     again = plan(model, wanted, 1e-3, limits, **options, tracked=tracked, absolute=True)
     np.testing.assert_allclose(again.voltage, drive.voltage, rtol=0, atol=1e-6)
 
