@@ -21,6 +21,7 @@ ALLOWED_PART = 0.01
 # of the range: a trajectory this little outside is clipped like any other
 BEYOND_REACH = 0.01
 OFF_AT_FIRST = 1e-3  # of the range: so far off its first value may a drive begin unsaid
+FAR = 0.1  # of the range: a way in that goes so far beyond it meets gears that no log shows
 JUMP = 0.01  # of the range: a first step that is said
 LONG_HOLD = 100.0  # times the longest time constant: what creeps has come to rest
 
@@ -346,6 +347,13 @@ class Judge:
                 "empty"
             )
         (low, high), standing = self.limits.identified, self.lead.standing
+        lead = self._ranges.get("lead", (low, high))
+        if max(low - lead[0], lead[1] - high) > FAR * (high - low):
+            texts.append(
+                f"the way in goes from {in_full(lead[0])} to {in_full(lead[1])}{self.limits.suffix}, the "
+                f"logs from {in_full(low)} to {in_full(high)}: what it leaves behind is not in the expected "
+                "error; identify from a log of that range"
+            )
         if standing is not None and abs(self._first - standing) > JUMP * (high - low):
             texts.append(
                 f"jumps from {in_full(standing)} to {in_full(self._first)}{self.limits.suffix} at row 1, and "

@@ -193,11 +193,15 @@ def test_the_way_in_may_use_the_rating():
     values["stages"][0] |= {"x0": 0.236, "dx": [0.797] * 4}
     store("narrow.json", values)
     move(sine(4.0))
-    words = ("--from", 0, "--v-min", 0, "--v-max", 5, "--approach", 0.1)
-    done("compensate", "narrow.json", "wish.csv", *words, "-o", "drive.csv")
+    words = ("--v-min", 0, "--v-max", 5, "--approach", 0.1, "-o", "drive.csv")
+    drives = ("compensate", "narrow.json", "wish.csv", *words, "--from")
+    near = done(*drives, 0)
     time, _, voltage = table("drive.csv").values()
     lead = time < -1e-9
     assert voltage[lead].min() < 0.236 <= voltage[~lead].min()
+    # from farther away, gears turn that no log has shown
+    for outcome, warns in ((near, False), (done(*drives, 4.5), True)):
+        assert any("the way in" in line for line in outcome.lines) is warns
 
 
 def test_rows_before_the_move_do_not_count_in_the_expected_error():
