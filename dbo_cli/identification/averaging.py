@@ -141,9 +141,7 @@ def average_model(problem: Problem, invented: Problem, average: Average) -> Solu
     structure = _widest(average)
     table = np.vstack((problem.columns(structure), invented.columns(structure)))
     free = np.zeros((len(mean), 0))
-    rows = FittedRows(
-        table, mean, weights, free, problem.cells.shares, len(problem.taus)
-    )
+    rows = FittedRows(table, mean, weights, free, problem.cells.shares)
     nearest: Solution | None = None
     for smooth in CURVES:
         curved = replace(structure, smooth_curve=smooth)

@@ -11,6 +11,7 @@ then identified again with the sections known, and ``refine`` fits the sections 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -103,12 +104,11 @@ def _with_amplifier(rows: FastRows, behind: FastDynamics) -> FastDynamics:
     the gears are nearly straight, and both places explain it alike; a larger one tells
     them apart. A lag of less than half a step is no more than late.
     """
-    *leading, lag = behind.parameters.tolist()
-    late = float(np.log(LATE * rows.step))
-    if lag <= late:
+    *delay, lag = behind.times
+    shortest = np.log(LATE * rows.step)
+    if lag <= shortest:
         return behind
-    tail = [leading.pop()] if behind.form.delay else []
-    start = np.array([*leading, lag, *tail, late])
+    start = np.array([*behind.modes, lag, *delay, shortest])
     before = fitted(rows, [start], replace(behind.form, amplifier=True))
     return behind if _earned(rows, behind, before) else before
 
@@ -123,25 +123,24 @@ def _one_more(
     """
     count = best.form.resonances
     form = replace(best.form, resonances=count + 1, antiresonance=False)
-    *leading, lag = best.parameters.tolist()
-    tail = leading[len(leading) - form.amplifier - form.delay :]
-    highest = rows.band[1]
-    tail.append(max(lag, float(np.log(SHORT_LAG / highest))))
-    peak = peak_of(rows, best)
+    resonances, highest = best.modes[: 2 * count], rows.band[1]
+    times = best.times.copy()
+    times[-1] = max(times[-1], np.log(SHORT_LAG / highest))
+    frequencies = [peak_of(rows, best)]
+    if count:
+        frequencies.append(0.8 * highest)
     starts = []
-    for damping in DAMPINGS:
-        for frequency in (peak, 0.8 * highest)[: 1 + (count > 0)]:
-            pair = np.log([frequency, damping]).tolist()
-            starts.append(np.array([*leading[: 2 * count], *pair, *tail]))
+    for damping, frequency in product(DAMPINGS, frequencies):
+        pair = np.log([frequency, damping])
+        starts.append(np.concatenate((resonances, pair, times)))
     more = fitted(rows, starts, form)
     if not count:
         starts = [more.parameters]
     notched = []
-    for start in starts:
-        frequency, damping = start[2 * count : 2 * count + 2]
-        for side in (-NEAR, NEAR):
-            notch = [frequency + side, damping]
-            notched.append(np.array([*start[: 2 * count + 2], *notch, *tail]))
+    for start, side in product(starts, (-NEAR, NEAR)):
+        modes = start[: form.modes]
+        notch = modes[-2:] + np.array([side, 0.0])
+        notched.append(np.concatenate((modes, notch, times)))
     with_notch = fitted(rows, notched, replace(form, antiresonance=True))
     if _earned(rows, with_notch, more):
         more = with_notch

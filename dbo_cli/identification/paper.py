@@ -94,7 +94,7 @@ def _fine_fit(drive: Floats, output: Floats, segments: int) -> Solution:
     engaged = _engaged(FINE_WIDTHS, np.tile(drive, 2), GROUP)[drive.size :]
     count, cells = engaged.shape
     weights, shares = np.full(count, 1.0 / count), np.full(cells, 1.0 / cells)
-    rows = FittedRows(engaged / cells, output, weights, np.zeros((count, 0)), shares, 0)
+    rows = FittedRows(engaged / cells, output, weights, np.zeros((count, 0)), shares)
     smooth = 0.0 if segments > 1 else np.inf
     structure = Structure("growing", "", 0.0, smooth, segments=segments)
     return Equations(rows, structure).solve()

@@ -143,6 +143,11 @@ class Form:
     delay: bool = False
     amplifier: bool = False
 
+    @property
+    def modes(self) -> int:
+        """How many numbers resonances and antiresonance have."""
+        return 2 * (self.resonances + self.antiresonance)
+
 
 @dataclass(frozen=True)
 class FastDynamics:
@@ -168,33 +173,41 @@ class FastDynamics:
     noise: float = 0.0
 
     @property
+    def modes(self) -> Floats:
+        """The logarithms of frequency and damping: of resonances, and of the antiresonance."""
+        return np.split(self.parameters, [self.form.modes])[0]
+
+    @property
+    def times(self) -> Floats:
+        """The logarithms of the amplifier's lag and the delay, as far as there are any, and of the lag."""
+        return np.split(self.parameters, [self.form.modes])[1]
+
+    @property
     def amplifier(self) -> float:
         """The lag before the gears (s), 0 for none."""
-        if not self.form.amplifier:
-            return 0.0
-        return float(np.exp(self.parameters[-2 - self.form.delay]))
+        return float(np.exp(self.times[0])) if self.form.amplifier else 0.0
 
     @property
     def delay(self) -> float:
         """The pure delay behind all (s), 0 for none."""
-        return float(np.exp(self.parameters[-2])) if self.form.delay else 0.0
+        return float(np.exp(self.times[-2])) if self.form.delay else 0.0
 
     @property
     def lag(self) -> float:
         """The lag behind the gears (s)."""
-        return float(np.exp(self.parameters[-1]))
+        return float(np.exp(self.times[-1]))
 
     @property
     def resonances(self) -> list[Resonance]:
         """The resonances, lowest first; the last one has the antiresonance."""
         count = self.form.resonances
-        pairs = np.exp(self.parameters[: 2 * count]).reshape(count, 2)
-        pairs = pairs[np.argsort(pairs[:, 0])]
-        modes = [Resonance(*pair) for pair in pairs.tolist()]
+        pairs = np.exp(self.modes).reshape(-1, 2)
+        order = np.argsort(pairs[:count, 0])
+        resonances = [Resonance(*pair) for pair in pairs[order].tolist()]
         if self.form.antiresonance:
-            pair = np.exp(self.parameters[2 * count : 2 * count + 2])
-            modes[-1] = replace(modes[-1], antiresonance=Mode(*pair.tolist()))
-        return modes
+            notch = Mode(*pairs[-1].tolist())
+            resonances[-1] = replace(resonances[-1], antiresonance=notch)
+        return resonances
 
 
 class Signals:
@@ -220,13 +233,6 @@ class Signals:
         output, _ = model.simulate(self.drive, dt=self.dt, state=self._before)
         return output
 
-    def behind_amplifier(self, seconds: float) -> Floats:
-        """Return what the static model predicts for a drive that lags."""
-        if not seconds:
-            return self.predicted
-        stages = (Amplifier(seconds), *self.static.stages)
-        return self._simulated(self.static.with_stages(stages))
-
     def free(self, signal: Floats) -> Floats:
         """Return what an offset and an even drift do not explain of a signal."""
         residuals: Floats = signal - self._drift @ (self._drift.T @ signal)
@@ -234,7 +240,10 @@ class Signals:
 
     def modelled(self, trial: FastDynamics) -> Floats:
         """Return the prediction through lags, resonances and delay."""
-        predicted = self.behind_amplifier(trial.amplifier)
+        predicted = self.predicted
+        if trial.amplifier:
+            stages = (Amplifier(trial.amplifier), *self.static.stages)
+            predicted = self._simulated(self.static.with_stages(stages))
         sections = Dynamics((Lag(trial.lag), *trial.resonances))
         modelled = sections.run(predicted, State(), self.dt).y
         if trial.form.delay:
