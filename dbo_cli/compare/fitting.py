@@ -411,5 +411,5 @@ def with_delay(design: Design, problem: RivalProblem) -> Rival:
 def simplest(designs: Sequence[Design], problem: RivalProblem) -> Rival:
     """Return the rival of the first design, simplest first, that no later one betters by much."""
     rivals = [Rival(design, problem) for design in designs]
-    least = min(rival.left_out_error for rival in rivals)
-    return next(r for r in rivals if r.left_out_error <= (1.0 + WORTH) * least)
+    smallest = min(rival.left_out_error for rival in rivals)
+    return next(r for r in rivals if r.left_out_error <= (1.0 + WORTH) * smallest)

@@ -97,20 +97,20 @@ def _chosen(rows: FastRows, order: str | int, delay: float) -> FastDynamics:
     return best
 
 
-def _with_amplifier(rows: FastRows, behind: FastDynamics) -> FastDynamics:
+def _with_amplifier(rows: FastRows, found: FastDynamics) -> FastDynamics:
     """Return dynamics with the lag before the gears, unless it earns its place behind them.
 
     The actuator is the capacity that an amplifier charges. In a sweep of 1 % of the range
     the gears are nearly straight, and both places explain it alike; a larger one tells
     them apart. A lag of less than half a step is no more than late.
     """
-    *delay, lag = behind.times
+    *delay, lag = found.times
     shortest = np.log(LATE * rows.step)
     if lag <= shortest:
-        return behind
-    start = np.array([*behind.modes, lag, *delay, shortest])
-    before = fitted(rows, [start], replace(behind.form, amplifier=True))
-    return behind if _earned(rows, behind, before) else before
+        return found
+    start = np.array([*found.modes, lag, *delay, shortest])
+    before = fitted(rows, [start], replace(found.form, amplifier=True))
+    return found if _earned(rows, found, before) else before
 
 
 def _one_more(
@@ -163,8 +163,8 @@ def _earned(rows: FastRows, more: FastDynamics, best: FastDynamics) -> bool:
 
 def _is_noise(rows: FastRows, best: FastDynamics) -> bool:
     """Return whether what is left beyond white noise cannot pay for another resonance."""
-    beyond = best.rmse**2 - best.noise
-    return beyond <= min(WHITE, SURE / rows.count) * best.noise
+    excess = best.rmse**2 - best.noise
+    return excess <= min(WHITE, SURE / rows.count) * best.noise
 
 
 def _is_inside(resonance: Resonance, band: Band) -> bool:
@@ -188,22 +188,22 @@ def figures_of(rows: FastRows, best: FastDynamics) -> dict[str, Any]:
     return {
         "rmse": best.rmse,
         "left_out_rmse": best.left_out,
-        "logs": [signals.part.recording.name for signals in rows.signals],
+        "logs": [signals.sweep.recording.name for signals in rows.signals],
         "warnings": unexplained(rows, best),
     }
 
 
 def unexplained(rows: FastRows, best: FastDynamics) -> list[str]:
-    """Return a warning for each fast part of which much is not explained; noise aside."""
+    """Return a warning for each sweep of which much is not explained; noise aside."""
     warnings = []
     for signals in rows.signals:
-        residuals, part = signals.residuals(best), signals.part
+        residuals, sweep = signals.residuals(best), signals.sweep
         excess = max(float(np.var(residuals)) - noise_variance([residuals]), 0.0)
         share = float(np.sqrt(excess / np.var(signals.measured)))
         if share > UNEXPLAINED:
-            low, high = part.band
+            low, high = sweep.band
             warnings.append(
-                f"{part.recording.name}: rows {part.rows.start + 1} to {part.rows.stop}, {low:.3g} "
+                f"{sweep.recording.name}: rows {sweep.rows.start + 1} to {sweep.rows.stop}, {low:.3g} "
                 f"to {high:.3g} Hz: {100.0 * share:.0f} % unexplained: slow moves only; try a larger sweep"
             )
     return warnings

@@ -31,8 +31,8 @@ from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.search import CURVES, Choices, Search
 from dbo_cli.identification.sections import (
     FastDynamics,
-    FastPart,
     FastRows,
+    Sweep,
     even_step,
     swept,
 )
@@ -95,7 +95,7 @@ def moving(
     problem: Problem,
     fits: list[Solution],
     logs: Sequence[Recording],
-    fast: Sequence[FastPart],
+    fast: Sequence[Sweep],
     options: Options,
 ) -> Moving:
     """Return what the fast rows tell beside fits of the slow ones.

@@ -70,8 +70,8 @@ class Prediction(NamedTuple):
         signals = [self.middle, -speed, self.past]
         if time is not None and delay != 0.0:
             signals = [np.interp(time - delay, time, signal) for signal in signals]
-        gain, late, past = (signal[self.rows] for signal in signals)
-        return np.column_stack((gain, np.ones(len(drift)), late, drift, past))
+        gain, delayed, past = (signal[self.rows] for signal in signals)
+        return np.column_stack((gain, np.ones(len(drift)), delayed, drift, past))
 
 
 class Change(NamedTuple):

@@ -166,14 +166,14 @@ def _guessed(
     Block principal pivoting (Portugal, Judice and Vicente, 1994): all that are on the wrong side
     of their bound change sides at once. It ends within a few turns, or it may cycle.
     """
-    least = EXACT * float(np.abs(right).max())
+    slack = EXACT * float(np.abs(right).max())
     for _ in range(TURNS):
         x, some = np.zeros(len(right)), np.flatnonzero(guess)
         _, x[some], failed = dposv(matrix[np.ix_(some, some)], right[some])
         if failed or not np.isfinite(x).all():
             return None
         gradient = matrix @ x - right
-        wrong = bounded & np.where(guess, x < 0.0, gradient < -least)
+        wrong = bounded & np.where(guess, x < 0.0, gradient < -slack)
         if not wrong.any():
             return x
         guess = guess ^ wrong

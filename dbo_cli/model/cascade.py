@@ -398,8 +398,8 @@ class Cascade:
         """The range of this model's input: what it was identified on, or less where its gears end."""
         low, high = self.input.min, self.input.max
         if self.is_forward:
-            least, most = self.head.inverse.ends(*self.gears.x_range)
-            low, high = max(low, least), min(high, most)
+            lowest, highest = self.head.inverse.ends(*self.gears.x_range)
+            low, high = max(low, lowest), min(high, highest)
         slack = NEGLIGIBLE * self.input.span
         return low - slack, high + slack
 
