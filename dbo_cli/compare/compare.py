@@ -114,20 +114,10 @@ def compare_operators(
         row: dict[str, Any] = dict.fromkeys(KEYS)
         row |= {"name": design.name, "words": design.words}
         rows.append(row)
-        model: Rival | DboModel
         try:
-            if design.name == "dbo":  # also where it is no better than a line
-                model = DboModel(identify(logs, Options(skip=skip, force=True)))
-            else:
-                model = fit(design, problem)
-            row["rmse"] = rmse = fitted_error(model, problem)
+            row |= figures_of(design, problem, validation, skip)
         except DboError as reason:
             row["refused"] = str(reason)
-            continue
-        row["expected_rmse"] = model.expected(rmse)
-        row["validation_rmse"] = validation_error(model, validation, skip)
-        row["parameters"] = model.parameters
-        row["forward_ns"], row["inverse_ns"] = costs_of(model, logs[0])
     return {
         "format": "dbo-compare",
         "version": 1,
@@ -135,6 +125,31 @@ def compare_operators(
         "logs": [log.name for log in logs],
         "validation": [log.name for log in validation],
         "models": rows,
+    }
+
+
+def figures_of(
+    design: Design,
+    problem: RivalProblem,
+    validation: Sequence[Recording],
+    skip: float,
+) -> dict[str, Any]:
+    """Fit one operator; return its errors, numbers and costs (DboError: it cannot be fitted)."""
+    logs = problem.logs
+    model: Rival | DboModel
+    if design.name == "dbo":  # also where it is no better than a line
+        model = DboModel(identify(logs, Options(skip=skip, force=True)))
+    else:
+        model = fit(design, problem)
+    rmse = fitted_error(model, problem)
+    forward, inverse = costs_of(model, logs[0])
+    return {
+        "rmse": rmse,
+        "expected_rmse": model.expected(rmse),
+        "validation_rmse": validation_error(model, validation, skip),
+        "parameters": model.parameters,
+        "forward_ns": forward,
+        "inverse_ns": inverse,
     }
 
 

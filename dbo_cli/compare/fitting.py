@@ -21,6 +21,7 @@ from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.compare.plays import EMPTY, Plays, places
 from dbo_cli.errors import FitError
 from dbo_cli.identification.recording import Recording, Swings, falling
+from dbo_cli.identification.search import FEWEST_SWINGS
 from dbo_cli.model import Points, Scale
 from dbo_cli.model.points import Curves
 from dbo_cli.signals import usual_step
@@ -29,7 +30,6 @@ FIT_ROWS = 3000  # of all logs together; 7,000 changed no error by more than 1 %
 PLAY_COUNTS = (12, 25, 50)  # to choose from; 25 is what the paper takes
 SEGMENT_COUNTS = (1, 2, 4, 8)  # of the dead zones' curve, to choose from; 1: none
 FOLDS = 6  # blocks of time that are left out in turn
-SWINGS_FOR_DRIFT = 4  # of a log: fewer tell no drift from creep
 SLOPE_FLOOR = 0.03  # of the mean slope: what a slope is at least
 STEEPEST = 10.0  # times the mean slope: the steepest piece of the dead zones' curve
 NORMALISING = 1e3  # times all rows: weight of the row that fixes the curve's mean slope
@@ -141,7 +141,7 @@ class RivalProblem:
             outputs.append(self.scale.inverse(log.displacement[rows]))
             folds.append(np.arange(len(rows)) * FOLDS // len(rows))
             drift = np.ones((len(rows), 1))
-            if len(swings.sizes) >= SWINGS_FOR_DRIFT:
+            if len(swings.sizes) >= FEWEST_SWINGS:
                 line = np.linspace(-1.0, 1.0, len(rows))
                 drift = np.column_stack([drift, line])
             drifts.append(drift)
@@ -411,5 +411,5 @@ def with_delay(design: Design, problem: RivalProblem) -> Rival:
 def simplest(designs: Sequence[Design], problem: RivalProblem) -> Rival:
     """Return the rival of the first design, simplest first, that no later one betters by much."""
     rivals = [Rival(design, problem) for design in designs]
-    least = min(rival.left_out_error for rival in rivals)
-    return next(r for r in rivals if r.left_out_error <= (1.0 + WORTH) * least)
+    smallest = min(rival.left_out_error for rival in rivals)
+    return next(r for r in rivals if r.left_out_error <= (1.0 + WORTH) * smallest)

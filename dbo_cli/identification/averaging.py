@@ -94,8 +94,8 @@ def with_levels(
             levels.setdefault(structure.level, fit)
     if len(levels) < 2:
         return weighted
-    least = min(fit.rmse for fit in levels.values())
-    likely = [(likelihood(fit, least, swings), fit) for fit in levels.values()]
+    smallest = min(fit.rmse for fit in levels.values())
+    likely = [(likelihood(fit, smallest, swings), fit) for fit in levels.values()]
     total = sum(weight for weight, _ in likely)
     return [*weighted, *((weight / total, fit) for weight, fit in likely)]
 
@@ -117,11 +117,11 @@ def candidates(
     heaviest = int(np.argmax(weights))
     adds[heaviest] = 0.0
     order = np.argsort(-adds, kind="stable")[: MOST_CANDIDATES - 1]
-    chosen = [index for index in order.tolist() if adds[index] > 0.0]
-    remaining = 1.0 - float(weights[chosen].sum())
+    added = [index for index in order.tolist() if adds[index] > 0.0]
+    remaining = 1.0 - float(weights[added].sum())
     return [
         (remaining, fits[heaviest]),
-        *((float(weights[index]), fits[index]) for index in chosen),
+        *((float(weights[index]), fits[index]) for index in added),
     ]
 
 
@@ -141,9 +141,7 @@ def average_model(problem: Problem, invented: Problem, average: Average) -> Solu
     structure = _widest(average)
     table = np.vstack((problem.columns(structure), invented.columns(structure)))
     free = np.zeros((len(mean), 0))
-    rows = FittedRows(
-        table, mean, weights, free, problem.cells.shares, len(problem.taus)
-    )
+    rows = FittedRows(table, mean, weights, free, problem.cells.shares)
     nearest: Solution | None = None
     for smooth in CURVES:
         curved = replace(structure, smooth_curve=smooth)

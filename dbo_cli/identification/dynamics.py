@@ -11,6 +11,7 @@ then identified again with the sections known, and ``refine`` fits the sections 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -96,21 +97,20 @@ def _chosen(rows: FastRows, order: str | int, delay: float) -> FastDynamics:
     return best
 
 
-def _with_amplifier(rows: FastRows, behind: FastDynamics) -> FastDynamics:
+def _with_amplifier(rows: FastRows, found: FastDynamics) -> FastDynamics:
     """Return dynamics with the lag before the gears, unless it earns its place behind them.
 
     The actuator is the capacity that an amplifier charges. In a sweep of 1 % of the range
     the gears are nearly straight, and both places explain it alike; a larger one tells
     them apart. A lag of less than half a step is no more than late.
     """
-    *leading, lag = behind.parameters.tolist()
-    late = float(np.log(LATE * rows.step))
-    if lag <= late:
-        return behind
-    tail = [leading.pop()] if behind.form.delay else []
-    start = np.array([*leading, lag, *tail, late])
-    before = fitted(rows, [start], replace(behind.form, amplifier=True))
-    return behind if _earned(rows, behind, before) else before
+    *delay, lag = found.times
+    shortest = np.log(LATE * rows.step)
+    if lag <= shortest:
+        return found
+    start = np.array([*found.modes, lag, *delay, shortest])
+    before = fitted(rows, [start], replace(found.form, amplifier=True))
+    return found if _earned(rows, found, before) else before
 
 
 def _one_more(
@@ -123,25 +123,24 @@ def _one_more(
     """
     count = best.form.resonances
     form = replace(best.form, resonances=count + 1, antiresonance=False)
-    *leading, lag = best.parameters.tolist()
-    tail = leading[len(leading) - form.amplifier - form.delay :]
-    highest = rows.band[1]
-    tail.append(max(lag, float(np.log(SHORT_LAG / highest))))
-    peak = peak_of(rows, best)
+    resonances, highest = best.modes[: 2 * count], rows.band[1]
+    times = best.times.copy()
+    times[-1] = max(times[-1], np.log(SHORT_LAG / highest))
+    frequencies = [peak_of(rows, best)]
+    if count:
+        frequencies.append(0.8 * highest)
     starts = []
-    for damping in DAMPINGS:
-        for frequency in (peak, 0.8 * highest)[: 1 + (count > 0)]:
-            pair = np.log([frequency, damping]).tolist()
-            starts.append(np.array([*leading[: 2 * count], *pair, *tail]))
+    for damping, frequency in product(DAMPINGS, frequencies):
+        pair = np.log([frequency, damping])
+        starts.append(np.concatenate((resonances, pair, times)))
     more = fitted(rows, starts, form)
     if not count:
         starts = [more.parameters]
     notched = []
-    for start in starts:
-        frequency, damping = start[2 * count : 2 * count + 2]
-        for side in (-NEAR, NEAR):
-            notch = [frequency + side, damping]
-            notched.append(np.array([*start[: 2 * count + 2], *notch, *tail]))
+    for start, side in product(starts, (-NEAR, NEAR)):
+        modes = start[: form.modes]
+        notch = modes[-2:] + np.array([side, 0.0])
+        notched.append(np.concatenate((modes, notch, times)))
     with_notch = fitted(rows, notched, replace(form, antiresonance=True))
     if _earned(rows, with_notch, more):
         more = with_notch
@@ -164,8 +163,8 @@ def _earned(rows: FastRows, more: FastDynamics, best: FastDynamics) -> bool:
 
 def _is_noise(rows: FastRows, best: FastDynamics) -> bool:
     """Return whether what is left beyond white noise cannot pay for another resonance."""
-    beyond = best.rmse**2 - best.noise
-    return beyond <= min(WHITE, SURE / rows.count) * best.noise
+    excess = best.rmse**2 - best.noise
+    return excess <= min(WHITE, SURE / rows.count) * best.noise
 
 
 def _is_inside(resonance: Resonance, band: Band) -> bool:
@@ -189,22 +188,22 @@ def figures_of(rows: FastRows, best: FastDynamics) -> dict[str, Any]:
     return {
         "rmse": best.rmse,
         "left_out_rmse": best.left_out,
-        "logs": [signals.part.recording.name for signals in rows.signals],
+        "logs": [signals.sweep.recording.name for signals in rows.signals],
         "warnings": unexplained(rows, best),
     }
 
 
 def unexplained(rows: FastRows, best: FastDynamics) -> list[str]:
-    """Return a warning for each fast part of which much is not explained; noise aside."""
+    """Return a warning for each sweep of which much is not explained; noise aside."""
     warnings = []
     for signals in rows.signals:
-        residuals, part = signals.residuals(best), signals.part
+        residuals, sweep = signals.residuals(best), signals.sweep
         excess = max(float(np.var(residuals)) - noise_variance([residuals]), 0.0)
         share = float(np.sqrt(excess / np.var(signals.measured)))
         if share > UNEXPLAINED:
-            low, high = part.band
+            low, high = sweep.band
             warnings.append(
-                f"{part.recording.name}: rows {part.rows.start + 1} to {part.rows.stop}, {low:.3g} "
+                f"{sweep.recording.name}: rows {sweep.rows.start + 1} to {sweep.rows.stop}, {low:.3g} "
                 f"to {high:.3g} Hz: {100.0 * share:.0f} % unexplained: slow moves only; try a larger sweep"
             )
     return warnings

@@ -92,11 +92,7 @@ def stated(
     unexplained = unexplained_share(problem, residuals)
     if not options.force:
         refuse_no_better(left_out, line, logs)
-        if unexplained > UNRELATED:
-            raise FitError(
-                f"{_names(logs)}: within swings of the drive {min(unexplained, 1.0):.0%} of the displacement "
-                "does not follow it: check columns and clocks (`force` keeps it)"
-            )
+        refuse_unrelated(unexplained, logs)
     errors = residuals_of(model, logs)
     sensor = noise_rms(errors)
     averaged = sensor**2 / rows_a_mean(problem, logs)
@@ -111,9 +107,9 @@ def stated(
     }
     inside = np.clip(invented.drive, 0.0, 1.0)
     drive = problem.low + (problem.high - problem.low) * inside
-    error = expected_error(replace(model, fit=figures), drive, invented.dt)
+    expected = expected_error(replace(model, fit=figures), drive, invented.dt)
     figures |= {
-        "expected_rmse": None if error is None else error.known,
+        "expected_rmse": None if expected is None else expected.known,
         "one_amplitude": problem.one_amplitude,
         "swings": problem.swing_count,
     }
@@ -183,6 +179,16 @@ def refuse_no_better(error: float, line: float, logs: Sequence[Recording]) -> No
     raise FitError(
         f"{_names(logs)}: error {error:.4g}, a straight line's is {line:.4g}: check columns and sensor, or "
         "record more amplitudes (`force` keeps it)"
+    )
+
+
+def refuse_unrelated(unexplained: float, logs: Sequence[Recording]) -> None:
+    """Refuse (FitError) logs of which too much is left unexplained within swings of the drive."""
+    if unexplained <= UNRELATED:
+        return
+    raise FitError(
+        f"{_names(logs)}: within swings of the drive {min(unexplained, 1.0):.0%} of the displacement does "
+        "not follow it: check columns and clocks (`force` keeps it)"
     )
 
 

@@ -31,8 +31,8 @@ from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.search import CURVES, Choices, Search
 from dbo_cli.identification.sections import (
     FastDynamics,
-    FastPart,
     FastRows,
+    Sweep,
     even_step,
     swept,
 )
@@ -45,7 +45,6 @@ from dbo_cli.model import (
     Dynamics,
     Lag,
     Relaxation,
-    Section,
     Stage,
 )
 from dbo_cli.model.dynamics import Inverter
@@ -65,38 +64,29 @@ class Moving:
     ----------
     problem, fits
         The slow rows as read again: freed of creep where that stands behind the gears.
-    sections
-        Behind the gears, creep first; none where the fast rows ask for none.
     amplifier
-        The lag before the gears (s); 0 for none.
-    delay
-        Pure delay behind all (s).
+        Before the gears, where there is one.
+    dynamics
+        Behind them, creep first, and a delay; nothing where the fast rows ask for nothing.
     figures
         For ``fit["dynamics"]`` of the model.
     """
 
     problem: Problem
     fits: list[Solution]
-    sections: tuple[Section, ...]
-    amplifier: float
-    delay: float
     figures: dict[str, Any]
+    amplifier: tuple[Stage, ...] = ()
+    dynamics: tuple[Stage, ...] = ()
 
     def applied(self, model: Cascade) -> Cascade:
-        """Return a model of the slow rows with the sections and the delay, in its candidates, too."""
+        """Return a model of the slow rows with these stages, in its candidates, too."""
         model = replace(model, fit={"dynamics": self.figures})
-        if not self.sections:
+        if not self.dynamics:
             return model
 
         def changed(stages: Sequence[Stage]) -> tuple[Stage, ...]:
-            moved: list[Stage] = []
-            moved += [stage for stage in stages if not isinstance(stage, Delay)]
-            moved.append(Dynamics(self.sections))
-            if self.amplifier > 0.0:
-                moved.insert(0, Amplifier(self.amplifier))
-            if self.delay > 0.0:
-                moved.append(Delay(self.delay))
-            return tuple(moved)
+            static = [stage for stage in stages if not isinstance(stage, Delay)]
+            return (*self.amplifier, *static, *self.dynamics)
 
         return with_changed_stages(model, changed)
 
@@ -105,7 +95,7 @@ def moving(
     problem: Problem,
     fits: list[Solution],
     logs: Sequence[Recording],
-    fast: Sequence[FastPart],
+    fast: Sequence[Sweep],
     options: Options,
 ) -> Moving:
     """Return what the fast rows tell beside fits of the slow ones.
@@ -135,26 +125,20 @@ def moving(
     rows = FastRows(static, fast)
     found = find(rows, order)
     if not found.form.resonances:
-        return Moving(
-            problem, fits, (), 0.0, 0.0, {"warnings": unexplained(rows, found)}
-        )
-    problem = slower
-    fits = _around(problem, best, lateness(found))
-    best = fits[0]
-    creep: tuple[Lag, ...] = ()
-    if options.taus is None and len(problem.taus) and all(map(even_step, logs)):
-        freed, others, lags = _with_creep(problem, logs, best.structure)
-        if others and min(fit.score for fit in others) < best.score:
-            problem, fits, creep = freed, others, lags
-            best = min(fits, key=lambda fit: fit.score)
+        return Moving(problem, fits, {"warnings": unexplained(rows, found)})
+    problem, fits, creep = _read_again(slower, best, logs, options, lateness(found))
+    best = min(fits, key=lambda fit: fit.score)
     static = model_of(problem, best, logs[0], options).static
     if creep:
         static = static.with_stages((*static.stages, Dynamics(creep)))
     rows = FastRows(static, fast)
     refined = refine(rows, found, order)
-    sections = (*creep, *rows.sections(refined))
+    dynamics: list[Stage] = [Dynamics((*creep, *rows.sections(refined)))]
+    if refined.delay:
+        dynamics.append(Delay(refined.delay))
+    amplifier = (Amplifier(refined.amplifier),) if refined.amplifier else ()
     figures = figures_of(rows, refined)
-    return Moving(problem, fits, sections, refined.amplifier, refined.delay, figures)
+    return Moving(problem, fits, figures, amplifier, tuple(dynamics))
 
 
 def without_fast_memories(
@@ -187,6 +171,22 @@ def lateness(found: FastDynamics) -> float:
         if notch is not None:
             seconds -= notch.damping / (math.pi * notch.frequency)
     return float(seconds)
+
+
+def _read_again(
+    problem: Problem,
+    best: Solution,
+    logs: Sequence[Recording],
+    options: Options,
+    delay: float,
+) -> tuple[Problem, list[Solution], tuple[Lag, ...]]:
+    """Return problem and fits of the slow rows with a known delay (s), and the creep behind the gears."""
+    fits = _around(problem, best, delay)
+    if options.taus is None and len(problem.taus) and all(map(even_step, logs)):
+        freed, others, creep = _with_creep(problem, logs, fits[0].structure)
+        if others and min(fit.score for fit in others) < fits[0].score:
+            return freed, others, creep
+    return problem, fits, ()
 
 
 def _around(problem: Problem, best: Solution, delay: float) -> list[Solution]:

@@ -53,11 +53,11 @@ def identify_paper(recording: Recording, options: Options) -> Cascade:
             f"{recording.name}: the displacement falls as the voltage rises: use `method` "
             "least-squares"
         )
-    count = PAPER_GEARS if options.gears == "auto" else int(options.gears)
-    segments = (
-        PAPER_SEGMENTS if options.points == "auto" else max(int(options.points), 1)
-    )
-
+    count, segments = PAPER_GEARS, PAPER_SEGMENTS
+    if options.gears != "auto":
+        count = int(options.gears)
+    if options.points != "auto":
+        segments = max(int(options.points), 1)
     low, swing = float(voltage.min()), float(np.ptp(voltage))
     lowest, stroke = float(displacement.min()), float(np.ptp(displacement))
     drive = (voltage - low) / swing
@@ -94,7 +94,7 @@ def _fine_fit(drive: Floats, output: Floats, segments: int) -> Solution:
     engaged = _engaged(FINE_WIDTHS, np.tile(drive, 2), GROUP)[drive.size :]
     count, cells = engaged.shape
     weights, shares = np.full(count, 1.0 / count), np.full(cells, 1.0 / cells)
-    rows = FittedRows(engaged / cells, output, weights, np.zeros((count, 0)), shares, 0)
+    rows = FittedRows(engaged / cells, output, weights, np.zeros((count, 0)), shares)
     smooth = 0.0 if segments > 1 else np.inf
     structure = Structure("growing", "", 0.0, smooth, segments=segments)
     return Equations(rows, structure).solve()

@@ -70,8 +70,8 @@ class Prediction(NamedTuple):
         signals = [self.middle, -speed, self.past]
         if time is not None and delay != 0.0:
             signals = [np.interp(time - delay, time, signal) for signal in signals]
-        gain, late, past = (signal[self.rows] for signal in signals)
-        return np.column_stack((gain, np.ones(len(drift)), late, drift, past))
+        gain, delayed, past = (signal[self.rows] for signal in signals)
+        return np.column_stack((gain, np.ones(len(drift)), delayed, drift, past))
 
 
 class Change(NamedTuple):
@@ -100,30 +100,39 @@ def rescale(
         raise UsageError(
             "the prior needs a clock: add `time` COLUMN or `sample_rate` HZ"
         )
-    predictions = []
-    for log in recordings:
-        lower = _simulated(prior, log, prior.input.min, "empty")
-        upper = _simulated(prior, log, prior.input.max, "full")
-        middle, past = 0.5 * (lower + upper), 0.5 * (upper - lower)
-        predictions.append(Prediction(log, middle, past, _rows_of(log)))
+    predictions = [_predicted(prior, log) for log in recordings]
     fitted, shrunk = _changes(prior, predictions)
-    residuals = [_residual(prior, fitted, each) for each in predictions]
-    squares = float(np.mean(np.concatenate(residuals) ** 2))
-    stated_error = fitted.gain * _stated_of_logs(prior, predictions)
-    rows = sum(map(len, residuals))
-    noise = noise_variance(residuals) * (1.0 + NOISE_CHANCE / np.sqrt(rows))
-    shape = float(np.sqrt(max(squares - noise, 0.0)))
-    warnings = []
-    if shape > BEYOND_STATED * stated_error:
-        warnings.append(
-            f"{recordings[0].name}: error {shape:.4g}{prior.output.suffix}, the prior states "
-            f"{stated_error:.4g}: its shape has changed; identify again without it"
-        )
-        if not options.force:
-            raise FitError(f"{warnings[0]} (`force` keeps the shape)")
+    warnings = _shape_warnings(prior, fitted, predictions)
+    if warnings and not options.force:
+        raise FitError(f"{warnings[0]} (`force` keeps the shape)")
     residuals = [_residual(prior, shrunk, each) for each in predictions]
     rmse = float(np.sqrt(np.mean(np.concatenate(residuals) ** 2)))
     return _refreshed(prior, shrunk, rmse, warnings)
+
+
+def _shape_warnings(
+    prior: Cascade, change: Change, predictions: Sequence[Prediction]
+) -> list[str]:
+    """Return a warning where a change leaves more than noise and the error that the prior states."""
+    residuals = [_residual(prior, change, each) for each in predictions]
+    squares = float(np.mean(np.concatenate(residuals) ** 2))
+    rows = sum(map(len, residuals))
+    noise = noise_variance(residuals) * (1.0 + NOISE_CHANCE / np.sqrt(rows))
+    shape = float(np.sqrt(max(squares - noise, 0.0)))
+    stated_error = change.gain * _stated_of_logs(prior, predictions)
+    if shape <= BEYOND_STATED * stated_error:
+        return []
+    return [
+        f"{predictions[0].log.name}: error {shape:.4g}{prior.output.suffix}, the prior states "
+        f"{stated_error:.4g}: its shape has changed; identify again without it"
+    ]
+
+
+def _predicted(prior: Cascade, log: Recording) -> Prediction:
+    """Return what the prior predicts for a log, from an empty and from a full start."""
+    empty = _simulated(prior, log, prior.input.min, "empty")
+    full = _simulated(prior, log, prior.input.max, "full")
+    return Prediction(log, 0.5 * (empty + full), 0.5 * (full - empty), _rows_of(log))
 
 
 def _rows_of(log: Recording) -> Integers:

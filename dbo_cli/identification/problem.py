@@ -211,7 +211,6 @@ class Problem:
             np.full(len(self.output), 1.0 / len(self.output)),
             np.hstack((drift, past)),
             self.cells.shares,
-            len(self.taus),
             past.shape[1],
         )
 

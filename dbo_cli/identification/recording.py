@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -49,12 +49,11 @@ class Recording:
             raise FitError(
                 f"{self.name}: {rows} rows are too few; record at least {FEWEST_ROWS}"
             )
-        if float(np.ptp(self.voltage)) == 0.0:
-            raise FitError(
-                f"{self.name}: voltage never changes; record a drive that goes up and down"
-            )
-        if float(np.ptp(self.displacement)) == 0.0:
-            raise FitError(f"{self.name}: displacement never changes; check the sensor")
+        for role in ("voltage", "displacement"):
+            if float(np.ptp(getattr(self, role))) == 0.0:
+                raise FitError(
+                    f"{self.name}: {role} never changes: record a drive that goes up and down"
+                )
         if self.time is not None and float(np.median(np.diff(self.time))) == 0.0:
             raise InputError(
                 f"{self.name}: most time stamps repeat: replace them with `sample_rate` HZ"
@@ -73,6 +72,14 @@ class Recording:
         if self.good is None:
             return np.ones(len(self.voltage), bool)
         return self.good
+
+
+def _at_least(smallest: float, *values: Any) -> bool:
+    """Return whether all values are numbers that are large enough, or "auto"."""
+    for value in values:
+        if isinstance(value, bool) or (value != "auto" and not value >= smallest):
+            return False
+    return True
 
 
 Slopes = Literal["auto", "growing", "falling", "free"]
@@ -98,23 +105,19 @@ class Options:
 
     def __post_init__(self) -> None:
         """Refuse (UsageError) what makes no sense."""
-        for name in ("zero", "gears", "points", "delay", "dynamics"):
-            if isinstance(getattr(self, name), bool):
-                raise UsageError(f"`{name}` {getattr(self, name)}: give a number")
-        for name, least, needed in (
-            ("skip", 0, "seconds, 0 or more"),
-            ("sensor_delay", 0, "seconds, 0 or more"),
-            ("gears", 1, "1 or more, or auto"),
-            ("points", 0, "0 or more, or auto"),
-            ("delay", 0, "seconds, 0 or more, or auto"),
-        ):
-            value = getattr(self, name)
-            if value != "auto" and not value >= least:
-                raise UsageError(f"`{name}` {value:g}: give {needed}")
-        if self.dynamics not in ("auto", 0, 1, 2):
-            raise UsageError(f"`dynamics` {self.dynamics}: give auto, 0, 1 or 2")
-        if self.relaxation != "auto" and not all(tau >= 0.0 for tau in self.relaxation):
-            raise UsageError("`relaxation`: give time constants in seconds, 0 or auto")
+        taus = () if self.relaxation == "auto" else self.relaxation
+        rules = {
+            "skip": (_at_least(0.0, self.skip), "seconds, 0 or more"),
+            "sensor_delay": (_at_least(0.0, self.sensor_delay), "seconds, 0 or more"),
+            "gears": (_at_least(1, self.gears), "1 or more, or auto"),
+            "points": (_at_least(0, self.points), "0 or more, or auto"),
+            "relaxation": (_at_least(0.0, *taus), "seconds, 0 or more, or auto"),
+            "delay": (_at_least(0.0, self.delay), "seconds, 0 or more, or auto"),
+            "dynamics": (self.dynamics in ("auto", 0, 1, 2), "auto, 0, 1 or 2"),
+        }
+        for name, (is_right, needed) in rules.items():
+            if not is_right:
+                raise UsageError(f"`{name}` {getattr(self, name)}: give {needed}")
 
     @property
     def known_sensor_delay(self) -> float:

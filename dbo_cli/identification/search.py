@@ -166,9 +166,9 @@ def _take_options(choices: Choices, options: Options) -> None:
             choices.base = replace(choices.base, segments=options.points)
 
 
-def likelihood(fit: Solution, least: float, swings: int) -> float:
-    """Return the likelihood of a Gaussian error of one size a swing, over that of the ``least`` RMS error."""
-    return float(min(least / max(fit.rmse, 1e-300), 1.0) ** swings)
+def likelihood(fit: Solution, smallest: float, swings: int) -> float:
+    """Return the likelihood of a Gaussian error of one size a swing, over that of the smallest one."""
+    return float(min(smallest / max(fit.rmse, 1e-300), 1.0) ** swings)
 
 
 class Search:

@@ -54,7 +54,7 @@ Band = tuple[float, float]  # lowest and highest frequency of a drive, Hz
 
 
 @dataclass(frozen=True)
-class FastPart:
+class Sweep:
     """Rows of a log in which the drive is fast; those before them tell the state of the gears.
 
     Attributes
@@ -75,13 +75,13 @@ class FastPart:
     band: Band
 
 
-def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[FastPart]]:
+def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Sweep]]:
     """Return the logs with only their slow rows usable, and their fast parts."""
     span = max(float(np.ptp(log.voltage)) for log in recordings)
     slow: list[Recording] = []
-    fast: list[FastPart] = []
+    fast: list[Sweep] = []
     for log in recordings:
-        sweep = _sweep(log, span)
+        sweep = _sweep_of(log, span)
         if sweep is not None:
             fast.append(sweep)
             usable = log.usable.copy()
@@ -101,7 +101,7 @@ def even_step(log: Recording) -> float | None:
     return step if float(deviation.max()) <= 0.5 * step else None
 
 
-def _sweep(log: Recording, span: float) -> FastPart | None:
+def _sweep_of(log: Recording, span: float) -> Sweep | None:
     """Return the longest run of small swings whose frequency changes gradually over a wide band."""
     step = even_step(log)
     if step is None:
@@ -125,7 +125,7 @@ def _sweep(log: Recording, span: float) -> FastPart | None:
     if begin + len(log.voltage) - end < FEWEST_SLOW_ROWS:
         return None  # nothing else is left to tell the gears from
     band = 1.0 / slowest, 1.0 / float(periods.min())
-    return FastPart(log, slice(begin, end), step, band)
+    return Sweep(log, slice(begin, end), step, band)
 
 
 # --- dynamics of the fast parts ---
@@ -142,6 +142,11 @@ class Form:
     antiresonance: bool = False
     delay: bool = False
     amplifier: bool = False
+
+    @property
+    def modes(self) -> int:
+        """How many numbers resonances and antiresonance have."""
+        return 2 * (self.resonances + self.antiresonance)
 
 
 @dataclass(frozen=True)
@@ -168,47 +173,55 @@ class FastDynamics:
     noise: float = 0.0
 
     @property
+    def modes(self) -> Floats:
+        """The logarithms of frequency and damping: of resonances, and of the antiresonance."""
+        return np.split(self.parameters, [self.form.modes])[0]
+
+    @property
+    def times(self) -> Floats:
+        """The logarithms of the amplifier's lag and the delay, as far as there are any, and of the lag."""
+        return np.split(self.parameters, [self.form.modes])[1]
+
+    @property
     def amplifier(self) -> float:
         """The lag before the gears (s), 0 for none."""
-        if not self.form.amplifier:
-            return 0.0
-        return float(np.exp(self.parameters[-2 - self.form.delay]))
+        return float(np.exp(self.times[0])) if self.form.amplifier else 0.0
 
     @property
     def delay(self) -> float:
         """The pure delay behind all (s), 0 for none."""
-        return float(np.exp(self.parameters[-2])) if self.form.delay else 0.0
+        return float(np.exp(self.times[-2])) if self.form.delay else 0.0
 
     @property
     def lag(self) -> float:
         """The lag behind the gears (s)."""
-        return float(np.exp(self.parameters[-1]))
+        return float(np.exp(self.times[-1]))
 
     @property
     def resonances(self) -> list[Resonance]:
         """The resonances, lowest first; the last one has the antiresonance."""
         count = self.form.resonances
-        pairs = np.exp(self.parameters[: 2 * count]).reshape(count, 2)
-        pairs = pairs[np.argsort(pairs[:, 0])]
-        modes = [Resonance(*pair) for pair in pairs.tolist()]
+        pairs = np.exp(self.modes).reshape(-1, 2)
+        order = np.argsort(pairs[:count, 0])
+        resonances = [Resonance(*pair) for pair in pairs[order].tolist()]
         if self.form.antiresonance:
-            pair = np.exp(self.parameters[2 * count : 2 * count + 2])
-            modes[-1] = replace(modes[-1], antiresonance=Mode(*pair.tolist()))
-        return modes
+            notch = Mode(*pairs[-1].tolist())
+            resonances[-1] = replace(resonances[-1], antiresonance=notch)
+        return resonances
 
 
 class Signals:
-    """Of one fast part: what the static model predicts, and what was measured."""
+    """Of one sweep: what the static model predicts, and what was measured."""
 
-    def __init__(self, static: Cascade, part: FastPart) -> None:
-        log, rows = part.recording, part.rows
-        self.static, self.drive, self.dt = static, log.voltage[rows], part.dt
+    def __init__(self, static: Cascade, sweep: Sweep) -> None:
+        log, rows = sweep.recording, sweep.rows
+        self.static, self.drive, self.dt = static, log.voltage[rows], sweep.dt
         self._before: State | str = "auto"
         if rows.start:
             before = log.voltage[: rows.start]
             _, self._before = static.simulate(before, dt=self.dt)
         self.predicted = self._simulated(static)
-        self.part, self.measured = part, log.displacement[rows]
+        self.sweep, self.measured = sweep, log.displacement[rows]
         size = self.measured.size
         self.block = np.arange(size) * FAST_BLOCKS // size
         ramp = np.linspace(-1.0, 1.0, size)
@@ -220,13 +233,6 @@ class Signals:
         output, _ = model.simulate(self.drive, dt=self.dt, state=self._before)
         return output
 
-    def behind_amplifier(self, seconds: float) -> Floats:
-        """Return what the static model predicts for a drive that lags."""
-        if not seconds:
-            return self.predicted
-        stages = (Amplifier(seconds), *self.static.stages)
-        return self._simulated(self.static.with_stages(stages))
-
     def free(self, signal: Floats) -> Floats:
         """Return what an offset and an even drift do not explain of a signal."""
         residuals: Floats = signal - self._drift @ (self._drift.T @ signal)
@@ -234,7 +240,10 @@ class Signals:
 
     def modelled(self, trial: FastDynamics) -> Floats:
         """Return the prediction through lags, resonances and delay."""
-        predicted = self.behind_amplifier(trial.amplifier)
+        predicted = self.predicted
+        if trial.amplifier:
+            stages = (Amplifier(trial.amplifier), *self.static.stages)
+            predicted = self._simulated(self.static.with_stages(stages))
         sections = Dynamics((Lag(trial.lag), *trial.resonances))
         modelled = sections.run(predicted, State(), self.dt).y
         if trial.form.delay:
@@ -260,10 +269,10 @@ class FastRows:
     count : how many rows there are
     """
 
-    def __init__(self, static: Cascade, fast: Sequence[FastPart]) -> None:
-        self.signals = [Signals(static, part) for part in fast]
+    def __init__(self, static: Cascade, fast: Sequence[Sweep]) -> None:
+        self.signals = [Signals(static, sweep) for sweep in fast]
         self.band = swept(fast)
-        self.step = min(part.dt for part in fast)
+        self.step = min(sweep.dt for sweep in fast)
         self.count = sum(signals.measured.size for signals in self.signals)
 
     @property
@@ -272,7 +281,7 @@ class FastRows:
         return max(self.signals, key=lambda signals: signals.measured.size)
 
     def residuals(self, form: Form, parameters: Floats) -> list[Floats]:
-        """Return what dynamics leave of each part."""
+        """Return what dynamics leave of each sweep."""
         trial = FastDynamics(form, parameters)
         return [signals.residuals(trial) for signals in self.signals]
 
@@ -283,9 +292,9 @@ class FastRows:
         return (Lag(best.lag), *best.resonances)
 
 
-def swept(fast: Sequence[FastPart]) -> Band:
+def swept(fast: Sequence[Sweep]) -> Band:
     """Return the lowest and the highest frequency swept (Hz)."""
-    lows, highs = zip(*(part.band for part in fast), strict=True)
+    lows, highs = zip(*(sweep.band for sweep in fast), strict=True)
     return min(lows), max(highs)
 
 

@@ -7,7 +7,7 @@ beyond. Bounds: p by the rule for the slopes, c and d >= 0, floors of p and s.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
@@ -46,7 +46,6 @@ class FittedRows:
     output, weights : shape (rows,); weights have the sum 1
     drift : shape (rows, k), free columns beside the model
     widths : shape (cells,), of each slope cell as a share of all
-    terms : how many time constants there are
     past : how many columns of the drift, the last ones, are of an unknown past
     """
 
@@ -55,13 +54,7 @@ class FittedRows:
     weights: Floats
     drift: Floats
     widths: Floats
-    terms: int
     past: int = 0
-
-    @property
-    def cells(self) -> int:
-        """How many slopes there are."""
-        return len(self.widths)
 
 
 @dataclass(frozen=True)
@@ -87,7 +80,7 @@ class Solution:
     curve: Floats
     offset: float
     drift: Floats
-    error: Floats
+    error: Floats = field(default_factory=lambda: np.zeros(0))
     penalised: float = np.inf
     residuals: tuple[Floats, ...] = ()
     score: float = np.inf
@@ -173,14 +166,14 @@ def _guessed(
     Block principal pivoting (Portugal, Judice and Vicente, 1994): all that are on the wrong side
     of their bound change sides at once. It ends within a few turns, or it may cycle.
     """
-    least = EXACT * float(np.abs(right).max())
+    slack = EXACT * float(np.abs(right).max())
     for _ in range(TURNS):
         x, some = np.zeros(len(right)), np.flatnonzero(guess)
         _, x[some], failed = dposv(matrix[np.ix_(some, some)], right[some])
         if failed or not np.isfinite(x).all():
             return None
         gradient = matrix @ x - right
-        wrong = bounded & np.where(guess, x < 0.0, gradient < -least)
+        wrong = bounded & np.where(guess, x < 0.0, gradient < -slack)
         if not wrong.any():
             return x
         guess = guess ^ wrong
@@ -212,7 +205,9 @@ class Equations:
 
     def __init__(self, rows: FittedRows, structure: Structure) -> None:
         self.rows, self.structure = rows, structure
-        self.inner = rows.cells + rows.terms * len(structure.memories)
+        self.cells = len(rows.widths)
+        terms = (rows.columns.shape[1] - self.cells) // 2
+        self.inner = self.cells + terms * len(structure.memories)
         self.segments = structure.segments if np.isfinite(structure.smooth_curve) else 1
         self.curved = self.segments > 1
         self.free = self.inner + self.segments * self.curved
@@ -224,7 +219,7 @@ class Equations:
         self.slope_map = self._slope_map()
         self._stepped = self.columns @ self.slope_map
         self.unseen = self._unseen()
-        self.gain_costs = np.zeros(self.inner - rows.cells)
+        self.gain_costs = np.zeros(self.inner - self.cells)
         self.penalty = self._penalty()
         self.bounded = np.arange(self.size) < self.free
         self.positive = np.ones(self.size, bool)
@@ -236,7 +231,7 @@ class Equations:
         Unknown are steps where slopes grow or fall. A mean slope of 1, gains included,
         raises all slopes by a floor.
         """
-        cells = self.rows.cells
+        cells = self.cells
         matrix = np.eye(self.inner)
         if self.structure.slopes == "growing":
             matrix[:cells, :cells] = np.tril(np.ones((cells, cells)))
@@ -250,10 +245,9 @@ class Equations:
 
     def _unseen(self) -> Floats:
         """Return var(x)/var(L) of the drive x and each memory L, beside offsets, drift and past."""
-        memories = self.columns[:, self.rows.cells :]
-        drive = self.columns[:, : self.rows.cells].sum(axis=1)
-        shown = np.column_stack((drive, memories)) * self.roots[:, None]
-        nuisance = np.column_stack((np.ones(len(drive)), self.rows.drift))
+        engaged, memories = np.split(self.columns, [self.cells], axis=1)
+        shown = np.column_stack((engaged.sum(axis=1), memories)) * self.roots[:, None]
+        nuisance = np.column_stack((np.ones(len(shown)), self.rows.drift))
         nuisance *= self.roots[:, None]
         shown -= nuisance @ np.linalg.lstsq(nuisance, shown, rcond=EXACT)[0]
         squares = np.sum(shown**2, axis=0)
@@ -268,14 +262,14 @@ class Equations:
         """
         square = float(self.rows.weights @ fit.error**2) / self.variance
         costs = BELIEF * square * self.unseen
-        gains = np.arange(self.rows.cells, self.inner)
+        gains = np.arange(self.cells, self.inner)
         self.penalty[gains, gains] += costs - self.gain_costs
         self.gain_costs = costs
         return self._priced(fit)
 
     def _penalty(self) -> Floats:
         """Return the matrix of what smoothness costs, in units of the output's variance."""
-        cells = self.rows.cells
+        cells = self.cells
         matrix = np.zeros((self.size, self.size))
         slopes = self.slope_map[:cells, :cells]
         matrix[:cells, :cells] = self.structure.smooth_slopes * bending(slopes)
@@ -294,16 +288,9 @@ class Equations:
     def fit_of(self, x: Floats) -> Solution:
         """Return the unknowns with their names, and what they leave."""
         curve = x[self.inner : self.free] if self.curved else np.ones(1)
-        mapped = times(self.slope_map, x[: self.inner])
-        fit = Solution(
-            self.structure,
-            mapped[: self.rows.cells],
-            mapped[self.rows.cells :],
-            curve,
-            float(x[self.free]),
-            x[self.free + 1 :],
-            np.zeros(0),
-        )
+        slopes, gains = np.split(times(self.slope_map, x[: self.inner]), [self.cells])
+        offset, drift = float(x[self.free]), x[self.free + 1 :]
+        fit = Solution(self.structure, slopes, gains, curve, offset, drift)
         return self._measured(fit)
 
     def _measured(self, fit: Solution) -> Solution:
@@ -338,16 +325,11 @@ class Equations:
             if len(first.curve) == self.segments:
                 curve = first.curve
             return self._measured(replace(first, structure=self.structure, curve=curve))
-        level = self.columns[:, : self.rows.cells].sum(axis=1)
-        fit = Solution(
-            self.structure,
-            np.ones(self.rows.cells),
-            np.zeros(self.inner - self.rows.cells),
-            curve,
-            float(self.rows.weights @ (self.rows.output - level)),
-            np.zeros(self.rows.drift.shape[1]),
-            np.zeros(0),
-        )
+        slopes, gains = np.ones(self.cells), np.zeros(self.inner - self.cells)
+        drive = self.columns[:, : self.cells].sum(axis=1)
+        offset = float(self.rows.weights @ (self.rows.output - drive))
+        drift = np.zeros(self.rows.drift.shape[1])
+        fit = Solution(self.structure, slopes, gains, curve, offset, drift)
         return self._measured(fit)
 
     def table(self, fit: Solution) -> Floats:

@@ -63,8 +63,8 @@ def _gears_of(problem: Problem, fit: Solution, height: float, base: float) -> Ge
     lags, rests = both[:terms], both[terms:]
     fitted = _gear_slopes(cells, fit.slopes)
     mean = float(fitted.mean()) + float(rests.sum())
-    least = float(rests.sum()) + LEAST_WITH_NEGATIVE * mean * bool(rests.any())
-    slopes = np.maximum(fitted + rests.sum(), max(least, FLATTEST))
+    lowest = float(rests.sum()) + LEAST_WITH_NEGATIVE * mean * bool(rests.any())
+    slopes = np.maximum(fitted + rests.sum(), max(lowest, FLATTEST))
     empty = fit.offset - float(fit.slopes @ cells.widths) / 2.0
     empty -= cells.overshoot * float(slopes[-1])
     gains = height * (lags - rests) / span

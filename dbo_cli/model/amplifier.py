@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -94,6 +94,11 @@ class Amplifier(Keyed):
         return [{"amplifier": self.seconds}]
 
 
+def output_behind(before: Any, share: Any, drive: Any) -> Any:
+    """Return the amplifier's output for a drive: ``before`` at the row before, ``share`` 1 - a."""
+    return before + share * (drive - before)
+
+
 def window_behind(
     head: Curves, before: float, share: float, low: float, high: float
 ) -> Range:
@@ -110,7 +115,9 @@ def window_behind(
     low, high : float
         Least and greatest drive.
     """
-    return head.ends(before + share * (low - before), before + share * (high - before))
+    return head.ends(
+        output_behind(before, share, low), output_behind(before, share, high)
+    )
 
 
 def drive_before(
@@ -122,13 +129,9 @@ def drive_before(
     return min(max(drive, low), high), output  # rounding on the way back
 
 
-def allowed_drive(
-    last: Floats, changes: Floats, window: Range
-) -> tuple[Floats, Floats]:
-    """Return the least and greatest drive of each row behind ``last``; the window wins over the change."""
+def allowed_drive(last: Any, change: Any, window: Range) -> tuple[Any, Any]:
+    """Return the least and greatest drive behind ``last`` (NaN: unknown); the window wins over the change."""
     low, high = window
-    with np.errstate(invalid="ignore"):
-        least, largest = last - changes, last + changes
-    least[~(least >= low)] = low
-    largest[~(largest <= high)] = high
-    return np.minimum(least, high), np.maximum(largest, low)
+    lowest = np.fmin(np.fmax(last - change, low), high)
+    highest = np.fmax(np.fmin(last + change, high), low)
+    return lowest, highest

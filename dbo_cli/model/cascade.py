@@ -26,6 +26,7 @@ from dbo_cli.model.amplifier import (
     Amplifier,
     allowed_drive,
     drive_before,
+    output_behind,
     window_behind,
 )
 from dbo_cli.model.delay import Delay
@@ -73,6 +74,11 @@ def require_order(stages: Sequence[Stage]) -> None:
 def _curves(stages: Sequence[Stage]) -> Curves:
     """Return the curves among stages."""
     return Curves(stage for stage in stages if isinstance(stage, Points | Scale))
+
+
+def _outside(values: Floats, low: float | Floats, high: float | Floats) -> Booleans:
+    """Return which values lie outside a range."""
+    return (values < low) | (values > high)
 
 
 @dataclass(frozen=True)
@@ -392,15 +398,14 @@ class Cascade:
         """The range of this model's input: what it was identified on, or less where its gears end."""
         low, high = self.input.min, self.input.max
         if self.is_forward:
-            least, most = self.head.inverse.ends(*self.gears.x_range)
-            low, high = max(low, least), min(high, most)
+            lowest, highest = self.head.inverse.ends(*self.gears.x_range)
+            low, high = max(low, lowest), min(high, highest)
         slack = NEGLIGIBLE * self.input.span
         return low - slack, high + slack
 
     def outside(self, x: Floats) -> Booleans:
         """Return which samples of the input lie outside the model's range."""
-        low, high = self.covered
-        return (x < low) | (x > high)
+        return _outside(x, *self.covered)
 
     # ---- drive ----
 
@@ -461,13 +466,7 @@ class Cascade:
         steps = self._checked_steps(dt, y.size, slew is not None)
         if y.size == 0:
             return Run(y, state)
-        clipped = 0
-        if state.first is not None:
-            reached = self.static.run([state.first], state, 0.0).y
-            missed = abs(float(y[0] - reached[0])) > NEGLIGIBLE * self.output.span
-            if missed and window is not None:
-                clipped = int(not window[0] < state.first < window[1])
-            y = np.concatenate([reached, y[1:]])
+        y, clipped = self._from_first(y, state, window)
         output = self.tail.inverse(y)
         if self.amplifier is None:
             result = self._undo_gears(output, state, steps, window, slew)
@@ -481,6 +480,19 @@ class Cascade:
             after = replace(after, sections=driven.sections, delay=driven.delay)
         first_clipped = 0 if clipped else result.first_clipped
         return Run(result.y, after, result.clipped + clipped, first_clipped)
+
+    def _from_first(
+        self, y: Floats, state: State, window: Range | None
+    ) -> tuple[Floats, int]:
+        """Return a displacement from the row of a start's first voltage on, and whether limits clip it."""
+        if state.first is None:
+            return y, 0
+        reached = self.static.run([state.first], state, 0.0).y
+        missed = abs(float(y[0] - reached[0])) > NEGLIGIBLE * self.output.span
+        clipped = 0
+        if missed and window is not None:
+            clipped = int(not window[0] < state.first < window[1])
+        return np.append(reached, y[1:]), clipped
 
     def _undo_gears(
         self,
@@ -519,23 +531,19 @@ class Cascade:
         """
         assert self.amplifier is not None
         before, shares = self.amplifier.shares(state, dt, output.size)
-        done = self.gears.undo(output, state, dt)
-        amplified = self.head.inverse(done.y)
-        free = self.amplifier.undo(amplified, done.state, dt)
+        at_gears = self.gears.undo(output, state, dt)
+        amplified = self.head.inverse(at_gears.y)
+        free = self.amplifier.undo(amplified, at_gears.state, dt)
         free = free._replace(state=replace(free.state, drive=float(free.y[-1])))
         if window is None:
             return free
         step = largest_step(slew, dt)
         changes = np.broadcast_to(np.inf if step is None else step, output.shape)
         last = math.nan if state.drive is None else state.drive
-        lasts = np.concatenate([[last], free.y[:-1]])
-        lows, highs = allowed_drive(lasts, changes, window)
-        previous = np.concatenate([[before], amplified[:-1]])
-        ends = [
-            self.head(previous + shares * (end - previous)) for end in (lows, highs)
-        ]
-        held = (free.y < lows) | (free.y > highs)
-        held |= (done.y < np.minimum(*ends)) | (done.y > np.maximum(*ends))
+        limits = allowed_drive(np.append(last, free.y[:-1]), changes, window)
+        previous = np.append(before, amplified[:-1])
+        ends = [self.head(output_behind(previous, shares, end)) for end in limits]
+        held = _outside(free.y, *limits) | _outside(at_gears.y, *np.sort(ends, axis=0))
         if not held.any():
             return free
         first = int(np.argmax(held))
@@ -543,24 +551,54 @@ class Cascade:
         if first:
             begin = dt[:first] if isinstance(dt, np.ndarray) else dt
             state = self._undo_amplified(output[:first], state, begin, None, None).state
-        drive, clipped, first_clipped = free.y, 0, 0
-        for k in range(first, output.size):
-            driven = np.array([math.nan if state.drive is None else state.drive])
-            low, high = allowed_drive(driven, changes[k : k + 1], window)
-            row = (
-                state.amplifier or 0.0,
-                float(shares[k]),
-                float(low[0]),
-                float(high[0]),
-            )
-            inner, step_k = window_behind(self.head, *row), float(steps[k])
-            done = self.gears.undo(output[k : k + 1], state, step_k, inner)
-            voltage, reached = drive_before(self.head, float(done.y[0]), *row)
-            drive[k] = voltage
-            state = replace(done.state, amplifier=reached, drive=voltage)
-            if done.clipped and not clipped:
-                first_clipped = k
-            clipped += done.clipped
+        limited = self._undo_by_rows(
+            output[first:],
+            state,
+            steps[first:],
+            shares[first:],
+            changes[first:],
+            window,
+        )
+        drive = np.append(free.y[:first], limited.y)
+        first_clipped = first + limited.first_clipped
+        return limited._replace(y=drive, first_clipped=first_clipped)
+
+    def _undo_by_rows(
+        self,
+        output: Floats,
+        state: State,
+        steps: Floats,
+        shares: Floats,
+        changes: Floats,
+        window: Range,
+    ) -> Run:
+        """Return the drive before an amplifier, each row within its own window.
+
+        Parameters
+        ----------
+        steps : array of shape (n,)
+            Seconds since the row before.
+        shares : array of shape (n,)
+            1 - a of the amplifier.
+        changes : array of shape (n,)
+            Largest changes of the drive.
+        """
+        drive = np.empty_like(output)
+        clipped = first_clipped = 0
+        for row in range(output.size):
+            last = math.nan if state.drive is None else state.drive
+            low, high = allowed_drive(last, changes[row], window)
+            amplified = state.amplifier or 0.0
+            limits = amplified, float(shares[row]), float(low), float(high)
+            inner = window_behind(self.head, *limits)
+            step = float(steps[row])
+            solved = self.gears.undo(output[row : row + 1], state, step, inner)
+            voltage, amplified = drive_before(self.head, float(solved.y[0]), *limits)
+            drive[row] = voltage
+            state = replace(solved.state, amplifier=amplified, drive=voltage)
+            if solved.clipped and not clipped:
+                first_clipped = row
+            clipped += solved.clipped
         return Run(drive, state, clipped, first_clipped)
 
     def inner_limits(

@@ -355,65 +355,93 @@ static dbo_checkpoint checkpoint_of(const dbo_backlash *op, double x, double y, 
     return above;
 }
 
-/* Cross gears one way as long as the next one is crossed; returns the last, n where there was none. The next one is
- * the first of the lowest run that is open on this way: of the lowest of all, or of that above it; where it ends
- * they melt into one. With `column`, every gear adds one to that of its group, or takes it away. */
+/* Gears to cross next: `next` to end - 1, a run that is open on this way. `turned`: it is the lowest of all, so the
+ * state turns here. */
+typedef struct {
+    size_t next;
+    size_t end;
+    int turned;
+} open_run;
+
+/* Go to the farthest turn with a checkpoint that the way reaches, all at once; returns whether there is one. */
+INLINE int jump(walk *w, const goal *to, open_run *run, const int rising, const int plain) {
+    const size_t turn = farthest_turn(w->op, w->turns, w->checkpoints, w->depth, *to, rising, plain);
+    const int reached = turn < w->depth;
+    if (reached) {
+        const int melts = ((w->depth - turn) % 2 != 0) != run->turned; /* into the run above the turn */
+        const point begin = begin_of(w->op, w->turns[turn], w->grouped);
+        w->x = w->checkpoints[turn / DBO_SPACING].x + (rising ? begin.x : 0.0);
+        w->y = w->checkpoints[turn / DBO_SPACING].y + (rising ? begin.y : 0.0);
+        w->depth = melts ? turn - 1 : turn;
+        run->turned = 0;
+        run->next = w->turns[w->depth];
+        run->end = w->turns[w->depth - 1];
+    }
+    return reached;
+}
+
+INLINE void cross_one(walk *w, size_t gear, const int rising) {
+    const dbo_gear *at = w->op->gears + row_of(w->op, gear, w->grouped);
+    w->x += rising ? at->dx : -at->dx;
+    w->y += rising ? at->dy : -at->dy;
+}
+
+/* The run is crossed: it melts with the one above, and the next open one lies above that. */
+INLINE void melt(walk *w, open_run *run) {
+    const size_t n = w->op->n;
+    if (!run->turned) w->depth--;
+    run->turned = 0;
+    run->next = w->depth > 0 ? w->turns[--w->depth] : n;
+    run->end = w->depth > 0 ? w->turns[w->depth - 1] : n;
+}
+
+/* The way ends within the lowest run of all: its end is one more turn. */
+INLINE void add_turn(walk *w, const open_run *run, const int rising) {
+    if (w->depth % DBO_SPACING == DBO_SPACING - 1)
+        w->checkpoints[w->depth / DBO_SPACING] = checkpoint_of(w->op, w->x, w->y, run->next, run->end, rising);
+    w->turns[w->depth++] = (dbo_place)run->end;
+}
+
+/* Cross gears one way as long as the next one is crossed; returns the last, n where there was none. With `column`,
+ * every gear adds one to that of its group, or takes it away. */
 INLINE size_t pass_gears(walk *w, const goal *to, const int rising, const int plain, double *column,
                          size_t group_size) {
     const size_t n = w->op->n;
-    size_t next = rising ? w->zero : w->set, end, last, single = SINGLE;
-    int turned = next == 0, landed = 0, searched = w->depth < DBO_SPACING || column;
-    if (next == n || !crosses_next(w, to, next, rising, plain)) return n;
-    end = turned ? (rising ? w->set : w->zero) : w->turns[w->depth - 1];
+    int landed = 0, searched = w->depth < DBO_SPACING || column;
+    size_t last, single = SINGLE;
+    open_run run;
+    run.next = rising ? w->zero : w->set;
+    run.turned = run.next == 0;
+    if (run.next == n || !crosses_next(w, to, run.next, rising, plain)) return n;
+    run.end = run.turned ? (rising ? w->set : w->zero) : w->turns[w->depth - 1];
     if (exponent_of(left_at(to, w->x, w->y, rising, plain)) >
-        exponent_of(w->op->gears[row_of(w->op, next, w->grouped)].dx) + FAR)
+        exponent_of(w->op->gears[row_of(w->op, run.next, w->grouped)].dx) + FAR)
         single = 0;
     do {
         if (single == 0 && !searched) {
-            const size_t turn = farthest_turn(w->op, w->turns, w->checkpoints, w->depth, *to, rising, plain);
             searched = 1;
-            if (turn < w->depth) {
-                const int melts = ((w->depth - turn) % 2 != 0) != turned; /* into the run above the turn */
-                const point begin = begin_of(w->op, w->turns[turn], w->grouped);
-                w->x = w->checkpoints[turn / DBO_SPACING].x + (rising ? begin.x : 0.0);
-                w->y = w->checkpoints[turn / DBO_SPACING].y + (rising ? begin.y : 0.0);
-                w->depth = melts ? turn - 1 : turn;
-                turned = 0;
-                next = w->turns[w->depth];
-                end = w->turns[w->depth - 1];
-                last = next - 1;
+            if (jump(w, to, &run, rising, plain)) {
+                last = run.next - 1;
                 continue;
             }
         }
-        if (single > 0 || next + 1 == end || column) {
-            const dbo_gear *gear = w->op->gears + row_of(w->op, next, w->grouped);
-            if (column) column[next / group_size] += rising ? 1.0 : -1.0;
-            w->x += rising ? gear->dx : -gear->dx;
-            w->y += rising ? gear->dy : -gear->dy;
-            next++;
+        if (single > 0 || run.next + 1 == run.end || column) {
+            if (column) column[run.next / group_size] += rising ? 1.0 : -1.0;
+            cross_one(w, run.next++, rising);
             if (single > 0) single--;
         } else {
-            const landing found = first_open(w, to, next, end, rising, plain);
+            const landing found = first_open(w, to, run.next, run.end, rising, plain);
             w->x = found.x;
             w->y = found.y;
-            next = found.gear;
-            landed = next < end;
+            run.next = found.gear;
+            landed = run.next < run.end;
         }
-        last = next - 1;
-        if (next == end) {
-            if (!turned) w->depth--;
-            turned = 0;
-            next = w->depth > 0 ? w->turns[--w->depth] : n;
-            end = w->depth > 0 ? w->turns[w->depth - 1] : n;
-        }
-    } while (!landed && next < n && crosses_next(w, to, next, rising, plain));
-    if (turned) {
-        if (w->depth % DBO_SPACING == DBO_SPACING - 1)
-            w->checkpoints[w->depth / DBO_SPACING] = checkpoint_of(w->op, w->x, w->y, next, end, rising);
-        w->turns[w->depth++] = (dbo_place)end;
-    }
-    w->set = rising ? 0 : next;
-    w->zero = rising ? next : 0;
+        last = run.next - 1;
+        if (run.next == run.end) melt(w, &run);
+    } while (!landed && run.next < n && crosses_next(w, to, run.next, rising, plain));
+    if (run.turned) add_turn(w, &run, rising);
+    w->set = rising ? 0 : run.next;
+    w->zero = rising ? run.next : 0;
     return last;
 }
 

@@ -215,5 +215,5 @@ def _with_rest_before(
         return times, values
     step = float(times[1] - times[0])
     rest_times = times[0] - step * np.arange(WINDOW - 1.0, 0.0, -1.0)
-    rest = np.full(rest_times.size, values[0])
-    return np.concatenate([rest_times, times]), np.concatenate([rest, values])
+    values_before = np.full(rest_times.size, values[0])
+    return np.concatenate([rest_times, times]), np.concatenate([values_before, values])

@@ -231,10 +231,10 @@ def _recursion(section: Section, dt: float) -> tuple[Floats, Floats, Floats]:
     # the change of the input that gives a change of the output, by u - p and q
     from_lead = -((1.0 - by_lead) * p_by_lead + by_q * q_by_lead) / by_drive
     from_q = -((1.0 - by_lead) * p_by_q + by_q * (q_by_q - 1.0)) / by_drive
-    left = 1.0 - p_by_change
-    lead_row = [1.0 - p_by_lead + left * from_lead, -p_by_q + left * from_q]
+    lag_part = 1.0 - p_by_change
+    lead_row = [1.0 - p_by_lead + lag_part * from_lead, -p_by_q + lag_part * from_q]
     rate_row = [q_by_lead + q_by_change * from_lead, q_by_q + q_by_change * from_q]
-    drive = np.array([left / by_drive, q_by_change / by_drive])
+    drive = np.array([lag_part / by_drive, q_by_change / by_drive])
     return np.array([lead_row, rate_row]), drive, np.array([1.0 - by_lead, -by_q])
 
 

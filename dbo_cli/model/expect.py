@@ -56,8 +56,8 @@ def expected_error(
     dt : seconds since the sample before, one number or one each
     begin : rows before the move, played but not counted; 131,072 rows from there on are
     """
-    left = model.fit.get("left_out_rmse")
-    if left is None or not model.candidates:
+    left_out = model.fit.get("left_out_rmse")
+    if left_out is None or not model.candidates:
         return None
     last = begin + FIRST_ROWS
     drive = np.asarray(voltage, dtype=np.float64)[:last]
@@ -69,7 +69,7 @@ def expected_error(
         return candidate.simulate(drive, dt=steps, state=start)[0][begin:]
 
     expected = simulated(model)
-    squares = float(left) ** 2
+    squares = float(left_out) ** 2
     for weight, candidate in model.candidate_models:
         squares += weight * _mean_square(simulated(candidate) - expected)
     past = 0.0

@@ -328,26 +328,33 @@ def parse_state(values: object, model: Cascade, name: str = "the state") -> Stat
             raise ModelError(
                 "model: the state belongs to another model: save it again with this one"
             )
-        gears, digits, held = model.gears.n, parts["bits"], parts["delay"]
+        digits = parts["bits"]
         is_hexadecimal = bool(digits) and not set(digits) - set("0123456789abcdef")
-        bits = int(digits, 16) if is_hexadecimal else -1
-        section_count = 0 if model.dynamics is None else len(model.dynamics.sections)
-        counts = {"memory": model.gears.gain.size, "sections": 3 * section_count}
-        fits = {"gears": parts.pop("gears") == gears, "bits": 0 <= bits < 1 << gears}
-        for key, count in counts.items():
-            fits[key] = parts[key] is None or len(parts[key]) == count
-        if held is not None:
-            fits["delay"] = model.delay is not None and 0 < len(held[0]) == len(held[1])
-            fits["delay.times"] = all(a <= b for a, b in pairwise(held[0]))
-        for key, is_right in fits.items():
-            if not is_right:
-                raise ModelError(f"{key}: is none of this model: save the state again")
+        parts["bits"] = int(digits, 16) if is_hexadecimal else -1
+        _require_fitting(parts, model)
         flat = parts["sections"]
         if flat is not None:
             parts["sections"] = tuple(
                 zip(flat[::3], flat[1::3], flat[2::3], strict=True)
             )
-        return State(**{**parts, "bits": bits})
+        del parts["gears"]
+        return State(**parts)
+
+
+def _require_fitting(keys: Json, model: Cascade) -> None:
+    """Refuse (ModelError) keys of a state that do not fit a model."""
+    gears, held = model.gears.n, keys["delay"]
+    section_count = 0 if model.dynamics is None else len(model.dynamics.sections)
+    counts = {"memory": model.gears.gain.size, "sections": 3 * section_count}
+    fits = {"gears": keys["gears"] == gears, "bits": 0 <= keys["bits"] < 1 << gears}
+    for key, count in counts.items():
+        fits[key] = keys[key] is None or len(keys[key]) == count
+    if held is not None:
+        fits["delay"] = model.delay is not None and 0 < len(held[0]) == len(held[1])
+        fits["delay.times"] = all(a <= b for a, b in pairwise(held[0]))
+    for key, is_right in fits.items():
+        if not is_right:
+            raise ModelError(f"{key}: is none of this model: save the state again")
 
 
 def state_of(state: State | str | Path, model: Cascade) -> State | str:

@@ -30,6 +30,7 @@ from dbo_cli.model.widths import (
     gear_table,
     kernel_table,
     on_binary_grid,
+    read_only,
 )
 
 Words = NDArray[np.uint64]
@@ -157,11 +158,7 @@ class Gears(Keyed):
     def exchanged(self) -> Floats:
         """The table of the inverse (17)-(18): dX and dY exchanged in every gear."""
         dx, dy, _, fraction = self.table.T
-        table: Floats = np.ascontiguousarray(
-            np.column_stack([dy, dx, dx / dy, fraction])
-        )
-        table.flags.writeable = False
-        return table
+        return read_only(np.column_stack([dy, dx, dx / dy, fraction]))
 
     @functools.cached_property
     def _rows(self) -> tuple[tuple[Floats, Places], tuple[Floats, Places]]:

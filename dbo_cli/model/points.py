@@ -15,7 +15,7 @@ from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.fields import Keyed, number
 from dbo_cli.model.state import Run, State
-from dbo_cli.model.widths import TABLE, checked_pair, on_binary_grid
+from dbo_cli.model.widths import TABLE, checked_pair, on_binary_grid, read_only
 
 
 class _Curve(Keyed):
@@ -63,9 +63,8 @@ class Points(_Curve):
         y = np.concatenate([[0.0], np.cumsum(heights)])
         self.x_range = (self.x0, self.x0 + float(x[-1]))
         self.y_range = (self.y0, self.y0 + float(y[-1]))
-        rows = np.column_stack([x[:-1], y[:-1], heights / widths])
-        self.segments: Floats = np.ascontiguousarray(rows)
-        self.segments.flags.writeable = False
+        slopes = heights / widths
+        self.segments = read_only(np.column_stack([x[:-1], y[:-1], slopes]))
 
     @cached_property
     def inverse(self) -> Points:

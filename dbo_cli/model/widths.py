@@ -36,11 +36,17 @@ def checked_pair(dx: ArrayLike, dy: ArrayLike) -> tuple[Floats, Floats]:
             raise ModelError(
                 f"{key}[{index}]: {float(values[index])!r} is not a finite width greater than 0"
             )
-        values.flags.writeable = False
-        pair.append(values)
+        pair.append(read_only(values))
     if pair[0].size != pair[1].size:
         raise ModelError(f"dy: has {pair[1].size} entries where dx has {pair[0].size}")
     return pair[0], pair[1]
+
+
+def read_only(values: Floats) -> Floats:
+    """Return a table as the kernel takes it, which nobody can write to: models are values."""
+    table: Floats = np.ascontiguousarray(values)
+    table.flags.writeable = False
+    return table
 
 
 def on_binary_grid(key: str, widths: Floats) -> Floats:
@@ -98,11 +104,7 @@ def gear_table(dx: Floats, dy: Floats, rounding: Floats) -> Floats:
     tolerance = np.clip(
         _ROUNDING_STEPS * rounding, CROSSING_TOLERANCE, _LARGEST_TOLERANCE
     )
-    gears: Floats = np.ascontiguousarray(
-        np.column_stack([dx, dy, dy / dx, 1.0 - tolerance])
-    )
-    gears.flags.writeable = False
-    return gears
+    return read_only(np.column_stack([dx, dy, dy / dx, 1.0 - tolerance]))
 
 
 def kernel_table(gears: Floats, run: int = 1) -> tuple[Floats, NDArray[np.uint32]]:
@@ -116,8 +118,7 @@ def kernel_table(gears: Floats, run: int = 1) -> tuple[Floats, NDArray[np.uint32
     ends = np.cumsum(gears[:, :2], axis=0)  # exact: the widths lie on one binary grid
     begins = np.vstack([[0.0, 0.0], ends[run - 1 : -1 : run], ends[-1]])
     rows = np.vstack([gears[::run], gears[-1]])
-    table: Floats = np.ascontiguousarray(np.hstack([rows, begins]))
+    table = read_only(np.hstack([rows, begins]))
     parts = np.linspace(0.0, ends[-1, 0], 2 * len(table) - 1)
     guide = np.searchsorted(begins[:-1, 0], parts, side="right") - 1
-    table.flags.writeable = False
     return table, guide.astype(np.uint32)

@@ -14,9 +14,9 @@ from dbo_cli.identification.problem import prepare
 from dbo_cli.identification.recording import Recording
 from dbo_cli.identification.sections import (
     FastDynamics,
-    FastPart,
     FastRows,
     Form,
+    Sweep,
     split,
 )
 from dbo_cli.identification.solve import Equations
@@ -67,7 +67,7 @@ def found(model, wanted="auto"):
 def test_the_sweep_is_told_from_the_loops():
     log = recorded(plant(), swept())
     (slow,), (part,) = split([log])
-    assert isinstance(part, FastPart)
+    assert isinstance(part, Sweep)
     assert part.rows.start > 2.0 * RATE
     expected = np.ones(len(log.voltage), bool)
     expected[part.rows] = False

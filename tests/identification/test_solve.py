@@ -54,7 +54,7 @@ def test_a_gain_is_believed_as_far_as_the_log_shows_it():
     gains = []
     for size in (1e-4, 1e-2, 1e-1):
         output = drive + 0.5 * slow + size * noise
-        rows = FittedRows(table, output, weights, np.zeros((len(drive), 0)), shares, 2)
+        rows = FittedRows(table, output, weights, np.zeros((len(drive), 0)), shares)
         gains.append(float(Equations(rows, Structure(memories="t")).solve().gains[1]))
     assert gains[0] == pytest.approx(0.5, rel=0.05)
     assert gains[0] > gains[1] > gains[2]
