@@ -337,7 +337,7 @@ def moved_by(drive, before=100.0):
 
 
 def fitted(drive, moved):
-    plain = {"relaxation": (0.0,), "delay": 0.0}
+    plain = {"relaxation": (0.0,), "delay": 0.0, "points": 0}
     return dbo_cli.identify(drive, moved, sample_rate=RATE, **plain)
 
 
@@ -507,7 +507,8 @@ def test_a_log_that_begins_in_motion_keeps_its_zero(first):
     time = np.arange(len(drive)) / 200.0
     rows = slice(first, None)
     write("log.csv", LOG, time[rows], drive[rows], (moved + noise)[rows])
-    stated = identified("log.csv")["fit"]["expected_rmse"]
+    plain = ("--points", 0, "--delay", 0)
+    stated = identified("log.csv", *plain)["fit"]["expected_rmse"]
     followed = dbo_cli.read_model(FITTED).simulate(drive, time=time)
     error = rms((followed - moved)[rows])
     assert error < 0.003 * np.ptp(moved)
@@ -532,7 +533,8 @@ def test_a_decay_that_begins_on_a_way_from_rest_tells_new_moves():
     drive = 50.0 + 50.0 * np.sin(np.pi * time) * np.exp(-time / 18.0)
     noise = np.random.default_rng(3).normal(0.0, 0.005, len(drive))
     moved = piezo(drive, np.linspace(0.0, 50.0, 100))
-    model = dbo_cli.identify(drive, moved + noise, time=time)
+    plain = {"points": 0, "delay": 0.0}
+    model = dbo_cli.identify(drive, moved + noise, time=time, **plain)
     turns = np.random.default_rng(5).uniform(0.0, 100.0, 21)
     new = np.interp(time, np.arange(21.0), turns)
     error = model.simulate(new, time=time) - piezo(new, np.zeros(1))
@@ -545,7 +547,9 @@ def test_the_number_holds_a_zero_that_a_log_begun_in_motion_does_not_show():
     drive = 50.0 + 45.0 * np.sin(1.4 * np.pi * time + 1.0) * np.cos(0.12 * np.pi * time)
     before = np.interp(np.arange(600), [0, 200, 400, 600], [0, 90, 10, drive[0]])
     noise = np.random.default_rng(5).normal(0.0, 0.005, len(drive))
-    model = dbo_cli.identify(drive, piezo(drive, before) + noise, sample_rate=200.0)
+    moved = piezo(drive, before) + noise
+    plain = {"points": 0, "delay": 0.0}
+    model = dbo_cli.identify(drive, moved, sample_rate=200.0, **plain)
     wanted = 5.5 - 3.0 * np.cos(2.0 * np.pi * np.arange(800) / 200.0)
     amplifier = {"from_": 0.0, "v_min": 0.0, "v_max": 100.0, "max_slew": 2000.0}
     plan = model.compensate(
