@@ -233,6 +233,15 @@ def test_refusals_name_what_is_wrong():
         assert held in refused(1, "report", *words.split())
 
 
+def test_what_was_expected_of_another_move_or_in_another_unit_is_told():
+    words = ("report", "good.csv", "--expected", store("s.json", SUMMARY))
+    assert not done(*words).warnings
+    store("s.json", {**SUMMARY, "move_range": [0.0, 20.0]})
+    assert "0 to 20" in done(*words).warnings[0]
+    store("s.json", {**SUMMARY, "unit": "nm"})
+    assert "is in nm" in refused(1, *words)
+
+
 def test_the_column_of_a_trajectory_is_asked_for_by_the_option_to_type():
     write("seen.csv", "time_s,measured_um", TIME, WANTED)
     write("axes.csv", "time_s,desired_x_um,desired_y_um", TIME, WANTED, WANTED)

@@ -276,6 +276,7 @@ def test_a_frame_and_a_file_give_the_same_bytes(header, played):
         assert found.input.unit == dbo.read_model("shell.json").input.unit
         found.save("library.json")
         assert Path("library.json").read_text() == expected
+    assert len(quick([frame, frame]).fit["logs"]) == 2
 
 
 def test_no_unit_is_invented(played):
