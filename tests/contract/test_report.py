@@ -242,6 +242,20 @@ def test_what_was_expected_of_another_move_or_in_another_unit_is_told():
     assert "is in nm" in refused(1, *words)
 
 
+def test_an_expected_error_beside_one_without_its_mean_is_said_to_count_it():
+    write("off.csv", PAIR, TIME, WANTED, WANTED + 3.0 + noise(0.1))
+    words = ("report", "off.csv", "--expected", store("s.json", SUMMARY))
+    removed = done(*words, "--remove-offset", "-o", "r.txt")
+    assert "0.010 expected with its mean" in removed.said[0]
+    assert "mean removed, which the expected error counts" in Path("r.txt").read_text()
+    outcome = done(*words, "-o", "r.txt")
+    assert "expected with its mean" not in outcome.err
+    write("off.csv", PAIR, TIME, WANTED, WANTED + 3.0 + 0.1 * np.sin(9.0 * TIME))
+    assert "or --remove-offset" in done(*words).warnings[0]
+    removed = done(*words, "--remove-offset").warnings[0]
+    assert "--remove-offset" not in removed and "identify again" in removed
+
+
 def test_the_column_of_a_trajectory_is_asked_for_by_the_option_to_type():
     write("seen.csv", "time_s,measured_um", TIME, WANTED)
     write("axes.csv", "time_s,desired_x_um,desired_y_um", TIME, WANTED, WANTED)
