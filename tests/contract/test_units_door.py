@@ -17,15 +17,8 @@ from dbo_cli.units import spell
 
 from .program import MOVE as MOVED
 from .program import (
-    QUICK,
-    compensated,
-    model,
-    refused,
-    simulated,
-    store,
-    values_of,
-    write,
-)
+    QUICK, compensated, model, refused, simulated, store, values_of, write,
+)  # fmt: skip
 from .program import dbo as shell
 
 TIME = np.arange(400) / 1000.0
