@@ -111,6 +111,10 @@ def test_another_drive_is_said():
         (told, *more) = outcome.warnings
         assert "drive is not that of drive.csv" in told
         assert len(more) == len(expected) // 2
+    other = drive["voltage_V"] + 1.1 * np.sin(0.023 * np.arange(len(moved)))
+    write("pass.csv", PASS, drive["time_s"], other, moved)
+    outcome = done("report", "pass.csv", "--trajectory", "drive.csv")
+    assert any("dbo check --against" in text for text in outcome.warnings)
 
 
 @pytest.mark.parametrize("late", [0.0, 17.0, 2.37])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from .program import (
-    DRIVE, LOG, MOVE, PAIR, PASS, dbo, done, load, model, refused, rms, simulated, store, table, write,
+    DRIVE, LOG, MOVE, PAIR, dbo, done, load, model, refused, rms, simulated, store, table, write,
 )  # fmt: skip
 
 TIME = np.arange(600) / 500.0
@@ -195,18 +195,6 @@ def test_a_column_without_a_unit_is_told_of_beside_a_model_or_a_trajectory():
         assert "displacement (um assumed)" in warning and "--scale" in warning
         said = done(*words, "--scale", "measured=1nm/nm", "--measured", "displacement")
         assert not said.warnings
-
-
-def test_a_recording_of_another_drive_points_to_check():
-    time = np.arange(6000) / 1000.0
-    swing = np.sin(np.pi * time) * np.linspace(1.0, 0.3, len(time))
-    volts, moved = 50.0 + 40.0 * swing, 5.0 + 3.0 * swing
-    off = np.sin(23.0 * time)
-    write("d.csv", "time_s,desired_um,voltage_V", time, moved, volts)
-    write("log.csv", PASS, time, volts + 1.1 * off, moved + 0.1 * off)
-    store("s.json", SUMMARY)
-    words = ("report", "log.csv", "--trajectory", "d.csv", "--expected", "s.json")
-    assert any("dbo check --against" in text for text in done(*words).warnings)
 
 
 REFUSED = {
