@@ -48,8 +48,8 @@ class Backlash:
         """Steps 1 to 4 of the procedure, repeated until there is an output."""
         x = Fraction(value)
         n = len(self.bits)
+        x_b, y_b = self.coordinates()
         while True:
-            x_b, y_b = self.coordinates()
             s, z = find_first_one(self.bits), find_first_zero(self.bits)
             if (z == n and x >= x_b) or (s == n and x < x_b):  # beyond the range
                 return y_b + self.dy[n - 1] / self.dx[n - 1] * (x - x_b)
@@ -57,10 +57,12 @@ class Backlash:
                 return y_b + self.dy[z] / self.dx[z] * (x - x_b)  # (11)
             if z < n and x >= x_b + self.dx[z]:
                 self.bits[z] = 1  # (6)-(7)
+                x_b, y_b = x_b + self.dx[z], y_b + self.dy[z]
                 continue
             if s < n and x_b - self.dx[s] < x < x_b:
                 return y_b + self.dy[s] / self.dx[s] * (x - x_b)  # (12)
             self.bits[s] = 0  # (8)-(9)
+            x_b, y_b = x_b - self.dx[s], y_b - self.dy[s]
 
 
 class Relaxed:

@@ -204,11 +204,11 @@ WITH_COMMANDS = "files index limits moves live batches comparison scanner".split
 
 @pytest.fixture
 def logs(tmp_path, monkeypatch):
-    """Work in a folder with the logs that the pages speak of, two seconds each."""
+    """Work in a folder with the logs that the pages speak of, a second each."""
     monkeypatch.chdir(tmp_path)
     shutil.copy(SAMPLES / "trajectory.csv", "trajectory.csv")
     log = table(SAMPLES / "identification.csv")
-    time, volts, moved = (column[:1000] for column in log.values())
+    time, volts, moved = (column[:600] for column in log.values())
     for name in ("recorded.csv", "other.csv"):
         write(name, LOG, time, volts, moved)
     write("sensor.csv", MOVE, time, moved)

@@ -294,9 +294,11 @@ class Lead:
         return way_to(end)
 
     def _goes_on(self, first: float, dt: float, state: State) -> float:
-        """Return the voltage at which the move goes on behind a state."""
-        target, move = np.array([first]), self.limits.move
-        return float(self.model.static.drive(target, state, dt, move).y[0])
+        """Return the voltage at which the move goes on behind a state, an amplifier at rest there."""
+        static, target, move = self.model.static, np.array([first]), self.limits.move
+        if static.amplifier is not None:
+            static = static.with_stages(static.stages[1:])
+        return float(static.drive(target, state, dt, move).y[0])
 
     def _state_after(self, voltage: Floats, state: State, dt: float) -> State:
         """Return the state after voltages; without a clock the model does not need one."""

@@ -108,6 +108,7 @@ class Options:
         """Refuse (UsageError) what makes no sense."""
         taus = () if self.relaxation == "auto" else self.relaxation
         rules = {
+            "zero": (not isinstance(self.zero, bool), "none, mean, first or a number"),
             "skip": (_at_least(0.0, self.skip), "seconds, 0 or more"),
             "sensor_delay": (_at_least(0.0, self.sensor_delay), "seconds, 0 or more"),
             "gears": (_at_least(1, self.gears), "1 or more, or auto"),

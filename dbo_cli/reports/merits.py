@@ -174,13 +174,18 @@ def excess(pair: Pair, expected: Expected, figures: Mapping[str, Any]) -> str:
     error = math.sqrt(max(figures["rmse"] ** 2 - white**2, 0.0))
     if expected.rmse is None or error <= BEYOND_EXPECTED * expected.rmse:
         return ""
-    past = "let it rest" if expected.past_known else "sweep the range"
-    rows, delay = figures["lag_left_samples"], ""
+    mean, delay = "", ""
+    if not figures["offset_removed"]:
+        past = "let it rest" if expected.past_known else "sweep the range"
+        mean = (
+            f"its mean is {figures['mean']:.3g} (set the sensor's zero, {past} before the move, or "
+            "`remove_offset`), "
+        )
+    rows = figures["lag_left_samples"]
     if figures["lag_left_s"] is not None and abs(rows) >= A_ROW:
         late = 1e3 * figures["lag_left_s"]
         delay = f"it is {late:.3g} ms late (match the clocks, or identify with `sensor_delay`), "
     return (
-        f"the error is {error / expected.rmse:.2g} times the expected one: its mean is {figures['mean']:.3g} "
-        f"(set the sensor's zero, {past} before the move, or `remove_offset`), {delay}row "
+        f"the error is {error / expected.rmse:.2g} times the expected one: {mean}{delay}row "
         f"{figures['max_abs_row']:,} has the largest; else identify again"
     )

@@ -175,6 +175,8 @@ class Report:
             line += f" ({digits(best['nrmse_percent'], 2)} % of the move)"
         if best["expected_rmse"] is not None:
             line += f", {digits(best['expected_rmse'], 2)} expected"
+            if self.remove_offset:
+                line += " with its mean"
         return line
 
     def _verdict(self, limit: Mapping[str, Any]) -> str:
@@ -314,6 +316,8 @@ class Report:
             line += f" in {self.unit}"
         if self.remove_offset:
             line += ", mean removed"
+            if any(log["expected_rmse"] for log in self.logs):
+                line += ", which the expected error counts"
         lag = self.logs[0]["lag_samples"]
         if lag:
             line += f", measured taken {lag} rows later"

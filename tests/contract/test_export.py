@@ -102,6 +102,8 @@ def test_a_name_that_c_takes_and_a_rate_are_needed():
 def test_an_export_replaces_one_of_another_arithmetic_and_name():
     done("export", model("creep"), "--arithmetic", "q31", "--name", "old", *WORDS)
     fixed = set(os.listdir("firmware"))
+    for compiled in ("old.o", "old_test"):
+        Path("firmware", compiled).write_text("")
     done("export", model("creep"), *WORDS)
     assert "old.c" in fixed and "old.c" not in os.listdir("firmware")
     done("export", model("creep"), "--arithmetic", "q31", "--name", "old", *WORDS)

@@ -13,7 +13,7 @@ import pytest
 
 
 from .program import (
-    DRIVE, GOLDENS, MOVE, compensated, done, model, simulated, table, values_of, write,
+    DRIVE, GOLDENS, MOVE, compensated, done, load, model, simulated, table, values_of, write,
 )  # fmt: skip
 
 NAMES = ("small", "creep", "bent", "moving", "late")
@@ -59,37 +59,8 @@ def test_compensate(name):
     close(compensated(name, *words)["voltage_V"], stored["limited_V"])
 
 
-REPORTS = {
-    "": {
-        "rmse": 0.5323555692192078,
-        "nrmse_percent": 8.89013602207035,
-        "max_abs": 0.8126670000000003,
-        "max_abs_row": 26,
-        "max_abs_time_s": 0.025,
-        "mean": 0.04817242666666661,
-        "p95_abs": 0.7779780000000001,
-        "loop_width": 1.502185666666667,
-        "lag_left_samples": 1.9914763030758373,
-        "samples": 150,
-    },
-    "--lag 2": {
-        "rmse": 0.05176207665301331,
-        "nrmse_percent": 0.8644070407773558,
-        "max_abs": 0.0986349999999998,
-        "samples": 148,
-    },
-    "--remove-offset": {
-        "rmse": 0.5301715471314462,
-        "max_abs": 0.776659426666667,
-        "mean": 0.0,
-        "p95_abs": 0.7535215733333337,
-    },
-    "--rows 20:100": {
-        "rmse": 0.5456854305995622,
-        "mean": 0.11896685185185175,
-        "samples": 81,
-    },
-}
+REPORTS = load(GOLDENS / "report.json")
+"""Figures of a report of ``pair.csv``, by the options that were typed."""
 
 
 @pytest.mark.parametrize("options", REPORTS)

@@ -14,7 +14,7 @@ from mypy import api
 import dbo_cli as dbo
 from dbo_cli.library import Move
 
-from .program import LOG, MOVE, SAMPLES, compensated, done, model, rms, table, write
+from .program import LOG, MOVE, SAMPLES, compensated, model, rms, table, write
 
 TIME = np.arange(400) / 1000.0
 WANTED = 5.0 - 3.0 * np.cos(2.0 * np.pi * 5.0 * TIME)
@@ -138,30 +138,6 @@ def test_read_log_takes_columns_and_reading_options_and_has_units(log):
     np.testing.assert_allclose(frame["displacement"], 10.0 * moved)
     with pytest.raises(dbo.InputError, match=r"run\.csv"):
         dbo.read_log("run.csv")
-
-
-def test_frames_and_arrays_give_the_model_of_the_shell(log):
-    words = "--gears 20 --points 0 --delay 0 --relaxation 0.01,0.3 --dynamics 0".split()
-    done("identify", log, *words, "-o", "shell.json", "-q")
-    shell = dbo.read_model("shell.json")
-    time, volts, moved = table(log).values()
-    lasting = pd.to_timedelta(time, unit="s")
-    stamps = pd.Timestamp("2026-01-02T03:04:05") + lasting
-    columns = {"voltage": volts, "displacement": moved}
-    drive = 50.0 + 50.0 * np.sin(np.arange(500) / 30.0)
-    for found in (
-        dbo.identify(volts, moved, time=time, **QUICK),
-        *(
-            dbo.identify(pd.DataFrame(columns, pd.Index(index, name="time")), **QUICK)
-            for index in (time, lasting, stamps)
-        ),
-    ):
-        # the clock of a calendar is a nanosecond's
-        pair = [one.simulate(drive, sample_rate=500.0) for one in (found, shell)]
-        np.testing.assert_allclose(*pair, rtol=0, atol=1e-6)
-        assert found.fit["rmse"] == pytest.approx(shell.fit["rmse"], rel=1e-6)
-    frame = dbo.read_log(log)
-    assert len(dbo.identify([frame, frame], **QUICK).fit["logs"]) == 2
 
 
 def test_what_is_warned_of_is_part_of_the_result():

@@ -32,7 +32,7 @@ def followed(live, wanted):
 
 
 @pytest.mark.parametrize("is_limited", [False, True])
-@pytest.mark.parametrize("name", ["small", "creep", "bent", "soft"])
+@pytest.mark.parametrize("name", ["small", "creep", "bent", "soft", "amplified"])
 def test_plan_and_commit_give_the_drive_of_compensate(name, is_limited):
     """Calls in any order, and voltages applied instead: ``tests/drive/test_never_beyond.py``."""
     made, limits = actuator(name), {}

@@ -1,7 +1,11 @@
 """Two recordings of one drive on one clock: ``report``, ``check``, ``--tracked``, ``--clock-offset``."""
 
+import functools
+from pathlib import Path
+
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from .program import (
     DRIVE, LOG, MOVE, PAIR, PASS, QUICK, dbo, done, load, model, refused, rms, simulated, store,
@@ -26,17 +30,22 @@ def pink(rng, rows):
 
 def creep(values, tau):
     """Return what follows a signal with a time constant (s)."""
-    weight = -np.expm1(-STEP / tau)
-    followed = np.empty(len(values))
-    state = values[0]
-    for row, value in enumerate(values):
-        state += weight * (value - state)
-        followed[row] = state
-    return followed
+    keep = np.exp(-STEP / tau)
+    begin = values[0]
+    return begin + lfilter([1.0 - keep], [1.0, -keep], values - begin)
 
 
 def recorded(seed):
     """Drive a slow sine with a sweep before it; return the drive, and what a stage makes of it."""
+    drive, moved, texts = planned(seed)
+    for name, text in texts.items():
+        Path(name).write_text(text)
+    return {name: column.copy() for name, column in drive.items()}, moved.copy()
+
+
+@functools.cache
+def planned(seed):
+    """Return a drive, what a stage makes of it, and the texts of trajectory and drive, once a session."""
     rng = np.random.default_rng(seed)
     span = 6.0
     size = rng.uniform(0.2, 0.35) * span
@@ -50,7 +59,8 @@ def recorded(seed):
     moved += 1e-3 * span * pink(rng, len(moved)) * rng.uniform(0.3, 1.0)
     moved += 2e-4 * rng.uniform(-1.0, 1.0) * np.arange(len(moved)) * STEP
     moved += 1e-3 * rng.standard_normal(len(moved))
-    return drive, moved
+    texts = {name: Path(name).read_text() for name in ("traj.csv", "drive.csv")}
+    return drive, moved, texts
 
 
 def reported(trajectory, *words):
@@ -101,6 +111,10 @@ def test_another_drive_is_said():
         (told, *more) = outcome.warnings
         assert "drive is not that of drive.csv" in told
         assert len(more) == len(expected) // 2
+    other = drive["voltage_V"] + 1.1 * np.sin(0.023 * np.arange(len(moved)))
+    write("pass.csv", PASS, drive["time_s"], other, moved)
+    outcome = done("report", "pass.csv", "--trajectory", "drive.csv")
+    assert any("dbo check --against" in text for text in outcome.warnings)
 
 
 @pytest.mark.parametrize("late", [0.0, 17.0, 2.37])

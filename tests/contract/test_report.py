@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from .program import (
-    DRIVE, LOG, MOVE, PAIR, PASS, dbo, done, load, model, refused, rms, simulated, store, table, write,
+    DRIVE, LOG, MOVE, PAIR, dbo, done, load, model, refused, rms, simulated, store, table, write,
 )  # fmt: skip
 
 TIME = np.arange(600) / 500.0
@@ -218,18 +218,6 @@ def test_a_column_without_a_unit_is_told_of_beside_a_model_or_a_trajectory():
         assert not said.warnings
 
 
-def test_a_recording_of_another_drive_points_to_check():
-    time = np.arange(6000) / 1000.0
-    swing = np.sin(np.pi * time) * np.linspace(1.0, 0.3, len(time))
-    volts, moved = 50.0 + 40.0 * swing, 5.0 + 3.0 * swing
-    off = np.sin(23.0 * time)
-    write("d.csv", "time_s,desired_um,voltage_V", time, moved, volts)
-    write("log.csv", PASS, time, volts + 1.1 * off, moved + 0.1 * off)
-    store("s.json", SUMMARY)
-    words = ("report", "log.csv", "--trajectory", "d.csv", "--expected", "s.json")
-    assert any("dbo check --against" in text for text in done(*words).warnings)
-
-
 REFUSED = {
     "good.csv --lag 600": "--lag",
     "good.csv --figures good.csv": "good.csv",
@@ -252,6 +240,27 @@ def test_refusals_name_what_is_wrong():
     write("bare.csv", "displacement_um", WANTED)
     for words, held in REFUSED.items():
         assert held in refused(1, "report", *words.split())
+
+
+def test_what_was_expected_of_another_move_is_told():
+    words = ("report", "good.csv", "--expected", store("s.json", SUMMARY))
+    assert not done(*words).warnings
+    store("s.json", {**SUMMARY, "move_range": [0.0, 20.0]})
+    assert "0 to 20" in done(*words).warnings[0]
+
+
+def test_an_expected_error_beside_one_without_its_mean_is_said_to_count_it():
+    write("off.csv", PAIR, TIME, WANTED, WANTED + 3.0 + noise(0.1))
+    words = ("report", "off.csv", "--expected", store("s.json", SUMMARY))
+    removed = done(*words, "--remove-offset", "-o", "r.txt")
+    assert "0.010 expected with its mean" in removed.said[0]
+    assert "mean removed, which the expected error counts" in Path("r.txt").read_text()
+    outcome = done(*words, "-o", "r.txt")
+    assert "expected with its mean" not in outcome.err
+    write("off.csv", PAIR, TIME, WANTED, WANTED + 3.0 + 0.1 * np.sin(9.0 * TIME))
+    assert "or --remove-offset" in done(*words).warnings[0]
+    removed = done(*words, "--remove-offset").warnings[0]
+    assert "--remove-offset" not in removed and "identify again" in removed
 
 
 def test_the_column_of_a_trajectory_is_asked_for_by_the_option_to_type():

@@ -13,7 +13,7 @@ from .program import (
 )  # fmt: skip
 
 MOVES = [0.0, 5.0, 10.0, 3.0, 8.0, 2.0, 6.0]
-CLOCKED = ("creep", "moving", "late", "soft")
+CLOCKED = ("creep", "moving", "late", "soft", "amplified")
 
 
 def signal(rows, seed=3):

@@ -17,15 +17,8 @@ from dbo_cli.units import spell
 
 from .program import MOVE as MOVED
 from .program import (
-    QUICK,
-    compensated,
-    model,
-    refused,
-    simulated,
-    store,
-    values_of,
-    write,
-)
+    QUICK, compensated, model, refused, simulated, store, values_of, write,
+)  # fmt: skip
 from .program import dbo as shell
 
 TIME = np.arange(400) / 1000.0
@@ -276,6 +269,7 @@ def test_a_frame_and_a_file_give_the_same_bytes(header, played):
         assert found.input.unit == dbo.read_model("shell.json").input.unit
         found.save("library.json")
         assert Path("library.json").read_text() == expected
+    assert len(quick([frame, frame]).fit["logs"]) == 2
 
 
 def test_no_unit_is_invented(played):

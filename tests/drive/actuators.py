@@ -23,12 +23,15 @@ def actuator(
     scale=1.0,
     sections=(),
     delay=0.0,
+    amplifier=0.0,
 ):
     """Return a forward model; ``bend`` and ``curve`` are slopes of points before and behind the gears."""
     dx = np.full(gears, (high - low) / gears)
     slopes = np.linspace(1.0, growth, gears)
     dy = slopes * dx * stroke / float((slopes * dx).sum())
     stages = []
+    if amplifier:
+        stages.append(dm.Amplifier(amplifier))
     if bend:
         stages.append(_points(bend, low, high))
     relaxation = dm.Relaxation(low, tau, gain) if tau else None
@@ -130,6 +133,7 @@ def actuators(draw, static=False):
         scale=draw(st.sampled_from([1.0, -3.0])),
         sections=() if static else draw(SECTIONS),
         delay=0.0 if static else draw(st.sampled_from([0.0, 0.002, 0.00137])),
+        amplifier=0.0 if static else draw(st.sampled_from([0.0, 7e-4])),
     )
 
 

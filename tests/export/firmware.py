@@ -85,7 +85,6 @@ MODELS = {
     "creep": model_of(gears(64, relaxation=CREEP)),
     "negative gains": model_of(gears(64, relaxation=SOFT), dm.Scale(2.0, 0.0)),
     "delay": model_of(gears(40, relaxation=CREEP), dm.Delay(0.0043)),
-    "short delay": model_of(gears(40), dm.Delay(0.0007)),
     "whole delay": model_of(gears(40), dm.Delay(0.003)),
     "amplifier": model_of(LAG, curve(LOW, HIGH, 0.3), gears(40, relaxation=SOFT)),
     "amplifier, all": model_of(

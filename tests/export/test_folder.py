@@ -41,12 +41,3 @@ def test_a_failure_leaves_what_stood_there(tmp_path, monkeypatch):
         write_folder(str(folder), {"b.c": "", **FILES}, {"name": "a"})
     assert content(folder) == before
     assert os.listdir(tmp_path) == ["fw"]
-
-
-def test_nothing_of_an_older_export_is_left(tmp_path):
-    folder = tmp_path / "fw"
-    write_folder(str(folder), FILES, {"name": "a"})
-    (folder / "a.o").write_text("")
-    (folder / "a_test").write_text("")
-    write_folder(str(folder), {"b.c": "int b;\n"}, {"name": "b"})
-    assert sorted(content(folder)) == ["b.c", "export.json"]

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from random_actuators import DT, random_drive, random_gears, random_points
 
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.model import Gears, Relaxation, State
+from dbo_cli.model import Amplifier, Gears, Relaxation, State
 from tests import reference
 
 ROWS = 30  # exact rationals grow with every sample of a memory
@@ -101,6 +101,8 @@ def test_negative_gains_must_leave_three_percent_of_the_mean_slope():
     assert "gear 0" in str(problem.value)
 
 
-def test_time_must_not_go_backwards():
+def test_time_must_not_go_backwards_nor_stand_still_behind_an_amplifier():
     with pytest.raises(InputError, match="time step 2"):
         Relaxation(0.0, (1.0,), (1.0,)).decay([0.1, -0.1])
+    with pytest.raises(InputError, match="time step 3: 0 s"):
+        Amplifier(1e-3).undo(np.ones(3), State(0), np.array([0.0, DT, 0.0]))

@@ -1,12 +1,8 @@
 """Reports as values, JSON, CSV, text, page and figures."""
 
-import json
-
 import numpy as np
-import pytest
 
-from dbo_cli.errors import InputError
-from dbo_cli.reports import Pair, Report, expected_in
+from dbo_cli.reports import Pair, Report
 from dbo_cli.reports.plots import draw, figure_of, file_stems
 from dbo_cli.reports.words import digits, shortened
 
@@ -54,41 +50,6 @@ def test_one_row_has_no_loop():
     figures = Report([Pair("run", np.array([3.0]), np.array([5.0]))]).logs[0]
     assert (figures["samples"], figures["rmse"]) == (1, 2.0)
     assert figures["loop_width"] is None
-
-
-SUMMARY = {
-    "version": 1,
-    "format": "dbo-summary",
-    "unit": "um",
-    "model": "0123456789abcdef",
-    "expected_rmse": 0.1,
-    "move_range": [10.0, 70.0],
-    "move_time": [0.0, 2.0],
-    "limits": {"unit": "V", "rating": [0.0, 100.0], "max_slew": 2000.0},
-}
-
-
-def expected_of(folder, **values):
-    """Read a summary with other values."""
-    path = folder / "summary.json"
-    path.write_text(json.dumps(SUMMARY | values))
-    return expected_in(str(path), "um")
-
-
-def test_expected_of_another_move_is_a_warning(tmp_path):
-    _, desired, _, second = signals()
-    pair = Pair("run", desired, second)
-    assert not Report([pair], expected=expected_of(tmp_path)).warnings
-    another = expected_of(tmp_path, move_range=[0.0, 20.0])
-    assert "0 to 20" in Report([pair], expected=another).warnings[0]
-
-
-def test_expected_in_files(tmp_path):
-    expected = expected_of(tmp_path)
-    assert (expected.rmse, expected.move_time) == (0.1, (0.0, 2.0))
-    assert expected_of(tmp_path, unit="mm").rmse == pytest.approx(100.0)
-    with pytest.raises(InputError, match="V cannot be converted to um"):
-        expected_of(tmp_path, unit="V")
 
 
 def test_a_user_s_own_style_changes_nothing():
