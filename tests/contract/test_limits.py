@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import dbo_cli
@@ -67,7 +67,80 @@ def test_milliseconds_taken_for_seconds_are_warned_of():
         actuator.compensate(0.8 * WANTED, time=TIME * 1e3)
 
 
-# --- odd moves against limits: ``tests/drive/test_never_beyond.py`` ---
+# --- odd moves against limits ---
+
+MOVES = st.fixed_dictionaries(
+    {
+        "name": st.sampled_from(["small", "creep", "bent", "soft", "late", "moving"]),
+        "v_min": st.sampled_from([None, -30.0, 5.0, 20.0]),
+        "v_max": st.sampled_from([None, 60.0, 95.0, 150.0]),
+        "slew": st.sampled_from([None, 100.0, 3000.0]),
+        "extrapolate": st.booleans(),
+        "start": st.sampled_from([None, None, 0.0, 0.3, 1.0]),
+        "approach": st.sampled_from([None, 0.05, "auto"]),
+        "condition": st.booleans(),
+        "return_": st.sampled_from([None, 0.2, 0.9]),
+        "periodic": st.booleans(),
+        "seed": st.integers(0, 10**6),
+        "size": st.sampled_from([0.1, 0.5, 1.5, 1e6]),
+    }
+)
+
+
+UNSETTLED = {
+    "name": "soft", "v_min": 20.0, "v_max": 95.0, "slew": None, "extrapolate": True, "start": None,
+    "approach": None, "condition": False, "return_": None, "periodic": True, "seed": 58, "size": 0.1,
+}  # fmt: skip
+"""A loop that its limits keep from settling."""
+
+
+def wanted_of(actuator, seed, size, periodic):
+    """Return a move of 120 rows that may leave the range by far."""
+    random = np.random.default_rng(seed)
+    middle = 0.5 * (actuator.output.min + actuator.output.max)
+    span = actuator.output.max - actuator.output.min
+    phase = 2.0 * np.pi * np.arange(120) / 120
+    if periodic:
+        return middle + 0.5 * size * span * np.sin(phase + random.uniform(0.0, 6.0))
+    steps = random.standard_normal(120).cumsum() / 8.0
+    return middle + 0.5 * size * span * (steps + np.sin(random.integers(1, 9) * phase))
+
+
+@pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
+@settings(max_examples=100)
+@given(case=MOVES)
+@example(case=UNSETTLED)
+def test_no_row_leaves_the_limits(case):
+    """Whatever is asked: no row beyond the rating, no step faster than the slew, or a refusal."""
+    actuator = dbo_cli.read_model(model(case["name"]))
+    low, high = actuator.input.min, actuator.input.max
+    bottom = low if case["v_min"] is None else case["v_min"]
+    top = high if case["v_max"] is None else case["v_max"]
+    options = {
+        name: case[name] for name in ("approach", "periodic", "extrapolate", "v_min", "v_max")
+    }  # fmt: skip
+    options["condition"] = case["condition"] and not case["periodic"]
+    if case["start"] is not None:
+        options["from_"] = bottom + case["start"] * (top - bottom)
+    if case["return_"] is not None and not case["periodic"]:
+        options["return_"] = bottom + case["return_"] * (top - bottom)
+    options |= {"max_slew": case["slew"], "on_limit": "clip", "details": True}
+    wanted = wanted_of(actuator, case["seed"], case["size"], case["periodic"])
+    try:
+        drive = actuator.compensate(wanted, sample_rate=1000.0, **options)
+    except dbo_cli.DboError as problem:
+        assert "internal" not in str(problem)
+        assert type(problem).__name__ != "GateError", problem
+        return
+    voltage = drive.voltage
+    assert np.isfinite(voltage).all()
+    assert voltage.min() >= bottom and voltage.max() <= top
+    inside = voltage[drive.move]
+    if not case["extrapolate"]:
+        assert inside.min() >= max(bottom, low) and inside.max() <= min(top, high)
+    if case["slew"] is not None:
+        played = np.concatenate([[options.get("from_", voltage[0])], voltage])
+        assert np.abs(np.diff(played)).max() <= case["slew"] / 1000.0 * (1.0 + 1e-9)
 
 
 def test_the_line_says_which_limits_were_kept_and_where_a_drive_starts():
