@@ -115,7 +115,7 @@ def compare_operators(
         row |= {"name": design.name, "words": design.words}
         rows.append(row)
         try:
-            row |= figures_of(design, problem, validation, skip)
+            row |= results_of(design, problem, validation, skip)
         except DboError as reason:
             row["refused"] = str(reason)
     return {
@@ -128,7 +128,7 @@ def compare_operators(
     }
 
 
-def figures_of(
+def results_of(
     design: Design,
     problem: RivalProblem,
     validation: Sequence[Recording],
