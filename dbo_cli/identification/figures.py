@@ -259,7 +259,7 @@ def _zero_warnings(model: Cascade, logs: Sequence[Recording]) -> list[str]:
         if error > expected:
             found.append(
                 f"{os.path.basename(log.name)}: begins in motion: creep from before it may shift the zero by "
-                f"{error:.2g}{unit}, which is not in the expected error; begin the record before the drive"
+                f"{error:.2g}{unit}, which is not in the expected error; start the recorder before the drive"
             )
     return found
 
