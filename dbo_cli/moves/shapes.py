@@ -129,7 +129,8 @@ def trajectory(
         plan = _Plan(range, period, turn, count, loop, rate)
     form = SHAPES[shape]
     axes = form.make(plan)
-    note = f"{plan.cycles:,} {form.noun}, {plan.period / rate:.6g} s each"
+    noun = form.noun if plan.cycles > 1 else form.noun.removesuffix("s")
+    note = f"{plan.cycles:,} {noun}, {plan.period / rate:.6g} s each"
     if turn and form.lines:
         flat = 1.0 - form.lines * turn / plan.period
         note += f", {100.0 * flat:.3g} % of it linear"
