@@ -35,15 +35,12 @@ class Expected:
         First and last time (s) of the move in its drive; None where they are not known.
     sensor_delay
         Seconds by which the sensor is late, which is no error.
-    past_known
-        Whether a sweep or a state made the past of the drive known.
     """
 
     rmse: float | None
     move: Range | None = None
     move_time: Range | None = None
     sensor_delay: float = 0.0
-    past_known: bool = False
 
 
 def expected_in(
@@ -87,7 +84,6 @@ def expected_in(
         None if move is None else (factor * move[0], factor * move[1]),
         values["move_time"],
         values["sensor_delay"] or 0.0,
-        content.get("past_known") is True,
     )
 
 

@@ -10,14 +10,12 @@ from dbo_cli.alignment import (
     ACTUATOR_LAG,
     CLEARLY_BETTER,
     RATE_SLACK,
-    USUAL_LAG,
     Alignment,
     Trace,
     align_displacements,
     align_drives,
     on_whole_rows,
 )
-from dbo_cli.drive.check import tolerance_of
 from dbo_cli.errors import InputError
 from dbo_cli.reports.pair import Pair, rows_text, stretch
 
@@ -101,7 +99,10 @@ def _by_time(recording: Pair, trajectory: Pair) -> Pair:
 
 
 def _on_one_clock(recording: Pair, trajectory: Pair) -> Pair:
-    """Put a recording on the trajectory's clock, by the drive where both hold it."""
+    """Put a recording on the trajectory's clock, by the drive where both hold it.
+
+    By the displacement, where that is sure: as late as an actuator may be, it is an error.
+    """
     name = trajectory.name
     if trajectory.voltage is not None and recording.voltage is not None:
         found = align_drives(
@@ -109,51 +110,23 @@ def _on_one_clock(recording: Pair, trajectory: Pair) -> Pair:
             Trace(trajectory.clock, trajectory.voltage),
         )
         if found is not None:
-            shifted = _shifted(recording, found, f"that of {name}, by the drive")
-            return _with_drive_compared(shifted, trajectory)
+            return _shifted(recording, found, f"that of {name}, by the drive")
         recording = recording.warned(f"its drive is not that of {name}")
     found = _by_displacement(recording, trajectory)
-    if found is None or -0.5 * (recording.step or 0.0) <= found.ahead <= USUAL_LAG:
+    least = -0.5 * (recording.step or 0.0)
+    if found is None or least <= found.ahead <= ACTUATOR_LAG:
         return recording
     shifted = _shifted(recording, found, f"that of {name}")
     before = _scatter(_by_time(recording, trajectory))
     after = _scatter(_by_time(shifted, trajectory))
-    is_sure = not _rival_holds(found, recording, trajectory)
-    is_sure = is_sure and after <= CLEARLY_BETTER * before
-    if 0.0 < found.ahead <= ACTUATOR_LAG:
-        if not is_sure:
-            return recording
-        return recording.noted(
-            f"{found.ahead:.3g} s late, which counts as an error: the actuator is, or the clock of {name}"
-            " began late; record the drive, too"
-        )
-    if is_sure:
-        return replace(shifted, delay_removed=True)
     if after >= before:
         return recording
+    is_clear = after <= CLEARLY_BETTER * before
+    if is_clear and not _rival_holds(found, recording, trajectory):
+        return replace(shifted, delay_removed=True)
     return recording.warned(
         f"its clock may be {found.ahead:.4g} s ahead of that of {name}, which is not sure: its stamps are"
         " taken; record the drive, too, or try `match` rows"
-    )
-
-
-def _with_drive_compared(recording: Pair, trajectory: Pair) -> Pair:
-    """Return a recording with a warning where its drive is another one than ``check`` lets pass.
-
-    One that is off by more than half of the range is behind another gain.
-    """
-    drive, clock, time = trajectory.voltage, trajectory.clock, recording.clock
-    assert drive is not None and recording.voltage is not None
-    shared = (time >= clock[0]) & (time <= clock[-1])
-    recorded = recording.voltage[shared]
-    played = np.interp(time[shared], clock, drive)
-    error = float(np.abs(recorded - played).max(initial=0.0))
-    span = float(np.ptp(drive))
-    if not tolerance_of(drive, recorded, None) < error < 0.5 * span:
-        return recording
-    return recording.warned(
-        f"another drive was played, up to {100.0 * error / span:.2g} % of its range apart: dbo check "
-        "`against` tells more"
     )
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats
 from dbo_cli.reports.expected import Expected
 from dbo_cli.reports.pair import Pair
+from dbo_cli.reports.words import digits
 from dbo_cli.signals import lag, noise, turns
 
 LOOP_BINS = 32
@@ -34,8 +35,6 @@ LARGEST_UNEXPLAINED = 0.5
 
 SAME_MOVE = 0.01
 """Part of the move by which the ends of a summary's move may differ from the log's."""
-A_ROW = 0.5
-"""Rows: a smaller lag is what noise makes of none."""
 BEYOND_EXPECTED = 2.0
 """Times the expected error, from which on a warning says so."""
 
@@ -152,9 +151,8 @@ def lag_of(desired: Floats, measured: Floats) -> float | None:
     shift = lag(measured[::stride], desired[::stride], float(stride))
     if shift is None or shift.residual > LARGEST_UNEXPLAINED:
         return None
-    if math.isinf(shift.deviation):
-        return None
-    return shift.seconds if abs(shift.seconds) < len(desired) / 4.0 else None
+    is_told = math.isfinite(shift.deviation) and abs(shift.seconds) < len(desired) / 4.0
+    return shift.seconds if is_told else None
 
 
 def excess(pair: Pair, expected: Expected, figures: Mapping[str, Any]) -> str:
@@ -174,18 +172,9 @@ def excess(pair: Pair, expected: Expected, figures: Mapping[str, Any]) -> str:
     error = math.sqrt(max(figures["rmse"] ** 2 - white**2, 0.0))
     if expected.rmse is None or error <= BEYOND_EXPECTED * expected.rmse:
         return ""
-    mean, delay = "", ""
-    if not figures["offset_removed"]:
-        past = "let it rest" if expected.past_known else "sweep the range"
-        mean = (
-            f"its mean is {figures['mean']:.3g} (set the sensor's zero, {past} before the move, or "
-            "`remove_offset`), "
-        )
-    rows = figures["lag_left_samples"]
-    if figures["lag_left_s"] is not None and abs(rows) >= A_ROW:
-        late = 1e3 * figures["lag_left_s"]
-        delay = f"it is {late:.3g} ms late (match the clocks, or identify with `sensor_delay`), "
     return (
-        f"the error is {error / expected.rmse:.2g} times the expected one: {mean}{delay}row "
-        f"{figures['max_abs_row']:,} has the largest; else identify again"
+        f"the error is {error / expected.rmse:.2g} times the expected one (mean {figures['mean']:.3g}, lag "
+        f"{digits(figures['lag_left_samples'], 2)} rows, largest in row {figures['max_abs_row']:,}): look at "
+        "the sensor's zero and delay (`sensor_delay`), at what was before the move and at that row; else "
+        "identify again"
     )

@@ -9,9 +9,6 @@ from string import Template
 
 from dbo_cli.reports.plots import Plot, image
 
-CHIEF = 2
-"""The column of a table that counts most."""
-
 
 def framed(parts: Sequence[str]) -> str:
     """Return a page of some parts."""
@@ -32,9 +29,8 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = []
     for row in rows:
         line = ""
-        for number, (title, cell) in enumerate(zip(headings, row, strict=True)):
-            mark = ' class="chief"' if number == CHIEF else ""
-            line += f'<td{mark} data-label="{escape(title)}">{escape(cell)}</td>'
+        for title, cell in zip(headings, row, strict=True):
+            line += f'<td data-label="{escape(title)}">{escape(cell)}</td>'
         lines.append(f"<tr>{line}</tr>")
     body = "\n".join(lines)
     return f"<table><thead><tr>{cells}</tr></thead><tbody>\n{body}\n</tbody></table>"

@@ -223,9 +223,8 @@ def predict(
     error = None
     if model.input.min - slack <= low and high <= model.input.max + slack:
         error = expected_error(model, voltage, steps)
-    past_known = state != "auto"
     rmse = None
     if error is not None:
-        rmse = error.known if past_known else math.hypot(*error)
-    expected = Expected(rmse, sensor_delay=model.sensor_delay, past_known=past_known)
+        rmse = math.hypot(*error) if state == "auto" else error.known
+    expected = Expected(rmse, sensor_delay=model.sensor_delay)
     return replace(recording, desired=predicted, expected=expected)

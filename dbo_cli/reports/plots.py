@@ -23,6 +23,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.reports.pair import Pair
 from dbo_cli.reports.words import digits, shown_unit
+from dbo_cli.signals import even
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -168,37 +169,41 @@ def plots_of_log(
     time, clock = pair.time, "Time (s)"
     if time is None:
         time, clock = pair.first_row + np.arange(float(len(pair))), "Row"
-    residual, error_title = "Error", "Error"
-    if first == "model":
-        residual, error_title = "Residual", "Residual of the model"
+    residual = "Residual" if first == "model" else "Error"
     height = axis_label("Displacement", unit)
     band = f"± RMSE, {digits(rmse, 3)} {shown_unit(unit)}".rstrip()
-
-    def both(x: Floats) -> tuple[Line, ...]:
-        return (x, desired, first, SOLID), (x, measured, "measured", DASHED)
-
+    names = first, "measured"
     title, labels = f"{first.capitalize()} and measured", (clock, height)
-    plots = [Plot(f"{stem}-follow", title, labels, both(time))]
+    curves = both(time, desired, measured, names)
+    plots = [Plot(f"{stem}-follow", title, labels, curves)]
     line, labels = (time, error, None, THIN), (clock, axis_label(residual, unit))
-    plots.append(Plot(f"{stem}-error", error_title, labels, (line,), band=(rmse, band)))
+    plots.append(Plot(f"{stem}-error", residual, labels, (line,), band=(rmse, band)))
     # measured over the drive; over the desired signal, its own line, where no drive is known
-    x, title = drive, "Hysteresis loop"
-    name = axis_label("Drive voltage", voltage_unit)
-    if x is None:
-        x, title = desired, f"Measured against {first}"
-        name = axis_label(f"{first.capitalize()} displacement", unit)
-    curves: tuple[Line, ...] = ((x, measured, None, SOLID),)
-    if first == "model" or drive is None:
-        curves = both(x)
-    plots.append(Plot(f"{stem}-loop", title, (name, height), curves, TALL))
-    spectrum = spectrum_of(error, pair)
+    if drive is None:
+        title = f"Measured against {first}"
+        label = axis_label(f"{first.capitalize()} displacement", unit)
+        curves = both(desired, desired, measured, names)
+    else:
+        title, label = "Hysteresis loop", axis_label("Drive voltage", voltage_unit)
+        curves = ((drive, measured, None, SOLID),)
+        if first == "model":
+            curves = both(drive, desired, measured, names)
+    plots.append(Plot(f"{stem}-loop", title, (label, height), curves, TALL))
+    spectrum = spectrum_of(error, pair.time)
     if spectrum is not None:
-        density = f"{shown_unit(unit)}/√Hz" if unit else "1/√Hz"
+        density = f"{shown_unit(unit) or '1'}/√Hz"
         title, line = "Spectrum of the error", (*spectrum, None, THIN)
         labels = "Frequency (Hz)", f"Error density ({density})"
         key = f"{stem}-spectrum"
         plots.append(Plot(key, title, labels, (line,), logarithmic=True))
     return plots
+
+
+def both(
+    x: Floats, first: Floats, second: Floats, names: tuple[str, str]
+) -> tuple[Line, ...]:
+    """Return two curves side by side, with their names in the legend."""
+    return (x, first, names[0], SOLID), (x, second, names[1], DASHED)
 
 
 def file_stems(names: Sequence[str]) -> list[str]:
@@ -218,16 +223,14 @@ def axis_label(quantity: str, unit: str | None) -> str:
     return f"{quantity} ({shown_unit(unit)})"
 
 
-def spectrum_of(error: Floats, pair: Pair) -> tuple[Floats, Floats] | None:
+def spectrum_of(error: Floats, time: Floats | None) -> tuple[Floats, Floats] | None:
     """Return frequencies (Hz) and the amplitude density of the error (unit/sqrt(Hz)).
 
     By Welch's method, the mean of each piece taken off. None without an even clock, with
     fewer than 64 rows, or where the error is constant.
     """
-    step, time = pair.step, pair.time
-    if step is None or time is None or len(error) < 64 or not np.ptp(error):
-        return None
-    if np.ptp(np.diff(time)) > 0.01 * step:
+    step = None if time is None else even(time)
+    if step is None or len(error) < 64 or not np.ptp(error):
         return None
     from scipy.signal import welch
 
@@ -246,22 +249,23 @@ def model_plots(model: Cascade) -> list[Plot]:
     drive, rising, falling = slow_loop(forward)
     line = np.polyval(np.polyfit(drive, 0.5 * (rising + falling), 1), drive)
     ends = f"{into.min:.4g} to {into.max:.4g} {shown_unit(into.unit)}".rstrip()
-    loop = f"The model's loop, {ends}"
-    deviation = "Deviation from a straight line"
-    kinds = [
-        ("model-loop", loop, TALL, out.quantity.capitalize(), 0.0 * line),
-        ("model-hysteresis", deviation, WIDE, "Deviation", line),
+    along, names = (
+        axis_label(into.quantity.capitalize(), into.unit),
+        ("rising", "falling"),
+    )
+    labels = along, axis_label(out.quantity.capitalize(), out.unit)
+    loop = both(drive, rising, falling, names)
+    deviation = both(drive, rising - line, falling - line, names)
+    title = "Deviation from a straight line"
+    return [
+        Plot("model-loop", f"The model's loop, {ends}", labels, loop, TALL),
+        Plot(
+            "model-hysteresis",
+            title,
+            (along, axis_label("Deviation", out.unit)),
+            deviation,
+        ),
     ]
-    along = axis_label(into.quantity.capitalize(), into.unit)
-    plots = []
-    for key, title, size, name, base in kinds:
-        labels = along, axis_label(name, out.unit)
-        curves = (
-            (drive, rising - base, "rising", SOLID),
-            (drive, falling - base, "falling", DASHED),
-        )
-        plots.append(Plot(key, title, labels, curves, size))
-    return plots
 
 
 def slow_loop(model: Cascade) -> tuple[Floats, Floats, Floats]:

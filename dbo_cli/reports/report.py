@@ -9,7 +9,6 @@ import csv
 import io
 import os
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import replace
 from html import escape
 from pathlib import Path
@@ -21,13 +20,7 @@ from dbo_cli.reports import page, plots
 from dbo_cli.reports.expected import Expected
 from dbo_cli.reports.merits import excess, merits
 from dbo_cli.reports.pair import Pair, scored, undelayed
-from dbo_cli.reports.words import (
-    digits,
-    json_text,
-    shortened,
-    shown_unit,
-    text_table,
-)
+from dbo_cli.reports.words import digits, json_text, shortened, text_table
 from dbo_cli.version import __version__
 
 if TYPE_CHECKING:
@@ -36,8 +29,14 @@ if TYPE_CHECKING:
     from dbo_cli.model import Cascade
 
 REPORT_VERSION = 1  # of the form dbo-report
-LENGTHS = ("RMSE", "expected", "largest", "mean", "offset", "loop")
-"""Columns of the table that have the report's unit."""
+
+
+def kept(bound: float, figure: str, figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Return whether a log keeps a limit of a figure; an undefined one keeps none."""
+    value = figures[figure]
+    is_kept = value is not None and value <= bound
+    values = {"name": figures["name"], "figure": figure, "limit": bound, "value": value}
+    return {**values, "passed": is_kept}
 
 
 class Report:
@@ -113,20 +112,9 @@ class Report:
             self.logs.append(figures)
             if self.rmse > 0.0:
                 figures["ratio_to_first"] = figures["rmse"] / self.rmse
-        for log in self.logs:
             for figure, bound in bounds.items():
-                if bound is None:
-                    continue
-                value = log[figure]
-                self.limits.append(
-                    {
-                        "name": log["name"],
-                        "figure": figure,
-                        "limit": bound,
-                        "value": value,
-                        "passed": value is not None and value <= bound,
-                    }
-                )
+                if bound is not None:
+                    self.limits.append(kept(bound, figure, figures))
 
     @property
     def rmse(self) -> float:
@@ -175,20 +163,17 @@ class Report:
             line += f" ({digits(best['nrmse_percent'], 2)} % of the move)"
         if best["expected_rmse"] is not None:
             line += f", {digits(best['expected_rmse'], 2)} expected"
-            if self.remove_offset:
-                line += " with its mean"
         return line
 
     def _verdict(self, limit: Mapping[str, Any]) -> str:
         """Return in a sentence whether a log keeps a limit."""
         name, value, bound = shortened(limit["name"]), limit["value"], limit["limit"]
-        if value is None:
-            return f"{name}: the move has no range: no percentage for the limit of {bound:g} %"
+        rmse = "(the move has no range)" if value is None else f"{value:.4g}"
         unit = " % of the move"
         if limit["figure"] == "rmse":
             unit = f" {self.unit}" if self.unit else ""
         relation = "is within" if limit["passed"] else "exceeds"
-        return f"{name}: RMSE {value:.4g}{unit} {relation} the limit, {bound:g}{unit}"
+        return f"{name}: RMSE {rmse}{unit} {relation} the limit, {bound:g}{unit}"
 
     # --- forms ---
 
@@ -242,24 +227,16 @@ class Report:
 
     def to_html(self) -> str:
         """Return a page that needs no other file: verdict, table, figures, footer."""
-        unit = shown_unit(self.unit)
-        shown = copy(self)
-        shown.unit = unit or None
-        titles, rows = self._table()
-        headings = []
-        for title in titles:
-            length = unit and title in LENGTHS
-            headings.append(f"{title} ({unit})" if length else title)
         parts = []
         if self.passed is not None:
             word = "passed" if self.passed else "failed"
             lines = [f"<strong>{word.capitalize()}</strong>"]
-            lines += [escape(shown._verdict(limit)) for limit in self.limits]
+            lines += [escape(self._verdict(limit)) for limit in self.limits]
             parts.append(f'<p class="verdict {word}">{"<br>".join(lines)}</p>')
-        parts.append(page.paragraph("headline", shown.line()))
+        parts.append(page.paragraph("headline", self.line()))
         parts += [page.paragraph("warning", f"Warning: {w}") for w in self.warnings]
-        parts.append(page.table(headings, rows))
-        parts += [page.paragraph("muted", n) for n in (shown._settings(), *self.notes)]
+        parts.append(page.table(*self._table()))
+        parts += [page.paragraph("muted", n) for n in (self._settings(), *self.notes)]
         for title, drawn in self._sections():
             parts.append(f"<h2>{escape(title)}</h2>{page.figures(drawn)}")
         made_by = [f"dbo {__version__}", self.command or ""]
