@@ -27,11 +27,6 @@ COMMANDS = tuple(
     "trajectory waveform".split()
 )
 """In the order of a working day; each is a function of that name in a module of that name."""
-NOT_A_NUMBER = {
-    " is not a valid int": ": give a whole number",
-    " is not a valid float": ": give a number",
-}
-"""What typer's library says of an option that is no number, and what this program says."""
 HELP = ("-h, --help, --help-all", "This page; --help-all lists every option.")
 
 
@@ -192,7 +187,8 @@ def _explained(problem: BaseException, words: Sequence[str]) -> tuple[int, str]:
         command = (
             f"{words[0]} --help-all" if words and words[0] in COMMANDS else "--help"
         )
-        return WRONG_COMMAND_LINE, f"{_refused(problem)} (dbo {command})"
+        text = problem.format_message().rstrip(".")
+        return WRONG_COMMAND_LINE, f"{text[:1].lower()}{text[1:]} (dbo {command})"
     if isinstance(problem, OSError):
         filename = f"{problem.filename}: " if problem.filename else ""
         return 1, f"{filename}{problem.strerror or problem}"
@@ -200,15 +196,6 @@ def _explained(problem: BaseException, words: Sequence[str]) -> tuple[int, str]:
         return 1, "out of memory: take a part of the log with `rows` A:B"
     kind = type(problem).__name__
     return 1, f"internal error: {kind}: {problem} (please report it with `debug`)"
-
-
-def _refused(problem: Any) -> str:
-    """Return why typer refused the command line, in words of this program."""
-    text: str = problem.format_message().rstrip(".")
-    for words, plain in NOT_A_NUMBER.items():
-        if words in text:
-            text = f"{text.partition(words)[0]}{plain}"
-    return text[:1].lower() + text[1:]
 
 
 # --- what belongs to the process ---

@@ -71,7 +71,7 @@ def check(
             allowed = parse_quantity(tolerance, unit, "tolerance", 0.0)
         if against is not None:
             column = roles["voltage"] if channel else None
-            meant = read_meant(against, drive, column, unit)
+            meant = read_meant(against, column, unit)
             slack = tolerance_of(meant["voltage"], recorded, allowed)
         result = checks[channel] = check_drive(
             recorded,  # limits are those of the amplifier's output
@@ -128,16 +128,15 @@ def read_drive(
     return table, log
 
 
-def read_meant(path: str, drive: str, column: str | None, unit: str | None) -> Block:
-    """Read the drive that was meant to be played; InputError says how its column is found."""
+def read_meant(path: str, column: str | None, unit: str | None) -> Block:
+    """Read the drive that was meant to be played (InputError): the only one of its file."""
     from dbo_cli.logs import Reading
 
     try:
         return read_drive(path, Reading(), {"time": None, "voltage": column}, unit)[0]
     except InputError as problem:
         raise InputError(
-            f"{problem}: of `against` the only drive is taken: rename a header, or type {path} as DRIVE, "
-            f"`voltage` NAME `against` {drive}"
+            f"`against`: {problem}; name its only drive voltage_V there"
         ) from None
 
 

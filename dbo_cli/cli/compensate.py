@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
@@ -93,8 +93,8 @@ def compensate(
     def driver(channel: str, hold: int = 0, return_rows: int = 0) -> Driver:
         actuator, state = models[channel], starts[channel]
         begin, end = ends[channel]["from"], ends[channel]["return"]
-        for name, texts in {"v_min": v_min, "v_max": v_max}.items():
-            channels.require_own_limit(name, texts, channel, actuator)
+        channels.require_own_limit("v_min", v_min, channel, actuator)
+        channels.require_own_limit("v_max", v_max, channel, actuator)
         given = typed[channel]
         bounds = Limits.within(actuator.input, **given, extrapolate=extrapolate)
         before = Lead(actuator, bounds, state, begin, approach, condition, lead, hold)
@@ -116,10 +116,9 @@ def compensate(
     from dbo_cli.recordings import read_table, tracked_of, warn_of_assumed
 
     recorded["time"] = time
-    is_joined = "::" in (displacement or "")
-    reading, reading_of_pass = readings_apart(
-        reading, is_joined, recorded if tracked else {}
-    )
+    reading_of_pass = reading
+    if tracked:
+        reading, reading_of_pass = readings_apart(reading, recorded)
     histories = channels.histories_of(history, models)
     cutoff = quantity("bandwidth", bandwidth, "Hz")
     logs, tables, passes_of = {}, {}, {}
@@ -135,7 +134,6 @@ def compensate(
             passes_of[name] = tracked_of(
                 tracked or [], roles, reading_of_pass, actuator
             )
-
     channels.require_same_rows(logs)
 
     def drive_of(name: str, hold: int, return_rows: int) -> Drive:
@@ -163,21 +161,17 @@ def compensate(
 
 
 def readings_apart(
-    reading: opt.Reading, is_joined: bool, recorded: Mapping[str, str | None]
+    reading: opt.Reading, recorded: Collection[str]
 ) -> tuple[opt.Reading, opt.Reading]:
-    """Return how a trajectory is read, and how recordings with other columns are.
+    """Return how a trajectory is read, and how recordings of other roles: each has the scales of its own.
 
-    Each has the scales of its roles; the offset between clocks is that of what is joined of two files.
+    The drive, whose clock an offset belongs to, is in the recordings.
     """
     scale = reading.scale
-    passes = {role: scale[role] for role in scale if role in recorded}
     own = {role: scale[role] for role in scale if role not in recorded}
-    of_pass = replace(reading, scale=passes)
-    if not any("::" in (text or "") for text in recorded.values()):
-        of_pass = replace(of_pass, clock_offset=None)
-    elif not is_joined:
-        reading = replace(reading, clock_offset=None)
-    return replace(reading, scale=own), of_pass
+    of_pass = {role: scale[role] for role in scale if role in recorded}
+    trajectory = replace(reading, scale=own, clock_offset=None)
+    return trajectory, replace(reading, scale=of_pass)
 
 
 def write_stream(driver: Driver, log: Log, outputs: Outputs, output: str) -> Drive:
@@ -203,30 +197,31 @@ def write_figures(
     state: str | None,
     history: str | None,
 ) -> None:
-    """Write what belongs to the drives of channels."""
+    """Write what belongs to the drives of channels, and was asked for."""
+    if summary is None and state is None and history is None:
+        return
     from dbo_cli.channels import dumps_files
+    from dbo_cli.drive.learning import dumps_history
     from dbo_cli.model import dumps_state
 
-    if summary is not None:
-        texts = {}
-        for name, drive in drives.items():
-            figures, clock = drive.summary(), logs[name].clock
-            figures["trajectory"] = logs[name].name
-            if clock.kind != "none":
-                figures["move_time"] = [clock.first, clock.last]
-            texts[name] = json.dumps(figures, indent=2) + "\n"
-        outputs.write_text(summary, dumps_files("summary", texts))
-    if state is not None:
-        texts = {}
-        for name, drive in drives.items():
-            assert drive.state is not None
-            texts[name] = dumps_state(drive.state, drive.model)
-        outputs.write_text(state, dumps_files("state", texts), "state")
-    if history is not None:
-        from dbo_cli.drive.learning import dumps_history
-
-        texts = {name: dumps_history(drive.history) for name, drive in drives.items()}
-        outputs.write_text(history, dumps_files("history", texts), "history")
+    summaries, states, histories = {}, {}, {}
+    for name, drive in drives.items():
+        figures, clock = drive.summary(), logs[name].clock
+        figures["trajectory"] = logs[name].name
+        if clock.kind != "none":
+            figures["move_time"] = [clock.first, clock.last]
+        assert drive.state is not None
+        summaries[name] = json.dumps(figures, indent=2) + "\n"
+        states[name] = dumps_state(drive.state, drive.model)
+        histories[name] = dumps_history(drive.history)
+    files = [
+        ("summary", summary, summaries),
+        ("state", state, states),
+        ("history", history, histories),
+    ]
+    for kind, path, texts in files:
+        if path is not None:
+            outputs.write_text(path, dumps_files(kind, texts), kind)
 
 
 def say_one(log: Log, output: str, drive: Drive) -> None:

@@ -7,7 +7,7 @@ from typing import Literal
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, flag, option
 from dbo_cli.cli.say import say, say_output
-from dbo_cli.errors import ModelError, UsageError
+from dbo_cli.errors import UsageError, prefixed
 from dbo_cli.units import quantity
 
 
@@ -40,7 +40,7 @@ def export(
     actuator = read_cascade(model).forward()
     limits = Limits.within(actuator.input, v_min, v_max, max_slew)
     rate = quantity("sample_rate", sample_rate, "Hz")
-    try:
+    with prefixed(model):
         result = export_model(
             actuator,
             limits,
@@ -50,8 +50,6 @@ def export(
             gears=gears,
             lookup=lookup,
         )
-    except ModelError as problem:
-        raise ModelError(f"{model}: {problem}") from None
     write_folder(output, result.files, result.figures)
     figures = result.figures
     line = f"{figures['gears']:,} gears in {arithmetic}"

@@ -57,7 +57,7 @@ def identify(
     """
     from dbo_cli import channels
     from dbo_cli.files import Outputs, check_outputs
-    from dbo_cli.identification import Options, describe, describe_validation, leads
+    from dbo_cli.identification import Options, describe, describe_validation
     from dbo_cli.model import dumps_model, dumps_set
     from dbo_cli.recordings import identified, recordings_of, typed_constants
     from dbo_cli.reports.show import shown_text
@@ -66,15 +66,15 @@ def identify(
     options = Options(
         sign=sign,
         skip=quantity("skip", skip, "s"),
-        zero=opt.number_of("zero", zero, float, "none", "mean", "first"),
+        zero=quantity("zero", zero, None, "none", "mean", "first"),
         sensor_delay=quantity("sensor_delay", sensor_delay, "s"),
-        gears=opt.number_of("gears", gears, int, "auto"),
-        points=opt.number_of("points", points, int, "auto"),
+        gears=opt.whole_number("gears", gears),
+        points=opt.whole_number("points", points),
         relaxation=typed_constants(
             "auto" if relaxation == "auto" else relaxation.split(",")
         ),
         delay=quantity("delay", delay, "s", "auto"),
-        dynamics=opt.number_of("dynamics", dynamics, int, "auto"),
+        dynamics=opt.whole_number("dynamics", dynamics),
         slopes=slopes,
         method=method,
         force=force,
@@ -98,11 +98,10 @@ def identify(
         read += own
         texts = [describe(models[name], recordings), *describe_validation(models[name])]
         lines += [f"{name}: {text}" if name else text for text in texts]
-    is_set = "" not in models
     with Outputs() as outputs:
-        outputs.write_text(
-            output, dumps_set(models) if is_set else dumps_model(models[""])
-        )
+        is_set = "" not in models
+        text = dumps_set(models) if is_set else dumps_model(models[""])
+        outputs.write_text(output, text)
         if summary is not None:
             figures = {}
             values = {"format": "dbo-summary", "version": 1, "command": "identify"}
@@ -113,12 +112,11 @@ def identify(
     model = next(iter(models.values()))
     rows = sum(log["rows"] for log in model.provenance["logs"])
     if is_set:
+        lines.insert(0, f"{len(models)} models")
         say_logs(read, rows)
-        say_output(output, f"{len(models)} models")
     else:
-        sense = f"{model.sign}, leads the drive" if leads(recordings) else model.sign
-        say_logs(read, rows, f" ({sense})")
+        say_logs(read, rows, f" ({model.sign})")
         detail(*shown_text(model, "").splitlines()[1:])
-        say_output(output, lines.pop(0))
+    say_output(output, lines.pop(0))
     for line in lines:
         say(line)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import functools
 import inspect
-import math
 import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
@@ -185,18 +184,14 @@ def require(partner: str, partner_value: object, options: dict[str, Any]) -> Non
             raise UsageError(f"`{name}` needs `{partner}`")
 
 
-def number_of(name: str, text: str | None, kind: type, *words: str) -> Any:
-    """Return the number (int or float) of an option, or one of its words; UsageError otherwise."""
-    if text is None or text in words:
+def whole_number(name: str, text: str) -> Any:
+    """Return the whole number of an option, or ``auto`` (UsageError)."""
+    if text == "auto":
         return text
     try:
-        value = kind(text)
+        return int(text)
     except ValueError:
-        value = math.nan
-    if math.isfinite(value):
-        return value
-    accepted = ", ".join([*words, "a whole number" if kind is int else "a number"])
-    raise UsageError(f"`{name}` {text}: give {accepted}")
+        raise UsageError(f"`{name}` {text}: give auto or a whole number") from None
 
 
 def span(name: str, text: str, unit: str | None) -> tuple[float, float]:

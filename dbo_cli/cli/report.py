@@ -60,7 +60,6 @@ def report(
         raise UsageError("give either `model` or `trajectory`")
     opt.require("model", model, {"state": state != "auto"})
     opt.require("trajectory", trajectory, {"match": match != "auto"})
-    percent_bound = opt.number_of("max_nrmse_percent", max_nrmse_percent, float)
     # a lag, a model and a match by rows need the rows around those that count
     rows = None if reading.rows is None else parse_rows(reading.rows)
     reading = dataclasses.replace(reading, rows=None)
@@ -80,15 +79,15 @@ def report(
         with channels.naming(channel):
             if trajectory is not None:
                 column = channels.columns_for({"desired": desired}, channel)["desired"]
-                is_told = expected is not None
-                found = matched(
-                    logs, roles, reading, trajectory, column, match, is_told
+                has_summary = expected is not None
+                pairs, units, opened = matched(
+                    logs, roles, reading, trajectory, column, match, has_summary
                 )
             else:
-                name = f"{model}::{channel}" if channel else model or ""
                 start = starts.get(channel, "auto")
-                found = pairs_of(logs, roles, reading, actuator, start, name)
-            pairs, units, opened = found
+                pairs, units, opened = pairs_of(
+                    logs, roles, reading, actuator, start, model or ""
+                )
             counted = []
             for pair, name in zip(pairs, short_names(logs), strict=True):
                 counted.append(dataclasses.replace(pair, rows=rows, name=name))
@@ -101,7 +100,7 @@ def report(
                 remove_offset=remove_offset,
                 expected=expected_in(summaries[channel], unit),
                 max_rmse=quantity("max_rmse", max_rmse, unit),
-                max_nrmse_percent=percent_bound,
+                max_nrmse_percent=quantity("max_nrmse_percent", max_nrmse_percent, "%"),
                 model=actuator,
                 command=shlex.join(["dbo", *sys.argv[1:]]),
             )
@@ -130,16 +129,16 @@ def publish(
     with Outputs() as outputs:
         if figures is not None:
             for name, result in results.items():
-                folder = os.path.join(figures, name)
-                detail(*map(str, outputs.write_all(folder, result.drawn())))
+                outputs.write_all(os.path.join(figures, name), result.drawn())
         for path, text in files.items():
             outputs.write_text(path, text)
     for name, result in results.items():
+        label = f"{name}: " if name else ""
         if output != "-":
-            say(f"{name}: {result.line()}" if name else result.line())
+            say(label + result.line())
         detail(*result.notes)
         for text in result.warnings:
-            warn(f"channel {name}: {text}" if name else text)
+            warn(label + text)
     for name, result in results.items():
         with channels.naming(name):
             result.require_passed()

@@ -6,7 +6,6 @@ import os
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text
-from dbo_cli.cli.say import detail
 
 
 def show(
@@ -38,6 +37,5 @@ def show(
         if figures is not None:
             for channel, shown in models.items():
                 folder = os.path.join(figures, channel)
-                files = outputs.write_all(folder, drawn(model_plots(shown)))
-                detail(*map(str, files))
+                outputs.write_all(folder, drawn(model_plots(shown)))
         outputs.write_text(output, "\n".join(texts))

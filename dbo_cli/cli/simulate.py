@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, column, option
 from dbo_cli.cli.say import progress, say_log, say_output
-from dbo_cli.errors import ModelError
+from dbo_cli.errors import prefixed
 
 if TYPE_CHECKING:
     from dbo_cli.drive.simulate import Rows, Simulator
@@ -94,15 +94,15 @@ def write_rows(
 
     signals = []
     for name, simulator in simulators.items():
-        with channels.naming(name):
-            if name:
-                rows = stacked(list(simulated(simulator, logs[name])))
-                time = [] if rows.time is None else [rows.time]
-                signals += [rows.x, rows.y]
+        with prefixed(simulator.name):
+            blocks = simulated(simulator, logs[name])
+            if not name:
+                for rows in blocks:
+                    rows.send(table.write)
                 continue
-            simulator.name = logs[name].name
-            for rows in simulated(simulator, logs[name]):
-                rows.send(table.write)
+            rows = stacked(list(blocks))
+            time = [] if rows.time is None else [rows.time]
+            signals += [rows.x, rows.y]
     channels.require_same_rows(logs)
     if signals:
         table.write(*time, *signals)
@@ -110,10 +110,6 @@ def write_rows(
 
 def simulated(simulator: Simulator, signal: Log) -> Iterator[Rows]:
     """Run a model over a log, block by block."""
-    if simulator.model.needs_time and signal.clock.kind == "none":
-        raise ModelError(
-            f"{signal.name}: this model needs a clock: add `time` COLUMN or `sample_rate` HZ"
-        )
     for block in progress(signal.blocks(), "simulated"):
         yield simulator.rows(block["input"], block.dt, block.time)
     yield simulator.finish()

@@ -56,8 +56,8 @@ def trajectory(
         models = list(read_cascades(paths[0]).values())
     else:
         models = [read_cascade(path) for path in paths]
-    for number, actuator in enumerate(models):
-        actuator.require("forward", paths[min(number, len(paths) - 1)])
+    for actuator in models:
+        actuator.require("forward", " ".join(paths))
     typed_unit = spell(opt.unit_behind(range_.rpartition(":")[2]))
     range_unit = typed_unit or UNIT
     if parse_unit(range_unit) is None:
@@ -100,7 +100,5 @@ def trajectory(
     columns = [("time", "s"), *((name, unit) for name in names)]
     with create(output, columns) as table:
         table.write(move.time, *move.axes)
-    rounded = "sharp corners (`bandwidth` HZ)"
-    if limit is not None:
-        rounded = f"rounded to {limit:.4g} Hz"
+    rounded = "sharp corners" if limit is None else f"rounded to {limit:.4g} Hz"
     say_output(output, f"{move.time.size:,} rows, {move.note}; {rounded}")
