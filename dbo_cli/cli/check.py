@@ -28,7 +28,7 @@ def check(
     against: Text = option("FILE", "The file to play; DRIVE is a recording of it."),
     gain: float = rare(
         "FACTOR",
-        "With --against: DRIVE is multiplied by it; limits hold behind it.",
+        "With --against: multiplies DRIVE; limits hold behind it.",
         default=1.0,
     ),
     tolerance: Text = option("VOLT", "With --against: largest difference allowed."),

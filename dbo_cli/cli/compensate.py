@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from typer import Argument
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.options import MOVE, Text, Texts, flag, option, rare
+from dbo_cli.cli.options import LIMITS, MOVE, OUTPUT, Text, Texts, flag, option, rare
 from dbo_cli.cli.say import detail, progress, say, say_log, say_output
 from dbo_cli.units import quantity
 
@@ -23,22 +23,17 @@ if TYPE_CHECKING:
 def compensate(
     reading: opt.Reading,
     model: str = opt.MODEL,
-    trajectory: str = Argument(
-        ..., metavar="TRAJECTORY", help="What is desired; - is stdin."
-    ),
+    trajectory: str = Argument(..., metavar="TRAJECTORY", help="The move; - is stdin."),
     output: str = opt.OUTPUT_FILE,
     summary: Text = opt.SUMMARY_FILE,
     v_min: Texts = opt.V_MIN,
     v_max: Texts = opt.V_MAX,
     max_slew: Texts = opt.MAX_SLEW,
     extrapolate: bool = flag(
-        "--extrapolate", "Go beyond the identified range, too.", opt.LIMITS, hidden=True
+        "--extrapolate", "Go beyond the identified range, too.", LIMITS, hidden=True
     ),
     on_limit: Literal["auto", "clip", "error"] = option(
-        None,
-        "auto: clip up to 1 % of the move, else exit 3.",
-        opt.LIMITS,
-        default="auto",
+        None, "auto: clip up to 1 % of the move, else exit 3.", LIMITS, default="auto"
     ),
     start: Texts = opt.FROM,
     approach: Text = option("SECONDS|auto", "Go smoothly to row 1 in this time.", MOVE),
@@ -48,9 +43,7 @@ def compensate(
     periodic: bool = flag("--periodic", "The trajectory is one period.", MOVE),
     passes: int = rare("N", "Run-in of a --periodic one.", MOVE, default=0, min=0),
     tracked: Texts = option("LOG", "Learn from recordings of the last pass.", MOVE),
-    history: Text = rare(
-        "FILE", "With --tracked: keeps each pass's error.", opt.OUTPUT
-    ),
+    history: Text = rare("FILE", "With --tracked: keeps each pass's error.", OUTPUT),
     absolute: bool = flag(
         "--absolute", "With --tracked: learn the mean error, too.", MOVE, hidden=True
     ),

@@ -32,9 +32,7 @@ def identify(
     ),
     skip: str = opt.SKIP,
     zero: str = rare("none|mean|first|VALUE", "What counts as 0.", default="none"),
-    sensor_delay: str = rare(
-        "SECONDS", "How late the sensor is.", READING, default="0"
-    ),
+    sensor_delay: str = rare("SECONDS", "Delay of the sensor.", READING, default="0"),
     gears: str = structure("N|auto", "Number of gears."),
     points: str = structure("M|auto", "Segments of the curve; 0 for none."),
     relaxation: str = structure("auto|0|T1,T2,...", "Time constants of creep in s."),

@@ -38,7 +38,9 @@ def report(
     state: str = option(
         "NAME|FILE", "With --model: where the model starts.", COMPARED, default="auto"
     ),
-    expected: Text = option("SUMMARY", "Summary or model: its stated error.", COMPARED),
+    expected: Text = option(
+        "SUMMARY", "Summary of the drive: its stated error.", COMPARED
+    ),
     lag: int = rare("N", "Rows by which measured is taken later.", COMPARED, default=0),
     remove_offset: bool = flag("--remove-offset", "Subtract the mean error.", COMPARED),
     max_rmse: Text = option("VALUE", "Largest RMS error, such as 10nm.", BOUNDS),

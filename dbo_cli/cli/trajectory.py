@@ -21,7 +21,7 @@ def trajectory(
     rate: str = option("HZ", "Rows per second.", default=...),
     range_: str = option(
         "LOW:HIGH",
-        "Range of each axis in um, or with its unit.",
+        "Range of each axis in um, or with unit.",
         None,
         "--range",
         default=...,
@@ -34,9 +34,7 @@ def trajectory(
     duration: Text = option("SECONDS", "Length of other shapes; default one cycle."),
     loop: bool = flag("--loop", "One closed period, for compensate --periodic."),
     bandwidth: Text = option("HZ", "Round corners, start and stop to this bandwidth."),
-    model: Texts = option(
-        "MODEL", "Keep its range and bandwidth; a set or twice: x, y."
-    ),
+    model: Texts = option("MODEL", "Keep its range and bandwidth; a set or two: x, y."),
 ) -> None:
     """Write a move: raster, spiral, staircase, sine or triangle.
 

@@ -1,4 +1,4 @@
-"""What error was to be expected of a log: from a model, or from a summary of ``compensate``."""
+"""What error was to be expected of a log: from a summary of ``compensate``."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Expected:
 def expected_in(
     source: str | Mapping[str, Any] | None, unit: str | None = None
 ) -> Expected | None:
-    """Return the expected error that a summary of ``compensate`` or a model states; None of none.
+    """Return the expected error that a summary of ``compensate`` states; None of none.
 
     Parameters
     ----------
@@ -60,19 +60,17 @@ def expected_in(
     InputError
         Its unit measures something else than what is compared.
     ModelError
-        It is neither, or states no expected error.
+        It is no summary, or states no expected error.
     """
     if source is None:
         return None
+    name, content = "the summary", source
     if isinstance(source, str):
-        name, content = _figures(source)
-    else:
-        name, content = "the summary", source
+        name, content = fields.load(source, "summary")
     with prefixed(name):
+        content = fields.contents(content, "", "dbo-summary", "a summary")
         if "expected_rmse" not in content:
-            raise ModelError(
-                "states no expected error: give a summary of compensate, or a model"
-            )
+            raise ModelError("states no expected error: give a summary of compensate")
         values = {}
         for key, read in SUMMARY_KEYS.items():
             values[key] = fields.unless_null(read)(content.get(key), key)
@@ -85,15 +83,3 @@ def expected_in(
         values["move_time"],
         values["sensor_delay"] or 0.0,
     )
-
-
-def _figures(path: str) -> tuple[str, Mapping[str, Any]]:
-    """Return the name of a file, and the figures of a summary or of a model's fit in it (ModelError)."""
-    from dbo_cli.model.file import parse_model
-
-    name, values = fields.load(path, "summary")
-    if isinstance(values, dict) and values.get("format") == "dbo-model":
-        model = parse_model(values, name).forward()
-        return name, {**model.fit, "unit": model.output.unit}
-    with prefixed(name):
-        return name, fields.contents(values, "", "dbo-summary", "a summary")

@@ -59,12 +59,15 @@ def match(recording: Pair, trajectory: Pair, by: str = "auto") -> Pair:
         raise InputError(
             f"{pair.name}: no row lies within the time of {trajectory.name}: try `match` rows"
         )
+    return _with_rows_counted(pair, recording, trajectory)
+
+
+def _with_rows_counted(pair: Pair, recording: Pair, trajectory: Pair) -> Pair:
+    """Return rows that were matched, with a note of those that were not."""
     outside = len(recording) - len(pair)
     if not outside:
         return pair
-    return pair.noted(
-        f"{rows_text(outside)} outside the time of {trajectory.name} left out"
-    )
+    return pair.noted(f"{rows_text(outside)} outside {trajectory.name} left out")
 
 
 def _by_rows(recording: Pair, trajectory: Pair) -> Pair:
@@ -80,13 +83,7 @@ def _by_rows(recording: Pair, trajectory: Pair) -> Pair:
     pair = replace(recording.taken(rows), desired=trajectory.desired[rows])
     if trajectory.time is not None:
         pair = replace(pair, time=trajectory.time[rows])
-    surplus = len(recording) - len(trajectory)
-    if surplus:
-        relation = "more" if surplus > 0 else "fewer"
-        pair = pair.noted(
-            f"{rows_text(abs(surplus))} {relation} than in {trajectory.name}"
-        )
-    return pair
+    return _with_rows_counted(pair, recording, trajectory)
 
 
 def _by_time(recording: Pair, trajectory: Pair) -> Pair:

@@ -73,15 +73,6 @@ class Pair:
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        """Require columns of one length (InputError)."""
-        for key in ("measured", "time", "voltage"):
-            column = getattr(self, key)
-            if column is not None and len(column) != len(self):
-                raise InputError(
-                    f"{self.name}: {key} has {rows_text(len(column))}, desired {len(self):,}"
-                )
-
     def __len__(self) -> int:
         """Return the number of rows."""
         return len(self.desired)
