@@ -95,10 +95,10 @@ def _foreign() -> dict[str, Any]:
     return {point.name: point for point in entry_points(group="dbo_cli.commands")}
 
 
-def _typer(completion: bool = False) -> typer.Typer:
+def _typer() -> typer.Typer:
     """Return a typer application that speaks plain text."""
     return typer.Typer(
-        add_completion=completion,
+        add_completion=False,
         rich_markup_mode=None,
         context_settings={
             "help_option_names": ["-h", "--help", "--help-all"],
@@ -128,7 +128,7 @@ def _root(
 
 def program() -> Any:
     """Return the group ``dbo``, ready to parse a command line."""
-    app = _typer(completion=True)
+    app = _typer()
     app.callback(cls=Commands, invoke_without_command=True)(_root)
     group: Any = typer.main.get_command(app)
     group.commands = dict.fromkeys(COMMANDS)  # typer names those that are meant
@@ -153,8 +153,6 @@ def _outcome(words: list[str]) -> tuple[int, str]:
     """Run one command line; return its exit code, and the line that says why it failed."""
     try:
         root = program()
-        if "_DBO_COMPLETE" in os.environ:
-            root.main(words, prog_name="dbo")
         with root.make_context("dbo", words) as context:
             root.invoke(context)
         sys.stdout.flush()

@@ -79,16 +79,16 @@ def compensate(
     streams = is_one and not (tracked or periodic or bandwidth)
     if streams and on_limit == "auto" and Output(output).temporary is None:
         on_limit = "clip"  # rows that were sent stay sent
-    limits = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
-    typed = channels.values_for(limits, models)
-    ends = channels.values_for({"from": start, "return": return_to}, models)
+    texts = {"v_min": v_min, "v_max": v_max, "max_slew": max_slew}
+    texts |= {"from": start, "return": return_to}
+    typed = channels.values_for(texts, models)
 
     def driver(channel: str, hold: int = 0, return_rows: int = 0) -> Driver:
         actuator, state = models[channel], starts[channel]
-        begin, end = ends[channel]["from"], ends[channel]["return"]
         channels.require_own_limit("v_min", v_min, channel, actuator)
         channels.require_own_limit("v_max", v_max, channel, actuator)
-        given = typed[channel]
+        given = dict(typed[channel])
+        begin, end = given.pop("from"), given.pop("return")
         bounds = Limits.within(actuator.input, **given, extrapolate=extrapolate)
         before = Lead(actuator, bounds, state, begin, approach, condition, lead, hold)
         return Driver(

@@ -57,12 +57,9 @@ def trajectory(
     for actuator in models:
         actuator.require("forward", " ".join(paths))
     typed_unit = spell(opt.unit_behind(range_.rpartition(":")[2]))
-    range_unit = typed_unit or UNIT
-    if parse_unit(range_unit) is None:
-        raise UsageError(
-            f"`range` {range_}: '{range_unit}' is no unit: type LOW:HIGHum"
-        )
-    units = {actuator.output.unit for actuator in models} or {range_unit}
+    if parse_unit(typed_unit or UNIT) is None:
+        raise UsageError(f"`range` {range_}: that is no unit: type LOW:HIGHum")
+    units = {actuator.output.unit for actuator in models} or {typed_unit or UNIT}
     if len(units) > 1:
         raise UsageError("`model`: the units differ; write one axis at a time")
     unit = units.pop()
@@ -89,8 +86,7 @@ def trajectory(
     )
     if len(models) > len(move.axes):
         raise UsageError(
-            f"`model`: {len(models)} models, and the axes of a {shape} are {len(move.axes)}: name one of a "
-            "set as MODEL::CHANNEL"
+            f"`model`: {len(models)} models, a {shape} has {len(move.axes)} axes: name one, MODEL::CHANNEL"
         )
     if models:
         check_reach(move, models)

@@ -95,6 +95,7 @@ class Report:
     ) -> None:
         self.unit, self.voltage_unit = unit or None, voltage_unit
         self.remove_offset, self.model, self.command = remove_offset, model, command
+        self.first = "desired" if model is None else "model"  # measured beside it
         self.pairs: list[Pair] = []
         self.logs: list[dict[str, Any]] = []
         self.limits: list[dict[str, Any]] = []
@@ -120,11 +121,6 @@ class Report:
     def rmse(self) -> float:
         """The RMSE of the first log."""
         return float(self.logs[0]["rmse"])
-
-    @property
-    def first(self) -> str:
-        """What measured is compared with."""
-        return "desired" if self.model is None else "model"
 
     @property
     def passed(self) -> bool | None:

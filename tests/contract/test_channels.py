@@ -189,7 +189,7 @@ REFUSED = {
     "identify upper.csv --voltage V{} --displacement D{}": (
         "finds X, Y", "finds x, y", "rename", "--voltage COLUMN --displacement COLUMN"
     ),
-    "check one.csv --against mirror.csv": ("--voltage NAME --against one.csv",),
+    "check one.csv --against mirror.csv": ("--against", "mirror.csv", "voltage_V"),
 }  # fmt: skip
 
 
