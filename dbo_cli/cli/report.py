@@ -119,9 +119,8 @@ def publish(
     Of channels, text and JSON stand in one file, other forms in a file a channel.
     """
     from dbo_cli import channels
-    from dbo_cli.files import Outputs, check_outputs
+    from dbo_cli.files import Outputs
 
-    check_outputs(output)
     texts = {}
     for name, result in results.items():
         text: str = getattr(result, f"to_{form}")()

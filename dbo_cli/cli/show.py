@@ -19,14 +19,13 @@ def show(
     Examples: dbo show model.json;
     dbo show model.json --format json | jq .fit.expected_rmse
     """
-    from dbo_cli.files import Outputs, check_outputs
+    from dbo_cli.files import Outputs
     from dbo_cli.model import read_cascades
     from dbo_cli.reports.plots import drawn, model_plots
     from dbo_cli.reports.show import shown_text, shown_values
     from dbo_cli.reports.words import json_text
 
     models = read_cascades(model)
-    check_outputs(output)
     texts = []
     for channel, shown in models.items():
         if opt.form_of(form, output) == "json":

@@ -47,27 +47,23 @@ def match(recording: Pair, trajectory: Pair, by: str = "auto") -> Pair:
     recording = replace(recording, on_drive_clock=True)
     clockless = [pair.name for pair in (recording, trajectory) if pair.time is None]
     if by == "rows" or (by == "auto" and clockless):
-        return _by_rows(recording, trajectory)
-    if clockless:
+        pair = _by_rows(recording, trajectory)
+    elif clockless:
         raise InputError(
             f"{clockless[0]}: has no time: add `sample_rate`, or `match` rows"
         )
-    if by == "auto":
-        recording = _on_one_clock(recording, trajectory)
-    pair = _by_time(recording, trajectory)
+    else:
+        if by == "auto":
+            recording = _on_one_clock(recording, trajectory)
+        pair = _by_time(recording, trajectory)
     if not len(pair):
         raise InputError(
             f"{pair.name}: no row lies within the time of {trajectory.name}: try `match` rows"
         )
-    return _with_rows_counted(pair, recording, trajectory)
-
-
-def _with_rows_counted(pair: Pair, recording: Pair, trajectory: Pair) -> Pair:
-    """Return rows that were matched, with a note of those that were not."""
     outside = len(recording) - len(pair)
-    if not outside:
-        return pair
-    return pair.noted(f"{rows_text(outside)} outside {trajectory.name} left out")
+    if outside:
+        pair = pair.noted(f"{rows_text(outside)} outside {trajectory.name} left out")
+    return pair
 
 
 def _by_rows(recording: Pair, trajectory: Pair) -> Pair:
@@ -83,7 +79,7 @@ def _by_rows(recording: Pair, trajectory: Pair) -> Pair:
     pair = replace(recording.taken(rows), desired=trajectory.desired[rows])
     if trajectory.time is not None:
         pair = replace(pair, time=trajectory.time[rows])
-    return _with_rows_counted(pair, recording, trajectory)
+    return pair
 
 
 def _by_time(recording: Pair, trajectory: Pair) -> Pair:

@@ -20,7 +20,7 @@ from dbo_cli.reports import page, plots
 from dbo_cli.reports.expected import Expected
 from dbo_cli.reports.merits import excess, merits
 from dbo_cli.reports.pair import Pair, scored, undelayed
-from dbo_cli.reports.words import digits, json_text, shortened, text_table
+from dbo_cli.reports.words import digits, json_text, text_table
 from dbo_cli.version import __version__
 
 if TYPE_CHECKING:
@@ -151,10 +151,10 @@ class Report:
         first = self.logs[0]
         best = min(self.logs, key=lambda log: float(log["rmse"]))
         error = f"error {digits(best['rmse'], 3)} {self.unit or ''}".rstrip()
-        line = f"{shortened(best['name'])}: {error} RMS"
+        line = f"{best['name']}: {error} RMS"
         if best is not first and best["rmse"] > 0.0:
             times = digits(first["rmse"] / best["rmse"], 2)
-            return f"{line}, {times} times less than {shortened(first['name'])}"
+            return f"{line}, {times} times less than {first['name']}"
         if best["nrmse_percent"] is not None:
             line += f" ({digits(best['nrmse_percent'], 2)} % of the move)"
         if best["expected_rmse"] is not None:
@@ -163,7 +163,7 @@ class Report:
 
     def _verdict(self, limit: Mapping[str, Any]) -> str:
         """Return in a sentence whether a log keeps a limit."""
-        name, value, bound = shortened(limit["name"]), limit["value"], limit["limit"]
+        name, value, bound = limit["name"], limit["value"], limit["limit"]
         rmse = "(the move has no range)" if value is None else f"{value:.4g}"
         unit = " % of the move"
         if limit["figure"] == "rmse":
@@ -257,7 +257,7 @@ class Report:
         rows = []
         for log in self.logs:
             cells = {
-                "log": shortened(log["name"]),
+                "log": log["name"],
                 "rows": f"{log['samples']:,}",
                 "RMSE": digits(log["rmse"]),
             }

@@ -6,8 +6,6 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-LONGEST_NAME = 40  # letters of a log's name in a table
-
 
 def digits(value: float | None, places: int = 4) -> str:
     """Return a number to some significant digits, plain from 1e-3 to 1e6; None is ``-``."""
@@ -26,15 +24,6 @@ def digits(value: float | None, places: int = 4) -> str:
 def shown_unit(unit: str | None) -> str:
     """Return a unit as people write it; nothing where it is not known."""
     return {"um": "µm", "us": "µs"}.get(unit or "", unit or "")
-
-
-def shortened(name: str) -> str:
-    """Return a long name without its folders, and cut in its middle where it is still too long."""
-    if len(name) > LONGEST_NAME:
-        name = name.rsplit("/", 1)[-1] or name
-    if len(name) <= LONGEST_NAME:
-        return name
-    return f"{name[:12]}…{name[-(LONGEST_NAME - 13) :]}"
 
 
 def text_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -4,7 +4,7 @@ import numpy as np
 
 from dbo_cli.reports import Pair, Report
 from dbo_cli.reports.plots import draw, figure_of, file_stems
-from dbo_cli.reports.words import digits, shortened
+from dbo_cli.reports.words import digits
 
 
 def signals(rows=2000):
@@ -87,4 +87,3 @@ def test_file_stems_differ():
     assert len(set(stems)) == len(stems)
     for stem in stems:
         assert stem and "/" not in stem and not stem.startswith(".")
-    assert shortened("x" * 100).count("x") < 40
