@@ -71,10 +71,9 @@ def report(
     columns_of = channels.columns_of(logs, reading, columns)
     models = {} if model is None else channels.models_of(model, columns_of, columns)
     starts = channels.states_of(state, models)
-    summaries: dict[str, Any] = dict.fromkeys(columns_of, expected)
-    if expected is not None and "" not in columns_of:
-        members = channels.members_of(expected, "summary", columns_of)
-        summaries = {name: values for name, (_, values) in members.items()}
+    summaries: dict[str, tuple[str, Any]] = dict.fromkeys(columns_of, ("", None))
+    if expected is not None:
+        summaries = channels.members_of(expected, "summary", columns_of)
     results = {}
     for channel, roles in columns_of.items():
         actuator = models.get(channel)
@@ -94,13 +93,14 @@ def report(
             for pair, name in zip(pairs, short_names(logs), strict=True):
                 counted.append(dataclasses.replace(pair, rows=rows, name=name))
             unit = units.get("measured")
+            label, summary = summaries[channel]
             results[channel] = Report(
                 counted,
                 unit=unit,
                 voltage_unit=units.get("voltage"),
                 lag=lag,
                 remove_offset=remove_offset,
-                expected=expected_in(summaries[channel], unit),
+                expected=expected_in(summary, unit, label),
                 max_rmse=quantity("max_rmse", max_rmse, unit),
                 max_nrmse_percent=quantity("max_nrmse_percent", max_nrmse_percent, "%"),
                 model=actuator,

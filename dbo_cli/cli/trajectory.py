@@ -34,7 +34,9 @@ def trajectory(
     duration: Text = option("SECONDS", "Length of other shapes; default one cycle."),
     loop: bool = flag("--loop", "One closed period, for compensate --periodic."),
     bandwidth: Text = option("HZ", "Round corners, start and stop to this bandwidth."),
-    model: Texts = option("MODEL", "Keep its range and bandwidth; a set or two: x, y."),
+    model: Texts = option(
+        "MODEL", "Keep its range and bandwidth; a set, or two: x, y."
+    ),
 ) -> None:
     """Write a move: raster, spiral, staircase, sine or triangle.
 

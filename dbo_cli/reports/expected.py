@@ -44,16 +44,18 @@ class Expected:
 
 
 def expected_in(
-    source: str | Mapping[str, Any] | None, unit: str | None = None
+    source: Mapping[str, Any] | None, unit: str | None, name: str = "the summary"
 ) -> Expected | None:
     """Return the expected error that a summary of ``compensate`` states; None of none.
 
     Parameters
     ----------
     source
-        The file, ``-`` is standard input; or ``Drive.summary()``.
+        ``Drive.summary()``, or what is in a file of one.
     unit
         Of what is compared.
+    name
+        What messages call it.
 
     Raises
     ------
@@ -64,11 +66,8 @@ def expected_in(
     """
     if source is None:
         return None
-    name, content = "the summary", source
-    if isinstance(source, str):
-        name, content = fields.load(source, "summary")
     with prefixed(name):
-        content = fields.contents(content, "", "dbo-summary", "a summary")
+        content = fields.contents(source, "", "dbo-summary", "a summary")
         if "expected_rmse" not in content:
             raise ModelError("states no expected error: give a summary of compensate")
         values = {}
