@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.say import detail
 
 
-def invert(
-    model: str = opt.MODEL,
-    output: str = opt.OUTPUT_FILE,
-) -> None:
+def invert(model: str = opt.MODEL, output: str = opt.OUTPUT_FILE) -> None:
     """Write the exact inverse of a model.
 
     The inverse of a forward model turns a displacement into the drive.
@@ -19,7 +15,4 @@ def invert(
     from dbo_cli.files import write_text
     from dbo_cli.model import dumps_model, read_cascade
 
-    inverse = read_cascade(model).inverse()
-    write_text(output, dumps_model(inverse))
-    signals = f"{inverse.input.quantity} to {inverse.output.quantity}"
-    detail(f"{output}: {inverse.direction} model, {signals}")
+    write_text(output, dumps_model(read_cascade(model).inverse()))
