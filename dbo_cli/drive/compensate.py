@@ -244,10 +244,19 @@ class Driver:
 
         target, figures = desired, dict[str, Any]()
         if tracked:
-            from dbo_cli.drive.learning import RepeatedMove
+            from dbo_cli.drive.learning import learned
 
-            move = RepeatedMove(self.lead, desired, stamps, step, periodic, absolute)
-            target, figures = move.learned(tracked, history, bandwidth)
+            target, figures = learned(
+                self.lead,
+                desired,
+                float(stamps[0]),
+                step,
+                tracked,
+                history,
+                bandwidth=bandwidth,
+                periodic=periodic,
+                absolute=absolute,
+            )
         elif bandwidth is not None:
             from dbo_cli.drive.smooth import low_pass
 
