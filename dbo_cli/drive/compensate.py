@@ -70,7 +70,7 @@ class Driver:
         self._judge = Judge(lead, on_limit, name)
         self._state: State | None = None
         self._row_count = 0
-        self._step = 0.0
+        self._step = self._first = 0.0  # seconds a row, and the first value asked for
         self._ahead: Ahead | None = None  # undoing dynamics and delay
 
     # --- rows ---
@@ -266,8 +266,7 @@ class Driver:
             drive = self.loop(desired, target, stamps, step, passes)
         else:
             drive = self._in_blocks(desired, target, dt, time)
-        notes = (*figures.pop("notes", ()), *drive.notes)
-        return replace(drive, notes=notes, **figures)
+        return replace(drive, **figures)
 
     def _in_blocks(
         self, desired: Floats, target: Floats, dt: Steps, time: Floats | None
@@ -288,7 +287,8 @@ class Driver:
         self, first: float, dt: Steps, time: Floats | None
     ) -> tuple[Steps, Rows]:
         """Return the time steps of the first block, and the rows before the move that are ready."""
-        step = self._step = self._first_step(dt)
+        self._first, step = first, self._first_step(dt)
+        self._step = step
         if isinstance(dt, np.ndarray):
             dt = np.concatenate([[step], dt[1:]])
         begin = None if time is None else float(time[0])
@@ -341,7 +341,10 @@ class Driver:
                 self._gate.last = self._state.drive
         state = self._state
         run = model.drive(target, state, due.dt, limits.move, limits.slew)
-        self._judge.see(due, run, state)
+        if self._judge.off_at_first is None:
+            self._judge.begin(self._first, float(target[0]), run, state)
+        if due.phase == "move":
+            self._judge.clip(due.desired, target, run, state, due.dt)
         self._admit(run.y, due.dt, due.phase)
         self._state = run.state
         if due.time is not None:

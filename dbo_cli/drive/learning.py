@@ -374,9 +374,9 @@ def _require_follows(name: str, modelled: Floats, measured: Floats) -> None:
     in_scale = 1.0 / OTHER_SCALE <= gain <= OTHER_SCALE
     if not in_scale or likeness < LEAST_CORRELATION:
         raise InputError(
-            f"{name}: the displacement does not follow the drive as the model expects: {gain:.3g} times, at a "
-            f"correlation of {likeness:.2g}: check columns, units and sensor; of another scale, type `scale` "
-            f"measured={1.0 / (gain or math.inf):.3g}, or identify with `prior`"
+            f"{name}: the displacement does not follow the drive as the model expects, {gain:.3g} times at a "
+            f"correlation of {likeness:.2g}: check columns, units and sensor, type `scale` "
+            f"measured={1.0 / (gain or math.inf):.3g} for another scale, or identify with `prior`"
         )
 
 
