@@ -68,7 +68,7 @@ class Driver:
         self.return_to = voltage_in("return_", return_to, lead.model.input)
         self._gate = Gate(lead.limits, lead.standing)
         self._judge = Judge(lead, on_limit, name)
-        self._state: State | None = None
+        self._state: State | str = lead.state
         self._row_count = 0
         self._step = self._first = 0.0  # seconds a row, and the first value asked for
         self._ahead: Ahead | None = None  # undoing dynamics and delay
@@ -130,24 +130,27 @@ class Driver:
             raise InputError(f"{self.name}: has no rows")
         rows = stacked([self._driven(due) for due in self._ahead.remaining()])
         self._judge.require_reached(self._step)
-        voltage = self._way_back()
-        assert self._state is not None
-        begin = self._state.time
+        voltage, begin = self._way_back(), self._last_state.time
         stamps = (begin or 0.0) + self._step * np.arange(1.0, voltage.size + 1.0)
         back = self._played(stamps, voltage, "return", begin is not None)
-        return stacked([rows, back]), self._judge.concluded(self._state, self._step)
+        drive = self._judge.concluded(self._last_state, self._step)
+        return stacked([rows, back]), drive
+
+    @property
+    def _last_state(self) -> State:
+        """The state after the last row that was driven."""
+        assert isinstance(self._state, State)
+        return self._state
 
     def _way_back(self) -> Floats:
         """Return the voltages from the last row to where the amplifier goes."""
-        last, voltage = self._gate.last, np.empty(0)
+        last, end = self._gate.last, self.return_to
         assert last is not None
-        if self.return_to is not None:
-            self.limits.require_start(self.return_to, "`return_`")
-            voltage = ramp(last, self.return_to, self._step, "auto", self.limits)
-        if voltage.size:
-            last = float(voltage[-1])
-        short = max(self.return_rows - voltage.size, 0)
-        return np.append(voltage, np.full(short, last))
+        if end is None:
+            return np.full(self.return_rows, last)
+        self.limits.require_start(end, "`return_`")
+        voltage = ramp(last, end, self._step, "auto", self.limits)
+        return np.append(voltage, np.full(max(self.return_rows - voltage.size, 0), end))
 
     def loop(
         self, desired: Floats, target: Floats, time: Floats, dt: float, passes: int
@@ -318,28 +321,23 @@ class Driver:
         step, lead = dt, self.lead
         if isinstance(dt, np.ndarray):
             step = next((float(each) for each in dt[1:] if each > 0.0), None)
-        if step is not None:
-            return float(step)
-        timed = lead.condition or lead.approach or lead.rest or lead.hold
-        timed = timed or self.return_to is not None or self.limits.slew is not None
-        if timed or self.model.needs_time:
+        takes_time = lead.condition or lead.approach or lead.rest or lead.hold
+        is_timed = takes_time or self.return_to is not None or self.model.needs_time
+        if step is None and (is_timed or self.limits.slew is not None):
             raise InputError(
                 f"{self.name}: the model or the limits need a clock: a time column that advances, or "
                 "`sample_rate` HZ"
             )
-        return 0.0
+        return float(step or 0.0)
 
     # --- the way of a row ---
 
     def _driven(self, due: Due) -> Rows:
         """Return the drive of rows that are due, with which the static part reaches their target."""
         model, limits, target = self.model, self.limits, due.target
-        if self._state is None:  # nothing leads to the move
-            first, start = float(target[0]), self.lead.state
-            self._state = model.start_drive(first, start, *limits.move)
-            if self._gate.last is None and limits.slew is not None:
-                self._gate.last = self._state.drive
-        state = self._state
+        state = model.start_drive(float(target[0]), self._state, *limits.move)
+        if self._gate.last is None:
+            self._gate.last = state.drive  # of a start at an end of the range
         run = model.drive(target, state, due.dt, limits.move, limits.slew)
         if self._judge.off_at_first is None:
             self._judge.begin(self._first, float(target[0]), run, state)
@@ -355,8 +353,7 @@ class Driver:
         """Return rows that are played as they are, with the displacement that the model expects of them."""
         if not voltage.size:
             return NO_ROWS
-        assert self._state is not None
-        run = self.model.run(voltage, self._state, self._step)
+        run = self.model.run(voltage, self._last_state, self._step)
         self._admit(voltage, self._step, phase)
         self._state = replace(run.state, time=float(time[-1]))
         return Rows(time if clocked else None, run.y, voltage)

@@ -123,7 +123,7 @@ class Lead:
 
     def planned(
         self, first: float, dt: float, time: float | None
-    ) -> tuple[State | None, Floats, int]:
+    ) -> tuple[State | str, Floats, int]:
         """Return what stands before the move.
 
         Parameters
@@ -135,8 +135,8 @@ class Lead:
 
         Returns
         -------
-        state : State or None
-            Before the first row; None where the inverse finds the start itself.
+        state : State or str
+            Before the first row; the name of a start that the inverse finds itself.
         voltage : array
             Voltages that are played as they are.
         rest : int
@@ -162,8 +162,8 @@ class Lead:
             return *self._way_in(first, dt, state, voltage, chosen), rest
         _require_short(chosen, "lead", chosen)
         if isinstance(state, State):
-            return self._state_after(voltage, state, dt), NO_VOLTAGES, rest + self.hold
-        return None, NO_VOLTAGES, rest + self.hold
+            state = self._state_after(voltage, state, dt)
+        return state, NO_VOLTAGES, rest + self.hold
 
     def _standing_state(
         self, time: float | None, dt: float
@@ -243,10 +243,8 @@ class Lead:
         # at or below the first gear's origin every bit is clear, so that the past is wiped out
         low, high = limits.sweep
         if not low < high:
-            lowest, highest = limits.identified
             raise UsageError(
-                f"`condition` sweeps the identified range, {lowest:.6g} to {highest:.6g}{limits.suffix}; "
-                "the limits leave none of it"
+                "`condition`: the limits leave no identified range to sweep"
             )
         begin = low if standing is None else standing
         inwards: Typed | None = "auto"
