@@ -221,9 +221,7 @@ class Judge:
         if not self.limits.extrapolate or lowest <= low <= high <= highest:
             played = voltage, steps, move.start
             error, from_rest, unrested = expected_error(lead, *played, missed)
-        texts = []
-        if self._clipped:
-            texts.append(self._exceeding())
+        texts = [self._exceeding()] if self._clipped else []
         texts += start_warnings(lead, float(voltage[0]), self.off_at_first or 0.0)
         lead_range = ranges.get("lead", [lowest, highest])
         texts += range_warnings(
@@ -231,13 +229,6 @@ class Judge:
         )
         texts += expect.move_warnings(self.model, voltage, steps, move)
         texts += end_warnings(self.model, self.limits, state)
-        line = self.model.fit.get("line_rmse")
-        if isinstance(line, float) and error is not None:
-            if error >= math.hypot(line, self._lost_rms, self.rounding):
-                texts.append(
-                    f"expected error {error:.3g}{self.model.output.suffix}, a straight line's is {line:.3g}: "
-                    "identify with a log of such moves"
-                )
         warnings = [f"{self.name}: {text}" for text in texts]
         for text in warnings:
             warn(text)

@@ -150,7 +150,12 @@ class Lead:
         UsageError
             A piece is too long for any memory.
         """
-        state, voltage = self._standing_state(time, dt)
+        state, voltage = self.state, NO_VOLTAGES  # a state, or a row of where it stands
+        if isinstance(state, State):
+            state = replace(self._held(state, time, dt), drive=self.standing)
+        elif self.standing is not None:
+            voltage = np.array([self.standing])
+            state = self.model.start(self.standing, state)
         moves = self.condition or self.approach is not None
         rest, chosen = 0, 0.0
         if isinstance(self.rest, float):
@@ -164,21 +169,6 @@ class Lead:
         if isinstance(state, State):
             state = self._state_after(voltage, state, dt)
         return state, NO_VOLTAGES, rest + self.hold
-
-    def _standing_state(
-        self, time: float | None, dt: float
-    ) -> tuple[State | str, Floats]:
-        """Return the state in which the amplifier stands, and a row of where it stands behind that state.
-
-        No row stands behind a state that was left; and where it stands is not known, the
-        state is the name of a start.
-        """
-        state, standing = self.state, self.standing
-        if isinstance(state, State):
-            return replace(self._held(state, time, dt), drive=standing), NO_VOLTAGES
-        if standing is None:
-            return state, NO_VOLTAGES
-        return self.model.start(standing, state), np.array([standing])
 
     def _held(self, state: State, time: float | None, dt: float) -> State:
         """Return a state after the pause behind its last row, in which the voltage was held."""

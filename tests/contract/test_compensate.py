@@ -89,14 +89,6 @@ def test_a_jump_to_row_1_that_limits_forbid_is_answered_with_a_way_there(start):
         assert "--bandwidth HZ" in told
 
 
-def test_what_limits_cut_off_is_no_reason_to_identify_again():
-    move(sine(5.5, 0.5))
-    words = ("compensate", model("known"), "wish.csv", "--on-limit", "clip")
-    outcome = done(*words, "--v-max", 40, "-o", "drive.csv")
-    assert "the move misses" in outcome.err
-    assert "a straight line's" not in outcome.err
-
-
 def test_extrapolate_leaves_the_identified_range_as_far_as_typed():
     move(sine(9.5))
     words = ("--v-max", 12)
