@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, cast, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -235,16 +235,16 @@ class Driver:
         if (history or absolute) and not tracked:
             raise UsageError("`history`, `absolute`: each needs `tracked` LOG")
         self._require_numbers(desired)
-        if time is None and isinstance(dt, float):
-            time = dt * np.arange(float(desired.size))
-        is_even = time is not None and isinstance(dt, float)
-        if (tracked or periodic or bandwidth is not None) and not is_even:
+        step = dt if isinstance(dt, float) else None
+        if time is None and step is not None:
+            time = step * np.arange(float(desired.size))
+        if not (tracked or periodic or bandwidth is not None):
+            return self._in_blocks(desired, desired, dt, time)
+        if time is None or step is None:
             raise InputError(
                 f"{self.name}: `tracked`, `periodic` and `bandwidth` need an even clock (`sample_rate` "
                 "HZ, or `resample` HZ)"
             )
-        stamps, step = cast(Floats, time), cast(float, dt)  # where the clock is even
-
         target, figures = desired, dict[str, Any]()
         if tracked:
             from dbo_cli.drive.learning import learned
@@ -252,7 +252,7 @@ class Driver:
             target, figures = learned(
                 self.lead,
                 desired,
-                float(stamps[0]),
+                float(time[0]),
                 step,
                 tracked,
                 history,
@@ -266,7 +266,7 @@ class Driver:
             target = low_pass(desired, bandwidth, step, periodic)
             self._judge.rounding = float(np.sqrt(np.mean((target - desired) ** 2)))
         if periodic:
-            drive = self.loop(desired, target, stamps, step, passes)
+            drive = self.loop(desired, target, time, step, passes)
         else:
             drive = self._in_blocks(desired, target, dt, time)
         return replace(drive, **figures)

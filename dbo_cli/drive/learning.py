@@ -154,11 +154,11 @@ def rows_of_move(
     voltage, model = recording.x, lead.model
     state = _start(lead, float(voltage[0]), step)
     modelled = model.run(voltage, state, step).y
+    rows = np.array([voltage, modelled, _measured(model, recording, step)])
     stamped = _row_by_stamps(name, recording.time, first, step)
-    begin = _first_row(lead, desired, step, voltage, modelled, stamped)
+    begin = _first_row(lead, desired, step, rows, stamped)
     _require_rows(name, voltage.size - begin, desired.size)
     _require_same_past(name, lead, voltage[:begin])
-    rows = np.array([voltage, modelled, _measured(model, recording, step)])
     return rows[:, begin : begin + desired.size]
 
 
@@ -217,23 +217,18 @@ def _start(lead: Lead, voltage: float, step: float) -> State:
 
 
 def _first_row(
-    lead: Lead,
-    desired: Floats,
-    step: float,
-    voltage: Floats,
-    modelled: Floats,
-    stamped: int | None,
+    lead: Lead, desired: Floats, step: float, rows: Floats, stamped: int | None
 ) -> int:
-    """Return the recording's row of the trajectory's first.
+    """Return the row of a recording, as of ``rows_of_move``, that is the trajectory's first.
 
     Behind what led to it, or where what the model makes of the recorded drive is closest
     to it. A recorder may count from elsewhere than the stamps say: they count where they
     agree with that, or where it shows too little.
     """
     move, mean = desired - desired.mean(), desired.mean()
-    misfit = sliding_misfit(modelled - mean, move)
+    misfit = sliding_misfit(rows[1] - mean, move)
     row = int(np.argmin(misfit))
-    led = _row_behind_lead(lead, desired.size, step, voltage, modelled, row)
+    led = _row_behind_lead(lead, desired.size, step, rows, row)
     best = row if led is None else led
     if stamped is None or stamped >= misfit.size:
         return best
@@ -246,13 +241,14 @@ def _first_row(
 
 
 def _row_behind_lead(
-    lead: Lead, count: int, step: float, voltage: Floats, modelled: Floats, row: int
+    lead: Lead, count: int, step: float, rows: Floats, row: int
 ) -> int | None:
     """Return the row behind what led to a move of so many rows; None: not recorded.
 
     What was learned has changed the shape of the move, and moved it by some rows from
     ``row``, where it begins by its shape.
     """
+    voltage, modelled, _ = rows
     close = ONE_DRIVE * lead.model.input.span
     for _ in range(LEAD_TRIES):  # what leads to it depends on its first value
         _, led, still = lead.planned(float(modelled[row]), step, None)
