@@ -263,27 +263,23 @@ def check_played(
     if np.ptp(meant) > 0.0:
         gain, offset = np.polyfit(meant, played, 1).tolist()
     largest = float(np.abs(played - meant).max())
-    if abs(offset) < 1e-9 * allowed:
-        offset = 0.0
     shared = math.ceil(row[-1]) - math.floor(row[0]) + 1
     checked.played = {
         "rows": shared,
         "lag_rows": late / recorded_step,
         "lag_seconds": None if steps[1] is None else late,
         "gain": gain,
-        "offset": offset,
+        "offset": 0.0 if abs(offset) < 1e-9 * allowed else offset,
         "largest_difference": largest,
         "tolerance": allowed,
     }
-    unit = f" {checked.unit}" if checked.unit else ""
     if found is None and np.ptp(drive) > 0.0:
         checked.problems.append("another drive was played: the two do not correlate")
         return
-    lost = drive.size - shared
+    lost, unit = drive.size - shared, f" {checked.unit}" if checked.unit else ""
     if lost * step >= (1.0 - RATE_SLACK) * recorded_step:
         checked.problems.append(f"{lost:,} of {drive.size:,} rows were not played")
     if largest > allowed:
         checked.problems.append(
-            f"the recording differs by up to {largest:.4g}{unit}, more than {allowed:.3g}{unit} (gain "
-            f"{gain:.5g}, offset {offset:.3g}{unit})"
+            f"the recording differs by up to {largest:.4g}{unit}, more than {allowed:.3g}{unit}"
         )

@@ -371,8 +371,8 @@ def _require_follows(name: str, modelled: Floats, measured: Floats) -> None:
     if not in_scale or likeness < LEAST_CORRELATION:
         raise InputError(
             f"{name}: the displacement does not follow the drive as the model expects, {gain:.3g} times at a "
-            f"correlation of {likeness:.2g}: check columns, units and sensor, type `scale` "
-            f"measured={1.0 / (gain or math.inf):.3g} for another scale, or identify with `prior`"
+            f"correlation of {likeness:.2g}: check columns, units and sensor; of another scale, type "
+            f"`scale` measured={1.0 / (gain or math.inf):.3g}, or identify with `prior`"
         )
 
 
