@@ -149,7 +149,7 @@ class Driver:
         if end is None:
             return np.full(self.return_rows, last)
         self.limits.require_start(end, "`return_`")
-        voltage = ramp(last, end, self._step, "auto", self.limits)
+        voltage = ramp(last, end, self._step, None, self.limits)
         return np.append(voltage, np.full(max(self.return_rows - voltage.size, 0), end))
 
     def loop(

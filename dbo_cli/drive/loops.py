@@ -165,8 +165,9 @@ class Loop:
         ``begin`` is where the amplifier stands.
         """
         dt, limits, passes = self.dt, self.limits, self.passes
-        seconds = self.lead.approach
-        if seconds is not None:
+        approach = self.lead.approach
+        if approach is not None:
+            seconds = approach if isinstance(approach, float) else None
             ascent = ramp(begin, float(period[0]), dt, seconds, limits)
             require_time(seconds, ascent.size * dt, dt)
             still = np.full(1 + self.lead.hold, begin)
