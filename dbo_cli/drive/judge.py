@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -219,14 +218,12 @@ class Judge:
         lowest, highest = self.limits.identified
         error = from_rest = unrested = None
         if not self.limits.extrapolate or lowest <= low <= high <= highest:
-            played = voltage, steps, move.start
-            error, from_rest, unrested = expected_error(lead, *played, missed)
+            error, from_rest, unrested = expected_error(
+                lead, voltage, steps, move.start, missed
+            )
         texts = [self._exceeding()] if self._clipped else []
         texts += start_warnings(lead, float(voltage[0]), self.off_at_first or 0.0)
-        lead_range = ranges.get("lead", [lowest, highest])
-        texts += range_warnings(
-            self.limits, [low, high] if self.limits.extrapolate else lead_range
-        )
+        texts += range_warnings(self.limits, low, high)
         texts += expect.move_warnings(self.model, voltage, steps, move)
         texts += end_warnings(self.model, self.limits, state)
         warnings = [f"{self.name}: {text}" for text in texts]
@@ -300,9 +297,9 @@ def start_warnings(lead: Lead, first: float, off: float) -> list[str]:
     ]
 
 
-def range_warnings(limits: Limits, span: Sequence[float]) -> list[str]:
-    """Return a warning of voltages far beyond those of the logs; of a move, any that is beyond."""
-    (low, high), (lowest, highest) = span, limits.identified
+def range_warnings(limits: Limits, low: float, high: float) -> list[str]:
+    """Return a warning of voltages far beyond those of the logs; of any beyond, where a move may go there."""
+    lowest, highest = limits.identified
     allowed = 0.0 if limits.extrapolate else FAR * (highest - lowest)
     if max(lowest - low, high - highest) <= allowed:
         return []

@@ -101,9 +101,7 @@ def learned(
     voltage = passes[0][0]
     for (label, _), (other, _, _) in zip(recordings, passes, strict=True):
         if not is_one_drive(model, other, voltage):
-            raise InputError(
-                f"{label}: not the drive of {name}: average recordings of one drive only"
-            )
+            raise _not_this_move(label, f"not the drive of {name}")
     _, modelled, measured = np.mean(passes, axis=0)
     _require_same_move(name, model, desired, modelled, absolute)
     _require_follows(name, modelled, measured)
@@ -157,7 +155,8 @@ def rows_of_move(
     rows = np.array([voltage, modelled, _measured(model, recording, step)])
     stamped = _row_by_stamps(name, recording.time, first, step)
     begin = _first_row(lead, desired, step, rows, stamped)
-    _require_rows(name, voltage.size - begin, desired.size)
+    if voltage.size - begin < desired.size:
+        raise _not_this_move(name, f"{voltage.size - begin:,} of {desired.size:,} rows")
     _require_same_past(name, lead, voltage[:begin])
     return rows[:, begin : begin + desired.size]
 
@@ -169,7 +168,8 @@ def rows_of_loop(
     voltage, model, count = recording.x, lead.model, desired.size
     stamped = _row_by_stamps(name, recording.time, first, step)
     row_count = voltage.size - (stamped or 0)
-    _require_rows(name, row_count, count)
+    if row_count < count:
+        raise _not_this_move(name, f"{row_count:,} of {count:,} rows")
     whole = voltage.size // count * count
     periods = voltage[-whole:].reshape(-1, count)
     begin = len(periods) - 1
@@ -279,9 +279,8 @@ def _row_by_stamps(
     longest = float(np.diff(time).max())
     is_other = abs(step_of(time) / step - 1.0) > RATE_SLACK
     if is_other or longest > LONG_STEP * step:
-        raise InputError(
-            f"{name}: steps of {step_of(time):.6g} to {longest:.6g} s, the trajectory {step:.6g} s: record "
-            "each row at its rate, or `resample` HZ"
+        raise _not_this_move(
+            name, f"steps of {step_of(time):.6g} to {longest:.6g} s, not {step:.6g}"
         )
     begin = first - 0.5 * step
     if not time[0] - step <= begin <= time[-1]:
@@ -322,13 +321,11 @@ def _resting_ends(learned: Floats, per_sample: float) -> Floats:
 # --- refusals ---
 
 
-def _require_rows(name: str, rows: int, count: int) -> None:
-    """Refuse a recording that does not hold each row of the trajectory (InputError)."""
-    if rows < count:
-        raise InputError(
-            f"{name}: {rows:,} rows from the start of the move, the trajectory has {count:,}: record each "
-            "row of it"
-        )
+def _not_this_move(name: str, reason: str) -> InputError:
+    """Return the refusal of a recording that is not of this move."""
+    return InputError(
+        f"{name}: {reason}: record each row of a pass of this drive (other rates: `resample` HZ)"
+    )
 
 
 def _require_same_past(name: str, lead: Lead, before: Floats) -> None:
@@ -339,10 +336,8 @@ def _require_same_past(name: str, lead: Lead, before: Floats) -> None:
     extremes = before[turns(before, 0.1 * (high - low))]
     travel = float(np.abs(np.diff(extremes)).sum())
     if (travel > SWEEP_TRAVEL * (high - low)) != lead.condition:
-        raise InputError(
-            f"{name}: its drive and this one have other pasts, one with a sweep before the move and one "
-            "without: record a pass of this drive, or change `condition`"
-        )
+        how = "without" if lead.condition else "with"
+        raise _not_this_move(name, f"another past, {how} a sweep (`condition`)")
 
 
 def _require_same_move(
@@ -354,10 +349,10 @@ def _require_same_move(
     mean = 0.0 if absolute else float(modelled.mean() - desired.mean())
     difference = math.hypot(rms(shape - size * move), mean)
     if difference > ANOTHER_MOVE * rms(move):
-        unit = model.output.suffix
-        raise InputError(
-            f"{name}: its drive belongs to another trajectory, {difference:.3g}{unit} from this one "
-            f"(RMS; the move has {rms(move):.3g}{unit})"
+        raise _not_this_move(
+            name,
+            f"its drive belongs to another trajectory, {difference:.3g} from this one (RMS; the move has "
+            f"{rms(move):.3g}{model.output.suffix})",
         )
 
 
