@@ -133,40 +133,34 @@ def check_drive(
     InputError
         A slew limit is to be checked and no time is known.
     """
-    checked = _figures(voltage, time, name, limits)
-    checked.problems += doubts
-    steps = None
-    if time is not None and time.size > 1:
-        checked.problems += _odd_times(time)
-        steps = _steps(time)
     low, high = limits.rating
+    problems, waits, fastest = list(doubts), None, None
+    change = np.abs(np.diff(voltage))
+    if time is not None and change.size:
+        waits, odd = _steps(time)
+        if odd.any():
+            reason = "time goes back, stands still, or has a gap before it"
+            problems.append(_problem(odd, reason))
+        if tolerance > 0.0 and limits.slew is not None:
+            waits += 2.0 * tolerance / limits.slew  # both rows of a step may miss
+        forward = np.diff(time) > 0.0
+        if forward.any():
+            fastest = float((change[forward] / np.diff(time)[forward]).max())
     if start is not None and not low <= start <= high:
         _, reason = Gate(limits).broken(np.array([start]), 1.0, "return")
-        checked.problems.append(f"the amplifier: {reason}")
+        problems.append(f"the amplifier: {reason}")
     gate = Gate(replace(limits, rating=(low - tolerance, high + tolerance)), start)
-    waits = steps
-    if tolerance > 0.0 and steps is not None and limits.slew is not None:
-        waits = steps + 2.0 * tolerance / limits.slew  # both rows of a step may miss
     with prefixed(name):
         bad, reason = gate.broken(voltage, waits, "return")
     if reason:
-        checked.problems.append(_problem(bad, reason))
+        problems.append(_problem(bad, reason))
     if loop:
-        checked.problems += _seam(voltage, gate, waits)
-    return checked
-
-
-def _figures(
-    voltage: Floats, time: Floats | None, name: str, limits: Limits
-) -> Checked:
-    """Return what a drive asks of an amplifier."""
-    change = np.abs(np.diff(voltage))
-    fastest = None
-    if time is not None and change.size:
-        steps = np.diff(time)
-        forward = steps > 0.0
-        rates = change[forward] / steps[forward]
-        fastest = float(rates.max()) if rates.size else None
+        wait = None if waits is None else waits[:1]
+        _, reason = gate.broken(voltage[:1], wait, "return")
+        seam = f"from the last row to the first: {reason}" if reason else ""
+        seam = seam or open_seam(voltage)
+        if seam:
+            problems.append(seam)
     return Checked(
         name=name,
         unit=limits.unit,
@@ -177,41 +171,26 @@ def _figures(
         last=float(voltage[-1]),
         largest_step=float(change.max(initial=0.0)),
         fastest=fastest,
+        problems=problems,
     )
 
 
-def _steps(time: Floats) -> Floats:
-    """Return the seconds before each row, none below 0, as much longer as rounded stamps may be too short.
+def _steps(time: Floats) -> tuple[Floats, Booleans]:
+    """Return the seconds before each row, as long as rounded stamps may hide, and where the clock is odd.
 
     The first row has the step of the second, as ``compensate`` counts it. A stamp is rounded
     when it is made and when it is read, to its digits or to decimals. In decimals an even
     clock shows steps of two kinds, and the step that is meant lies between them.
     """
-    steps = np.maximum(np.diff(time), 0.0)
+    steps = np.diff(time)
     shortest, longest = _around(steps)
-    longest = np.fmax(longest, steps)
+    are_even = longest - shortest <= EVEN_STEPS * shortest
+    odd = (steps <= 0.0) | (are_even & (steps > GAP * longest))
+    steps, longest = np.maximum(steps, 0.0), np.fmax(longest, steps)
     is_even = longest - np.fmin(shortest, steps) <= EVEN_STEPS * steps
     steps = np.where(is_even, longest, steps)
     steps += 2.0 * np.spacing(np.maximum(np.abs(time[1:]), np.abs(time[:-1])))
-    return np.concatenate([steps[:1], steps])
-
-
-def _odd_times(time: Floats) -> list[str]:
-    """Return what is odd about time stamps."""
-    steps = np.diff(time)
-    odd = np.concatenate([[False], (steps <= 0.0) | gaps(steps)])
-    if not odd.any():
-        return []
-    reason = "time goes back, stands still, or has a gap before it"
-    return [_problem(odd, reason)]
-
-
-def gaps(steps: Floats) -> Booleans:
-    """Return which steps of a clock are gaps: far longer than the steps around them, which are even."""
-    shortest, longest = _around(steps)
-    is_even = longest - shortest <= EVEN_STEPS * shortest
-    gaps: Booleans = is_even & (steps > GAP * longest)
-    return gaps
+    return np.concatenate([steps[:1], steps]), np.append(False, odd)
 
 
 def _around(steps: Floats) -> tuple[Floats, Floats]:
@@ -230,16 +209,6 @@ def _problem(rows: Booleans, reason: str) -> str:
     count = int(np.count_nonzero(rows))
     more = f" ({count:,} rows in all)" if count > 1 else ""
     return f"row {int(np.argmax(rows)) + 1:,}: {reason}{more}"
-
-
-def _seam(voltage: Floats, gate: Gate, waits: Floats | None) -> list[str]:
-    """Return what is wrong with the step from the last row of a loop to its first."""
-    wait = None if waits is None else waits[:1]
-    _, reason = gate.broken(voltage[:1], wait, "return")
-    if reason:
-        return [f"from the last row to the first: {reason}"]
-    seam = open_seam(voltage)
-    return [seam] if seam else []
 
 
 # --- what was played ---
@@ -294,27 +263,23 @@ def check_played(
     if np.ptp(meant) > 0.0:
         gain, offset = np.polyfit(meant, played, 1).tolist()
     largest = float(np.abs(played - meant).max())
-    if abs(offset) < 1e-9 * allowed:
-        offset = 0.0
     shared = math.ceil(row[-1]) - math.floor(row[0]) + 1
     checked.played = {
         "rows": shared,
         "lag_rows": late / recorded_step,
         "lag_seconds": None if steps[1] is None else late,
         "gain": gain,
-        "offset": offset,
+        "offset": 0.0 if abs(offset) < 1e-9 * allowed else offset,
         "largest_difference": largest,
         "tolerance": allowed,
     }
-    unit = f" {checked.unit}" if checked.unit else ""
     if found is None and np.ptp(drive) > 0.0:
         checked.problems.append("another drive was played: the two do not correlate")
         return
-    lost = drive.size - shared
+    lost, unit = drive.size - shared, f" {checked.unit}" if checked.unit else ""
     if lost * step >= (1.0 - RATE_SLACK) * recorded_step:
         checked.problems.append(f"{lost:,} of {drive.size:,} rows were not played")
     if largest > allowed:
         checked.problems.append(
-            f"the recording differs by up to {largest:.4g}{unit}, more than {allowed:.3g}{unit} (gain "
-            f"{gain:.5g}, offset {offset:.3g}{unit})"
+            f"the recording differs by up to {largest:.4g}{unit}, more than {allowed:.3g}{unit}"
         )

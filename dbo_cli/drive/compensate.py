@@ -1,7 +1,7 @@
 """Compensation: the drive that makes an actuator follow a trajectory, within its limits.
 
 One object drives, whoever feeds it: ``Driver.rows`` takes the blocks of a file or a pipe,
-and ``Driver.whole`` an array, in blocks. What stands before the move and the move itself
+and ``Driver.whole`` an array, which is one block. What stands before the move and the move itself
 are one signal through one inverse in one state, and every row passes the gate.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Literal, cast, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -26,7 +26,6 @@ from dbo_cli.units import Typed
 
 OnLimit = Literal["auto", "clip", "error"]
 
-DRIVEN_ROWS = 65_536  # that are driven at once: what they take stays in caches
 LARGEST_DISPLACEMENT = 1e60  # of a displacement, as of the numbers of a model
 
 
@@ -68,9 +67,9 @@ class Driver:
         self.return_to = voltage_in("return_", return_to, lead.model.input)
         self._gate = Gate(lead.limits, lead.standing)
         self._judge = Judge(lead, on_limit, name)
-        self._state: State | None = None
+        self._state: State | str = lead.state
         self._row_count = 0
-        self._step = 0.0
+        self._step = self._first = 0.0  # seconds a row, and the first value asked for
         self._ahead: Ahead | None = None  # undoing dynamics and delay
 
     # --- rows ---
@@ -130,24 +129,27 @@ class Driver:
             raise InputError(f"{self.name}: has no rows")
         rows = stacked([self._driven(due) for due in self._ahead.remaining()])
         self._judge.require_reached(self._step)
-        voltage = self._way_back()
-        assert self._state is not None
-        begin = self._state.time
+        voltage, begin = self._way_back(), self._last_state.time
         stamps = (begin or 0.0) + self._step * np.arange(1.0, voltage.size + 1.0)
         back = self._played(stamps, voltage, "return", begin is not None)
-        return stacked([rows, back]), self._judge.concluded(self._state, self._step)
+        drive = self._judge.concluded(self._last_state, self._step)
+        return stacked([rows, back]), drive
+
+    @property
+    def _last_state(self) -> State:
+        """The state after the last row that was driven."""
+        assert isinstance(self._state, State)
+        return self._state
 
     def _way_back(self) -> Floats:
         """Return the voltages from the last row to where the amplifier goes."""
-        last, voltage = self._gate.last, np.empty(0)
+        last, end = self._gate.last, self.return_to
         assert last is not None
-        if self.return_to is not None:
-            self.limits.require_start(self.return_to, "`return_`")
-            voltage = ramp(last, self.return_to, self._step, "auto", self.limits)
-        if voltage.size:
-            last = float(voltage[-1])
-        short = max(self.return_rows - voltage.size, 0)
-        return np.append(voltage, np.full(short, last))
+        if end is None:
+            return np.full(self.return_rows, last)
+        self.limits.require_start(end, "`return_`")
+        voltage = ramp(last, end, self._step, None, self.limits)
+        return np.append(voltage, np.full(max(self.return_rows - voltage.size, 0), end))
 
     def loop(
         self, desired: Floats, target: Floats, time: Floats, dt: float, passes: int
@@ -232,46 +234,49 @@ class Driver:
         if (history or absolute) and not tracked:
             raise UsageError("`history`, `absolute`: each needs `tracked` LOG")
         self._require_numbers(desired)
-        if time is None and isinstance(dt, float):
-            time = dt * np.arange(float(desired.size))
-        is_even = time is not None and isinstance(dt, float)
-        if (tracked or periodic or bandwidth is not None) and not is_even:
+        step = dt if isinstance(dt, float) else None
+        if time is None and step is not None:
+            time = step * np.arange(float(desired.size))
+        if not (tracked or periodic or bandwidth is not None):
+            return self._array(desired, dt, time, desired)
+        if time is None or step is None:
             raise InputError(
                 f"{self.name}: `tracked`, `periodic` and `bandwidth` need an even clock (`sample_rate` "
                 "HZ, or `resample` HZ)"
             )
-        stamps, step = cast(Floats, time), cast(float, dt)  # where the clock is even
-
         target, figures = desired, dict[str, Any]()
         if tracked:
-            from dbo_cli.drive.learning import RepeatedMove
+            from dbo_cli.drive.learning import learned
 
-            move = RepeatedMove(self.lead, desired, stamps, step, periodic, absolute)
-            target, figures = move.learned(tracked, history, bandwidth)
+            target, figures = learned(
+                self.lead,
+                desired,
+                float(time[0]),
+                step,
+                tracked,
+                history,
+                bandwidth=bandwidth,
+                periodic=periodic,
+                absolute=absolute,
+            )
         elif bandwidth is not None:
             from dbo_cli.drive.smooth import low_pass
 
             target = low_pass(desired, bandwidth, step, periodic)
             self._judge.rounding = float(np.sqrt(np.mean((target - desired) ** 2)))
         if periodic:
-            drive = self.loop(desired, target, stamps, step, passes)
+            drive = self.loop(desired, target, time, step, passes)
         else:
-            drive = self._in_blocks(desired, target, dt, time)
-        notes = (*figures.pop("notes", ()), *drive.notes)
-        return replace(drive, notes=notes, **figures)
+            drive = self._array(desired, dt, time, target)
+        return replace(drive, **figures)
 
-    def _in_blocks(
-        self, desired: Floats, target: Floats, dt: Steps, time: Floats | None
+    def _array(
+        self, desired: Floats, dt: Steps, time: Floats | None, target: Floats
     ) -> Drive:
-        """Return the drive of a whole trajectory that is driven in blocks, with its rows."""
-        blocks = []
-        for begin in range(0, desired.size, DRIVEN_ROWS):
-            rows = slice(begin, begin + DRIVEN_ROWS)
-            times = None if time is None else time[rows]
-            steps = dt[rows] if isinstance(dt, np.ndarray) else dt
-            blocks.append(self.rows(desired[rows], steps, times, target[rows]))
+        """Return the drive of a whole trajectory, with its rows; parameters as of ``rows``."""
+        rows = self.rows(desired, dt, time, target)
         last, drive = self.finish()
-        return drive.with_rows(stacked([*blocks, last]))
+        return drive.with_rows(stacked([rows, last]))
 
     # --- before the move ---
 
@@ -279,7 +284,8 @@ class Driver:
         self, first: float, dt: Steps, time: Floats | None
     ) -> tuple[Steps, Rows]:
         """Return the time steps of the first block, and the rows before the move that are ready."""
-        step = self._step = self._first_step(dt)
+        self._first, step = first, self._first_step(dt)
+        self._step = step
         if isinstance(dt, np.ndarray):
             dt = np.concatenate([[step], dt[1:]])
         begin = None if time is None else float(time[0])
@@ -309,30 +315,28 @@ class Driver:
         step, lead = dt, self.lead
         if isinstance(dt, np.ndarray):
             step = next((float(each) for each in dt[1:] if each > 0.0), None)
-        if step is not None:
-            return float(step)
-        timed = lead.condition or lead.approach or lead.rest or lead.hold
-        timed = timed or self.return_to is not None or self.limits.slew is not None
-        if timed or self.model.needs_time:
+        takes_time = lead.condition or lead.approach or lead.rest or lead.hold
+        is_timed = takes_time or self.return_to is not None or self.model.needs_time
+        if step is None and (is_timed or self.limits.slew is not None):
             raise InputError(
                 f"{self.name}: the model or the limits need a clock: a time column that advances, or "
                 "`sample_rate` HZ"
             )
-        return 0.0
+        return float(step or 0.0)
 
     # --- the way of a row ---
 
     def _driven(self, due: Due) -> Rows:
         """Return the drive of rows that are due, with which the static part reaches their target."""
         model, limits, target = self.model, self.limits, due.target
-        if self._state is None:  # nothing leads to the move
-            first, start = float(target[0]), self.lead.state
-            self._state = model.start_drive(first, start, *limits.move)
-            if self._gate.last is None and limits.slew is not None:
-                self._gate.last = self._state.drive
-        state = self._state
+        state = model.start_drive(float(target[0]), self._state, *limits.move)
+        if self._gate.last is None:
+            self._gate.last = state.drive  # of a start at an end of the range
         run = model.drive(target, state, due.dt, limits.move, limits.slew)
-        self._judge.see(due, run, state)
+        if self._judge.off_at_first is None:
+            self._judge.begin(self._first, float(target[0]), run, state)
+        if due.phase == "move":
+            self._judge.clip(due.desired, target, run, state, due.dt)
         self._admit(run.y, due.dt, due.phase)
         self._state = run.state
         if due.time is not None:
@@ -343,8 +347,7 @@ class Driver:
         """Return rows that are played as they are, with the displacement that the model expects of them."""
         if not voltage.size:
             return NO_ROWS
-        assert self._state is not None
-        run = self.model.run(voltage, self._state, self._step)
+        run = self.model.run(voltage, self._last_state, self._step)
         self._admit(voltage, self._step, phase)
         self._state = replace(run.state, time=float(time[-1]))
         return Rows(time if clocked else None, run.y, voltage)

@@ -130,25 +130,21 @@ class Drive:
         text = f"expected error {error}{unit} RMS"
         if self.mean_left_out is not None:
             return f"{text} without the mean, {in_full(self.mean_left_out, 2)}{unit} (`absolute` learns it)"
-        if self.past_known:
-            unrested = in_full(self.expected_unrested or self.expected_error, 2)
-            if unrested == error:
-                return text
+        if self.expected_unrested is not None:
+            unrested = in_full(self.expected_unrested, 2)
             return f"{text} from rest; {unrested} if the actuator moved just before"
+        if self.past_known:
+            return text
         if self.expected_known is None:
             return f"{text} (past unknown)"
         from_rest = in_full(self.expected_known, 2)
-        if from_rest == error:
-            return f"{text}, whatever the past"
         way = "from a known `state`" if self.is_loop else "from rest with `condition`"
         return f"{text} (past unknown; {from_rest} {way})"
 
     def summary(self) -> dict[str, Any]:
         """Return the drive as plain values, for a summary in JSON."""
         expected = self.expected_error
-        if (
-            expected is not None
-        ):  # a user meets the mean, too, that is left to the sensor's zero
+        if expected is not None:  # with the mean that is left to the sensor's zero
             expected = math.hypot(expected, self.mean_left_out or 0.0)
         return {
             "format": "dbo-summary",

@@ -100,15 +100,21 @@ def excite(
     require_positive(max_slew=max_slew, sweep_to=sweep_to)
     if sweep_amplitude is not None and sweep_to is None:
         raise UsageError("`sweep_amplitude` needs `sweep_to` HZ")
-    span = v_max - v_min
+    span, slew = v_max - v_min, None
     frequency = min(FREQUENCY, sample_rate / ROWS_A_CYCLE)
     if sweep_to is not None:
         frequency = min(frequency, sweep_to / SWEEP_FASTER)
-    slew = None
     if max_slew is not None:
         frequency = min(frequency, max_slew / (math.pi * span))
         slew = max_slew / span
-    rows = _rows(duration or CYCLES / frequency, frequency, sample_rate)
+    seconds, shortest = duration or CYCLES / frequency, FEWEST_CYCLES / frequency
+    longest = MOST_SIGNAL_ROWS / sample_rate
+    if not shortest * (1.0 - 1e-9) <= seconds <= longest:
+        raise UsageError(
+            f"`duration` {seconds:g}: give {math.ceil(shortest)} ({FEWEST_CYCLES} swings over the range) to "
+            f"{longest:g} ({MOST_SIGNAL_ROWS:,} rows)"
+        )
+    rows = round(seconds * sample_rate) - 1
     longer = max((duration or 0.0) * frequency / CYCLES, 1.0)
     legs = _legs(rows, 1.0 / sample_rate, 1.0 / frequency, slew, longer)
     if rest is not None:
@@ -125,21 +131,6 @@ def excite(
         sweep = _sweep(v_min, v_min + 0.5 * span, ramp, sample_rate, sweep_to, crest)
         voltage = np.concatenate([voltage, sweep])
     return np.arange(voltage.size) / sample_rate, voltage
-
-
-def _rows(duration: float, frequency: float, sample_rate: float) -> int:
-    """Return the rows of the swings (UsageError: too few swings, or too many rows)."""
-    if duration * frequency < FEWEST_CYCLES * (1.0 - 1e-9):
-        shortest = math.ceil(FEWEST_CYCLES / frequency)
-        raise UsageError(
-            f"`duration` {duration:g}: too short for {FEWEST_CYCLES} swings over the range; give "
-            f"{shortest} or more"
-        )
-    if duration * sample_rate > MOST_SIGNAL_ROWS:
-        raise UsageError(
-            f"`duration` {duration:g} at `sample_rate` {sample_rate:g}: more than {MOST_SIGNAL_ROWS:,} rows"
-        )
-    return round(duration * sample_rate) - 1
 
 
 def _legs(
@@ -173,18 +164,12 @@ def _legs(
         turns += legs
         level = turn
     back = swing(turns[-1][0])
-    turns = _stretched(turns, rows - 2 * first - back - still)
+    # the turns fill what is left: each leg takes longer by the same part
+    ends = np.cumsum([count for _, count in turns])
+    ends = ends * (rows - 2 * first - back - still) // ends[-1]
+    counts = np.diff(ends, prepend=0).tolist()
+    turns = [(turn, count) for (turn, _), count in zip(turns, counts, strict=True)]
     return [(1.0, first), (0.0, first), *turns, (0.0, back), (0.0, still)]
-
-
-def _stretched(legs: list[Leg], rows: int) -> list[Leg]:
-    """Return the same legs, each longer by the same part, so that they take ``rows``."""
-    ends = np.cumsum([count for _, count in legs])
-    ends = ends * rows // ends[-1]
-    stretched = []
-    for (turn, _), count in zip(legs, np.diff(ends, prepend=0), strict=True):
-        stretched.append((turn, int(count)))
-    return stretched
 
 
 def _sweep(
@@ -215,14 +200,12 @@ def _check_sweep(
             f"{rate:g}"
         )
     if not 0.0 < crest <= 0.5 * span:
-        largest = rounded_down(0.5 * span, 6)
         raise UsageError(
-            f"`sweep_amplitude` {crest:g}: give more than 0, at most {largest:.6g}"
+            f"`sweep_amplitude` {crest:g}: give more than 0, at most {0.5 * span:g}"
         )
     fastest = 2.0 * math.pi * sweep_to * crest * SWEEP_FADED
     if max_slew is not None and fastest > max_slew:
-        slower = rounded_down(crest * max_slew / fastest, 3)
         raise LimitError(
-            f"`sweep_amplitude` {crest:g}: needs {fastest:.6g}/s at {sweep_to:g} Hz, more than "
-            f"`max_slew` {max_slew:g}; {slower:.9g} fits"
+            f"`sweep_amplitude` {crest:g}: needs {fastest:.6g}/s at {sweep_to:g} Hz, more than `max_slew`; "
+            f"{rounded_down(crest * max_slew / fastest, 3):.9g} fits"
         )

@@ -11,10 +11,9 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import Lead
-from dbo_cli.drive.limits import in_full, rounded_down, rounded_up
-from dbo_cli.drive.simulate import Due
+from dbo_cli.drive.limits import Limits, in_full
 from dbo_cli.errors import InputError, LimitError, warn
-from dbo_cli.model import Run, State, Steps, expect
+from dbo_cli.model import Cascade, Run, State, Steps, expect
 
 ALLOWED_PART = 0.01
 """Of the move: so much of it (RMS) may be cut off unasked; the order of a good model's error; chosen."""
@@ -40,6 +39,8 @@ class Judge:
 
     Attributes
     ----------
+    off_at_first : float or None
+        How far the first row starts off its displacement, or is in motion; None: not looked at.
     rounding : float
         What a low-pass took of the move (RMS), in the displacement's unit.
     unsettled : float or None
@@ -51,50 +52,37 @@ class Judge:
     def __init__(self, lead: Lead, on_limit: str, name: str) -> None:
         self.model, self.limits, self.lead = lead.model, lead.limits, lead
         self.on_limit, self.name = on_limit, name
-        # how far the first row starts off its displacement, or is in motion
-        self._off_at_first: float | None = None
-        # rows, least and greatest voltage by part of the drive; and the displacement's
-        self._rows: Counter[str] = Counter()
-        self._ranges: dict[str, list[float]] = {}
-        self._first = math.nan
-        # of the move: what limits cut off, and what no voltage reaches
-        self._clipped = self._first_clipped = self._unreachable = 0
-        self._squares = self._largest = 0.0
-        # least and greatest voltage, and slew, of limits that let the cut rows pass
-        self._needed = (math.inf, -math.inf, 0.0)
-        # the first rows, which judgements play again: voltages and steps, part by part
-        self._voltages: list[Floats] = []
-        self._steps: list[Floats] = []
+        self.off_at_first: float | None = None
         self.rounding = 0.0
         self.unsettled: float | None = None
         self.warned: tuple[str, ...] = ()
+        # rows, least and greatest voltage by part of the drive; and the displacement's
+        self._rows: Counter[str] = Counter()
+        self._ranges: dict[str, list[float]] = {}
+        # of the move: what limits cut off, and what no voltage reaches
+        self._clipped = self._first_clipped = self._unreachable = 0
+        self._squares = self._largest = 0.0
+        # the first rows, which judgements play again: voltages and steps, part by part
+        self._voltages: list[Floats] = []
+        self._steps: list[Floats] = []
 
     # --- rows ---
 
-    def see(self, due: Due, run: Run, state: State) -> None:
-        """Look at rows that are driven: how the first ones begin, and what limits cut off the move.
+    def begin(self, first: float, target: float, run: Run, state: State) -> None:
+        """Look at how the first row begins.
 
         Parameters
         ----------
-        due
-            The rows, and what the static part was to reach for them.
+        first, target
+            What is asked for in this row, and what the static part is to reach for it.
         run, state
-            The drive of them, and the state before it.
-
-        Raises
-        ------
-        LimitError
-            As of ``clip``.
+            Its drive, and the state before it.
         """
-        model, target = self.model, due.target
-        if self._off_at_first is None:
-            reached = [due.asked[0]]
-            is_held = run.clipped and run.first_clipped == 0
-            if state.first is not None and not is_held:  # a start that was chosen
-                reached.append(model.static.run(run.y[:1], state, 0.0).y[0])
-            self._off_at_first = max(abs(float(target[0] - y)) for y in reached)
-        if due.phase == "move":
-            self.clip(due.desired, target, run, state, due.dt)
+        reached = [first]
+        is_held = run.clipped and run.first_clipped == 0
+        if state.first is not None and not is_held:  # a start that was chosen
+            reached.append(self.model.static.run(run.y[:1], state, 0.0).y[0])
+        self.off_at_first = max(abs(float(target - y)) for y in reached)
 
     def clip(
         self, desired: Floats, target: Floats, run: Run, state: State, dt: Steps
@@ -122,36 +110,30 @@ class Judge:
         low, high = model.output.min - slack, model.output.max + slack
         self._unreachable += int(np.count_nonzero((desired < low) | (desired > high)))
         self._widen("desired", desired)
-        if self._clipped:
-            lost = target - model.static.run(run.y, state, dt).y
-            # a settled start may step over the first value: no limit does that
-            lost[: max(self._first_clipped - 1 - before, 0)] = 0.0
-            self._squares += float(np.square(lost).sum())
-            self._largest = max(self._largest, float(np.abs(lost).max()))
-        is_first = run.clipped == self._clipped
-        if run.clipped and self.on_limit != "clip":
-            if is_first or before < expect.FIRST_ROWS:
-                self._need(target, state, dt)
-        if self._clipped and self.on_limit == "error":
-            raise LimitError(f"{self.name}: {self._exceeding()}{self._remedy()}")
+        if not self._clipped:
+            return
+        lost = target - model.static.run(run.y, state, dt).y
+        # a settled start may step over the first value: no limit does that
+        lost[: max(self._first_clipped - 1 - before, 0)] = 0.0
+        self._squares += float(np.square(lost).sum())
+        self._largest = max(self._largest, float(np.abs(lost).max()))
+        if self.on_limit == "error":
+            raise self._refusal()
 
     def count(self, voltage: Floats, dt: Steps, phase: str) -> None:
         """Count rows of a part: ``lead``, ``move``, of which ``clip`` knows already, or ``return``."""
         if not voltage.size:
             return
-        if math.isnan(self._first):
-            self._first = float(voltage[0])
         self._widen(phase, voltage)
-        steps = np.broadcast_to(np.nan if dt is None else dt, voltage.shape)
-        first = slice(None)
+        first = voltage.size
         if phase == "move":
-            before = self._rows[phase] - voltage.size
-            first = slice(max(expect.FIRST_ROWS - before, 0))
+            first = max(first + expect.FIRST_ROWS - self._rows[phase], 0)
         else:
             self._rows[phase] += voltage.size
-        if voltage[first].size and phase != "return":
-            self._voltages.append(voltage[first])
-            self._steps.append(steps[first])
+        if first and phase != "return":
+            steps = np.broadcast_to(np.nan if dt is None else dt, voltage.shape)
+            self._voltages.append(voltage[:first])
+            self._steps.append(steps[:first])
 
     def _widen(self, what: str, values: Floats) -> None:
         """Widen what is known of least and greatest values."""
@@ -175,9 +157,19 @@ class Judge:
 
     def _exceeding(self) -> str:
         """Return how much of the move the limits forbid, in words; rows before the move do not count."""
+        unit = self.model.output.suffix
         return (
             f"{self._clipped:,} of {self._rows['move']:,} rows read (first: row {self._first_clipped:,}) "
-            f"exceed {self.limits.describe()}"
+            f"exceed {self.limits.describe()}; clipped, the move misses {self._lost_rms:.3g}{unit} RMS, "
+            f"at most {self._largest:.3g}{unit}"
+        )
+
+    def _refusal(self) -> LimitError:
+        """Return the refusal of a move that limits cut off, with what to type."""
+        return LimitError(
+            f"{self.name}: {self._exceeding()}: give wider limits (beyond the identified range "
+            "`extrapolate`), a way to row 1 (`from_` VOLT, `approach` auto), a slower, smaller or smoother "
+            "move (`bandwidth` HZ), or `on_limit` clip"
         )
 
     def require_reached(self, step: float) -> None:
@@ -202,95 +194,42 @@ class Judge:
                 f"{self.name}: the move is shorter than the model's delay, {delay:.4g} s (`on_limit` clip "
                 "writes it)"
             )
-        reach, unit = self.model.output, self.model.output.suffix
+        reach = self.model.output
         if self._unreachable == rows:
             raise InputError(
                 f"{self.name}: every row is outside the model's reach, {reach.min:.6g} to {reach.max:.6g}"
-                f"{unit}: check unit, column and zero of the trajectory"
+                f"{reach.suffix}: check unit, column and zero of the trajectory"
             )
         low, high = self._ranges["desired"]
-        size = high - low or reach.span
-        lost = self._lost_rms
-        if self.on_limit != "auto" or lost <= ALLOWED_PART * size:
-            return
-        raise LimitError(
-            f"{self.name}: {self._exceeding()}, by {lost:.3g}{unit} RMS ({100.0 * lost / size:.2g} % of "
-            f"{size:.3g}{unit}){self._remedy()}"
-        )
-
-    def _need(self, target: Floats, state: State, dt: Steps) -> None:
-        """Look at what limits would let all rows pass, of those that limits cut off."""
-        head = self.model.head
-        voltage = self.model.drive(target, state, dt).y
-        rate = 0.0
-        if dt is not None:
-            steps = np.broadcast_to(np.asarray(dt), voltage.shape)
-            before = voltage[0] if state.drive is None else state.drive
-            way = np.abs(np.diff(head(np.append(before, voltage)))) / head.least_slope
-            rate = float((way[steps > 0.0] / steps[steps > 0.0]).max(initial=0.0))
-        low, high, fastest = self._needed
-        low, high = min(low, float(voltage.min())), max(high, float(voltage.max()))
-        self._needed = low, high, max(fastest, rate)
-
-    def _remedy(self) -> str:
-        """Return which limits would let the move pass, and what to type."""
-        low, high = rounded_down(self._needed[0], 4), rounded_up(self._needed[1], 4)
-        unit = self.limits.suffix
-        lowest, highest = self.limits.identified
-        wider = "wider limits"
-        if not self.limits.extrapolate and not lowest <= low <= high <= highest:
-            wider += " and `extrapolate`"
-        needed = f"; it needs {low:.4g} to {high:.4g}{unit}"
-        if self.limits.slew is not None:
-            needed += f", {rounded_up(self._needed[2], 3):.3g}{unit}/s"
-        way = (
-            ""
-            if self.lead.approach or self.lead.condition
-            else "a way to row 1 (`from_` VOLT, `approach` auto), "
-        )
-        return (
-            f"{needed}: give {wider}, {way}a slower, smaller or smoother move (`bandwidth` HZ), or "
-            "`on_limit` clip"
-        )
+        allowed = ALLOWED_PART * (high - low or reach.span)
+        if self.on_limit == "auto" and self._lost_rms > allowed:
+            raise self._refusal()
 
     # --- the end ---
 
     def concluded(self, state: State, step: float) -> Drive:
         """Return the figures of a drive of which all rows were seen, and warn of what is unusual."""
+        lead, ranges = self.lead, self._ranges
         voltage, steps = self._played()
-        lead_rows, move_rows = self._rows["lead"], self._rows["move"]
-        voltages = [span for part, span in self._ranges.items() if part != "desired"]
-        low = min(span[0] for span in voltages)
-        high = max(span[1] for span in voltages)
+        move = slice(self._rows["lead"], self._rows["lead"] + self._rows["move"])
+        spans = [ranges[part] for part in ("lead", "move", "return") if part in ranges]
+        low, high = min(span[0] for span in spans), max(span[1] for span in spans)
+        missed = math.hypot(self._lost_rms, self.unsettled or 0.0, self.rounding)
         lowest, highest = self.limits.identified
-        texts = self._start_warnings()
-        error = error_from_rest = unrested = expected = None
-        if self.limits.extrapolate and not lowest <= low <= high <= highest:
-            texts.append(
-                f"the drive goes from {low:.6g} to {high:.6g}{self.limits.suffix}, beyond the identified "
-                f"range, {lowest:.6g} to {highest:.6g}{self.limits.suffix}"
+        error = from_rest = unrested = None
+        if not self.limits.extrapolate or lowest <= low <= high <= highest:
+            error, from_rest, unrested = expected_error(
+                lead, voltage, steps, move.start, missed
             )
-        else:
-            expected = expect.expected_error(self.model, voltage, steps, lead_rows)
-        past_known = self.lead.past_known
-        if expected is not None:
-            known, past, memory = expected
-            missed = math.hypot(self._lost_rms, self.unsettled or 0.0, self.rounding)
-            if self.lead.condition:
-                missed = math.hypot(missed, past)
-                unrested = math.hypot(math.hypot(known, memory), missed)
-            error = math.hypot(known, missed)
-            if not past_known:
-                error_from_rest = error
-                error = math.hypot(math.hypot(*expected), missed)
-        move = slice(lead_rows, lead_rows + move_rows)
+        texts = [self._exceeding()] if self._clipped else []
+        texts += start_warnings(lead, float(voltage[0]), self.off_at_first or 0.0)
+        texts += range_warnings(self.limits, low, high)
         texts += expect.move_warnings(self.model, voltage, steps, move)
-        texts += self._end_warnings(error, state)
+        texts += end_warnings(self.model, self.limits, state)
         warnings = [f"{self.name}: {text}" for text in texts]
         for text in warnings:
             warn(text)
-        is_auto = self.lead.state in ("auto", "settled")
-        asks_start = is_auto and self.lead.standing is None
+        asks_start = lead.state in ("auto", "settled") and lead.standing is None
         return Drive(
             self.model,
             self.limits,
@@ -298,96 +237,93 @@ class Judge:
             move=move,
             rows=self._rows.total(),
             voltage_range=[low, high],
-            lead_range=self._ranges.get("lead"),
-            move_range=self._ranges["desired"],
-            lead_seconds=lead_rows * step,
+            lead_range=ranges.get("lead"),
+            move_range=ranges["desired"],
+            lead_seconds=move.start * step,
             clipped=self._clipped,
             first_clipped=self._first_clipped,
             lost_rms=self._lost_rms,
             lost_most=self._largest,
             expected_error=error,
-            expected_known=error_from_rest,
+            expected_known=from_rest,
             expected_unrested=unrested,
-            starts_at=self._first if asks_start else None,
-            past_known=past_known,
+            starts_at=float(voltage[0]) if asks_start else None,
+            past_known=lead.past_known,
             is_loop=self.unsettled is not None,
             state=replace(state, model=self.model.digest),
-            notes=self._notes(),
             warnings=(*self.warned, *warnings),
         )
 
-    def _notes(self) -> tuple[str, ...]:
-        """Return what a user should know of a low-pass and of a loop."""
-        notes, unit = [], self.model.output.suffix
-        if self.unsettled is not None:
-            notes.append(
-                f"the first pass is {self.unsettled:.3g}{unit} off the settled one (RMS)"
-            )
-        if self.rounding:
-            notes.append(
-                f"`bandwidth` rounds the move by {self.rounding:.3g}{unit} RMS"
-            )
-        return tuple(f"{self.name}: {note}" for note in notes)
 
-    # --- warnings, without the name of the trajectory ---
+# --- verdicts on a whole drive; warnings without the name of the trajectory ---
 
-    def _start_warnings(self) -> list[str]:
-        """Return what was clipped, and what is unusual about how the drive begins."""
-        unit, span = self.model.output.suffix, self.model.output.span
-        texts = []
-        if self._clipped:
-            texts.append(
-                f"{self._exceeding()}: clipped; the move misses {self._lost_rms:.3g}{unit} RMS, at most "
-                f"{self._largest:.3g}{unit}"
-            )
-        off = self._off_at_first or 0.0
-        if off > OFF_AT_FIRST * span:
-            texts.append(
-                f"row 1 starts {off:.3g}{unit} off or in motion: try `lead` auto, `condition` or `state` "
-                "empty"
-            )
-        (low, high), standing = self.limits.identified, self.lead.standing
-        lead = self._ranges.get("lead", (low, high))
-        if max(low - lead[0], lead[1] - high) > FAR * (high - low):
-            texts.append(
-                f"the way in goes from {in_full(lead[0])} to {in_full(lead[1])}{self.limits.suffix}, the "
-                f"logs from {in_full(low)} to {in_full(high)}: what it leaves behind is not in the expected "
-                "error; identify from a log of that range"
-            )
-        if standing is not None and abs(self._first - standing) > JUMP * (high - low):
-            texts.append(
-                f"jumps from {in_full(standing)} to {in_full(self._first)}{self.limits.suffix} at row 1, and "
-                "the error there is not in the expected one: add `approach` auto"
-            )
-        return texts
 
-    def _end_warnings(self, error: float | None, state: State) -> list[str]:
-        """Return warnings where a straight line is as good, and where holding the end leaves the limits."""
-        texts, unit = [], self.model.output.suffix
-        line = self.model.fit.get("line_rmse")
-        if isinstance(line, float) and error is not None:
-            if error >= math.hypot(line, self._lost_rms, self.rounding):
-                texts.append(
-                    f"expected error {error:.3g}{unit}, a straight line's is {line:.3g}: identify with a log "
-                    "of such moves"
-                )
-        voltage = self._held_voltage(state)
-        (low, high), unit = self.limits.move, self.limits.suffix
-        if voltage is not None and not low <= voltage <= high:
-            texts.append(
-                f"holding the last position takes the drive to {voltage:.6g}{unit} in the long run, outside "
-                f"{low:.6g} to {high:.6g}{unit}"
-            )
-        return texts
+def expected_error(
+    lead: Lead, voltage: Floats, dt: Steps, begin: int, missed: float
+) -> tuple[float | None, float | None, float | None]:
+    """Return the error to expect; from a known past, where it is not known; and not from rest behind a sweep.
 
-    def _held_voltage(self, state: State) -> float | None:
-        """Return where holding the last position leads, of an actuator whose drive creeps outward for it."""
-        relaxation, static = self.model.gears.relaxation, self.model.static
-        if relaxation is None or state.drive is None:
-            return None
-        if min(relaxation.gain) >= 0.0:
-            return None
-        still = replace(state, sections=None, delay=None, undoing=None)
-        position = static.run(np.array([state.drive]), still, 0.0).y
-        seconds = LONG_HOLD * max(relaxation.tau)
-        return float(static.drive(position, still, seconds).y[0])
+    Parameters
+    ----------
+    voltage, dt, begin
+        As of ``expect.expected_error``.
+    missed
+        What the move misses beside that (RMS).
+    """
+    expected = expect.expected_error(lead.model, voltage, dt, begin)
+    if expected is None:
+        return None, None, None
+    known, past, memory = expected
+    if lead.condition:
+        missed = math.hypot(missed, past)
+        unrested = math.hypot(math.hypot(known, memory), missed)
+        return math.hypot(known, missed), None, unrested
+    if lead.past_known:
+        return math.hypot(known, missed), None, None
+    error = math.hypot(math.hypot(*expected), missed)
+    return error, math.hypot(known, missed), None
+
+
+def start_warnings(lead: Lead, first: float, off: float) -> list[str]:
+    """Return a warning of a first row that jumps, or begins off its displacement or in motion."""
+    voltage, displacement = lead.model.input, lead.model.output
+    jump = 0.0 if lead.standing is None else abs(first - lead.standing)
+    if jump <= JUMP * voltage.span and off <= OFF_AT_FIRST * displacement.span:
+        return []
+    return [
+        f"row 1 starts {off:.3g}{displacement.suffix} off or in motion, {in_full(jump)}{voltage.suffix} from "
+        "where the amplifier stands, and the error there is not in the expected one: add `approach` auto, "
+        "`lead` auto, `condition` or `state` empty"
+    ]
+
+
+def range_warnings(limits: Limits, low: float, high: float) -> list[str]:
+    """Return a warning of voltages far beyond those of the logs; of any beyond, where a move may go there."""
+    lowest, highest = limits.identified
+    allowed = 0.0 if limits.extrapolate else FAR * (highest - lowest)
+    if max(lowest - low, high - highest) <= allowed:
+        return []
+    return [
+        f"goes from {in_full(low)} to {in_full(high)}{limits.suffix}, the logs from {in_full(lowest)} to "
+        f"{in_full(highest)}: what that leaves behind is not in the expected error; identify from a log of "
+        "that range"
+    ]
+
+
+def end_warnings(model: Cascade, limits: Limits, state: State) -> list[str]:
+    """Return a warning where holding the last position leads a drive that creeps out of its limits."""
+    relaxation, static = model.gears.relaxation, model.static
+    if relaxation is None or state.drive is None or min(relaxation.gain) >= 0.0:
+        return []
+    still = replace(state, sections=None, delay=None, undoing=None)
+    position = static.run(np.array([state.drive]), still, 0.0).y
+    seconds = LONG_HOLD * max(relaxation.tau)
+    voltage = float(static.drive(position, still, seconds).y[0])
+    low, high = limits.move
+    if low <= voltage <= high:
+        return []
+    unit = limits.suffix
+    return [
+        f"holding the last position takes the drive to {voltage:.6g}{unit} in the long run, outside "
+        f"{low:.6g} to {high:.6g}{unit}"
+    ]

@@ -123,8 +123,8 @@ class Lead:
 
     def planned(
         self, first: float, dt: float, time: float | None
-    ) -> tuple[State | None, Floats, int]:
-        """Return what stands before the move.
+    ) -> tuple[State | str, Floats, int]:
+        """Return what stands before the move: from where the amplifier stands, a sweep, the way, a rest.
 
         Parameters
         ----------
@@ -135,8 +135,8 @@ class Lead:
 
         Returns
         -------
-        state : State or None
-            Before the first row; None where the inverse finds the start itself.
+        state : State or str
+            Before the first row; the name of a start that the inverse finds itself.
         voltage : array
             Voltages that are played as they are.
         rest : int
@@ -150,7 +150,12 @@ class Lead:
         UsageError
             A piece is too long for any memory.
         """
-        state, voltage = self._standing_state(time, dt)
+        state, voltage = self.state, NO_VOLTAGES  # a state, or a row of where it stands
+        if isinstance(state, State):
+            state = replace(self._held(state, time, dt), drive=self.standing)
+        elif self.standing is not None:
+            voltage = np.array([self.standing])
+            state = self.model.start(self.standing, state)
         moves = self.condition or self.approach is not None
         rest, chosen = 0, 0.0
         if isinstance(self.rest, float):
@@ -158,27 +163,12 @@ class Lead:
         elif moves or self.rest == "auto":
             rest = self.model.inverter(dt).ahead
             chosen = rest * dt
-        if moves:
-            return *self._way_in(first, dt, state, voltage, chosen), rest
-        _require_short(chosen, "lead", chosen)
-        if isinstance(state, State):
-            return self._state_after(voltage, state, dt), NO_VOLTAGES, rest + self.hold
-        return None, NO_VOLTAGES, rest + self.hold
-
-    def _standing_state(
-        self, time: float | None, dt: float
-    ) -> tuple[State | str, Floats]:
-        """Return the state in which the amplifier stands, and a row of where it stands behind that state.
-
-        No row stands behind a state that was left; and where it stands is not known, the
-        state is the name of a start.
-        """
-        state, standing = self.state, self.standing
-        if isinstance(state, State):
-            return replace(self._held(state, time, dt), drive=standing), NO_VOLTAGES
-        if standing is None:
-            return state, NO_VOLTAGES
-        return self.model.start(standing, state), np.array([standing])
+        if not moves:
+            _require_short(chosen, "lead", chosen)
+            if isinstance(state, State):
+                state = self._state_after(voltage, state, dt)
+            return state, NO_VOLTAGES, rest + self.hold
+        return *self._way_in(first, dt, state, voltage, chosen), rest
 
     def _held(self, state: State, time: float | None, dt: float) -> State:
         """Return a state after the pause behind its last row, in which the voltage was held."""
@@ -194,39 +184,36 @@ class Lead:
         first: float,
         dt: float,
         state: State | str,
-        before: Floats,
+        voltage: Floats,
         chosen: float,
     ) -> tuple[State, Floats]:
         """Return the state before the first row, and the voltages that lead to the move.
 
-        ``before`` is a row of where the amplifier stands, or none; ``chosen`` are seconds
+        ``voltage`` is a row of where the amplifier stands, or none; ``chosen`` are seconds
         of the rest before the move that nobody typed.
         """
-        seconds, voltage = self.approach, before
+        seconds = typed = self.approach if isinstance(self.approach, float) else None
         if self.condition:
-            swept = self._conditioning(first, dt)
-            voltage = np.concatenate([before, swept])
-            if isinstance(seconds, float):
-                seconds = max(seconds - swept.size * dt, dt)
-            else:
-                seconds = "auto"
+            swept = self._conditioning(first, dt, typed)
+            voltage = np.concatenate([voltage, swept])
+            if typed is not None:
+                seconds = max(typed - swept.size * dt, dt)
         stands = voltage[0] if voltage.size else self.standing
         voltage = np.concatenate([np.full(self.hold, stands), voltage])
         if not isinstance(state, State):
             state = self.model.start(float(voltage[0]), state)
         path = self._way(first, dt, self._state_after(voltage, state, dt), seconds)
-        voltage = np.concatenate([voltage, path])
-        quiet = rest_rows(self.model, dt)
+        voltage, quiet = np.concatenate([voltage, path]), rest_rows(self.model, dt)
         if not self.condition:
             require_time(seconds, (path.size - quiet) * dt, dt)
         swing = (voltage.size - self.hold - quiet) * dt
         chosen += quiet * dt
-        if not isinstance(self.approach, float):
+        if typed is None:
             chosen += swing
         _require_short(chosen, "approach", swing)
         return state, voltage
 
-    def _conditioning(self, first: float, dt: float) -> Floats:
+    def _conditioning(self, first: float, dt: float, seconds: float | None) -> Floats:
         """Return the voltages of a sweep, behind the way there from where the amplifier stands.
 
         Typed seconds are those of the whole way, to the first value of the move: each
@@ -239,19 +226,16 @@ class Lead:
         UsageError
             The limits leave nothing to sweep.
         """
-        limits, standing, seconds = self.limits, self.standing, self.approach
+        limits, standing = self.limits, self.standing
         # at or below the first gear's origin every bit is clear, so that the past is wiped out
         low, high = limits.sweep
         if not low < high:
-            lowest, highest = limits.identified
             raise UsageError(
-                f"`condition` sweeps the identified range, {lowest:.6g} to {highest:.6g}{limits.suffix}; "
-                "the limits leave none of it"
+                "`condition`: the limits leave no identified range to sweep"
             )
         begin = low if standing is None else standing
-        inwards: Typed | None = "auto"
-        sweeping = SWEEP_SECONDS
-        if isinstance(seconds, float):
+        inwards, sweeping = None, SWEEP_SECONDS
+        if seconds is not None:
             end = self._goes_on(first, dt, self.model.start(low, "empty"))
             distance = abs(begin - low) + 2.0 * (high - low) + abs(end - low)
             shortest = _rows(distance, dt, dt, limits) * dt
@@ -266,7 +250,7 @@ class Lead:
         return np.concatenate([inward, swept[1:]])
 
     def _way(
-        self, first: float, dt: float, state: State, seconds: Typed | None
+        self, first: float, dt: float, state: State, seconds: float | None
     ) -> Floats:
         """Return the voltages from where a state stands to where the move goes on, with a rest there.
 
@@ -330,23 +314,22 @@ def _require_short(chosen: float, option: str, seconds: float) -> None:
 
 
 def ramp(
-    begin: float, end: float, dt: float, seconds: Typed | None, limits: Limits
+    begin: float, end: float, dt: float, seconds: float | None, limits: Limits
 ) -> Floats:
     """Return the voltages after ``begin`` of a swing to ``end``, as slow as the slew limit needs."""
     if begin == end:
         return NO_VOLTAGES
-    shortest = SHORTEST_SWING
-    if isinstance(seconds, float):
-        shortest = seconds
-    elif limits.slew is None:
-        span = limits.rating[1] - limits.rating[0]
-        shortest = max(SHORTEST_SWING, SWEEP_SECONDS * abs(end - begin) / span)
-    return swings([begin, end], [_rows(end - begin, dt, shortest, limits)])[1:]
+    if seconds is None:
+        seconds = SHORTEST_SWING
+        if limits.slew is None:
+            span = limits.rating[1] - limits.rating[0]
+            seconds = max(seconds, SWEEP_SECONDS * abs(end - begin) / span)
+    return swings([begin, end], [_rows(end - begin, dt, seconds, limits)])[1:]
 
 
-def require_time(seconds: Typed | None, shortest: float, dt: float) -> None:
+def require_time(seconds: float | None, shortest: float, dt: float) -> None:
     """Refuse typed seconds that are too few for the slew limit, and say how many are not (LimitError)."""
-    if isinstance(seconds, float) and shortest > seconds + dt:
+    if seconds is not None and shortest > seconds + dt:
         raise LimitError(
             f"`approach` {seconds:g}: too fast for `max_slew`; give at least {rounded_up(shortest, 4):.9g} s "
             "for the whole way, or auto"

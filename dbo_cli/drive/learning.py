@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from hashlib import sha256
 from typing import Any
@@ -43,7 +42,6 @@ LONG_STEP = 1.5  # steps: a longer one lacks rows
 OTHER_SCALE = 1.25
 # of a recording to what the model makes of its drive: with less it is of another thing
 LEAST_CORRELATION = 0.5
-STANDS_STILL = 1e-9  # of the move: what rounding leaves of a constant
 # of the move (RMS): a drive that asks for something further away is of another
 ANOTHER_MOVE = 0.5
 # of the squares that stamps leave: with more left elsewhere, they are believed
@@ -56,313 +54,238 @@ TRUSTED_ERROR = 1.0 / 3.0
 BAND_ENERGY = 1e-3
 
 
-@dataclass(frozen=True)
-class RepeatedMove:
-    """A trajectory that is played again and again.
+def learned(
+    lead: Lead,
+    desired: Floats,
+    first: float,
+    step: float,
+    recordings: Sequence[tuple[str, Rows]],
+    history: Sequence[PassRecord] = (),
+    *,
+    bandwidth: float | None = None,
+    periodic: bool = False,
+    absolute: bool = False,
+) -> tuple[Floats, dict[str, Any]]:
+    """Return what the next pass asks of the model, and what its ``Drive`` says of the last one.
 
-    Attributes
+    The error to expect is that of the last pass, which the next one should stay below.
+
+    Parameters
     ----------
     lead
         The model, the limits, and what stands before the move.
-    desired, time, step
-        The trajectory, the time of each row and its even step (s).
+    desired, first, step
+        The trajectory, the stamp of its first row, and seconds a row.
+    recordings
+        Names, and rows of drive and displacement of the last pass; all of one drive.
+    history
+        The passes so far, the oldest first; from one with this very drive on they
+        are forgotten.
+    bandwidth
+        Cut-off of Q (Hz); None: as far as the model can be trusted.
     periodic, absolute
         Whether recordings are of whole periods, and whether the mean is learned.
+
+    Raises
+    ------
+    InputError
+        A recording is not of this trajectory, or the error grew.
     """
-
-    lead: Lead
-    desired: Floats
-    time: Floats
-    step: float
-    periodic: bool
-    absolute: bool
-
-    @property
-    def model(self) -> Cascade:
-        """The forward model."""
-        return self.lead.model
-
-    def learned(
-        self,
-        recordings: Sequence[tuple[str, Rows]],
-        history: Sequence[PassRecord],
-        bandwidth: float | None,
-    ) -> tuple[Floats, dict[str, Any]]:
-        """Return what the next pass asks of the model, and what its ``Drive`` says of the last one.
-
-        The error to expect is that of the last pass, which the next one should stay below.
-
-        Parameters
-        ----------
-        recordings
-            Names, and rows of drive and displacement of the last pass; all of one drive.
-        history
-            The passes so far, the oldest first; from one with this very drive on they
-            are forgotten.
-        bandwidth
-            Cut-off of Q (Hz); None: as far as the model can be trusted.
-
-        Raises
-        ------
-        InputError
-            A recording is not of this trajectory, or the error grew.
-        """
-        name, unit = recordings[0][0], self.model.output.suffix
-        if not np.ptp(self.desired) > 0.0:
-            raise InputError(f"{name}: the trajectory holds still: nothing is learned")
-        voltage, modelled, measured = self._mean_of(recordings)
-        self._require_same_move(name, modelled)
-        _require_same_scale(name, modelled, measured)
-        error = self.desired - measured
-        zero = 0.0 if self.absolute else float(error.mean())
-        error = error - zero
-        passed = PassRecord(sha256(voltage.tobytes()).hexdigest(), rms(error))
-        drives = [record.drive_sha256 for record in history]
-        before = tuple(history)
-        if passed.drive_sha256 in drives:  # what came of learning from it is forgotten
-            before = before[: drives.index(passed.drive_sha256)]
-        cutoff = bandwidth
-        if cutoff is None:
-            cutoff = self._trusted_cutoff(name, measured - modelled)
-        errors = [record.rmse for record in before]
-        self._require_no_growth(name, errors, passed.rmse, cutoff)
-        change = modelled - self.desired + error
-        learned = low_pass(change, cutoff, self.step, self.periodic, ORDER)
-        if not self.absolute:
-            learned = learned - learned.mean()
-        if self.model.dynamics is not None and not self.periodic:
-            learned = _resting_ends(learned, cutoff * self.step)
-        percent = 100.0 * passed.rmse / float(np.ptp(self.desired))
-        reached = noise(measured)
-        note = (
-            f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move), "
-            f"{reached:.2g}{unit} of it noise; learned below {cutoff:.4g} Hz"
-        )
-        figures = {
-            "expected_error": passed.rmse,
-            "expected_known": None,  # the model's own error is what was learned
-            "expected_unrested": None,
-            "mean_left_out": None if self.absolute else -zero,
-            "history": (*before, passed),
-            "notes": (note,),
-        }
-        return self.desired + learned, figures
-
-    def _trusted_cutoff(self, name: str, residual: Floats) -> float:
-        """Return the cut-off (Hz) up to which the model can be trusted."""
+    name, model = recordings[0][0], lead.model
+    if not np.ptp(desired) > 0.0:
+        raise InputError(f"{name}: the trajectory holds still: nothing is learned")
+    rows_of = rows_of_loop if periodic else rows_of_move
+    passes = [
+        rows_of(lead, desired, first, step, label, rows) for label, rows in recordings
+    ]
+    voltage = passes[0][0]
+    for (label, _), (other, _, _) in zip(recordings, passes, strict=True):
+        if not is_one_drive(model, other, voltage):
+            raise _not_this_move(label, f"not the drive of {name}")
+    _, modelled, measured = np.mean(passes, axis=0)
+    _require_same_move(name, model, desired, modelled, absolute)
+    _require_follows(name, modelled, measured)
+    error = desired - measured
+    zero = 0.0 if absolute else float(error.mean())
+    error = error - zero
+    passed = PassRecord(sha256(voltage.tobytes()).hexdigest(), rms(error))
+    drives = [record.drive_sha256 for record in history]
+    before = tuple(history)
+    if passed.drive_sha256 in drives:  # what came of learning from it is forgotten
+        before = before[: drives.index(passed.drive_sha256)]
+    cutoff = bandwidth
+    if cutoff is None:
         # a third of the lowest resonance: nothing grows where the model has it 25 % off
-        cutoff = self.model.trusted_frequency
+        cutoff = model.trusted_frequency
         if cutoff is None:
-            cutoff = _trusted_by_bands(name, self.desired, residual, self.step)
-        return min(cutoff, 0.45 / self.step)
+            cutoff = _trusted_by_bands(name, desired, measured - modelled, step)
+        cutoff = min(cutoff, 0.45 / step)
+    _require_no_growth(name, [record.rmse for record in before], passed.rmse, cutoff)
+    change = low_pass(modelled - desired + error, cutoff, step, periodic, ORDER)
+    if not absolute:
+        change = change - change.mean()
+    if model.dynamics is not None and not periodic:
+        change = _resting_ends(change, cutoff * step)
+    unit, percent = model.output.suffix, 100.0 * passed.rmse / float(np.ptp(desired))
+    note = (
+        f"{name}: the last pass was {passed.rmse:.3g}{unit} off (RMS, {percent:.2g} % of the move), "
+        f"{noise(measured):.2g}{unit} of it noise; learned below {cutoff:.4g} Hz"
+    )
+    figures = {
+        "expected_error": passed.rmse,
+        "expected_known": None,  # the model's own error is what was learned
+        "expected_unrested": None,
+        "mean_left_out": None if absolute else -zero,
+        "history": (*before, passed),
+        "notes": (note,),
+    }
+    return desired + change, figures
 
-    # --- the rows of a recording ---
 
-    def _mean_of(
-        self, recordings: Sequence[tuple[str, Rows]]
-    ) -> tuple[Floats, Floats, Floats]:
-        """Return the drive of the first recording, what the model makes of them, and the mean measured.
+# --- the rows of a recording that belong to the trajectory: drive, modelled and measured displacement ---
 
-        Raises
-        ------
-        InputError
-            A recording is of another drive than the first.
-        """
-        passes = [self._pass_of(name, block) for name, block in recordings]
-        first, voltage = recordings[0][0], passes[0][0]
-        for (name, _), (other, _, _) in zip(recordings, passes, strict=True):
-            if not self._is_same_drive(other, voltage):
-                raise InputError(
-                    f"{name}: not the drive of {first}: average recordings of one drive only"
-                )
-        modelled = np.mean([rows[1] for rows in passes], axis=0)
-        return voltage, modelled, np.mean([rows[2] for rows in passes], axis=0)
 
-    def _is_same_drive(self, voltage: Floats, other: Floats) -> bool:
-        """Return whether two recordings are of one drive, but for what a monitor adds."""
-        return rms(voltage - other) <= ONE_DRIVE * self.model.input.span
+def rows_of_move(
+    lead: Lead, desired: Floats, first: float, step: float, name: str, recording: Rows
+) -> Floats:
+    """Return the rows of a move, shape (3, rows); what stands before is its lead, what behind a return."""
+    voltage, model = recording.x, lead.model
+    state = _start(lead, float(voltage[0]), step)
+    modelled = model.run(voltage, state, step).y
+    rows = np.array([voltage, modelled, _measured(model, recording, step)])
+    stamped = _row_by_stamps(name, recording.time, first, step)
+    begin = _first_row(lead, desired, step, rows, stamped)
+    if voltage.size - begin < desired.size:
+        raise _not_this_move(name, f"{voltage.size - begin:,} of {desired.size:,} rows")
+    _require_same_past(name, lead, voltage[:begin])
+    return rows[:, begin : begin + desired.size]
 
-    def _pass_of(self, name: str, recording: Rows) -> tuple[Floats, Floats, Floats]:
-        """Return drive, modelled and measured displacement of the rows that belong to the trajectory."""
-        voltage, step, count = recording.x, self.step, self.desired.size
-        modelled = self.model.run(voltage, self._start(voltage), step).y
-        stamped = self._row_by_stamps(name, recording.time)
-        begin = stamped or 0
-        if not self.periodic:
-            begin = self._first_row(voltage, modelled, stamped)
-        rows = voltage.size - begin
-        if rows < count:
-            raise InputError(
-                f"{name}: {rows:,} rows from the start of the move, the trajectory has "
-                f"{count:,}: record each row of it"
-            )
-        time = step * np.arange(float(voltage.size))
-        delay = self.model.sensor_delay
-        measured, _ = without_delay(time, recording.y, delay)
-        if self.periodic:
-            drive, measured = self._mean_period(voltage, measured)
-            led = voltage[:1] if stamped else voltage[:0]
-            phase = self._phase(self._repeated(drive, led))
-            by_stamps = stamped is not None and rows % count == 0
-            if by_stamps and min(phase, count - phase) * step <= ACTUATOR_LAG:
-                phase = 0  # what was learned may be as early
-            drive, measured = np.roll(drive, -phase), np.roll(measured, -phase)
-            return drive, self._repeated(drive, led), measured
-        self._require_same_past(name, voltage[:begin])
-        move = slice(begin, begin + count)  # what stands behind is a return
-        return voltage[move], modelled[move], measured[move]
 
-    def _mean_period(self, voltage: Floats, measured: Floats) -> tuple[Floats, Floats]:
-        """Return the mean drive and displacement of the periods at the end that are alike."""
-        count = self.desired.size
-        rows = voltage.size // count * count
-        periods = voltage[-rows:].reshape(-1, count)
-        first = len(periods) - 1
-        while first and self._is_same_drive(periods[first - 1], periods[-1]):
-            first -= 1  # before that one, something else leads to the loop
-        if first < len(periods) - 1:
-            first += 1  # not settled yet
-        displacement = measured[-rows:].reshape(-1, count)[first:].mean(axis=0)
-        return periods[first:].mean(axis=0), displacement
+def rows_of_loop(
+    lead: Lead, desired: Floats, first: float, step: float, name: str, recording: Rows
+) -> Floats:
+    """Return the mean of the periods at the end that are alike, shape (3, rows)."""
+    voltage, model, count = recording.x, lead.model, desired.size
+    stamped = _row_by_stamps(name, recording.time, first, step)
+    row_count = voltage.size - (stamped or 0)
+    if row_count < count:
+        raise _not_this_move(name, f"{row_count:,} of {count:,} rows")
+    whole = voltage.size // count * count
+    periods = voltage[-whole:].reshape(-1, count)
+    begin = len(periods) - 1
+    while begin and is_one_drive(model, periods[begin - 1], periods[-1]):
+        begin -= 1  # before that one, something else leads to the loop
+    if begin < len(periods) - 1:
+        begin += 1  # not settled yet
+    drive = periods[begin:].mean(axis=0)
+    measured = _measured(model, recording, step)[-whole:].reshape(-1, count)
+    measured = measured[begin:].mean(axis=0)
 
-    def _start(self, voltage: Floats) -> State:
-        """Return the state before the first voltage of a drive that was made for it."""
-        standing, past = self.lead.standing, self.lead.state
-        if standing is not None and not isinstance(past, State):
-            rest = self.model.start(standing, past)
-            past = self.model.run(np.array([standing]), rest, self.step).state
-        return self.model.start(float(voltage[0]), past)
+    def repeated(period: Floats) -> Floats:
+        start = _start(lead, float(voltage[0] if stamped else period[0]), step)
+        return settled_run(model, period, step, start)
 
-    def _repeated(self, drive: Floats, led: Floats) -> Floats:
-        """Return what the model makes of one period that was repeated for ever, behind what led to it."""
-        start = self._start(np.concatenate([led, drive]))
-        return settled_run(self.model, drive, self.step, start)
+    # a recorder may begin anywhere in a loop: the period is laid where what the model
+    # makes of it is closest to the trajectory
+    spectrum = np.fft.rfft(repeated(drive)) * np.fft.rfft(desired).conj()
+    phase = int(np.argmax(np.fft.irfft(spectrum, count)))
+    by_stamps = stamped is not None and row_count % count == 0
+    if by_stamps and min(phase, count - phase) * step <= ACTUATOR_LAG:
+        phase = 0  # what was learned may be as early
+    drive, measured = np.roll(drive, -phase), np.roll(measured, -phase)
+    return np.array([drive, repeated(drive), measured])
 
-    def _phase(self, modelled: Floats) -> int:
-        """Return the row of a recorded period on which the trajectory's first one falls.
 
-        A recorder may begin anywhere in a loop: the period is laid where what the model
-        makes of it is closest to the trajectory.
-        """
-        spectrum = np.fft.rfft(modelled) * np.fft.rfft(self.desired).conj()
-        return int(np.argmax(np.fft.irfft(spectrum, modelled.size)))
+def is_one_drive(model: Cascade, voltage: Floats, other: Floats) -> bool:
+    """Return whether two recordings are of one drive, but for what a monitor adds."""
+    return rms(voltage - other) <= ONE_DRIVE * model.input.span
 
-    def _first_row(self, voltage: Floats, modelled: Floats, stamped: int | None) -> int:
-        """Return the recording's row of the trajectory's first; what stands before is its lead.
 
-        A recorder may count from elsewhere than the stamps say: the trajectory is laid
-        where what the model makes of the recorded drive is closest to it, or behind what
-        led to it.
-        """
-        desired, mean = self.desired - self.desired.mean(), self.desired.mean()
-        misfit = sliding_misfit(modelled - mean, desired)
-        row = int(np.argmin(misfit))
-        led = self._row_behind_lead(voltage, modelled, row)
-        best = row if led is None else led
-        if stamped is None or stamped >= misfit.size:
-            return best
-        # what was learned may be as early
-        if abs(best - stamped) * self.step <= ACTUATOR_LAG:
-            return stamped
-        if led is not None and misfit[led] < misfit[stamped]:
-            return led
-        square = float(np.sum(desired**2))
-        enough = min(MUCH_CLOSER * float(misfit[stamped]), DRIVE_RESIDUAL * square)
-        return stamped if enough <= float(misfit[row]) else row
+def _measured(model: Cascade, recording: Rows, step: float) -> Floats:
+    """Return the measured displacement without the sensor's delay."""
+    time = step * np.arange(float(recording.y.size))
+    return without_delay(time, recording.y, model.sensor_delay)[0]
 
-    def _row_behind_lead(
-        self, voltage: Floats, modelled: Floats, row: int
-    ) -> int | None:
-        """Return the row behind what led to the move, which begins at about ``row``; None: not recorded.
 
-        What was learned has changed the shape of the move, and moved it by some rows.
-        """
-        close = ONE_DRIVE * self.model.input.span
-        for _ in range(LEAD_TRIES):  # what leads to it depends on its first value
-            _, led, still = self.lead.planned(float(modelled[row]), self.step, None)
-            if not 0 < led.size <= voltage.size or np.ptp(led) <= close:
-                return None
-            misfit = sliding_misfit(voltage - led.mean(), led - led.mean())
-            begin = int(np.argmin(misfit))
-            tried, row = row, begin + led.size + still
-            if row + self.desired.size > voltage.size:
-                return None
-            if row == tried:
-                return row if misfit[begin] <= led.size * close**2 else None
+def _start(lead: Lead, voltage: float, step: float) -> State:
+    """Return the state before the first voltage of a drive that was made for it."""
+    standing, past = lead.standing, lead.state
+    if standing is not None and not isinstance(past, State):
+        rest = lead.model.start(standing, past)
+        past = lead.model.run(np.array([standing]), rest, step).state
+    return lead.model.start(voltage, past)
+
+
+def _first_row(
+    lead: Lead, desired: Floats, step: float, rows: Floats, stamped: int | None
+) -> int:
+    """Return the row of a recording, as of ``rows_of_move``, that is the trajectory's first.
+
+    Behind what led to it, or where what the model makes of the recorded drive is closest
+    to it. A recorder may count from elsewhere than the stamps say: they count where they
+    agree with that, or where it shows too little.
+    """
+    move, mean = desired - desired.mean(), desired.mean()
+    misfit = sliding_misfit(rows[1] - mean, move)
+    row = int(np.argmin(misfit))
+    led = _row_behind_lead(lead, desired.size, step, rows, row)
+    best = row if led is None else led
+    if stamped is None or stamped >= misfit.size:
+        return best
+    # what was learned may be as early
+    if abs(best - stamped) * step <= ACTUATOR_LAG:
+        return stamped
+    square = DRIVE_RESIDUAL * float(np.sum(move**2))
+    enough = min(MUCH_CLOSER * float(misfit[stamped]), square)
+    return best if led is not None or misfit[row] <= enough else stamped
+
+
+def _row_behind_lead(
+    lead: Lead, count: int, step: float, rows: Floats, row: int
+) -> int | None:
+    """Return the row behind what led to a move of so many rows; None: not recorded.
+
+    What was learned has changed the shape of the move, and moved it by some rows from
+    ``row``, where it begins by its shape.
+    """
+    voltage, modelled, _ = rows
+    close = ONE_DRIVE * lead.model.input.span
+    for _ in range(LEAD_TRIES):  # what leads to it depends on its first value
+        _, led, still = lead.planned(float(modelled[row]), step, None)
+        if not 0 < led.size <= voltage.size or np.ptp(led) <= close:
+            return None
+        misfit = sliding_misfit(voltage - led.mean(), led - led.mean())
+        begin = int(np.argmin(misfit))
+        tried, row = row, begin + led.size + still
+        if row + count > voltage.size:
+            return None
+        if row == tried:
+            return row if misfit[begin] <= led.size * close**2 else None
+    return None
+
+
+def _row_by_stamps(
+    name: str, time: Floats | None, first: float, step: float
+) -> int | None:
+    """Return the row at the time of the trajectory's first; None where no stamp is of that time.
+
+    Raises
+    ------
+    InputError
+        The clock has another rate, or a gap.
+    """
+    if time is None or time.size < 2:
         return None
-
-    def _row_by_stamps(self, name: str, time: Floats | None) -> int | None:
-        """Return the row at the time of the trajectory's first; None where no stamp is of that time.
-
-        Raises
-        ------
-        InputError
-            The clock has another rate, or a gap.
-        """
-        if time is None or time.size < 2:
-            return None
-        step, longest = step_of(time), float(np.diff(time).max())
-        other_rate = abs(step / self.step - 1.0) > RATE_SLACK
-        if other_rate or longest > LONG_STEP * step:
-            raise InputError(
-                f"{name}: {1.0 / max(step, 1e-300):.6g} Hz, longest step {longest:.4g} s, the "
-                f"trajectory {1.0 / self.step:.6g} Hz: record each row at its rate, or `resample` HZ"
-            )
-        begin = self.time[0] - 0.5 * self.step
-        if not time[0] - self.step <= begin <= time[-1]:
-            return None
-        return int(np.searchsorted(time, begin))
-
-    def _require_same_past(self, name: str, lead: Floats) -> None:
-        """Refuse a pass with a sweep before it for a drive without, or the other way round (InputError)."""
-        if lead.size < 2 or isinstance(self.lead.state, State):
-            return
-        low, high = self.lead.limits.sweep
-        span = high - low
-        extremes = lead[turns(lead, 0.1 * span)]
-        was_swept = float(np.abs(np.diff(extremes)).sum()) > SWEEP_TRAVEL * span
-        if was_swept == self.lead.condition:
-            return
-        how = "with" if was_swept else "without"
-        raise InputError(
-            f"{name}: recorded {how} a sweep before the move, which makes another past: record a pass of "
-            "this drive, or change `condition`"
+    longest = float(np.diff(time).max())
+    is_other = abs(step_of(time) / step - 1.0) > RATE_SLACK
+    if is_other or longest > LONG_STEP * step:
+        raise _not_this_move(
+            name, f"steps of {step_of(time):.6g} to {longest:.6g} s, not {step:.6g}"
         )
-
-    # --- refusals ---
-
-    def _require_same_move(self, name: str, modelled: Floats) -> None:
-        """Refuse a drive that asks for another shape, whatever its size, or for another mean (InputError)."""
-        shape = modelled - modelled.mean()
-        move = self.desired - self.desired.mean()
-        size = max(float(np.sum(shape * move) / np.sum(move * move)), 0.0)
-        mean = 0.0
-        if not self.absolute:
-            mean = float(modelled.mean() - self.desired.mean())
-        difference = math.hypot(rms(shape - size * move), mean)
-        if difference > ANOTHER_MOVE * rms(move):
-            unit = self.model.output.suffix
-            raise InputError(
-                f"{name}: its drive belongs to another trajectory, {difference:.3g}{unit} from this one "
-                f"(RMS; the move has {rms(move):.3g}{unit})"
-            )
-
-    def _require_no_growth(
-        self, name: str, errors: Sequence[float], rmse: float, cutoff: float
-    ) -> None:
-        """Refuse to go on when the error grew from those of the passes before (InputError)."""
-        if not errors:
-            return
-        best = min(errors)
-        allowed = min(GROWTH * errors[-1], FROM_BEST * best)
-        if rmse <= allowed:
-            return
-        number, unit = 1 + errors.index(best), self.model.output.suffix
-        raise InputError(
-            f"{name}: the error grew from {errors[-1]:.3g} to {rmse:.3g}{unit} RMS: check the "
-            f"sensor's scale, or learn from pass {number} ({best:.3g}) with `bandwidth` "
-            f"{0.5 * cutoff:.3g} (it was {cutoff:.3g} Hz)"
-        )
+    begin = first - 0.5 * step
+    if not time[0] - step <= begin <= time[-1]:
+        return None
+    return int(np.searchsorted(time, begin))
 
 
 def sliding_misfit(values: Floats, template: Floats) -> Floats:
@@ -395,20 +318,70 @@ def _resting_ends(learned: Floats, per_sample: float) -> Floats:
     return resting
 
 
-def _require_same_scale(name: str, modelled: Floats, measured: Floats) -> None:
-    """Refuse what was measured in another scale than the logs that the model comes from (InputError)."""
-    move = modelled - modelled.mean()
-    gain = float(move @ measured) / max(float(move @ move), 1e-300)
-    if 1.0 / OTHER_SCALE <= gain <= OTHER_SCALE:
+# --- refusals ---
+
+
+def _not_this_move(name: str, reason: str) -> InputError:
+    """Return the refusal of a recording that is not of this move."""
+    return InputError(
+        f"{name}: {reason}: record each row of a pass of this drive (other rates: `resample` HZ)"
+    )
+
+
+def _require_same_past(name: str, lead: Lead, before: Floats) -> None:
+    """Refuse a pass with a sweep before it for a drive without, or the other way round (InputError)."""
+    if before.size < 2 or isinstance(lead.state, State):
         return
-    spread = LEAST_CORRELATION * float(np.std(measured))
-    if abs(gain) * rms(move) <= spread + STANDS_STILL * rms(move):
-        raise InputError(
-            f"{name}: the displacement does not follow the drive: check columns, units and sensor"
+    low, high = lead.limits.sweep
+    extremes = before[turns(before, 0.1 * (high - low))]
+    travel = float(np.abs(np.diff(extremes)).sum())
+    if (travel > SWEEP_TRAVEL * (high - low)) != lead.condition:
+        how = "without" if lead.condition else "with"
+        raise _not_this_move(name, f"another past, {how} a sweep (`condition`)")
+
+
+def _require_same_move(
+    name: str, model: Cascade, desired: Floats, modelled: Floats, absolute: bool
+) -> None:
+    """Refuse a drive that asks for another shape, whatever its size, or for another mean (InputError)."""
+    move, shape = desired - desired.mean(), modelled - modelled.mean()
+    size = max(float(np.sum(shape * move) / np.sum(move * move)), 0.0)
+    mean = 0.0 if absolute else float(modelled.mean() - desired.mean())
+    difference = math.hypot(rms(shape - size * move), mean)
+    if difference > ANOTHER_MOVE * rms(move):
+        raise _not_this_move(
+            name,
+            f"its drive belongs to another trajectory, {difference:.3g} from this one (RMS; the move has "
+            f"{rms(move):.3g}{model.output.suffix})",
         )
+
+
+def _require_follows(name: str, modelled: Floats, measured: Floats) -> None:
+    """Refuse what follows the drive by chance, or in another scale than the model's logs (InputError)."""
+    move, response = modelled - modelled.mean(), measured - measured.mean()
+    square, product = float(move @ move), float(move @ measured)
+    gain = product / max(square, 1e-300)
+    likeness = product / max(math.sqrt(square * float(response @ response)), 1e-300)
+    in_scale = 1.0 / OTHER_SCALE <= gain <= OTHER_SCALE
+    if not in_scale or likeness < LEAST_CORRELATION:
+        raise InputError(
+            f"{name}: the displacement does not follow the drive as the model expects, {gain:.3g} times at a "
+            f"correlation of {likeness:.2g}: check columns, units and sensor; of another scale, type "
+            f"`scale` measured={1.0 / (gain or math.inf):.3g}, or identify with `prior`"
+        )
+
+
+def _require_no_growth(
+    name: str, errors: Sequence[float], rmse: float, cutoff: float
+) -> None:
+    """Refuse to go on when the error grew from those of the passes before (InputError)."""
+    best = min(errors, default=math.inf)
+    if not errors or rmse <= min(GROWTH * errors[-1], FROM_BEST * best):
+        return
     raise InputError(
-        f"{name}: the displacement is {gain:.3g} times what the model expects of this drive: if the sensor's "
-        f"scale is another, type `scale` measured={1.0 / gain:.3g}, else identify with `prior`"
+        f"{name}: the error grew from {errors[-1]:.3g} to {rmse:.3g} RMS: check the sensor's scale, or learn "
+        f"from pass {1 + errors.index(best)} ({best:.3g}) with `bandwidth` {0.5 * cutoff:.3g} (it was "
+        f"{cutoff:.3g} Hz)"
     )
 
 

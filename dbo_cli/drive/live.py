@@ -28,6 +28,11 @@ APPLIED_SPANS = 1e3
 """Likewise of an applied voltage."""
 
 
+# a planned sample: voltage, whether a limit held it, the amplifier's output, what is
+# wanted from now on, and what undoing remembers; a plain tuple, since a record takes time
+Planned = tuple[float, bool, float, Floats | None, Undoing | None]
+
+
 class Controller:
     """Drives an actuator sample by sample.
 
@@ -94,11 +99,7 @@ class Controller:
             state = dataclasses.replace(state, drive=self.last)
         self._begin = state
         self._stepper: Any = None
-        # what is planned, and not committed yet: attributes, since a record takes time
-        self._is_planned = False
-        self._voltage, self._is_clipped, self._output_planned = 0.0, False, 0.0
-        self._queue_planned: Floats | None = None
-        self._memory_planned: Undoing | None = None
+        self._plan: Planned | None = None  # and not committed yet
         # of a first row: the state before it, and that behind it, of an amplifier
         self._first: State | None = None
         self._first_run: State | None = None
@@ -109,24 +110,18 @@ class Controller:
         if model.amplifier is not None:
             self._share = float(model.amplifier.share(self._dt)[0])
         self._inverter = model.inverter(self._dt)
-        self.lookahead = self._samples_ahead(lookahead)
-        self._queue: Floats | None = None
-        self._memory: Undoing | None = None
-        if isinstance(self._begin, State):
-            self._memory = self._inverter.behind(self._begin)
-
-    def _samples_ahead(self, lookahead: float | Literal["auto"] | None) -> int:
-        """Return how many samples what is wanted is read ahead."""
-        needed = self._inverter.ahead
-        if lookahead == "auto":
-            return needed
-        samples = math.ceil((lookahead or 0.0) / self._dt - 1e-9)
-        if samples < needed:
+        needed = self.lookahead = self._inverter.ahead
+        if lookahead != "auto":
+            self.lookahead = math.ceil((lookahead or 0.0) / self._dt - 1e-9)
+        if self.lookahead < needed:
             raise UsageError(
                 f"`lookahead` {lookahead}: this model needs {needed * self._dt:.6g} s: give them, or "
                 '"auto", and plan that far ahead'
             )
-        return samples
+        self._queue: Floats | None = None
+        self._memory: Undoing | None = None
+        if isinstance(self._begin, State):
+            self._memory = self._inverter.behind(self._begin)
 
     @property
     def state(self) -> State | None:
@@ -149,10 +144,10 @@ class Controller:
         InputError
             What is wanted is no number, or absurdly far away; nothing is left to commit.
         """
-        self._is_planned = False
+        self._plan = None
         reach = self._model.output
         value = _number(wanted, "wanted", reach.min, reach.max, WANTED_SPANS)
-        target, self._queue_planned, self._memory_planned = self._undone(value)
+        target, queue, memory = self._undone(value)
         voltage, clipped, output = self._way_in(), True, 0.0
         if self._stepper is None:
             self._first_run = None
@@ -170,8 +165,7 @@ class Controller:
         else:
             output = self._follow(voltage)
         self._admit(voltage)
-        self._voltage, self._is_clipped, self._output_planned = voltage, clipped, output
-        self._is_planned = True
+        self._plan = voltage, clipped, output, queue, memory
         return voltage
 
     def commit(self, applied: float | None = None) -> None:
@@ -184,9 +178,9 @@ class Controller:
         InputError
             ``applied`` is no number, or absurdly far away; nothing has moved.
         """
-        if not self._is_planned:
+        if self._plan is None:
             raise UsageError("`commit`: nothing is planned (`plan` comes first)")
-        voltage, output = self._voltage, self._output_planned
+        voltage, clipped, output, queue, memory = self._plan
         if applied is not None:
             voltage = _number(applied, "applied", *self.limits.rating, APPLIED_SPANS)
             self._first_run = None
@@ -196,10 +190,14 @@ class Controller:
             if applied is not None:
                 output = self._follow(voltage)
             self._stepper.commit()
-        self.last, self._output = voltage, output
-        self._queue, self._memory = self._queue_planned, self._memory_planned
-        self.clipped += self._is_clipped
-        self._is_planned = False
+        self.last, self._output, self._queue, self._memory = (
+            voltage,
+            output,
+            queue,
+            memory,
+        )
+        self.clipped += clipped
+        self._plan = None
 
     def _set_out(self, voltage: float) -> float:
         """Commit the first voltage; return what comes out of the amplifier."""
@@ -289,7 +287,7 @@ class Controller:
 
 def _number(value: float, name: str, low: float, high: float, spans: float) -> float:
     """Return a value as a float; InputError where it is not a number, or too many ranges away."""
-    number: float = math.nan
+    number = math.nan
     if type(value) is float:
         number = value
     elif not isinstance(value, (bool, np.bool_, str, bytes)):

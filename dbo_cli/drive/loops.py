@@ -33,7 +33,6 @@ ONE_LOOP = 1e-9
 MOST_STARTS = 20
 # of the move: a loop that the model repeats further off than this is not settled
 LOOP_ERROR = 1e-6
-FEWEST_PERIOD_ROWS = 4  # of a period: fewer have no shape
 
 
 class Loop:
@@ -67,7 +66,7 @@ class Loop:
     Raises
     ------
     InputError
-        The period is too short, or does not close.
+        The period does not close.
     LimitError
         The loop does not close within the limits.
     UsageError
@@ -81,10 +80,6 @@ class Loop:
         if not is_count or not 0 <= passes * period.size <= MOST_SIGNAL_ROWS:
             raise UsageError(
                 f"`passes` {passes}: give a whole number, of at most {MOST_SIGNAL_ROWS:,} rows in all"
-            )
-        if period.size < FEWEST_PERIOD_ROWS:
-            raise InputError(
-                f"{name}: {period.size} rows are too few for a loop; give {FEWEST_PERIOD_ROWS} or more"
             )
         seam = open_seam(period)
         if seam:
@@ -165,8 +160,9 @@ class Loop:
         ``begin`` is where the amplifier stands.
         """
         dt, limits, passes = self.dt, self.limits, self.passes
-        seconds = self.lead.approach
-        if seconds is not None:
+        approach = self.lead.approach
+        if approach is not None:
+            seconds = approach if isinstance(approach, float) else None
             ascent = ramp(begin, float(period[0]), dt, seconds, limits)
             require_time(seconds, ascent.size * dt, dt)
             still = np.full(1 + self.lead.hold, begin)
@@ -208,9 +204,8 @@ class Loop:
     def _within_slew(self, voltage: Floats, last: float) -> Floats:
         """Return a drive whose rows follow ``last`` and one another within the slew limit."""
         largest_step = self.limits.largest_step(self.dt)
-        if largest_step is None:
-            return voltage
-        if (np.abs(np.diff(voltage, prepend=last)) <= largest_step).all():
+        change = np.abs(np.diff(voltage, prepend=last))
+        if largest_step is None or (change <= largest_step).all():
             return voltage
         largest_step *= 1.0 - 1e-15
         values = voltage.tolist()

@@ -53,8 +53,6 @@ class Due(NamedTuple):
     ----------
     target : array
         What the static part is to reach.
-    asked : array
-        What was asked for in these rows, and behind them as far as it is read ahead.
     desired, time : array
         Of the rows; no time without a clock.
     phase : {"move", "lead"}
@@ -64,7 +62,6 @@ class Due(NamedTuple):
     """
 
     target: Floats
-    asked: Floats
     desired: Floats
     time: Floats | None
     phase: str
@@ -121,7 +118,7 @@ class Ahead:
             asked = asked[desired.size :]
             inverter = self._model.inverter(self._dt)
             target, self._undoing = inverter.run(read, self._undoing)
-            blocks.append(Due(target, read, desired, time, phase, self._dt))
+            blocks.append(Due(target, desired, time, phase, self._dt))
         self._asked = asked
         return blocks
 

@@ -97,16 +97,13 @@ def low_pass(
         The cut-off is above half the sampling rate, or too low for it.
     """
     rate = 1.0 / dt
-    if not 0.0 < cutoff <= 0.5 * rate:
-        highest = rounded_down(0.5 * rate, 6)
+    lowest = 0.0 if loop else REACH * rate / MOST_SIGNAL_ROWS
+    if not lowest < cutoff <= 0.5 * rate:
         raise UsageError(
-            f"`bandwidth` {cutoff:g}: must be above 0 and at most half the sample rate, {highest:.6g}"
+            f"`bandwidth` {cutoff:g}: must be above {lowest:g} and at most half the sample rate, "
+            f"{rounded_down(0.5 * rate, 6):.6g}"
         )
     reach = 0 if loop else math.ceil(REACH * rate / cutoff)
-    if reach > MOST_SIGNAL_ROWS:
-        raise UsageError(
-            f"`bandwidth` {cutoff:g}: too low for a sample rate of {rate:.6g} Hz"
-        )
     signal = np.pad(x - x[0], reach, mode="edge")
     frequency = np.fft.rfftfreq(signal.size, dt)
     gain = 1.0 / (1.0 + (frequency / cutoff) ** (2 * order))

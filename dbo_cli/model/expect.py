@@ -76,17 +76,12 @@ def expected_error(
     for start in STARTS:
         past += _mean_square(simulated(model, start) - expected) / len(STARTS)
     memory = 0.0
-    if model.gears.relaxation is not None:
-        memory = _spread_of_memory(model, drive, steps, begin)
+    if (
+        model.gears.relaxation is not None
+    ):  # at rest elsewhere than at the first voltage
+        share, added = unknown_memory(model, drive, steps)
+        memory = share * _mean_square(added[begin:])
     return ExpectedError(math.sqrt(squares), math.sqrt(past), math.sqrt(memory))
-
-
-def _spread_of_memory(
-    model: Cascade, drive: Floats, dt: float | Floats | None, begin: int
-) -> float:
-    """Return the mean square of what memories add that rested elsewhere than at the first voltage."""
-    share, added = unknown_memory(model, drive, dt)
-    return share * _mean_square(added[begin:])
 
 
 def unknown_memory(

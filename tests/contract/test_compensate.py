@@ -75,30 +75,6 @@ def test_what_costs_much_is_refused_unless_asked_for():
         assert any("clip" in line for line in outcome.warnings)
 
 
-@pytest.mark.parametrize(
-    "limits", [("--v-max", 60), ("--v-max", 100, "--max-slew", 300)]
-)
-@pytest.mark.parametrize("name", ["creep", "bent"])
-def test_a_refusal_says_which_limits_let_the_move_pass(limits, name):
-    """Limits a little beyond those pass, also where a curve before the gears needs more slew."""
-    move(sine(5.0))
-    words = ("compensate", model(name), "wish.csv", "-o", "drive.csv")
-    told = refused(3, *words, *limits)
-    numbers = told.split("; it needs ")[1].split(":")[0]
-    high = float(numbers.split(" to ")[1].split()[0])
-    wider = ["--v-max", 1.001 * high]
-    if "V/s" in numbers:
-        wider += ["--max-slew", 1.01 * float(numbers.split(", ")[1].split()[0])]
-    done(*words, *wider, "--on-limit", "error")
-
-
-def test_what_a_late_row_needs_is_said_too():
-    rows = np.append(np.full(140_000, 3.0), sine(9.5))
-    write("wish.csv", MOVE, np.arange(len(rows)) / 1e3, rows)
-    told = refused(3, *SMALL, "--on-limit", "error", "-o", "x.csv")
-    assert "it needs 1 to 10.5 V" in told
-
-
 @pytest.mark.parametrize("start", ["--from 0 --state empty", "--state empty"])
 def test_a_jump_to_row_1_that_limits_forbid_is_answered_with_a_way_there(start):
     move(sine(5.0))
@@ -110,15 +86,7 @@ def test_a_jump_to_row_1_that_limits_forbid_is_answered_with_a_way_there(start):
     for way in ways:
         done(*words, *way.split())
         told = refused(3, *words, *way.split(), "--v-max", 1, "-o", "x.csv")
-        assert "a way to row 1" not in told and "--bandwidth HZ" in told
-
-
-def test_what_limits_cut_off_is_no_reason_to_identify_again():
-    move(sine(5.5, 0.5))
-    words = ("compensate", model("known"), "wish.csv", "--on-limit", "clip")
-    outcome = done(*words, "--v-max", 40, "-o", "drive.csv")
-    assert "clipped; the move misses" in outcome.err
-    assert "a straight line's" not in outcome.err
+        assert "--bandwidth HZ" in told
 
 
 def test_extrapolate_leaves_the_identified_range_as_far_as_typed():
@@ -201,7 +169,7 @@ def test_the_way_in_may_use_the_rating():
     assert voltage[lead].min() < 0.236 <= voltage[~lead].min()
     # from farther away, gears turn that no log has shown
     for outcome, warns in ((near, False), (done(*drives, 4.5), True)):
-        assert any("the way in" in line for line in outcome.lines) is warns
+        assert any("the logs from" in line for line in outcome.lines) is warns
 
 
 def test_rows_before_the_move_do_not_count_in_the_expected_error():
@@ -349,7 +317,6 @@ def test_the_error_to_expect_counts_what_a_low_pass_takes():
     reached = actuator.simulate(drive.voltage, time=drive.time)[drive.move]
     error = np.hypot(rms(reached - wanted), sharp.expected_error)
     assert drive.expected_error == pytest.approx(error, rel=0.02)
-    assert any("bandwidth" in note for note in drive.notes)
 
 
 def test_bandwidth_rounds_the_corners_and_resample_writes_at_the_card_s_rate():
