@@ -26,10 +26,9 @@ from dbo_cli.model.relaxation import Relaxation
 from dbo_cli.model.state import Run, State
 from dbo_cli.model.widths import (
     TABLE,
-    checked_pair,
+    axes,
     gear_table,
     kernel_table,
-    on_binary_grid,
     read_only,
 )
 
@@ -96,13 +95,10 @@ class Gears(Keyed):
         y0: float = 0.0,
         relaxation: Relaxation | None = None,
     ) -> None:
-        self.dx, self.dy = checked_pair(dx, dy)
-        self.x0 = float(x0)
-        self.y0 = float(y0)
+        self.dx, self.dy, widths, heights = axes(dx, dy)
+        self.x0, self.y0 = float(x0), float(y0)
         self.relaxation = relaxation
         self.n = int(self.dx.size)
-        widths = on_binary_grid("dx", self.dx)
-        heights = on_binary_grid("dy", self.dy)
         self.width = math.fsum(widths.tolist())
         self.height = math.fsum(heights.tolist())
         low, high = self.x0, self.x0 + self.width
