@@ -24,9 +24,8 @@ Axes = tuple[Floats, ...]
 RANGE_ROUNDING = 1e-8  # of the range: rounding reaches no further
 START = 2.0 / math.pi
 """Of a turn's rows: a start of so many reaches as far outside a line as a turn does, more gently than it."""
-FEWEST_CYCLE_ROWS = (
-    4  # of a line or cycle: a triangle of fewer has no rows between its turns
-)
+FEWEST_CYCLE_ROWS = 4
+"""Of a line or cycle: a triangle of fewer has no rows between its turns."""
 
 
 class Trajectory(NamedTuple):
@@ -131,9 +130,6 @@ def trajectory(
     axes = form.make(plan)
     noun = form.noun if plan.cycles > 1 else form.noun.removesuffix("s")
     note = f"{plan.cycles:,} {noun}, {plan.period / rate:.6g} s each"
-    if turn and form.lines:
-        flat = 1.0 - form.lines * turn / plan.period
-        note += f", {100.0 * flat:.3g} % of it linear"
     least, greatest = float(axes[0].min()), float(axes[0].max())
     if least < low or greatest > high:
         note += f", turns from {least:.6g} to {greatest:.6g}"
@@ -325,19 +321,18 @@ def _staircase(plan: _Plan) -> Axes:
 
 
 class _Shape(NamedTuple):
-    """How a shape is made, of what, what it needs and takes besides, and the straight lines in a period."""
+    """How a shape is made, of what, what it needs, and what it takes besides."""
 
     make: Callable[[_Plan], Axes]
     noun: str
     needed: tuple[str, ...]
     possible: tuple[str, ...] = ()
-    lines: int = 0
 
 
 SHAPES = {
-    "raster": _Shape(_raster, "lines", ("frequency", "lines"), ("loop",), 1),
+    "raster": _Shape(_raster, "lines", ("frequency", "lines"), ("loop",)),
     "spiral": _Shape(_spiral, "turns", ("frequency", "duration")),
     "staircase": _Shape(_staircase, "steps up and down", ("steps", "dwell")),
     "sine": _Shape(_sine, "cycles", ("frequency",), ("duration", "loop")),
-    "triangle": _Shape(_triangle, "cycles", ("frequency",), ("duration", "loop"), 2),
+    "triangle": _Shape(_triangle, "cycles", ("frequency",), ("duration", "loop")),
 }
