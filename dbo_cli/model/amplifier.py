@@ -33,7 +33,6 @@ class Amplifier(Keyed):
     """
 
     seconds: float
-    needs_time: ClassVar[bool] = True
     KEYS: ClassVar = {"seconds": above_0}
 
     @cached_property

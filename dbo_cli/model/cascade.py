@@ -167,7 +167,8 @@ class Cascade:
     @property
     def needs_time(self) -> bool:
         """Whether the time between samples matters."""
-        return any(stage.needs_time for stage in self.stages)
+        timed = self.amplifier, self.gears.relaxation, self.dynamics, self.delay
+        return any(stage is not None for stage in timed)
 
     @functools.cached_property
     def digest(self) -> str:

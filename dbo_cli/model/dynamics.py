@@ -310,7 +310,6 @@ class Dynamics(Keyed):
     """
 
     sections: tuple[Section, ...]
-    needs_time: ClassVar[bool] = True
     KEYS: ClassVar = {"sections": partial(listed, read=read_section)}
 
     def __post_init__(self) -> None:

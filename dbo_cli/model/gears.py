@@ -132,11 +132,6 @@ class Gears(Keyed):
         return rounding
 
     @property
-    def needs_time(self) -> bool:
-        """Whether the time between samples matters."""
-        return self.relaxation is not None
-
-    @property
     def equal_run(self) -> int:
         """How many neighbouring gears are equal, from every multiple of that number on.
 
@@ -221,7 +216,6 @@ class Gears(Keyed):
         ModelError
             The state is not of these gears.
         """
-        x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         return self._block(self.operator(extend), x, state, dt, None, None)
 
     def undo(
@@ -250,32 +244,26 @@ class Gears(Keyed):
         ModelError
             The state is not of these gears.
         """
-        y = np.ascontiguousarray(y, dtype=np.float64).reshape(-1)
         operator = self.operator(True, is_inverse=True)
         return self._block(operator, y, state, dt, window, slew)
 
     def _block(
         self,
         operator: tuple[Any, ...],
-        x: Floats,
+        signal: ArrayLike,
         state: State,
         dt: float | Floats,
         window: Range | None,
         slew: float | None,
     ) -> Run:
         """Run the kernel over a block; where no memory is known, the first sample is at rest."""
+        x = np.ascontiguousarray(signal, dtype=np.float64).reshape(-1)
         steps = decay = _NO_NUMBERS
         if window is not None and slew is not None:
             steps = np.array(largest_step(slew, dt), dtype=np.float64).reshape(-1)
         if self.relaxation is not None:
             decay = self.relaxation.decay(dt)
-        memories = np.zeros(self.gain.size)
-        if state.memory is not None:
-            memories = np.array(state.memory, dtype=np.float64)
-        if memories.size != self.gain.size:
-            raise ModelError(
-                f"state: has {memories.size} relaxation terms, the model {self.gain.size}"
-            )
+        memories = np.array(state.memory or np.zeros(self.gain.size))
         y = np.empty_like(x)
         words = self.words(state.bits)
         before = math.nan if state.drive is None else state.drive

@@ -21,8 +21,6 @@ from dbo_cli.model.widths import TABLE, axes, read_only
 class _Curve(Keyed):
     """A function of the present sample alone: what its kinds have in common as stages."""
 
-    needs_time: ClassVar[bool] = False
-
     def __call__(self, x: ArrayLike) -> Floats:
         """Return the output for one block."""
         raise NotImplementedError
