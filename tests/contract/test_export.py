@@ -117,7 +117,7 @@ def test_an_export_replaces_one_of_another_arithmetic_and_name():
     [
         ("soft", "--arithmetic q31", "relaxation.gain", "--arithmetic double"),
         ("creep", "--lookup --gears 12", "relaxation", "--relaxation 0"),
-        ("creep", "--lookup", "dx", "--gears 12"),
+        ("creep", "--lookup", "stages[0]", "--gears 12"),
     ],
 )
 def test_a_refusal_names_file_key_and_remedy(name, words, key, remedy):
