@@ -65,20 +65,17 @@ class DboModel:
     @property
     def parameters(self) -> int:
         """How many numbers were fitted: different slopes, knots, memories, an offset, dynamics, delay."""
-        gears = self.model.gears
+        model, gears = self.model, self.model.gears
         slopes = gears.dy / gears.dx
         slopes = np.unique(np.round(slopes / np.mean(slopes), 9))
-        count = len(slopes) + 1 + int(self.model.delay_seconds > 0.0)
-        if gears.relaxation is not None:
-            count += len(gears.relaxation.tau)
-        for stage in self.model.stages:
-            if isinstance(stage, Points):
-                count += stage.m - 1
-        if self.model.dynamics is not None:
-            for section in self.model.dynamics.sections:
-                # a lag may have no lead, a resonance no antiresonance
-                count += sum(bool(value) for value in vars(section).values())
-                count += int(getattr(section, "antiresonance", None) is not None)
+        count = len(slopes) + 1 + (model.delay is not None) + gears.gain.size
+        for curve in (*model.head, *model.tail):
+            if isinstance(curve, Points):
+                count += curve.m - 1
+        if model.dynamics is not None:
+            for section in model.dynamics.sections:
+                keys = section.keys()
+                count += len(keys) + ("antiresonance" in keys)  # which is two
         return count
 
 
@@ -114,8 +111,22 @@ def compare_operators(
         row: dict[str, Any] = dict.fromkeys(KEYS)
         row |= {"name": design.name, "words": design.words}
         rows.append(row)
+        model: Rival | DboModel
         try:
-            row |= results_of(design, problem, validation, skip)
+            if design.name == "dbo":  # also where it is no better than a line
+                model = DboModel(identify(logs, Options(skip=skip, force=True)))
+            else:
+                model = fit(design, problem)
+            rmse = fitted_error(model, problem)
+            forward, inverse = costs_of(model, logs[0])
+            row |= {
+                "rmse": rmse,
+                "expected_rmse": model.expected(rmse),
+                "validation_rmse": validation_error(model, validation, skip),
+                "parameters": model.parameters,
+                "forward_ns": forward,
+                "inverse_ns": inverse,
+            }
         except DboError as reason:
             row["refused"] = str(reason)
     return {
@@ -125,31 +136,6 @@ def compare_operators(
         "logs": [log.name for log in logs],
         "validation": [log.name for log in validation],
         "models": rows,
-    }
-
-
-def results_of(
-    design: Design,
-    problem: RivalProblem,
-    validation: Sequence[Recording],
-    skip: float,
-) -> dict[str, Any]:
-    """Fit one operator; return its errors, numbers and costs (DboError: it cannot be fitted)."""
-    logs = problem.logs
-    model: Rival | DboModel
-    if design.name == "dbo":  # also where it is no better than a line
-        model = DboModel(identify(logs, Options(skip=skip, force=True)))
-    else:
-        model = fit(design, problem)
-    rmse = fitted_error(model, problem)
-    forward, inverse = costs_of(model, logs[0])
-    return {
-        "rmse": rmse,
-        "expected_rmse": model.expected(rmse),
-        "validation_rmse": validation_error(model, validation, skip),
-        "parameters": model.parameters,
-        "forward_ns": forward,
-        "inverse_ns": inverse,
     }
 
 

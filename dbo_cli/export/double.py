@@ -73,11 +73,8 @@ def double_sources(plan: Plan, lookup: bool) -> c.Sources:
         numbers |= {"LOOKUP": "1", "SPARE": f"{starts.empty}U"}
     else:
         tables += _operator(plan, plan.gears.equal_run) + _fixed_step(plan)
-        numbers["SPARE"] = "0"
-        spare = c.words_of(starts.empty, plan.gears.n, 64)
-        if spare:
-            tables += c.array("uint64_t", "spare", spare)
-            numbers["SPARE"] = "spare"
+        text, numbers["SPARE"] = c.spare(starts.empty, plan.gears.n, 64)
+        tables += text
         sizes |= plan.sizes | {"GEARS_STATE": "dbo_backlash_state"}
     runs = plan.runs(plan.empty)
     return c.Sources(kernel, runs, c.real, c.real, tables, numbers, sizes)
@@ -162,21 +159,12 @@ def _fixed_step(plan: Plan) -> str:
 
 
 def _lookup_table(plan: Plan) -> str:
-    """Return the table of all states of the gears.
-
-    Raises
-    ------
-    ModelError
-        There are too many gears, or a memory beside them.
-    """
+    """Return the table of all states of the gears (ModelError: too many, or a memory beside them)."""
     n = plan.gears.n
-    if n > MOST_LOOKUP_GEARS:
+    if n > MOST_LOOKUP_GEARS or plan.gears.gain.size:
         raise ModelError(
-            f"{plan.key}.dx: {n} gears: `lookup` takes `gears` {MOST_LOOKUP_GEARS} at most"
-        )
-    if plan.gears.gain.size:
-        raise ModelError(
-            f"{plan.key}.relaxation: not possible with `lookup`: identify with `relaxation` 0"
+            f"{plan.key}: `lookup` takes `gears` {MOST_LOOKUP_GEARS} at most, and no relaxation (identify "
+            "with `relaxation` 0)"
         )
     states = np.arange(2**n)
     engaged = (states[:, None] >> np.arange(n) & 1).astype(np.float64)

@@ -30,7 +30,7 @@ def write_folder(
     manifest = {"format": "dbo-export", "version": 1, **figures, "files": names}
     target, older = Path(folder), set()
     if target.is_dir():
-        older = _files_of_export(target, [*names, f"{figures['name']}_test"])
+        older = _files_of_export(target)
     contents = {**files, MANIFEST: json_text(manifest)}
     write_all(folder, {name: data.encode() for name, data in contents.items()})
     with telling(folder):
@@ -38,15 +38,16 @@ def write_folder(
             (target / name).unlink()
 
 
-def _files_of_export(target: Path, names: list[str]) -> set[str]:
-    """Return what is in a folder; refuse more than ``names``, an older export's and object files."""
+def _files_of_export(target: Path) -> set[str]:
+    """Return what is in the folder of an older export; refuse what is neither its nor built from it."""
+    names: set[str] = set()
     with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
         manifest = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
         if manifest["format"] == "dbo-export":
-            names = [*names, *manifest["files"], f"{manifest['name']}_test"]
+            names = {*manifest["files"], f"{manifest['name']}_test"}
     present = set(os.listdir(target))
-    for name in sorted(present):
-        if name not in names and not name.endswith(".o"):
+    for name in sorted(present - names):
+        if not name.endswith(".o"):
             raise OutputError(
                 f"{target}: holds '{name}', which is not of an export: choose another folder"
             )

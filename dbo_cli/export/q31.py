@@ -41,8 +41,9 @@ def q31_sources(plan: Plan) -> c.Sources:
     text += f"{curves}static const dboq_limits limits = {{{limits}}};\n"
     first = plan.forward.head.value(plan.first_drive)
     output = min(max(drive.count(plan.first_drive), low), high)
+    spare, numbers["SPARE"] = c.spare(starts.empty, gears.n, 32)
+    text += spare
     numbers |= {
-        "SPARE": "0",
         "COVERED": f"{starts.covered}U",
         "FIRST_AT_GEARS": c.whole(round((first - gears.x0) / whole.y_axis.unit)),
         "FIRST_DRIVE": c.whole(output),
@@ -57,10 +58,6 @@ def q31_sources(plan: Plan) -> c.Sources:
         "OUT_SCALE": repr(drive.unit),
         "FRACTION": f"{bounds['fraction']:.2g}",
     }
-    spare = c.words_of(starts.empty, gears.n, 32)
-    if spare:
-        text += c.array("uint32_t", "spare", spare)
-        numbers["SPARE"] = "spare"
     if change is not None:
         numbers["CHANGE"] = c.whole(change)
     if plan.delay_part:

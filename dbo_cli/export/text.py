@@ -99,10 +99,11 @@ def array(kind: str, name: str, rows: Iterable[Any], constant: Constant = str) -
     return f"static const {kind} {name}[{len(items)}] = {{\n{body}}};\n"
 
 
-def words_of(bits: int, gears: int, width: int) -> list[str]:
-    """Return the bits of gears as C constants of ``width`` bits; empty where none is set."""
+def spare(bits: int, gears: int, width: int) -> tuple[str, str]:
+    """Return the bits of gears as an array of words of ``width`` bits, and its name; 0 where none is set."""
     if not bits:
-        return []
+        return "", "0"
     mask = (1 << width) - 1
     form = "UINT64_C(0x{:x})" if width == 64 else "0x{:x}U"
-    return [form.format(bits >> k & mask) for k in range(0, gears, width)]
+    words = [form.format(bits >> k & mask) for k in range(0, gears, width)]
+    return array(f"uint{width}_t", "spare", words), "spare"

@@ -16,7 +16,7 @@ import numpy as np
 
 from dbo_cli.arrays import Floats, Range
 from dbo_cli.errors import InputError
-from dbo_cli.model.fields import Keyed, number, require_above_0
+from dbo_cli.model.fields import Keyed, above_0
 from dbo_cli.model.points import Curves
 from dbo_cli.model.relaxation import Relaxation
 from dbo_cli.model.state import Run, State
@@ -30,20 +30,10 @@ class Amplifier(Keyed):
     ----------
     seconds : float
         Its time constant, > 0.
-
-    Raises
-    ------
-    ModelError
-        ``seconds`` is not a finite time above 0.
     """
 
     seconds: float
-    needs_time: ClassVar[bool] = True
-    KEYS: ClassVar = {"seconds": number}
-
-    def __post_init__(self) -> None:
-        """Refuse what is not a time."""
-        require_above_0("seconds", self.seconds)
+    KEYS: ClassVar = {"seconds": above_0}
 
     @cached_property
     def _lag(self) -> Relaxation:

@@ -31,7 +31,6 @@ from dbo_cli.model.amplifier import (
 )
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics, Inverter
-from dbo_cli.model.fields import require_above_0
 from dbo_cli.model.gears import NEGLIGIBLE, Gears, largest_step
 from dbo_cli.model.points import Curve, Curves, Points, Scale
 from dbo_cli.model.start import Starts
@@ -50,25 +49,6 @@ _TIME_IS_NEEDED = "this model needs a clock: add `time` COLUMN or `sample_rate` 
 
 # what undoes dynamics and delay; a stream asks for it at every block
 _inverter = functools.lru_cache(maxsize=8)(Inverter)
-# the order in which a signal passes the kinds of stages
-_RANKS = {Amplifier: 0, Points: 1, Scale: 1, Gears: 1, Dynamics: 2, Delay: 3}
-
-
-def require_order(stages: Sequence[Stage]) -> None:
-    """Refuse stages that are no model (ModelError).
-
-    At most one amplifier comes first, then curves around one stage of gears, then at most
-    one dynamics and at most one delay.
-    """
-    kinds = [type(stage) for stage in stages]
-    ranks = [_RANKS[kind] for kind in kinds]
-    is_single = all(kinds.count(kind) <= 1 for kind in (Amplifier, Dynamics, Delay))
-    if kinds.count(Gears) == 1 and is_single and ranks == sorted(ranks):
-        return
-    raise ModelError(
-        "stages: wrong order; one amplifier, points and scales around one backlash, one "
-        "dynamics, one delay (inverse: mirrored)"
-    )
 
 
 def _curves(stages: Sequence[Stage]) -> Curves:
@@ -88,11 +68,6 @@ class Candidate:
     weight: float
     stages: tuple[Stage, ...]
 
-    def __post_init__(self) -> None:
-        """Refuse a weight that is not above 0, and stages that are no model."""
-        require_above_0("weight", self.weight)
-        require_order(self.stages)
-
 
 @dataclass(eq=False)
 class Cascade:
@@ -105,7 +80,8 @@ class Cascade:
     input, output : Quantity
         What goes in and comes out; the output's range is what the model reaches slowly.
     stages : tuple of Amplifier, Gears, Points, Scale, Dynamics or Delay
-        From voltage to displacement, whatever the direction.
+        From voltage to displacement, whatever the direction: at most one amplifier, curves
+        around the gears, at most one dynamics and at most one delay.
     fit : mapping
         Figures of the identification.
     candidates : tuple of Candidate
@@ -127,11 +103,6 @@ class Cascade:
         The dynamics.
     delay : Delay, or None
         The delay; None where it is 0.
-
-    Raises
-    ------
-    ModelError
-        The cascade is not of that form; the message begins with the key.
     """
 
     direction: Direction
@@ -150,8 +121,7 @@ class Cascade:
     delay: Delay | None = field(init=False)
 
     def __post_init__(self) -> None:
-        """Check the cascade, and name its stages."""
-        require_order(self.stages)
+        """Name the stages."""
         kinds: dict[type[Stage], Any] = {type(stage): stage for stage in self.stages}
         self.gears = kinds[Gears]
         self.amplifier = kinds.get(Amplifier)
@@ -161,10 +131,6 @@ class Cascade:
         index = self.stages.index(self.gears)
         self.head = _curves(self.stages[:index])
         self.tail = _curves(self.stages[index:])
-        if len(self.candidates) > MOST_CANDIDATES:
-            raise ModelError(
-                f"candidates: {len(self.candidates)} are more than {MOST_CANDIDATES}"
-            )
 
     # ---- what it is ----
 
@@ -201,7 +167,8 @@ class Cascade:
     @property
     def needs_time(self) -> bool:
         """Whether the time between samples matters."""
-        return any(stage.needs_time for stage in self.stages)
+        timed = self.amplifier, self.gears.relaxation, self.dynamics, self.delay
+        return any(stage is not None for stage in timed)
 
     @functools.cached_property
     def digest(self) -> str:
@@ -526,8 +493,8 @@ class Cascade:
     ) -> Run:
         """Return the drive before an amplifier, whose limits reach through amplifier, head and gears.
 
-        Rows are undone as if there were no limits; from the first one on that a limit may
-        hold back, each is undone within its own window.
+        A block is undone as if there were no limits; where one may hold a row back, each
+        row is undone within its own window.
         """
         assert self.amplifier is not None
         before, shares = self.amplifier.shares(state, dt, output.size)
@@ -546,56 +513,20 @@ class Cascade:
         held = _outside(free.y, *limits) | _outside(at_gears.y, *np.sort(ends, axis=0))
         if not held.any():
             return free
-        first = int(np.argmax(held))
         steps = np.broadcast_to(dt, output.shape)
-        if first:
-            begin = dt[:first] if isinstance(dt, np.ndarray) else dt
-            state = self._undo_amplified(output[:first], state, begin, None, None).state
-        limited = self._undo_by_rows(
-            output[first:],
-            state,
-            steps[first:],
-            shares[first:],
-            changes[first:],
-            window,
-        )
-        drive = np.append(free.y[:first], limited.y)
-        first_clipped = first + limited.first_clipped
-        return limited._replace(y=drive, first_clipped=first_clipped)
-
-    def _undo_by_rows(
-        self,
-        output: Floats,
-        state: State,
-        steps: Floats,
-        shares: Floats,
-        changes: Floats,
-        window: Range,
-    ) -> Run:
-        """Return the drive before an amplifier, each row within its own window.
-
-        Parameters
-        ----------
-        steps : array of shape (n,)
-            Seconds since the row before.
-        shares : array of shape (n,)
-            1 - a of the amplifier.
-        changes : array of shape (n,)
-            Largest changes of the drive.
-        """
         drive = np.empty_like(output)
         clipped = first_clipped = 0
         for row in range(output.size):
             last = math.nan if state.drive is None else state.drive
             low, high = allowed_drive(last, changes[row], window)
-            amplified = state.amplifier or 0.0
-            limits = amplified, float(shares[row]), float(low), float(high)
-            inner = window_behind(self.head, *limits)
+            inner_output = state.amplifier or 0.0
+            row_limits = inner_output, float(shares[row]), float(low), float(high)
+            inner = window_behind(self.head, *row_limits)
             step = float(steps[row])
             solved = self.gears.undo(output[row : row + 1], state, step, inner)
-            voltage, amplified = drive_before(self.head, float(solved.y[0]), *limits)
-            drive[row] = voltage
-            state = replace(solved.state, amplifier=amplified, drive=voltage)
+            voltage = float(solved.y[0])
+            drive[row], reached = drive_before(self.head, voltage, *row_limits)
+            state = replace(solved.state, amplifier=reached, drive=float(drive[row]))
             if solved.clipped and not clipped:
                 first_clipped = row
             clipped += solved.clipped

@@ -68,7 +68,6 @@ class Delay(Keyed):
     """
 
     seconds: float
-    needs_time: ClassVar[bool] = True
     KEYS: ClassVar = {"seconds": number}
 
     def __post_init__(self) -> None:

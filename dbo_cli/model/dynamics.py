@@ -38,7 +38,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.delay import BEFORE, Delay
-from dbo_cli.model.fields import Keyed, listed, notes, number, require_above_0
+from dbo_cli.model.fields import Keyed, above_0, listed, magnitude, notes, number
 from dbo_cli.model.relaxation import checked_steps
 from dbo_cli.model.state import Run, SectionStates, State, Undoing
 
@@ -69,12 +69,10 @@ class Mode(Keyed):
 
     frequency: float
     damping: float
-    KEYS: ClassVar = {"frequency": number, "damping": number}
-
-    def __post_init__(self) -> None:
-        """Refuse numbers out of range, naming the key."""
-        require_above_0("frequency", self.frequency)
-        require_above_0("damping", self.damping, 1.0)
+    KEYS: ClassVar = {
+        "frequency": above_0,
+        "damping": partial(number, above=0.0, below=1.0),
+    }
 
 
 @dataclass(frozen=True)
@@ -158,15 +156,14 @@ class Lag(Keyed):
 
     lag: float
     lead: float = 0.0
-    KEYS: ClassVar = {"lag": number, "lead": number}
+    KEYS: ClassVar = {"lag": above_0, "lead": magnitude}
     OPTIONAL: ClassVar = ("lead",)
 
     def __post_init__(self) -> None:
-        """Refuse numbers out of range, naming the key."""
-        require_above_0("lag", self.lag)
-        if not 0.0 <= self.lead < self.lag:
+        """Refuse a lead that is no lag, naming the key."""
+        if self.lead >= self.lag:
             raise ModelError(
-                f"lead: {self.lead!r} is not from 0 to less than the lag of {self.lag!r} s"
+                f"lead: {self.lead!r} is not less than the lag of {self.lag!r} s"
             )
 
     @property
@@ -313,7 +310,6 @@ class Dynamics(Keyed):
     """
 
     sections: tuple[Section, ...]
-    needs_time: ClassVar[bool] = True
     KEYS: ClassVar = {"sections": partial(listed, read=read_section)}
 
     def __post_init__(self) -> None:

@@ -13,6 +13,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -27,7 +28,8 @@ Reader = Callable[[Any, str], Any]
 
 VERSION = 1
 STANDARD_INPUT = "standard input"  # what messages call ``-``
-LARGEST = 1e60  # of every number: products of five of them are still within float64
+# every number is below: 1e60 at most, products of five of them are still within float64
+LARGEST = math.nextafter(1e60, math.inf)
 # a file of some bytes must not ask for more memory than a machine has
 MOST_WIDTHS = 1_000_000
 SHOWN = 40  # characters of a value in a message
@@ -149,29 +151,24 @@ def shown(value: object) -> str:
     return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
 
 
-def number(value: Any, path: str) -> float:
-    """Return a finite number."""
+def number(
+    value: Any, path: str, above: float = -LARGEST, below: float = LARGEST
+) -> float:
+    """Return a number between two others."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not -LARGEST <= value <= LARGEST:
+    if not is_number or not above < value < below:
         raise ModelError(
-            f"{path}: {shown(value)} is not a finite number up to {LARGEST:g}"
+            f"{path}: {shown(value)} is not a number between {above:g} and {below:g}"
         )
     return float(value)
 
 
-def require_above_0(key: str, value: float, largest: float = math.inf) -> None:
-    """Refuse a number that is not between 0 and ``largest`` (ModelError that begins with the key)."""
-    if math.isfinite(value) and 0.0 < value < largest:
-        return
-    bound = "greater than 0" if largest == math.inf else f"between 0 and {largest:g}"
-    raise ModelError(f"{key}: {value!r} is not a finite number {bound}")
+above_0 = partial(number, above=0.0)
 
 
 def magnitude(value: Any, path: str) -> float:
-    """Return a finite number of at least 0: an error, a duration."""
-    if number(value, path) < 0.0:
-        raise ModelError(f"{path}: {shown(value)} is not a number of at least 0")
-    return abs(float(value))
+    """Return a number of at least 0: an error, a duration."""
+    return above_0(value, path) if value else abs(number(value, path))
 
 
 def interval(value: Any, path: str) -> Range:
@@ -225,15 +222,15 @@ def widths(items: Any, path: str) -> list[float]:
     values: list[float] = []
 
     def read(item: Any, path: str) -> None:
-        count, value = 1, item
+        run = {"repeat": 1, "value": item}
         if isinstance(item, dict):
-            run = build(dict, item, path, repeat=lambda count, _: count, value=number)
-            count, value = run["repeat"], run["value"]
+            run = build(dict, item, path, repeat=lambda count, _: count, value=above_0)
+        count = run["repeat"]
         if type(count) is not int or not 1 <= count <= MOST_WIDTHS - len(values):
             raise ModelError(
                 f"{path}.repeat: is not a whole number from 1 on, or more than {MOST_WIDTHS:,} widths in all"
             )
-        values.extend([number(value, path)] * count)
+        values.extend([above_0(run["value"], path)] * count)
 
     listed(items, path, read)
     return values

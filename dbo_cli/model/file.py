@@ -8,19 +8,26 @@ an actuator was left, so that the next run goes on from there.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
 from functools import partial
-from itertools import chain, groupby, pairwise
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
 from dbo_cli.errors import ModelError, prefixed
 from dbo_cli.model import fields
 from dbo_cli.model.amplifier import Amplifier
-from dbo_cli.model.cascade import Candidate, Cascade, Direction, Stage
+from dbo_cli.model.cascade import (
+    MOST_CANDIDATES,
+    Candidate,
+    Cascade,
+    Direction,
+    Stage,
+)
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics
-from dbo_cli.model.fields import VERSION, Json, build, number, number_list
+from dbo_cli.model.fields import VERSION, Json, Reader, build, number, number_list
 from dbo_cli.model.gears import Gears
 from dbo_cli.model.points import Points, Scale
 from dbo_cli.model.state import KEPT_STARTS, START_NAMES, Held, Quantity, State
@@ -38,6 +45,10 @@ KINDS: dict[str, type[Stage]] = {
     "delay": Delay,
 }
 TYPES = {stage: name for name, stage in KINDS.items()}
+ORDER = re.compile(
+    "(amplifier )?((point|scale) )*backlash ((point|scale) )*(dynamics )?(delay )?"
+)
+"""Of the stages from voltage to displacement."""
 _EXCHANGED = {"x0": "y0", "y0": "x0", "dx": "dy", "dy": "dx"}
 _SIDES: dict[Direction, str] = {"forward": "input", "inverse": "output"}
 """On which side of the gears the voltage is, by the direction of a file."""
@@ -130,9 +141,11 @@ def _model(values: Any, path: str) -> Cascade:
         direction = "inverse"
 
     def candidate(values: Any, path: str) -> Any:
-        return build(Candidate, values, path, weight=number, stages=_stages)
+        return build(Candidate, values, path, weight=fields.above_0, stages=_stages)
 
     def cascade(past: str = "settled", **keys: Any) -> Cascade:
+        if len(keys.get("candidates", ())) > MOST_CANDIDATES:
+            raise ModelError(f"candidates: are more than {MOST_CANDIDATES}")
         return Cascade(**keys, auto_start=past)
 
     model: Cascade = build(
@@ -165,7 +178,14 @@ def _stages(
 ) -> tuple[Stage, ...]:
     """Return stages from voltage to displacement; those of an inverse model stand mirrored in its file."""
     stages = fields.listed(values, path, partial(_stage, direction=direction))
-    return stages if direction == "forward" else stages[::-1]
+    if direction == "inverse":
+        stages = stages[::-1]
+    if ORDER.fullmatch("".join(f"{TYPES[type(stage)]} " for stage in stages)):
+        return stages
+    raise ModelError(
+        f"{path}: wrong order; one amplifier, points and scales around one backlash, one "
+        "dynamics, one delay (inverse: mirrored)"
+    )
 
 
 def _stage(values: Any, path: str, direction: Direction) -> Any:
@@ -305,56 +325,64 @@ def read_state(path: str, model: Cascade) -> State:
 
 def parse_state(values: object, model: Cascade, name: str = "the state") -> State:
     """Return the state that JSON values describe (ModelError: they do not, or it is another model's)."""
+    gears, delay = model.gears, model.delay
+    count = 0 if model.dynamics is None else len(model.dynamics.sections)
+
+    def sized(size: int) -> Reader:
+        fits = _fitting(number_list, lambda numbers: len(numbers) == size)
+        return fields.unless_null(fits)
+
+    def is_held(held: Held) -> bool:
+        times, samples = held
+        is_even = 0 < len(times) == len(samples)
+        return delay is not None and is_even and sorted(times) == list(times)
+
+    readers: dict[str, Reader] = {
+        "model": _fitting(fields.text, lambda digest: digest == model.digest),
+        "gears": _fitting(number, lambda n: n == gears.n),
+        "bits": _fitting(_bits, lambda bits: 0 <= bits < 1 << gears.n),
+        "memory": sized(gears.gain.size),
+        "time": fields.unless_null(number),
+        "drive": fields.unless_null(number),
+        "sections": sized(3 * count),
+        "delay": fields.unless_null(_fitting(_held, is_held)),
+    }
+    if model.amplifier is not None:
+        readers["amplifier"] = fields.unless_null(number)
     with prefixed(name):
-        values = fields.contents(values, "", STATE_FORMAT, "a state")
-        amplifier = {}
-        if model.amplifier is not None:
-            amplifier["amplifier"] = fields.unless_null(number)
-        parts = build(
-            dict,
-            values,
-            "",
-            model=fields.text,
-            gears=number,
-            bits=fields.text,
-            memory=fields.unless_null(number_list),
-            time=fields.unless_null(number),
-            drive=fields.unless_null(number),
-            sections=fields.unless_null(number_list),
-            delay=fields.unless_null(_held),
-            **amplifier,
-        )
-        if parts["model"] != model.digest:
+        content = fields.contents(values, "", STATE_FORMAT, "a state")
+        keys = build(dict, content, "", **readers)
+    flat = keys["sections"]
+    if flat is not None:
+        keys["sections"] = tuple(zip(flat[::3], flat[1::3], flat[2::3], strict=True))
+    del keys["gears"]
+    return State(**keys)
+
+
+def _fitting(read: Reader, is_fitting: Callable[[Any], bool]) -> Reader:
+    """Return a reader that refuses what a state of the model does not have."""
+
+    def fitting(value: Any, path: str) -> Any:
+        content = read(value, path)
+        if not is_fitting(content):
             raise ModelError(
-                "model: the state belongs to another model: save it again with this one"
+                f"{path}: the state belongs to another model: save it again with this one"
             )
-        digits = parts["bits"]
-        is_hexadecimal = bool(digits) and not set(digits) - set("0123456789abcdef")
-        parts["bits"] = int(digits, 16) if is_hexadecimal else -1
-        _require_fitting(parts, model)
-        flat = parts["sections"]
-        if flat is not None:
-            parts["sections"] = tuple(
-                zip(flat[::3], flat[1::3], flat[2::3], strict=True)
-            )
-        del parts["gears"]
-        return State(**parts)
+        return content
+
+    return fitting
 
 
-def _require_fitting(keys: Json, model: Cascade) -> None:
-    """Refuse (ModelError) keys of a state that do not fit a model."""
-    gears, held = model.gears.n, keys["delay"]
-    section_count = 0 if model.dynamics is None else len(model.dynamics.sections)
-    counts = {"memory": model.gears.gain.size, "sections": 3 * section_count}
-    fits = {"gears": keys["gears"] == gears, "bits": 0 <= keys["bits"] < 1 << gears}
-    for key, count in counts.items():
-        fits[key] = keys[key] is None or len(keys[key]) == count
-    if held is not None:
-        fits["delay"] = model.delay is not None and 0 < len(held[0]) == len(held[1])
-        fits["delay.times"] = all(a <= b for a, b in pairwise(held[0]))
-    for key, is_right in fits.items():
-        if not is_right:
-            raise ModelError(f"{key}: is none of this model: save the state again")
+def _bits(value: Any, path: str) -> int:
+    """Return the bits of gears; below 0 where they are not hexadecimal."""
+    digits = fields.text(value, path)
+    return int(digits, 16) if re.fullmatch("[0-9a-f]+", digits) else -1
+
+
+def _held(value: Any, path: str) -> Held:
+    """Return what a delay held back."""
+    held = build(dict, value, path, times=number_list, values=number_list)
+    return held["times"], held["values"]
 
 
 def state_of(state: State | str | Path, model: Cascade) -> State | str:
@@ -375,9 +403,3 @@ def state_of(state: State | str | Path, model: Cascade) -> State | str:
         )
     name = str(state)
     return name if name in START_NAMES else read_state(name, model)
-
-
-def _held(values: Any, path: str) -> Held:
-    """Return what a delay held back."""
-    held = build(dict, values, path, times=number_list, values=number_list)
-    return held["times"], held["values"]

@@ -26,10 +26,9 @@ from dbo_cli.model.relaxation import Relaxation
 from dbo_cli.model.state import Run, State
 from dbo_cli.model.widths import (
     TABLE,
-    checked_pair,
+    axes,
     gear_table,
     kernel_table,
-    on_binary_grid,
     read_only,
 )
 
@@ -96,13 +95,10 @@ class Gears(Keyed):
         y0: float = 0.0,
         relaxation: Relaxation | None = None,
     ) -> None:
-        self.dx, self.dy = checked_pair(dx, dy)
-        self.x0 = float(x0)
-        self.y0 = float(y0)
+        self.dx, self.dy, widths, heights = axes(dx, dy)
+        self.x0, self.y0 = float(x0), float(y0)
         self.relaxation = relaxation
         self.n = int(self.dx.size)
-        widths = on_binary_grid("dx", self.dx)
-        heights = on_binary_grid("dy", self.dy)
         self.width = math.fsum(widths.tolist())
         self.height = math.fsum(heights.tolist())
         low, high = self.x0, self.x0 + self.width
@@ -134,11 +130,6 @@ class Gears(Keyed):
         with np.errstate(over="ignore", divide="ignore"):
             rounding: Floats = np.maximum(scale_x / widths, scale_y / apart_y)
         return rounding
-
-    @property
-    def needs_time(self) -> bool:
-        """Whether the time between samples matters."""
-        return self.relaxation is not None
 
     @property
     def equal_run(self) -> int:
@@ -225,7 +216,6 @@ class Gears(Keyed):
         ModelError
             The state is not of these gears.
         """
-        x = np.ascontiguousarray(x, dtype=np.float64).reshape(-1)
         return self._block(self.operator(extend), x, state, dt, None, None)
 
     def undo(
@@ -254,32 +244,26 @@ class Gears(Keyed):
         ModelError
             The state is not of these gears.
         """
-        y = np.ascontiguousarray(y, dtype=np.float64).reshape(-1)
         operator = self.operator(True, is_inverse=True)
         return self._block(operator, y, state, dt, window, slew)
 
     def _block(
         self,
         operator: tuple[Any, ...],
-        x: Floats,
+        signal: ArrayLike,
         state: State,
         dt: float | Floats,
         window: Range | None,
         slew: float | None,
     ) -> Run:
         """Run the kernel over a block; where no memory is known, the first sample is at rest."""
+        x = np.ascontiguousarray(signal, dtype=np.float64).reshape(-1)
         steps = decay = _NO_NUMBERS
         if window is not None and slew is not None:
             steps = np.array(largest_step(slew, dt), dtype=np.float64).reshape(-1)
         if self.relaxation is not None:
             decay = self.relaxation.decay(dt)
-        memories = np.zeros(self.gain.size)
-        if state.memory is not None:
-            memories = np.array(state.memory, dtype=np.float64)
-        if memories.size != self.gain.size:
-            raise ModelError(
-                f"state: has {memories.size} relaxation terms, the model {self.gain.size}"
-            )
+        memories = np.array(state.memory or np.zeros(self.gain.size))
         y = np.empty_like(x)
         words = self.words(state.bits)
         before = math.nan if state.drive is None else state.drive

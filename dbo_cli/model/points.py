@@ -15,13 +15,11 @@ from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.fields import Keyed, number
 from dbo_cli.model.state import Run, State
-from dbo_cli.model.widths import TABLE, checked_pair, on_binary_grid, read_only
+from dbo_cli.model.widths import TABLE, axes, read_only
 
 
 class _Curve(Keyed):
     """A function of the present sample alone: what its kinds have in common as stages."""
-
-    needs_time: ClassVar[bool] = False
 
     def __call__(self, x: ArrayLike) -> Floats:
         """Return the output for one block."""
@@ -54,11 +52,9 @@ class Points(_Curve):
     def __init__(
         self, dx: ArrayLike, dy: ArrayLike, x0: float = 0.0, y0: float = 0.0
     ) -> None:
-        self.dx, self.dy = checked_pair(dx, dy)
+        self.dx, self.dy, widths, heights = axes(dx, dy)
         self.x0, self.y0 = float(x0), float(y0)
         self.m = int(self.dx.size)
-        widths = on_binary_grid("dx", self.dx)
-        heights = on_binary_grid("dy", self.dy)
         x = np.concatenate([[0.0], np.cumsum(widths)])
         y = np.concatenate([[0.0], np.cumsum(heights)])
         self.x_range = (self.x0, self.x0 + float(x[-1]))

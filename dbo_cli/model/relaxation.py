@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import ClassVar
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import kernel
-from dbo_cli.model.fields import Keyed, number, number_list, require_above_0
+from dbo_cli.model.fields import Keyed, above_0, listed, number, number_list
 
 LEAST_SLOPE_LEFT = 0.03
 """Of the mean slope: what the negative gains must leave of every slope. At 0.1 % a wish with 1e-4 um of noise
@@ -55,18 +55,18 @@ class Relaxation(Keyed):
     reference: float
     tau: tuple[float, ...]
     gain: tuple[float, ...]
-    KEYS: ClassVar = {"reference": number, "tau": number_list, "gain": number_list}
+    KEYS: ClassVar = {
+        "reference": number,
+        "tau": partial(listed, read=above_0),
+        "gain": number_list,
+    }
 
     def __post_init__(self) -> None:
         """Refuse what no actuator has, naming the key."""
-        if not self.tau:
-            raise ModelError("tau: is empty; leave relaxation out instead")
-        if len(self.tau) != len(self.gain):
+        if not 0 < len(self.tau) == len(self.gain):
             raise ModelError(
-                f"gain: has {len(self.gain)} entries where tau has {len(self.tau)}"
+                f"gain: has {len(self.gain)} entries where tau has {len(self.tau)}, and 1 is the least"
             )
-        for index, tau in enumerate(self.tau):
-            require_above_0(f"tau[{index}]", tau)
 
     @property
     def negative(self) -> float:

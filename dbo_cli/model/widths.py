@@ -23,23 +23,20 @@ _NARROWEST = 2.0**-42
 _LARGEST_TOLERANCE = 1.0 / 16.0  # what 64 steps of rounding are of such a width
 
 
-def checked_pair(dx: ArrayLike, dy: ArrayLike) -> tuple[Floats, Floats]:
-    """Return read-only copies of both axes' widths; raise ModelError naming the key of what is wrong."""
-    pair = []
-    for key, axis in (("dx", dx), ("dy", dy)):
-        values = np.array(axis, dtype=np.float64).reshape(-1)
-        if values.size == 0:
-            raise ModelError(f"{key}: is empty")
-        wrong = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
-        if wrong.size:
-            index = int(wrong[0])
-            raise ModelError(
-                f"{key}[{index}]: {float(values[index])!r} is not a finite width greater than 0"
-            )
-        pair.append(read_only(values))
-    if pair[0].size != pair[1].size:
-        raise ModelError(f"dy: has {pair[1].size} entries where dx has {pair[0].size}")
-    return pair[0], pair[1]
+def axes(dx: ArrayLike, dy: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return read-only copies of both axes' widths, and both on their binary grids.
+
+    Raises
+    ------
+    ModelError
+        Their numbers differ, or a width is none; the message begins with the key.
+    """
+    x, y = (
+        read_only(np.array(axis, dtype=np.float64).reshape(-1)) for axis in (dx, dy)
+    )
+    if x.size != y.size:
+        raise ModelError(f"dy: has {y.size} entries where dx has {x.size}")
+    return x, y, on_binary_grid("dx", x), on_binary_grid("dy", y)
 
 
 def read_only(values: Floats) -> Floats:
@@ -60,7 +57,7 @@ def on_binary_grid(key: str, widths: Floats) -> Floats:
     Raises
     ------
     ModelError
-        A width is smaller than 2^-42 of the sum, or the sum is beyond what float64
+        A width is not above 2^-42 of the sum, or the sum is 0 or beyond what float64
         holds.
     """
     while True:

@@ -24,9 +24,8 @@ Axes = tuple[Floats, ...]
 RANGE_ROUNDING = 1e-8  # of the range: rounding reaches no further
 START = 2.0 / math.pi
 """Of a turn's rows: a start of so many reaches as far outside a line as a turn does, more gently than it."""
-FEWEST_CYCLE_ROWS = (
-    4  # of a line or cycle: a triangle of fewer has no rows between its turns
-)
+FEWEST_CYCLE_ROWS = 4
+"""Of a line or cycle: a triangle of fewer has no rows between its turns."""
 
 
 class Trajectory(NamedTuple):
@@ -55,7 +54,6 @@ class _Plan(NamedTuple):
     turn: int
     cycles: int
     loop: bool
-    rate: float
 
 
 def trajectory(
@@ -106,7 +104,14 @@ def trajectory(
     figures = {
         "frequency": frequency, "lines": lines, "steps": steps, "dwell": dwell, "duration": duration,
     }  # fmt: skip
-    _check_options(shape, figures, loop)
+    form = SHAPES.get(shape)
+    if form is None:
+        raise UsageError(f"SHAPE {shape}: give one of {', '.join(SHAPES)}")
+    for name, value in {**figures, "loop": loop or None}.items():
+        takes = name in form.needed
+        if takes is (value is None) and name not in form.possible:
+            needed = "needs" if takes else "does not take"
+            raise UsageError(f"`{name}`: a {shape} {needed} it")
     low, high = range
     if not -math.inf < low < high < math.inf:
         raise UsageError(
@@ -117,49 +122,24 @@ def trajectory(
     if shape == "staircase":
         assert steps is not None
         assert dwell is not None
-        plan = _Plan(range, round(dwell * rate), max(turn, 1), steps, loop, rate)
+        plan = _Plan(range, round(dwell * rate), max(turn, 1), steps, loop)
     else:
         assert frequency is not None
         count = lines or max(round((duration or 0.0) * frequency), 1)
         period = round(rate / frequency)
-        if bandwidth is not None and frequency >= bandwidth:
-            raise _too_fast(frequency, bandwidth)
-        if period < FEWEST_CYCLE_ROWS:
-            raise _too_fast(frequency, rate / FEWEST_CYCLE_ROWS)
-        plan = _Plan(range, period, turn, count, loop, rate)
-    form = SHAPES[shape]
+        fewest = max(FEWEST_CYCLE_ROWS, form.turns * turn + 2)
+        if period < fewest:
+            raise UsageError(
+                f"`frequency` {frequency:g}: too fast for `rate` and `bandwidth`: give {rate / fewest:.4g}"
+            )
+        plan = _Plan(range, period, turn, count, loop)
     axes = form.make(plan)
     noun = form.noun if plan.cycles > 1 else form.noun.removesuffix("s")
     note = f"{plan.cycles:,} {noun}, {plan.period / rate:.6g} s each"
-    if turn and form.lines:
-        flat = 1.0 - form.lines * turn / plan.period
-        note += f", {100.0 * flat:.3g} % of it linear"
     least, greatest = float(axes[0].min()), float(axes[0].max())
     if least < low or greatest > high:
         note += f", turns from {least:.6g} to {greatest:.6g}"
     return Trajectory(np.arange(axes[0].size) / rate, axes, note)
-
-
-def _check_options(
-    shape: str, figures: dict[str, float | int | None], loop: bool
-) -> None:
-    """Refuse a shape that there is not, and options that are missing or of another shape."""
-    if shape not in SHAPES:
-        raise UsageError(f"SHAPE {shape}: give one of {', '.join(SHAPES)}")
-    needed, possible = SHAPES[shape].needed, SHAPES[shape].possible
-    for name in needed:
-        if figures[name] is None:
-            raise UsageError(f"a {shape} needs `{name}`")
-    for name, value in [*figures.items(), ("loop", loop or None)]:
-        if value is not None and name not in needed + possible:
-            raise UsageError(f"`{name}`: a {shape} has none")
-
-
-def _too_fast(frequency: float, highest: float) -> UsageError:
-    """Return the refusal of lines or cycles that have too few rows, or are too short for their turns."""
-    return UsageError(
-        f"`frequency` {frequency:g}: too fast for `rate` and `bandwidth`: give less than {highest:.4g}"
-    )
 
 
 def check_reach(move: Trajectory, models: Sequence[Cascade]) -> None:
@@ -262,8 +242,6 @@ def _raster(plan: _Plan) -> Axes:
     """Return a line axis and a slow one, which stands still while a line is drawn."""
     turn, count = plan.turn, plan.cycles
     flat = plan.period - turn
-    if flat < 2:
-        raise _too_fast(plan.rate / plan.period, plan.rate / (turn + 2))
     levels = np.linspace(*plan.ends, count)
     if count == 1:
         levels = np.array([plan.ends[0]])
@@ -289,8 +267,6 @@ def _triangle(plan: _Plan) -> Axes:
     low, high = plan.ends
     half, turn = plan.period // 2, plan.turn
     flat = half - turn
-    if flat < 1:
-        raise _too_fast(plan.rate / plan.period, 0.5 * plan.rate / (turn + 1))
     tip = (high - low) * turn / math.pi / (flat + 2.0 * turn / math.pi)
     waves = _strokes((low + tip, high - tip), flat, turn, 2 * plan.cycles, plan.loop)
     return (np.clip(waves, low, high),)
@@ -325,17 +301,17 @@ def _staircase(plan: _Plan) -> Axes:
 
 
 class _Shape(NamedTuple):
-    """How a shape is made, of what, what it needs and takes besides, and the straight lines in a period."""
+    """How a shape is made, of what, what it needs and takes besides, and the turns in a period."""
 
     make: Callable[[_Plan], Axes]
     noun: str
     needed: tuple[str, ...]
     possible: tuple[str, ...] = ()
-    lines: int = 0
+    turns: int = 1
 
 
 SHAPES = {
-    "raster": _Shape(_raster, "lines", ("frequency", "lines"), ("loop",), 1),
+    "raster": _Shape(_raster, "lines", ("frequency", "lines"), ("loop",)),
     "spiral": _Shape(_spiral, "turns", ("frequency", "duration")),
     "staircase": _Shape(_staircase, "steps up and down", ("steps", "dwell")),
     "sine": _Shape(_sine, "cycles", ("frequency",), ("duration", "loop")),

@@ -222,7 +222,8 @@ def waveform(
     form = GENERATORS.get(to)
     if form is None:
         raise UsageError(f"`to` {to}: give one of {', '.join(GENERATORS)}")
-    _check_options(form, to, codes, volts)
+    if form.codes is None and (codes or volts):
+        raise UsageError(f"{to} files hold volts: leave `codes` and `volts` out")
     require_positive(rate=rate, points=points, gain=abs(gain))
     if points is not None and (rate is not None or points < 2):
         raise UsageError(f"`points` {points}: give 2 or more, and no `rate` beside it")
@@ -231,55 +232,63 @@ def waveform(
     checked.require_passed()
     if voltage.size < 2:
         raise UsageError(f"{name}: one row is not a drive")
-    allowance = 0.01 * max_rounding * float(np.ptp(voltage))
-    resampled, rate, shift = _at_points(voltage, drive_rate, points, rate, loop)
-    if not shift <= allowance:
-        raise LimitError(
-            f"{name}: {resampled.size:,} points change the drive by up to {shift:.3g} V, more than "
-            f"{allowance:.3g} V: raise `points`, `rate` or `max_rounding`"
-        )
+    resampled, rate, change = _at_points(voltage, drive_rate, points, rate, loop)
     exact = resampled / gain
-    ends = _ends(form, exact, volts, gain, name)
+    line = _line(exact, rate, gain, change)
     low, high = sorted(end / gain for end in limits.rating)
     slew = None if limits.slew is None else limits.slew / abs(gain)
     values: Values = exact
-    heard, meaning = exact, ""
+    heard, meaning, ends = exact, "", (low, high)
     if form.codes is not None:
-        lowest, highest = map(int, codes or form.codes)
+        (lowest, highest), ends = _codes_of(form, to, codes, volts, exact)
         values, heard = _encoded(exact, (lowest, highest), ends, (low, high))
         rounding = abs(gain) * float(np.abs(heard - exact).max())
-        if not rounding <= allowance and np.ptp(exact) > 0.0:
-            raise LimitError(
-                f"{name}: codes change the drive by up to {rounding:.3g} V, more than {allowance:.3g} V: "
-                "narrow `volts`, or raise `max_rounding`"
-            )
+        line = _line(heard, rate, gain, change)
         meaning = (
             f"codes {lowest} to {highest} mean {ends[0]:.6g} to {ends[1]:.6g} V; "
             f"rounding changes the drive by {rounding:.3g} V"
         )
+        change = max(change, rounding)
         if slew is not None:  # codes stand a step beside
             slew += (ends[1] - ends[0]) / (highest - lowest) * rate
+    allowance = 0.01 * max_rounding * float(np.ptp(voltage))
+    if not change <= allowance and np.ptp(voltage) > 0.0:
+        raise LimitError(
+            f"{name}: points or codes change the drive by up to {change:.3g} V, more than {allowance:.3g} V:"
+            " raise `points`, `rate` or `max_rounding`, or narrow `volts`"
+        )
     allowed = replace(limits, rating=(low, high), slew=slew, extrapolate=True)
     Gate(allowed).admit(heard, 1.0 / rate, "return")
-    data = form.write(values, rate, ends)
-    line = _line(heard, rate, gain, shift)
-    return Waveform(data, heard, rate, line, meaning, values)
+    return Waveform(form.write(values, rate, ends), heard, rate, line, meaning, values)
 
 
-def _ends(
-    form: Generator, exact: Floats, volts: Range | None, gain: float, name: str
-) -> Range:
-    """Return the volts of the lowest and highest code, which the drive must not leave."""
-    low, high = float(exact.min()), float(exact.max())
-    ends = volts or (low, high)
-    if form.codes is not None and not -math.inf < ends[0] < ends[1] < math.inf:
-        raise UsageError(f"`volts` {ends[0]:g}:{ends[1]:g}: give LOW:HIGH")
-    if low < ends[0] or high > ends[1]:
-        raise LimitError(
-            f"{name}: needs {low:.6g} to {high:.6g} V of the generator, `volts` is "
-            f"{ends[0]:.6g}:{ends[1]:.6g}: widen it, or check `gain` {gain:g}"
+def _codes_of(
+    form: Generator, to: str, codes: Range | None, volts: Range | None, exact: Floats
+) -> tuple[tuple[int, int], Range]:
+    """Return the lowest and highest code, and their volts, which the drive must not leave."""
+    assert form.codes is not None
+    first, last = codes or form.codes
+    lowest, highest = form.codes
+    is_whole = first == round(first) and last == round(last)
+    if not (is_whole and lowest <= first < last <= highest):
+        raise UsageError(
+            f"`codes` {first:g}:{last:g}: give whole numbers from {lowest} to {highest}, the "
+            "lower first"
         )
-    return ends
+    if form.volts_needed and volts is None:
+        raise UsageError(
+            f"{to} needs `volts` LOW:HIGH, the voltages of the lowest and highest code"
+        )
+    least, greatest = float(exact.min()), float(exact.max())
+    low, high = volts or (least, greatest)
+    if not -math.inf < low < high < math.inf:
+        raise UsageError(f"`volts` {low:g}:{high:g}: give LOW:HIGH")
+    if least < low or greatest > high:
+        raise LimitError(
+            f"the drive needs {least:.6g} to {greatest:.6g} V of the generator, `volts` is "
+            f"{low:.6g}:{high:.6g}: widen it, or check `gain`"
+        )
+    return (int(first), int(last)), (low, high)
 
 
 def side_by_side(channels: Sequence[Waveform], to: str) -> bytes | None:
@@ -288,27 +297,6 @@ def side_by_side(channels: Sequence[Waveform], to: str) -> bytes | None:
         return None
     values = np.column_stack([channel.values for channel in channels])
     return GENERATORS[to].write(values, channels[0].rate, (0.0, 0.0))
-
-
-def _check_options(
-    form: Generator, to: str, codes: Range | None, volts: Range | None
-) -> None:
-    """Refuse codes and volts that a format does not have, or that cannot be meant."""
-    if form.codes is None and (codes or volts):
-        raise UsageError(f"{to} files hold volts: leave `codes` and `volts` out")
-    if form.volts_needed and volts is None:
-        raise UsageError(
-            f"{to} needs `volts` LOW:HIGH, the voltages of the lowest and highest code"
-        )
-    if form.codes is None or codes is None:
-        return
-    lowest, highest = form.codes
-    integral = codes[0] == round(codes[0]) and codes[1] == round(codes[1])
-    if not (integral and lowest <= codes[0] < codes[1] <= highest):
-        raise UsageError(
-            f"`codes` {codes[0]:g}:{codes[1]:g}: give whole numbers from {lowest} to {highest}, the "
-            "lower first"
-        )
 
 
 def _at_points(
@@ -342,10 +330,6 @@ def _line(volts: Floats, rate: float, gain: float, shift: float) -> str:
     low, high = float(volts.min()), float(volts.max())
     text = (
         f"{volts.size:,} points at {rate:.5g} Hz, {volts.size / rate:.6g} s; {high - low:.6g} Vpp,"
-        f" offset {0.5 * (high + low):.6g} V"
+        f" offset {0.5 * (high + low):.6g} V at gain {gain:g}"
     )
-    if gain != 1.0:
-        text += f" at gain {gain:g}"
-    if shift:
-        text += f"; resampled within {shift:.3g} V"
-    return text
+    return f"{text}; resampled within {shift:.3g} V" if shift else text

@@ -181,7 +181,7 @@ def test_a_state_comes_back_and_serves_the_inverse(tmp_path):
         (lambda s: s.update(sections=[0, 0, 0]), "sections: "),
         (lambda s: s["sections"].__setitem__(1, [0, 0]), "sections[1]: "),
         (lambda s: s["delay"]["values"].pop(), "delay: "),
-        (lambda s: s["delay"]["times"].reverse(), "delay.times: "),
+        (lambda s: s["delay"]["times"].reverse(), "delay: "),
     ],
 )
 def test_bad_states_are_named(change, place, tmp_path):
