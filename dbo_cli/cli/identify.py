@@ -57,7 +57,7 @@ def identify(
     """
     from dbo_cli import channels
     from dbo_cli.files import Outputs, check_outputs
-    from dbo_cli.identification import Options, describe, describe_validation, leads
+    from dbo_cli.identification import Options, describe
     from dbo_cli.model import dumps_model, dumps_set
     from dbo_cli.recordings import identified, recordings_of, typed_constants
     from dbo_cli.reports.show import shown_text
@@ -96,7 +96,7 @@ def identify(
             asked, own = replace(options, prior=shape), opened[: len(logs)]
             models[name] = identified(recordings, own, asked, tests)
         read += own
-        texts = [describe(models[name], recordings), *describe_validation(models[name])]
+        texts = describe(models[name])
         lines += [f"{name}: {text}" if name else text for text in texts]
     is_set = "" not in models
     with Outputs() as outputs:
@@ -116,8 +116,7 @@ def identify(
         say_logs(read, rows)
         say_output(output, f"{len(models)} models")
     else:
-        sense = f"{model.sign}, leads the drive" if leads(recordings) else model.sign
-        say_logs(read, rows, f" ({sense})")
+        say_logs(read, rows, f" ({model.sign})")
         detail(*shown_text(model, "").splitlines()[1:])
         say_output(output, lines.pop(0))
     for line in lines:

@@ -77,7 +77,7 @@ def _judged(
     else:
         model = _searched(logs, options)
     model = measured(model, logs, options, notes)
-    return judged(model, recordings, validation)
+    return judged(model, logs, validation)
 
 
 def _searched(logs: Sequence[Recording], options: Options) -> Cascade:

@@ -330,7 +330,7 @@ def test_the_sign_and_exchanged_columns_are_said(log):
     write("bare.csv", "time_s,voltage,displacement", *table(log).values())
     exchanged = ("--voltage", "displacement", "--displacement", "voltage")
     wrong = done("identify", "bare.csv", *exchanged, *words, "--force")
-    assert wrong.lines[0].endswith("(rising, leads the drive)")
+    assert wrong.lines[0].endswith("(rising)")
     [warning] = [text for text in wrong.warnings if "leads" in text]
     assert "--voltage" in warning and "--clock-offset" in warning
     time, volts, moved = table(log).values()
