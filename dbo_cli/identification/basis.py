@@ -153,11 +153,16 @@ class Cells:
         return widths
 
     @property
+    def counts(self) -> Integers:
+        """How many gears each cell holds, the spare ones among them; shape (cells,)."""
+        counts = self.gears.copy()
+        counts[-1] += 2 * self.spare
+        return counts
+
+    @property
     def shares(self) -> Floats:
         """Width of each cell as a share of all gears; shape (cells,)."""
-        counts = self.gears.astype(np.float64)
-        counts[-1] += 2.0 * self.spare
-        shares: Floats = counts / float(counts.sum())
+        shares: Floats = self.counts / float(self.counts.sum())
         return shares
 
     @property

@@ -22,7 +22,6 @@ SPIKE_SIGMAS = 8.0
 SPIKE_SPREAD = 2.0  # a spike leaves its neighbours by so many times their spread
 LEAST_SPIKE = 1e-3  # of the range
 MOST_SPIKES = 0.2  # of the rows: more are no spikes
-STUCK_PATH = 0.08  # of the drive's range: a sensor of 5 bits repeats itself so far
 TURNS_BACK = 0.01  # of the drive's range
 
 
@@ -44,7 +43,14 @@ def clean(
         if not options.force:
             refuse_wrong_voltage(log)
         log = without_late_and_skipped_rows(log, options)
-        good = log.usable & ~faulty_rows(log, notes)
+        spiked = spiked_rows(log.displacement) & log.usable
+        if spiked.any():
+            notes.append(
+                f"{log.name}: {int(spiked.sum())} rows left out (first: row {int(np.argmax(spiked)) + 1}): "
+                "spikes of the displacement"
+            )
+            warn(notes[-1])
+        good = log.usable & ~spiked
         if int(good.sum()) < FEWEST_ROWS:
             raise FitError(
                 f"{log.name}: {int(good.sum())} usable rows are too few; record longer, or skip less"
@@ -95,25 +101,6 @@ def without_late_and_skipped_rows(log: Recording, options: Options) -> Recording
     return replace(log, displacement=displacement, good=good)
 
 
-def faulty_rows(log: Recording, notes: list[str]) -> Booleans:
-    """Return the rows in which the sensor did not measure."""
-    spiked = spiked_rows(log.displacement)
-    stuck = stuck_rows(log) & ~spiked
-    kinds = {
-        "spikes of the displacement": spiked & log.usable,
-        "the displacement stands still while the drive moves": stuck & log.usable,
-    }
-    for words, rows in kinds.items():
-        if rows.any():
-            note = (
-                f"{log.name}: {int(rows.sum())} rows left out (first: row {int(np.argmax(rows)) + 1}): "
-                f"{words}"
-            )
-            notes.append(note)
-            warn(note)
-    return spiked | stuck
-
-
 def spiked_rows(displacement: Floats) -> Booleans:
     """Return rows that leave their neighbours and come back, further than these differ among themselves."""
     half = SPIKE_WINDOW // 2
@@ -132,16 +119,3 @@ def spiked_rows(displacement: Floats) -> Booleans:
     if spiked.mean() > MOST_SPIKES:
         return np.zeros(len(displacement), bool)
     return spiked
-
-
-def stuck_rows(log: Recording) -> Booleans:
-    """Return rows of runs of one displacement over which the drive travels far: a stuck or clipped sensor."""
-    y = log.displacement
-    edges = np.flatnonzero(np.diff(y) != 0.0) + 1
-    begins = np.concatenate(([0], edges))
-    ends = np.concatenate((edges, [len(y)]))
-    path = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(log.voltage)))))
-    travelled = path[ends - 1] - path[begins]
-    typical = float(np.percentile(travelled, 90.0))
-    far = travelled > max(STUCK_PATH * float(np.ptp(log.voltage)), 4.0 * typical)
-    return np.repeat(far, ends - begins)

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.identification.recording import noise_variance
 from dbo_cli.identification.sections import (
     LEAST_DAMPING,
     MOST_BESIDE,
@@ -29,6 +28,7 @@ from dbo_cli.identification.sections import (
     phase_delay,
 )
 from dbo_cli.model import Mode, Resonance
+from dbo_cli.signals import noise
 
 MOST_RESONANCES = 2  # one sweep does not tell more apart
 EARNED = 0.9  # of the error left out: what a resonance must lower it to
@@ -198,7 +198,7 @@ def unexplained(rows: FastRows, best: FastDynamics) -> list[str]:
     warnings = []
     for signals in rows.signals:
         residuals, sweep = signals.residuals(best), signals.sweep
-        excess = max(float(np.var(residuals)) - noise_variance([residuals]), 0.0)
+        excess = max(float(np.var(residuals)) - noise(residuals) ** 2, 0.0)
         share = float(np.sqrt(excess / np.var(signals.measured)))
         if share > UNEXPLAINED:
             low, high = sweep.band

@@ -26,6 +26,7 @@ from dbo_cli.identification.recording import (
     Swings,
     begins_in_motion,
     centred,
+    detrended,
     falling,
 )
 from dbo_cli.identification.search import FEWEST_SWINGS
@@ -90,8 +91,7 @@ def stated(
     line = size * line_left_out(problem, average.fits[0].structure.drift)
     unexplained = unexplained_share(problem, residuals)
     if not options.force:
-        refuse_no_better(left_out, line, logs)
-        refuse_unrelated(unexplained, logs)
+        refuse_useless(logs, left_out, line, unexplained)
     errors = residuals_of(model, logs)
     sensor = noise_rms(errors)
     averaged = sensor**2 / rows_a_mean(problem, logs)
@@ -145,14 +145,11 @@ def measured(
     if not options.force:
         refuse_large_drift(model, errors)
         if "left_out_line_rmse" not in model.fit:  # no part was left out
-            refuse_no_better(rmse, line, logs)
-    speeds, rests, ways = [], [], []
-    for log in logs:
-        if log.time is not None:
-            steps = np.diff(log.time)
-            speeds.append(fastest_drive(log.voltage, steps))
-            rests.append(longest_rest(log.voltage, steps))
-            ways.append(longest_swing(log.voltage, log.time))
+            refuse_useless(logs, rmse, line)
+    drives = [(log.voltage, log.time) for log in logs if log.time is not None]
+    speeds = [fastest_drive(drive, np.diff(time)) for drive, time in drives]
+    rests = [longest_rest(drive, np.diff(time)) for drive, time in drives]
+    swings = [longest_swing(drive, time) for drive, time in drives]
     figures: dict[str, Any] = {
         **model.fit,
         "sign": model.sign,
@@ -160,7 +157,7 @@ def measured(
         "line_rmse": line,
         "fastest": max(speeds, default=None),
         "longest_rest": max(rests, default=None),
-        "longest_swing": max(ways, default=None),
+        "longest_swing": max(swings, default=None),
         "sample_period": min((log.dt for log in logs if log.dt), default=None),
         "logs": errors,
         "notes": list(notes),
@@ -170,29 +167,18 @@ def measured(
     return replace(model, fit=figures)
 
 
-def refuse_no_better(error: float, line: float, logs: Sequence[Recording]) -> None:
-    """Refuse (FitError) a model that follows the logs no better than a straight line."""
-    if error <= NO_BETTER * line:
+def refuse_useless(
+    logs: Sequence[Recording], error: float, line: float, unexplained: float = 0.0
+) -> None:
+    """Refuse (FitError) a model no better than a line, or that leaves too much within swings of the drive."""
+    if error <= NO_BETTER * line and unexplained <= UNRELATED:
         return
+    names = ", ".join(os.path.basename(log.name) for log in logs)
     raise FitError(
-        f"{_names(logs)}: error {error:.4g}, a straight line's is {line:.4g}: check columns and sensor, or "
-        "record more amplitudes (`force` keeps it)"
+        f"{names}: error {error:.4g}, a straight line's is {line:.4g}; within swings of the drive "
+        f"{min(unexplained, 1.0):.0%} of the displacement does not follow it: check columns, clocks and sensor, "
+        "or record more amplitudes (`force` keeps it)"
     )
-
-
-def refuse_unrelated(unexplained: float, logs: Sequence[Recording]) -> None:
-    """Refuse (FitError) logs of which too much is left unexplained within swings of the drive."""
-    if unexplained <= UNRELATED:
-        return
-    raise FitError(
-        f"{_names(logs)}: within swings of the drive {min(unexplained, 1.0):.0%} of the displacement does "
-        "not follow it: check columns and clocks (`force` keeps it)"
-    )
-
-
-def _names(logs: Sequence[Recording]) -> str:
-    """Return the names of the logs' files."""
-    return ", ".join(os.path.basename(log.name) for log in logs)
 
 
 def refuse_large_drift(model: Cascade, errors: Sequence[dict[str, Any]]) -> None:
@@ -242,13 +228,13 @@ def warned(model: Cascade, logs: Sequence[Recording]) -> list[str]:
         name, shift = error["name"], shift_of_zero(model, log)
         if abs(error["drift"]) > LARGE_DRIFT * model.output.span:
             found.append(
-                f"{name}: a drift of {error['drift']:.3g}{unit} is left out of the model: warm up, and record "
-                "again"
+                f"{name}: a drift of {error['drift']:.3g}{unit} is left out of the model: warm up, and "
+                "record again"
             )
         if expected is not None and shift > expected:
             found.append(
-                f"{name}: begins in motion: creep from before it may shift the zero by {shift:.2g}{unit}, which "
-                "is not in the expected error; start the recorder before the drive"
+                f"{name}: begins in motion: creep from before it may shift the zero by {shift:.2g}{unit}, "
+                "which is not in the expected error; start the recorder before the drive"
             )
     return found
 
@@ -284,15 +270,11 @@ def errors_of(
     """
     errors = []
     for log, error in zip(logs, residuals, strict=True):
-        error = error - error.mean()
-        swings, drift = Swings.of(log.voltage[log.usable]), 0.0
+        swings = Swings.of(log.voltage[log.usable])
+        time = None
         if log.time is not None and len(swings.sizes) >= FEWEST_SWINGS:
             time = log.time[log.usable]
-            time = time - time.mean()
-            squares = max(float(np.sum(time**2)), 1e-300)
-            rate = float(np.sum(time * error)) / squares
-            error = error - rate * time
-            drift = rate * float(np.ptp(time))
+        error, drift = detrended(error, time)
         rmse = math.sqrt(float(np.mean(error**2)))
         name = os.path.basename(log.name)
         errors.append({"name": name, "rows": len(error), "rmse": rmse, "drift": drift})

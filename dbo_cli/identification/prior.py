@@ -24,17 +24,17 @@ from dbo_cli.identification.recording import (
     Options,
     Recording,
     Swings,
-    noise_variance,
 )
-from dbo_cli.identification.sections import even_step
 from dbo_cli.identification.stages import with_changed_stages
 from dbo_cli.model import Cascade, Delay, Dynamics, Scale, Stage
 from dbo_cli.model.expect import expected_error
-from dbo_cli.signals import lag
+from dbo_cli.signals import lag, noise
 
 STUDENT = 2.0  # standard errors of a 95 % interval
 LEAST_KNOWN = 0.5  # of the rows: those behind the first way over the log's range
-LONGEST_DELAY = 0.25  # of the usual swing, to either side: a lag beyond is another swing
+LONGEST_DELAY = (
+    0.25  # of the usual swing, to either side: a lag beyond is another swing
+)
 NOISE_CHANCE = 4.0
 """Over the root of the rows: two standard errors of the noise's variance, which is no change of the shape."""
 LEAST_STATED = 1e-6  # of the output's range: the least error that a prior may state
@@ -115,7 +115,7 @@ def _delay_of(
     """Return how much later than predicted the logs are (s), as the one says that shows it best."""
     best, deviation = 0.0, np.inf
     for log, columns in zip(logs, predicted, strict=True):
-        step = even_step(log)
+        step = log.even_step
         late = None if step is None else lag(log.displacement, columns, step)
         if step is None or late is None or late.deviation >= deviation:
             continue
@@ -167,8 +167,8 @@ def _stated_error(prior: Cascade, logs: Sequence[Recording]) -> float:
 
 def _shape_error(residual: Floats) -> float:
     """Return what is left (RMS) beyond white noise."""
-    noise = noise_variance([residual]) * (1.0 + NOISE_CHANCE / np.sqrt(len(residual)))
-    return float(np.sqrt(max(float(np.mean(residual**2)) - noise, 0.0)))
+    white = noise(residual) ** 2 * (1.0 + NOISE_CHANCE / np.sqrt(len(residual)))
+    return float(np.sqrt(max(float(np.mean(residual**2)) - white, 0.0)))
 
 
 def _solved(

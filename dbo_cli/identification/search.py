@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -16,11 +15,7 @@ from dbo_cli.identification.basis import (
     Structure,
     plays_at_start,
 )
-from dbo_cli.identification.cross_validation import (
-    DRIFT_PRICE,
-    cross_validate,
-    least_score,
-)
+from dbo_cli.identification.cross_validation import cross_validate, least_score
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options
 from dbo_cli.identification.solve import Equations, Solution
@@ -38,8 +33,6 @@ REFINED = (0.6, 0.8, 1.25, 1.6)
 """Times the best delay, tried in turn."""
 LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the range: where memories may have stood before the logs, beside the first value."""
-BEGUN_LEVELS = (None, 0.0, 0.5, 1.0)
-"""Of these, tried with each start: logs of a decay on an actuator that creeps need them."""
 SETTLED_START = "settled"
 BEGUN_STARTS = (SETTLED_START, "empty", "full", "below", "above")
 """The last two where the gears go on beyond the range."""
@@ -51,10 +44,8 @@ FINER_LEVEL = 0.125  # beside the best one, tried below and above
 ROUNDS = (2, 1)  # of neighbours: of how many kinds of structures
 HOPELESS = 0.5  # of the score: a fit that is worse at best weighs nothing
 FEWEST_SWINGS = 4  # with fewer neither bend nor drift can be told from the loop
-ONE_WAY = 2  # swings, up and down once: a curve cannot be told from the loop, either
 SLOWEST = 3.0  # swings: the slowest memory that a log of one amplitude can tell
-OTHER_SMOOTHNESS = (0.01, 0.1, 10.0, 100.0)  # of candidates that logs cannot judge
-OTHER_BENDS = (-0.25, 0.25)  # the same
+OTHER_BENDS = (-0.25, 0.25)  # of candidates that logs cannot judge
 
 
 @dataclass
@@ -79,8 +70,6 @@ def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
         choices.drift = swings >= FEWEST_SWINGS
     if problem.swing_count < FEWEST_SWINGS:
         choices.bends = ()
-    if problem.swing_count <= ONE_WAY:
-        choices.curves = CURVES[:1]
     if problem.one_amplitude:
         _take_one_amplitude(problem, choices)
         fast = problem.taus[problem.taus < SLOWEST * problem.swing]
@@ -89,21 +78,17 @@ def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
         choices.memories = ("",)
     _take_options(choices, options)
     if problem.past.size:
-        start, level = _begun(problem, choices)
-        choices.base = replace(choices.base, start=start, level=level)
+        choices.base = replace(choices.base, start=_begun(problem))
     if choices.base.start in ("below", "above"):
         problem = replace(problem, cells=Cells.of(spare=SPARE_BEYOND))
     return problem, choices
 
 
-def _begun(problem: Problem, choices: Choices) -> tuple[str, float | None]:
-    """Return the start of the gears and the level of memories from which all rows are followed best.
+def _begun(problem: Problem) -> str:
+    """Return the start of the gears from which all rows are followed best by a rough structure.
 
-    They are compared by a rough structure; a level costs what it costs in a score, and is
-    tried where there are enough swings to tell it from the loop. Settled gears and memories
-    stay where nothing is clearly better.
+    Settled they are where nothing is clearly better.
     """
-    settled = (SETTLED_START, None)
     different: dict[bytes, str] = {}
     for start in BEGUN_STARTS if problem.cells.spare else BEGUN_STARTS[:3]:
         plays = [
@@ -111,17 +96,14 @@ def _begun(problem: Problem, choices: Choices) -> tuple[str, float | None]:
             for log in problem.logs
         ]
         different.setdefault(np.concatenate(plays).tobytes(), start)
-    levels = BEGUN_LEVELS if choices.drift and len(problem.taus) else LEVELS[:1]
-    errors: dict[tuple[str, float | None], float] = {}
-    for start, level in product(different.values(), levels):
-        trials = [
-            replace(ROUGHEST, slopes=rule, start=start, level=level) for rule in RULES
-        ]
+    errors = {}
+    for start in different.values():
+        trials = [replace(ROUGHEST, slopes=rule, start=start) for rule in RULES]
         fits = [Equations(problem.rows(trial), trial).solve() for trial in trials]
-        price = DRIFT_PRICE * (level is not None)
-        errors[start, level] = math.exp(price) * min(fit.rmse for fit in fits)
+        errors[start] = min(fit.rmse for fit in fits)
     best = min(errors, key=errors.__getitem__)
-    return best if errors[best] < BETTER_START * errors[settled] else settled
+    clear = errors[best] < BETTER_START * errors[SETTLED_START]
+    return best if clear else SETTLED_START
 
 
 def _take_one_amplitude(problem: Problem, choices: Choices) -> None:
@@ -235,9 +217,6 @@ class Search:
         structure, problem = best.structure, self.problem
         straight = np.isinf(structure.smooth_curve)
         trials = [replace(structure, slopes=rule) for rule in RULES]
-        for factor in OTHER_SMOOTHNESS:
-            smooth = factor * structure.smooth_slopes
-            trials.append(replace(structure, smooth_slopes=smooth))
         for bend in OTHER_BENDS:
             trials.append(replace(structure, bend=structure.bend + bend))
         curve = ONE_AMPLITUDE_CURVE if straight else np.inf

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from dbo_cli.arrays import Floats
-from dbo_cli.identification.recording import Recording, noise_variance, runs_of
+from dbo_cli.identification.recording import Recording, detrended, runs_of
 from dbo_cli.model import (
     Amplifier,
     Cascade,
@@ -28,7 +28,7 @@ from dbo_cli.model import (
     Section,
     State,
 )
-from dbo_cli.signals import turns
+from dbo_cli.signals import noise, turns
 
 FEWEST_SLOW_ROWS = 40  # of a slow part
 NOTICEABLE = 3e-4  # of the range: a smaller reversal of the drive is no turn
@@ -91,19 +91,9 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Sweep]
     return slow, fast
 
 
-def even_step(log: Recording) -> float | None:
-    """Return the step (s) of an even clock to whose grid each row is nearest, or None."""
-    if log.time is None:
-        return None
-    rows = np.arange(len(log.time))
-    step = float(log.time[-1] - log.time[0]) / float(rows[-1])
-    deviation = np.abs(log.time - (log.time[0] + step * rows))
-    return step if float(deviation.max()) <= 0.5 * step else None
-
-
 def _sweep_of(log: Recording, span: float) -> Sweep | None:
     """Return the longest run of small swings whose frequency changes gradually over a wide band."""
-    step = even_step(log)
+    step = log.even_step
     if step is None:
         return None
     rows = turns(log.voltage, NOTICEABLE * span)
@@ -224,19 +214,12 @@ class Signals:
         self.sweep, self.measured = sweep, log.displacement[rows]
         size = self.measured.size
         self.block = np.arange(size) * FAST_BLOCKS // size
-        ramp = np.linspace(-1.0, 1.0, size)
-        self._drift = np.column_stack([np.ones(size), ramp])
-        self._drift /= np.sqrt(np.sum(self._drift**2, axis=0))
+        self.time: Floats = sweep.dt * np.arange(float(size))
 
     def _simulated(self, model: Cascade) -> Floats:
         """Return what a model without dynamics predicts; an amplifier rests at the first row."""
         output, _ = model.simulate(self.drive, dt=self.dt, state=self._before)
         return output
-
-    def free(self, signal: Floats) -> Floats:
-        """Return what an offset and an even drift do not explain of a signal."""
-        residuals: Floats = signal - self._drift @ (self._drift.T @ signal)
-        return residuals
 
     def modelled(self, trial: FastDynamics) -> Floats:
         """Return the prediction through lags, resonances and delay."""
@@ -252,8 +235,8 @@ class Signals:
 
     def residuals(self, trial: FastDynamics) -> Floats:
         """Return what the best gain, offset and drift of the prediction leave of the measured."""
-        modelled = self.free(self.modelled(trial))
-        measured = self.free(self.measured)
+        modelled, _ = detrended(self.modelled(trial), self.time)
+        measured, _ = detrended(self.measured, self.time)
         gain = float(modelled @ measured) / max(float(modelled @ modelled), 1e-300)
         return measured - gain * modelled
 
@@ -323,7 +306,7 @@ def fitted(rows: FastRows, starts: Sequence[Floats], form: Form) -> FastDynamics
         parameters,
         float(np.sqrt(np.mean(best.fun**2))),
         _left_out(rows, best.fun, best.jac),
-        noise_variance(rows.residuals(form, parameters)),
+        noise(np.concatenate(rows.residuals(form, parameters))) ** 2,
     )
 
 
