@@ -55,15 +55,6 @@ class Average:
             residuals.append(np.einsum("k,kr->r", self.weights, np.stack(parts)))
         return residuals
 
-    @property
-    def frame(self) -> tuple[float, float]:
-        """Delay (s) and bend that have most of the weight."""
-        frames = [fit.structure.frame for fit in self.fits]
-        total = dict.fromkeys(frames, 0.0)
-        for frame, weight in zip(frames, self.weights.tolist(), strict=True):
-            total[frame] += weight
-        return max(total, key=lambda key: total[key])
-
 
 def with_levels(
     average: Average, fits: Sequence[Solution], swings: int
@@ -164,17 +155,17 @@ def _predictions(
 
 
 def _widest(average: Average) -> Structure:
-    """Return a structure that holds all fits but for their delays and bends: those of most weight."""
+    """Return a structure that holds all fits but for their delays and bends: those of the heaviest."""
+    heaviest = average.fits[0].structure
     slopes = {fit.structure.slopes for fit in average.fits}
     memories = [fit.structure.memories for fit in average.fits]
-    delay, bend = average.frame
     return Structure(
         slopes=slopes.pop() if len(slopes) == 1 else "free",
         memories=max(memories, key=len),
         smooth_slopes=SMOOTH_SLOPES,
-        delay=delay,
-        bend=bend,
-        segments=average.fits[0].structure.segments,
+        delay=heaviest.delay,
+        bend=heaviest.bend,
+        segments=heaviest.segments,
     )
 
 

@@ -31,14 +31,12 @@ from dbo_cli.model import Mode, Resonance
 from dbo_cli.signals import noise
 
 MOST_RESONANCES = 2  # one sweep does not tell more apart
-EARNED = 0.9  # of the error left out: what a resonance must lower it to
-SURE, MOST_OF_IT = 200.0, 0.3
-"""Or, for a second resonance: the squares left out fall by so many times the noise's mean square, and by
-this share of what they are beyond white noise."""
+SURE, EARNED = 200.0, 0.3
+"""The squares left out must fall by so many times the noise's mean square, and by this share of what they
+are beyond white noise."""
 SHORT_LAG = 0.02  # periods of the highest frequency: a first guess
 DAMPINGS = (0.002, 0.02, 0.1, 0.4)  # starts: the error has several minima in it
 INSIDE = 1.02  # times a bound at which a fit would like to go on
-WHITE = 0.05  # of the noise's mean square: so little more is noise alone
 NEAR = 0.03  # of the logarithms of two resonances that undo each other
 LATE = 0.5  # of a step: a shorter lag is no amplifier's
 SEEN_DELAY = 0.1  # periods of the highest frequency: less is fitted as a lag
@@ -52,13 +50,11 @@ def find(rows: FastRows, order: str | int) -> FastDynamics:
     a pure delay no resonance fits.
     """
     best = _chosen(rows, order, 0.0)
-    if best.form.resonances and _is_noise(rows, best):
-        return best
     phase_lag = phase_delay(rows)
     if phase_lag * rows.band[1] < SEEN_DELAY:
         return best
     delayed = _chosen(rows, order, phase_lag)
-    return delayed if delayed.left_out <= EARNED * best.left_out else best
+    return delayed if _earned(rows, delayed, best) else best
 
 
 def refine(
@@ -66,13 +62,21 @@ def refine(
 ) -> FastDynamics:
     """Return dynamics fitted again beside a static model that knew those ``found``.
 
-    The lag may stand before the gears. What hides a weak second resonance from the first
-    reading of the slow rows is gone with the second: one more is offered.
+    The lag may stand before the gears: the actuator is the capacity that an amplifier
+    charges. In a sweep of 1 % of the range the gears are nearly straight, and both places
+    explain it alike; a larger one tells them apart. A lag of less than half a step is no
+    more than late. What hides a weak second resonance from the first reading of the slow
+    rows is gone with the second: one more is offered.
     """
-    best = _with_amplifier(rows, fitted(rows, [found.parameters], found.form))
+    best = fitted(rows, [found.parameters], found.form)
+    *delay, lag = best.times
+    shortest = np.log(LATE * rows.step)
+    if lag > shortest:
+        start = np.array([*best.modes, lag, *delay, shortest])
+        before = fitted(rows, [start], replace(best.form, amplifier=True))
+        best = best if _earned(rows, best, before) else before
     if order == "auto" and found.form.resonances < MOST_RESONANCES:
-        if not _is_noise(rows, best):
-            best = _one_more(rows, best) or best
+        best = _one_more(rows, best) or best
     return best
 
 
@@ -88,29 +92,11 @@ def _chosen(rows: FastRows, order: str | int, delay: float) -> FastDynamics:
     best = fitted(rows, starts, Form(0, delay=delay > 0.0))
     limit = MOST_RESONANCES if order == "auto" else int(order)
     while best.form.resonances < limit:
-        if order == "auto" and best.form.resonances and _is_noise(rows, best):
-            break
         more = _one_more(rows, best, always=order != "auto")
         if more is None:
             break
         best = more
     return best
-
-
-def _with_amplifier(rows: FastRows, found: FastDynamics) -> FastDynamics:
-    """Return dynamics with the lag before the gears, unless it earns its place behind them.
-
-    The actuator is the capacity that an amplifier charges. In a sweep of 1 % of the range
-    the gears are nearly straight, and both places explain it alike; a larger one tells
-    them apart. A lag of less than half a step is no more than late.
-    """
-    *delay, lag = found.times
-    shortest = np.log(LATE * rows.step)
-    if lag <= shortest:
-        return found
-    start = np.array([*found.modes, lag, *delay, shortest])
-    before = fitted(rows, [start], replace(found.form, amplifier=True))
-    return found if _earned(rows, found, before) else before
 
 
 def _one_more(
@@ -134,13 +120,10 @@ def _one_more(
         pair = np.log([frequency, damping])
         starts.append(np.concatenate((resonances, pair, times)))
     more = fitted(rows, starts, form)
-    if not count:
-        starts = [more.parameters]
     notched = []
-    for start, side in product(starts, (-NEAR, NEAR)):
-        modes = start[: form.modes]
-        notch = modes[-2:] + np.array([side, 0.0])
-        notched.append(np.concatenate((modes, notch, times)))
+    for side in (-NEAR, NEAR):
+        notch = more.modes[-2:] + np.array([side, 0.0])
+        notched.append(np.concatenate((more.modes, notch, more.times)))
     with_notch = fitted(rows, notched, replace(form, antiresonance=True))
     if _earned(rows, with_notch, more):
         more = with_notch
@@ -152,19 +135,9 @@ def _earned(rows: FastRows, more: FastDynamics, best: FastDynamics) -> bool:
     for resonance in more.resonances:
         if not _is_inside(resonance, rows.band):
             return False
-    if more.left_out <= EARNED * best.left_out:
-        return True
-    if not best.form.resonances:
-        return False
-    gained = rows.count * (best.left_out**2 - more.left_out**2)
-    excess = rows.count * (best.left_out**2 - best.noise)
-    return gained >= max(SURE * best.noise, MOST_OF_IT * excess)
-
-
-def _is_noise(rows: FastRows, best: FastDynamics) -> bool:
-    """Return whether what is left beyond white noise cannot pay for another resonance."""
-    excess = best.rmse**2 - best.noise
-    return excess <= min(WHITE, SURE / rows.count) * best.noise
+    white = noise(np.concatenate(rows.residuals(best.form, best.parameters))) ** 2
+    gained = best.left_out**2 - more.left_out**2
+    return gained >= max(SURE * white / rows.count, EARNED * (best.left_out**2 - white))
 
 
 def _is_inside(resonance: Resonance, band: Band) -> bool:

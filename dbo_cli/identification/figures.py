@@ -176,8 +176,8 @@ def refuse_useless(
     names = ", ".join(os.path.basename(log.name) for log in logs)
     raise FitError(
         f"{names}: error {error:.4g}, a straight line's is {line:.4g}; within swings of the drive "
-        f"{min(unexplained, 1.0):.0%} of the displacement does not follow it: check columns, clocks and sensor, "
-        "or record more amplitudes (`force` keeps it)"
+        f"{min(unexplained, 1.0):.0%} of the displacement does not follow it: check columns, clocks and "
+        "sensor, or record more amplitudes (`force` keeps it)"
     )
 
 

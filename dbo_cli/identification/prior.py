@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -38,14 +38,6 @@ LONGEST_DELAY = (
 NOISE_CHANCE = 4.0
 """Over the root of the rows: two standard errors of the noise's variance, which is no change of the shape."""
 LEAST_STATED = 1e-6  # of the output's range: the least error that a prior may state
-
-
-class Change(NamedTuple):
-    """What is new: displacement = gain * prior + offset, ``delay`` (s) later than the prior's."""
-
-    gain: float
-    offset: float
-    delay: float
 
 
 def rescale(
@@ -80,8 +72,8 @@ def rescale(
             f"the displacement runs against the prior (gain {1.0 + numbers[0]:.3g}): check the columns"
         )
     residual = target - table @ numbers
-    warnings = []
     shape, stated_error = _shape_error(residual), (1.0 + numbers[0]) * stated_error
+    warnings = []
     if shape > BEYOND_STATED * stated_error:
         warnings = [
             f"{recordings[0].name}: error {shape:.4g}{prior.output.suffix}, the prior states "
@@ -90,8 +82,9 @@ def rescale(
         if not options.force:
             raise FitError(f"{warnings[0]} (`force` keeps the shape)")
     gain, offset = _shrunk(numbers, errors)[:2].tolist()
-    change = Change(1.0 + gain, offset - gain * middle, delay)
-    return _refreshed(prior, change, float(np.sqrt(np.mean(residual**2))), warnings)
+    scale = Scale(1.0 + gain, offset - gain * middle)
+    rmse = float(np.sqrt(np.mean(residual**2)))
+    return _refreshed(prior, scale, delay, rmse, warnings)
 
 
 def _predicted(prior: Cascade, log: Recording) -> Floats:
@@ -204,45 +197,41 @@ def _shrunk(numbers: Floats, errors: Floats) -> Floats:
 
 
 def _refreshed(
-    prior: Cascade, change: Change, rmse: float, warnings: list[str]
+    prior: Cascade, change: Scale, delay: float, rmse: float, warnings: list[str]
 ) -> Cascade:
-    """Return the prior's model, candidates and figures with the change."""
-    gain, offset = change.gain, change.offset
+    """Return the prior's model, candidates and figures behind another scale and a delay (s)."""
+
+    def changed(stages: Sequence[Stage]) -> tuple[Stage, ...]:
+        seconds, scale, moving = delay, change, []
+        static: list[Stage] = []
+        for stage in stages:
+            if isinstance(stage, Delay):
+                seconds += stage.seconds
+            elif isinstance(stage, Scale):
+                scale = Scale(change.gain * stage.gain, change.value(stage.offset))
+            elif isinstance(stage, Dynamics):
+                moving.append(stage)
+            else:
+                static.append(stage)
+        scales = [scale] if scale != Scale(1.0, 0.0) else []
+        delays = [Delay(seconds)] if seconds > 0.0 else []
+        return (*static, *scales, *moving, *delays)
+
     fit: dict[str, Any] = dict(prior.fit)
     for key in ("expected_rmse", "left_out_rmse"):
         if isinstance(fit.get(key), float):
-            fit[key] = max(gain * fit[key], rmse)
+            fit[key] = max(change.gain * fit[key], rmse)
     fit |= {
         "method": "prior",
         "validation": [],
         "warnings": warnings,
         "prior": {
-            "gain": gain,
-            "offset": offset,
-            "delay_seconds": change.delay,
+            "gain": change.gain,
+            "offset": change.offset,
+            "delay_seconds": delay,
             "digest": prior.digest,
         },
     }
-    low, high = gain * prior.output.min + offset, gain * prior.output.max + offset
+    low, high = change.value(prior.output.min), change.value(prior.output.max)
     output = replace(prior.output, min=low, max=high)
-    refreshed = replace(prior, output=output, fit=fit)
-    return with_changed_stages(refreshed, lambda stages: _changed(stages, change))
-
-
-def _changed(stages: Sequence[Stage], change: Change) -> tuple[Stage, ...]:
-    """Return stages with another gain, offset and delay."""
-    seconds = change.delay
-    scale, before, behind = Scale(1.0, 0.0), [], []
-    for stage in stages:
-        if isinstance(stage, Delay):
-            seconds += stage.seconds
-        elif isinstance(stage, Scale):
-            scale = stage
-        elif isinstance(stage, Dynamics):
-            behind.append(stage)
-        else:
-            before.append(stage)
-    gain, offset = change.gain * scale.gain, change.gain * scale.offset + change.offset
-    scaled = [Scale(gain, offset)] if (gain, offset) != (1.0, 0.0) else []
-    delays = [Delay(seconds)] if seconds > 0.0 else []
-    return (*before, *scaled, *behind, *delays)
+    return with_changed_stages(replace(prior, output=output, fit=fit), changed)

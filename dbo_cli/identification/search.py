@@ -13,7 +13,6 @@ from dbo_cli.identification.basis import (
     SPARE_BEYOND,
     Cells,
     Structure,
-    plays_at_start,
 )
 from dbo_cli.identification.cross_validation import cross_validate, least_score
 from dbo_cli.identification.problem import Problem
@@ -89,15 +88,8 @@ def _begun(problem: Problem) -> str:
 
     Settled they are where nothing is clearly better.
     """
-    different: dict[bytes, str] = {}
-    for start in BEGUN_STARTS if problem.cells.spare else BEGUN_STARTS[:3]:
-        plays = [
-            plays_at_start(float(log.drive[0]), problem.cells.reach, start)
-            for log in problem.logs
-        ]
-        different.setdefault(np.concatenate(plays).tobytes(), start)
     errors = {}
-    for start in different.values():
+    for start in BEGUN_STARTS if problem.cells.spare else BEGUN_STARTS[:3]:
         trials = [replace(ROUGHEST, slopes=rule, start=start) for rule in RULES]
         fits = [Equations(problem.rows(trial), trial).solve() for trial in trials]
         errors[start] = min(fit.rmse for fit in fits)

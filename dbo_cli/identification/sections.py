@@ -28,7 +28,7 @@ from dbo_cli.model import (
     Section,
     State,
 )
-from dbo_cli.signals import noise, turns
+from dbo_cli.signals import turns
 
 FEWEST_SLOW_ROWS = 40  # of a slow part
 NOTICEABLE = 3e-4  # of the range: a smaller reversal of the drive is no turn
@@ -152,15 +152,12 @@ class FastDynamics:
         the amplifier's lag (s), the delay (s), the lag (s).
     rmse, left_out
         On all fast rows, and on blocks left out.
-    noise
-        Mean square of what is white in what is left.
     """
 
     form: Form
     parameters: Floats
     rmse: float = np.inf
     left_out: float = np.inf
-    noise: float = 0.0
 
     @property
     def modes(self) -> Floats:
@@ -306,7 +303,6 @@ def fitted(rows: FastRows, starts: Sequence[Floats], form: Form) -> FastDynamics
         parameters,
         float(np.sqrt(np.mean(best.fun**2))),
         _left_out(rows, best.fun, best.jac),
-        noise(np.concatenate(rows.residuals(form, parameters))) ** 2,
     )
 
 
