@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,7 +9,6 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.identification.basis import PreparedLog, Structure
-from dbo_cli.identification.cross_validation import error_left_out
 from dbo_cli.identification.problem import GOLDEN, Problem
 from dbo_cli.identification.search import CURVES, likelihood
 from dbo_cli.identification.solve import Equations, FittedRows, Solution
@@ -24,7 +22,6 @@ BEYOND = 0.05  # of the range: the invented drive goes so far beyond the logs'
 REST = 0.25  # of a swing
 SWING_ROWS = 40  # of the invented drive
 SMOOTH_SLOPES = 1e-8  # of a mean prediction, which has no noise
-MOST_MISFIT = 0.5  # of the error left out: farther from the mean, one fit is better
 
 
 @dataclass(frozen=True)
@@ -117,13 +114,9 @@ def candidates(
 
 
 def average_model(problem: Problem, invented: Problem, average: Average) -> Solution:
-    """Return the fit nearest to the mean prediction on the logs' drives and on an invented one.
-
-    Where it is far from that mean, the best fit.
-    """
-    best = average.fits[0]
+    """Return the fit nearest to the mean prediction on the logs' drives and on an invented one."""
     if len(average.fits) == 1:
-        return best
+        return average.fits[0]
     predicted = _predictions(problem, invented, average.fits)
     mean = np.einsum("k,kr->r", average.weights, predicted)
     weights = np.full(len(mean), INVENTED_WEIGHT)
@@ -138,8 +131,7 @@ def average_model(problem: Problem, invented: Problem, average: Average) -> Solu
         curved = replace(structure, smooth_curve=smooth)
         nearest = Equations(rows, curved).solve(nearest)
     assert nearest is not None
-    misfit = math.sqrt(float(weights @ nearest.error**2))
-    return best if misfit > MOST_MISFIT * error_left_out(best.residuals) else nearest
+    return nearest
 
 
 def _predictions(

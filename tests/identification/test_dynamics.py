@@ -84,9 +84,7 @@ def test_the_sweep_is_told_from_the_loops():
     [(60.0, 0.02, 5e-4), (110.0, 0.005, 2e-3), (35.0, 0.3, 1e-3)],
 )
 def test_a_resonance_and_a_lag_come_back(frequency, damping, lag):
-    sections, left_out = found(
-        plant(dm.Lag(lag), dm.Resonance(frequency, damping))
-    )
+    sections, left_out = found(plant(dm.Lag(lag), dm.Resonance(frequency, damping)))
     *lags, resonance = sections
     assert isinstance(resonance, dm.Resonance)
     assert resonance.frequency == pytest.approx(frequency, rel=0.005)
