@@ -65,11 +65,6 @@ class Structure:
     start: str = "settled"
     level: float | None = None
 
-    @property
-    def frame(self) -> tuple[float, float]:
-        """Delay (s) and bend, with which the columns change."""
-        return self.delay, self.bend
-
 
 @dataclass(frozen=True)
 class PreparedLog:

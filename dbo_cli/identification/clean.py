@@ -56,7 +56,9 @@ def clean(
                 f"{log.name}: {int(good.sum())} usable rows are too few; record longer, or skip less"
             )
         logs.append(replace(log, good=good))
-    if not any(map(turns_back, logs)):
+    if not any(
+        len(turns(log.voltage, TURNS_BACK * np.ptp(log.voltage))) > 2 for log in logs
+    ):
         raise FitError(
             f"{logs[0].name}: the voltage never turns back; record a drive that goes up and down"
         )
@@ -78,21 +80,15 @@ def refuse_wrong_voltage(log: Recording) -> None:
         )
 
 
-def turns_back(log: Recording) -> bool:
-    """Whether the drive goes up and down."""
-    return len(turns(log.voltage, TURNS_BACK * float(np.ptp(log.voltage)))) > 2
-
-
 def without_late_and_skipped_rows(log: Recording, options: Options) -> Recording:
     """Return the log as a sensor without delay would have made it, without the rows that are skipped."""
     displacement, good = log.displacement, log.usable
     skip, delay = options.skip, options.known_sensor_delay
     if log.time is None:
-        for name, seconds in (("skip", skip), ("sensor_delay", delay)):
-            if seconds:
-                raise UsageError(
-                    f"{log.name}: `{name}` needs a clock: add `time` COLUMN or `sample_rate` HZ"
-                )
+        if skip or delay:
+            raise UsageError(
+                f"{log.name}: `skip` and `sensor_delay` need a clock: add `time` COLUMN or `sample_rate` HZ"
+            )
         return log
     if delay:
         displacement, measured = without_delay(log.time, displacement, delay)

@@ -208,10 +208,6 @@ def warned(model: Cascade, logs: Sequence[Recording]) -> list[str]:
             "the logs hold one amplitude or less than two cycles: smaller loops are a guess; record several "
             "amplitudes and cycles (dbo excite)"
         )
-    if fit["fastest"] is None:
-        found.append(
-            "no clock, so no creep and no delay in the model: add `time` COLUMN or `sample_rate` HZ"
-        )
     expected = fit.get("expected_rmse")
     line = fit.get("left_out_line_rmse") or fit["line_rmse"]
     if expected is not None and expected >= line:

@@ -35,7 +35,7 @@ from dbo_cli.identification.sections import (
     Sweep,
     swept,
 )
-from dbo_cli.identification.solve import Solution
+from dbo_cli.identification.solve import Equations, Solution
 from dbo_cli.identification.stages import model_of, with_changed_stages
 from dbo_cli.model import (
     Amplifier,
@@ -235,11 +235,8 @@ def _with_creep(
     freed = problem
     creep: tuple[Lag, ...] = ()
     for _ in range(CREEP_ROUNDS):
-        search = Search(freed, Choices())
-        search.path(bare, [bare.smooth_curve])
-        if not search.fits:
-            return problem, [], ()
-        creep = _lags_of(taus, _shares(problem, logs, search.fits[0], taus))
+        fit = Equations(freed.rows(bare), bare).solve()
+        creep = _lags_of(taus, _shares(problem, logs, fit, taus))
         if not creep:
             return problem, [], ()
         freed = _freed(problem, creep)

@@ -53,11 +53,8 @@ def identify_paper(recording: Recording, options: Options) -> Cascade:
             f"{recording.name}: the displacement falls as the voltage rises: use `method` "
             "least-squares"
         )
-    count, segments = PAPER_GEARS, PAPER_SEGMENTS
-    if options.gears != "auto":
-        count = int(options.gears)
-    if options.points != "auto":
-        segments = max(int(options.points), 1)
+    count = PAPER_GEARS if options.gears == "auto" else options.gears
+    segments = PAPER_SEGMENTS if options.points == "auto" else max(options.points, 1)
     low, swing = float(voltage.min()), float(np.ptp(voltage))
     lowest, stroke = float(displacement.min()), float(np.ptp(displacement))
     drive = (voltage - low) / swing
