@@ -22,6 +22,7 @@ SPIKE_SIGMAS = 8.0
 SPIKE_SPREAD = 2.0  # a spike leaves its neighbours by so many times their spread
 LEAST_SPIKE = 1e-3  # of the range
 MOST_SPIKES = 0.2  # of the rows: more are no spikes
+STUCK_PATH = 0.08  # of the drive's range: a sensor of 5 bits repeats itself so far
 TURNS_BACK = 0.01  # of the drive's range
 
 
@@ -43,14 +44,19 @@ def clean(
         if not options.force:
             refuse_wrong_voltage(log)
         log = without_late_and_skipped_rows(log, options)
-        spiked = spiked_rows(log.displacement) & log.usable
-        if spiked.any():
-            notes.append(
-                f"{log.name}: {int(spiked.sum())} rows left out (first: row {int(np.argmax(spiked)) + 1}): "
-                "spikes of the displacement"
-            )
-            warn(notes[-1])
-        good = log.usable & ~spiked
+        good = log.usable
+        faults = {
+            "spikes of the displacement": spiked_rows(log.displacement),
+            "the displacement stands still while the drive moves": stuck_rows(log),
+        }
+        for words, faulty in faults.items():
+            rows = np.flatnonzero(faulty & good)
+            if rows.size:
+                notes.append(
+                    f"{log.name}: {rows.size} rows left out (first: row {rows[0] + 1}): {words}"
+                )
+                warn(notes[-1])
+            good = good & ~faulty
         if int(good.sum()) < FEWEST_ROWS:
             raise FitError(
                 f"{log.name}: {int(good.sum())} usable rows are too few; record longer, or skip less"
@@ -115,3 +121,15 @@ def spiked_rows(displacement: Floats) -> Booleans:
     if spiked.mean() > MOST_SPIKES:
         return np.zeros(len(displacement), bool)
     return spiked
+
+
+def stuck_rows(log: Recording) -> Booleans:
+    """Return rows of runs of one displacement over which the drive travels far: a stuck or clipped sensor."""
+    edges = np.flatnonzero(np.diff(log.displacement) != 0.0) + 1
+    begins = np.concatenate(([0], edges))
+    ends = np.concatenate((edges, [len(log.displacement)]))
+    path = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(log.voltage)))))
+    travelled = path[ends - 1] - path[begins]
+    typical = float(np.percentile(travelled, 90.0))
+    far = travelled > max(STUCK_PATH * float(np.ptp(log.voltage)), 4.0 * typical)
+    return np.repeat(far, ends - begins)

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import nnls
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError
@@ -35,7 +34,7 @@ from dbo_cli.identification.sections import (
     Sweep,
     swept,
 )
-from dbo_cli.identification.solve import Equations, Solution
+from dbo_cli.identification.solve import Equations, Solution, nonnegative
 from dbo_cli.identification.stages import model_of, with_changed_stages
 from dbo_cli.model import (
     Amplifier,
@@ -273,7 +272,7 @@ def _shares(
         targets.append(log.displacement[prepared.rows])
     stacked = np.vstack(tables) / abs(problem.scale)
     target = np.concatenate(targets) / abs(problem.scale)
-    gains, _ = nnls(stacked, target, maxiter=100 * stacked.shape[1])
+    gains = nonnegative(stacked, target)
     shares: Floats = gains[:count] / max(float(gains[count]), 1e-300)
     return shares
 

@@ -12,13 +12,17 @@ does on the cycle and on the cycle shrunk about its middle.
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import nnls
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import Structure
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.identification.solve import Equations, FittedRows, Solution
+from dbo_cli.identification.solve import (
+    Equations,
+    FittedRows,
+    Solution,
+    nonnegative,
+)
 from dbo_cli.identification.stages import with_reach, zero_of
 from dbo_cli.model import Cascade, Gears, Points, Quantity, Scale
 
@@ -116,6 +120,6 @@ def _few_heights(drive: Floats, slopes: Floats, widths: Floats) -> Floats:
     squares[0] = CYCLE_WEIGHT
     weight = np.sqrt(np.repeat(squares, rows))
     bound = weight * (target - FLATTEST_GEAR * (parts @ widths))
-    unknown, _ = nnls(weight[:, None] * table, bound, maxiter=100 * table.shape[1])
+    unknown = nonnegative(weight[:, None] * table, bound)
     heights: Floats = widths * (FLATTEST_GEAR + np.cumsum(unknown[:count]))
     return heights

@@ -281,15 +281,8 @@ def fitted(rows: FastRows, starts: Sequence[Floats], form: Form) -> FastDynamics
     tried.sort(key=lambda trial: trial.cost)
     finals = [refined(trial.x, MOST_STEPS) for trial in tried[:FINALISTS]]
     best = min(finals, key=lambda trial: trial.cost)
-    parameters, count = np.array(best.x), 2 * form.resonances
-    pairs = parameters[:count].reshape(-1, 2)
-    parameters[:count] = pairs[np.argsort(pairs[:, 0])].ravel()
-    return FastDynamics(
-        form,
-        parameters,
-        float(np.sqrt(np.mean(best.fun**2))),
-        _left_out(rows, best.fun, best.jac),
-    )
+    rmse = float(np.sqrt(np.mean(best.fun**2)))
+    return FastDynamics(form, best.x, rmse, _left_out(rows, best.fun, best.jac))
 
 
 def _bounds(rows: FastRows, form: Form) -> tuple[Floats, Floats]:
