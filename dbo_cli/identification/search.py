@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import product
@@ -14,7 +15,11 @@ from dbo_cli.identification.basis import (
     Cells,
     Structure,
 )
-from dbo_cli.identification.cross_validation import cross_validate, least_score
+from dbo_cli.identification.cross_validation import (
+    DRIFT_PRICE,
+    cross_validate,
+    least_score,
+)
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options
 from dbo_cli.identification.solve import Equations, Solution
@@ -30,6 +35,8 @@ BENDS = (-0.25, -0.12, 0.12, 0.25)
 DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
 LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the range: where memories may have stood before the logs, beside the first value."""
+BEGUN_LEVELS = (None, 0.0, 0.5, 1.0)
+"""Of these, tried with each start: logs of a decay on an actuator that creeps need them."""
 SETTLED_START = "settled"
 BEGUN_STARTS = (SETTLED_START, "empty", "full", "below", "above")
 """The last two where the gears go on beyond the range."""
@@ -41,6 +48,7 @@ FINER_LEVEL = 0.125  # beside the best one, tried below and above
 ROUNDS = (2, 1)  # of neighbours: of how many kinds of structures
 HOPELESS = 0.5  # of the score: a fit that is worse at best weighs nothing
 FEWEST_SWINGS = 4  # with fewer neither bend nor drift can be told from the loop
+ONE_WAY = 2  # swings, up and down once: a curve cannot be told from the loop, either
 SLOWEST = 3.0  # swings: the slowest memory that a log of one amplitude can tell
 OTHER_BENDS = (-0.25, 0.25)  # of candidates that logs cannot judge
 
@@ -67,6 +75,8 @@ def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
         choices.drift = swings >= FEWEST_SWINGS
     if problem.swing_count < FEWEST_SWINGS:
         choices.bends = ()
+    if problem.swing_count <= ONE_WAY:
+        choices.curves = CURVES[:1]
     if problem.one_amplitude:
         _take_one_amplitude(problem, choices)
         fast = problem.taus[problem.taus < SLOWEST * problem.swing]
@@ -75,25 +85,33 @@ def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
         choices.memories = ("",)
     _take_options(choices, options)
     if problem.past.size:
-        choices.base = replace(choices.base, start=_begun(problem))
+        choices.base = _begun(problem, choices)
     if choices.base.start in ("below", "above"):
         problem = replace(problem, cells=Cells.of(spare=SPARE_BEYOND))
     return problem, choices
 
 
-def _begun(problem: Problem) -> str:
-    """Return the start of the gears from which all rows are followed best by a rough structure.
+def _begun(problem: Problem, choices: Choices) -> Structure:
+    """Return the structure of the start of gears and memories from which all rows are followed best.
 
-    Settled they are where nothing is clearly better.
+    They are compared by a rough structure; a level costs what it costs in a score, and is
+    tried where there are enough swings to tell it from the loop. Settled gears and memories
+    stay where nothing is clearly better.
     """
-    errors = {}
-    for start in BEGUN_STARTS if problem.cells.spare else BEGUN_STARTS[:3]:
-        trials = [replace(ROUGHEST, slopes=rule, start=start) for rule in RULES]
+    starts = BEGUN_STARTS if problem.cells.spare else BEGUN_STARTS[:3]
+    levels = BEGUN_LEVELS if choices.drift and len(problem.taus) else LEVELS[:1]
+    bases: list[Structure] = []
+    errors: list[float] = []
+    for start, level in product(starts, levels):
+        base = replace(choices.base, start=start, level=level)
+        rough = replace(ROUGHEST, start=start, level=level)
+        trials = [replace(rough, slopes=rule) for rule in RULES]
         fits = [Equations(problem.rows(trial), trial).solve() for trial in trials]
-        errors[start] = min(fit.rmse for fit in fits)
-    best = min(errors, key=errors.__getitem__)
-    clear = errors[best] < BETTER_START * errors[SETTLED_START]
-    return best if clear else SETTLED_START
+        price = math.exp(DRIFT_PRICE * (level is not None))
+        bases.append(base)
+        errors.append(price * min(fit.rmse for fit in fits))
+    best = int(np.argmin(errors))
+    return bases[best if errors[best] < BETTER_START * errors[0] else 0]
 
 
 def _take_one_amplitude(problem: Problem, choices: Choices) -> None:

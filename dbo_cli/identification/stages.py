@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.identification.basis import points_of
+from dbo_cli.identification.basis import SPARE, points_of
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.solve import LEAST_WITH_NEGATIVE, Solution
@@ -24,6 +24,7 @@ from dbo_cli.model import (
     Stage,
 )
 
+LAST = 0.05  # of the gears inside the range: those beyond it have their mean slope
 FLATTEST = 1e-9  # of the mean slope of the range: a gear must rise
 
 
@@ -61,6 +62,11 @@ def _gears_of(problem: Problem, fit: Solution, height: float, base: float) -> Ge
     both[: fit.gains.size] = fit.gains
     lags, rests = both[:terms], both[terms:]
     fitted = np.repeat(fit.slopes, cells.counts)
+    if (
+        0.0 < cells.overshoot <= SPARE
+    ):  # few rows show the last cell, which a curve may hide
+        last = fitted[round((1.0 - LAST) * cells.inside) : cells.inside]
+        fitted[cells.inside :] = last.mean()
     mean = float(fitted.mean()) + float(rests.sum())
     lowest = float(rests.sum()) + LEAST_WITH_NEGATIVE * mean * bool(rests.any())
     slopes = np.maximum(fitted + rests.sum(), max(lowest, FLATTEST))
