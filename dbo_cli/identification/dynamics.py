@@ -122,21 +122,8 @@ def _noise(rows: FastRows, best: FastDynamics) -> float:
     return noise(np.concatenate(rows.residuals(best.form, best.parameters))) ** 2
 
 
-# --- warnings ---
-
-
 def figures_of(rows: FastRows, best: FastDynamics) -> dict[str, Any]:
-    """Return what the model file says of the dynamics."""
-    return {
-        "rmse": best.rmse,
-        "left_out_rmse": best.left_out,
-        "logs": [signals.sweep.recording.name for signals in rows.signals],
-        "warnings": unexplained(rows, best),
-    }
-
-
-def unexplained(rows: FastRows, best: FastDynamics) -> list[str]:
-    """Return a warning for each sweep of which much is not explained; noise aside."""
+    """Return what the model file says of the dynamics; warnings where much beyond noise is unexplained."""
     warnings = []
     for signals in rows.signals:
         residuals, sweep = signals.residuals(best), signals.sweep
@@ -148,4 +135,9 @@ def unexplained(rows: FastRows, best: FastDynamics) -> list[str]:
                 f"{sweep.recording.name}: rows {sweep.rows.start + 1} to {sweep.rows.stop}, {low:.3g} "
                 f"to {high:.3g} Hz: {100.0 * share:.0f} % unexplained: slow moves only; try a larger sweep"
             )
-    return warnings
+    return {
+        "rmse": best.rmse,
+        "left_out_rmse": best.left_out,
+        "logs": [signals.sweep.recording.name for signals in rows.signals],
+        "warnings": warnings,
+    }

@@ -23,7 +23,6 @@ from dbo_cli.identification.dynamics import (
     figures_of,
     find,
     refine,
-    unexplained,
 )
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options, Recording
@@ -32,7 +31,6 @@ from dbo_cli.identification.sections import (
     FastDynamics,
     FastRows,
     Sweep,
-    swept,
 )
 from dbo_cli.identification.solve import Equations, Solution, nonnegative
 from dbo_cli.identification.stages import model_of, with_changed_stages
@@ -117,13 +115,13 @@ def moving(
         raise FitError(
             f"`dynamics` {order}: no log has a sweep: record a drive of dbo excite with `sweep_to` HZ"
         )
-    shortest = FAST_LAGS / swept(fast)[0]
+    shortest = FAST_LAGS / min(sweep.band[0] for sweep in fast)
     slower, steeper = without_fast_memories(problem, best, shortest)
     static = model_of(slower, steeper, logs[0], options).static
     rows = FastRows(static, fast)
     found = find(rows, order)
     if not found.form.resonances:
-        return Moving(problem, fits, {"warnings": unexplained(rows, found)})
+        return Moving(problem, fits, figures_of(rows, found))
     problem, fits, creep = _read_again(slower, best, logs, options, lateness(found))
     best = min(fits, key=lambda fit: fit.score)
     static = model_of(problem, best, logs[0], options).static

@@ -33,6 +33,8 @@ ONE_AMPLITUDE_CURVE = 1e-1
 AS_GOOD = 1.2  # of the roughest one's error: so much may smoothness cost
 BENDS = (-0.25, -0.12, 0.12, 0.25)
 DELAYS = (0.003, 0.01, 0.03, 0.08)  # of a swing
+REFINED = (0.6, 0.8, 1.25, 1.6)
+"""Times the best delay, tried in turn."""
 LEVELS = (None, 0.0, 0.25, 0.5, 0.75, 1.0)
 """Of the range: where memories may have stood before the logs, beside the first value."""
 BEGUN_LEVELS = (None, 0.0, 0.5, 1.0)
@@ -141,8 +143,6 @@ def _take_options(choices: Choices, options: Options) -> None:
     """Leave what the user left."""
     if options.slopes != "auto":
         choices.slopes = (options.slopes,)
-    if options.slopes == "free":
-        choices.smoothness = choices.smoothness[:2]
     if options.delay != "auto":
         choices.delays = ()
         choices.base = replace(choices.base, delay=options.delay)
@@ -190,6 +190,8 @@ class Search:
         for count in ROUNDS:
             for fit in self._best_kinds()[:count]:
                 self._neighbours(fit)
+            for factor in REFINED:
+                self._finer_delay(factor)
             for step in (-FINER_LEVEL, FINER_LEVEL):
                 self._finer_level(step)
         return sorted(self.fits, key=lambda fit: fit.score)
@@ -274,6 +276,14 @@ class Search:
         for (past, start), level in product(dict.fromkeys(pasts), levels):
             trials.append(replace(structure, past=past, start=start, level=level))
         return trials
+
+    def _finer_delay(self, factor: float) -> None:
+        """Try a delay beside the best one."""
+        delayed = [fit for fit in self.fits if fit.structure.delay > 0.0]
+        if delayed and self.choices.delays:
+            best = min(delayed, key=lambda fit: fit.score).structure
+            trial = replace(best, delay=best.delay * factor)
+            self.path(trial, [best.smooth_curve])
 
     def _finer_level(self, step: float) -> None:
         """Try a level beside the best fit's."""

@@ -237,7 +237,8 @@ class FastRows:
 
     def __init__(self, static: Cascade, fast: Sequence[Sweep]) -> None:
         self.signals = [Signals(static, sweep) for sweep in fast]
-        self.band = swept(fast)
+        lows, highs = zip(*(sweep.band for sweep in fast), strict=True)
+        self.band: Band = min(lows), max(highs)
         self.step = min(sweep.dt for sweep in fast)
         self.count = sum(signals.measured.size for signals in self.signals)
 
@@ -256,12 +257,6 @@ class FastRows:
         if best.lag <= NO_LAG * self.step:
             return tuple(best.resonances)
         return (Lag(best.lag), *best.resonances)
-
-
-def swept(fast: Sequence[Sweep]) -> Band:
-    """Return the lowest and the highest frequency swept (Hz)."""
-    lows, highs = zip(*(sweep.band for sweep in fast), strict=True)
-    return min(lows), max(highs)
 
 
 def fitted(rows: FastRows, starts: Sequence[Floats], form: Form) -> FastDynamics:
