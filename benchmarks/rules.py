@@ -31,6 +31,7 @@ RULES = {
     "search.CURVES=(10.0,)": "one smoothness of the curve for four",
     "search.SLOPE_SMOOTHNESS=(2e-4,)": "one smoothness of the slopes for three",
     "search.RULES=('growing',)": "slopes that grow only",
+    "search.OTHER_SMOOTHNESS=()": "no candidates that one amplitude cannot judge",
     "search.ONE_WAY=0": "a curve from a single way up and down",
     "cross_validation.PRICE=0.0": "terms for nothing",
     "cross_validation.DRIFT_PRICE=0.1": "a drift as cheap as a memory",

@@ -52,7 +52,8 @@ HOPELESS = 0.5  # of the score: a fit that is worse at best weighs nothing
 FEWEST_SWINGS = 4  # with fewer neither bend nor drift can be told from the loop
 ONE_WAY = 2  # swings, up and down once: a curve cannot be told from the loop, either
 SLOWEST = 3.0  # swings: the slowest memory that a log of one amplitude can tell
-OTHER_BENDS = (-0.25, 0.25)  # of candidates that logs cannot judge
+OTHER_SMOOTHNESS = (0.01, 0.1, 10.0, 100.0)  # of candidates that logs cannot judge
+OTHER_BENDS = (-0.25, 0.25)  # the same
 
 
 @dataclass
@@ -156,11 +157,6 @@ def _take_options(choices: Choices, options: Options) -> None:
             choices.base = replace(choices.base, segments=options.points)
 
 
-def likelihood(fit: Solution, smallest: float, swings: int) -> float:
-    """Return the likelihood of a Gaussian error of one size a swing, over that of the smallest one."""
-    return float(min(smallest / max(fit.rmse, 1e-300), 1.0) ** swings)
-
-
 class Search:
     """The fits of one identification, all judged."""
 
@@ -220,11 +216,14 @@ class Search:
         """Return weight and fit of structures that the logs cannot tell from the best one.
 
         They explain the logs nearly alike, and differ where these show nothing: in smaller
-        loops, for one. The weight is the likelihood.
+        loops, for one. The weight is the likelihood of a Gaussian error of one size a swing.
         """
         structure, problem = best.structure, self.problem
         straight = np.isinf(structure.smooth_curve)
         trials = [replace(structure, slopes=rule) for rule in RULES]
+        for factor in OTHER_SMOOTHNESS:
+            smooth = factor * structure.smooth_slopes
+            trials.append(replace(structure, smooth_slopes=smooth))
         for bend in OTHER_BENDS:
             trials.append(replace(structure, bend=structure.bend + bend))
         curve = ONE_AMPLITUDE_CURVE if straight else np.inf
@@ -237,8 +236,8 @@ class Search:
         weighted = []
         for trial in dict.fromkeys(trials):
             fit = Equations(problem.rows(trial), trial).solve()
-            weight = likelihood(fit, best.rmse, problem.different_swings)
-            weighted.append((weight, fit))
+            ratio = min(best.rmse / max(fit.rmse, 1e-300), 1.0)
+            weighted.append((ratio**problem.different_swings, fit))
         return weighted
 
     def _best_kinds(self) -> list[Solution]:
