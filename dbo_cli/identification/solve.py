@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
+from scipy.linalg.lapack import dposv
 from scipy.optimize import nnls
 
 from dbo_cli.arrays import Booleans, Floats
@@ -30,7 +31,8 @@ ENOUGH = 1e-4  # relative gain of a step that ends the iteration
 HALVINGS = 5
 NOT_SOLVED = "the least-squares solver did not converge; leave out bad rows"
 ITERATIONS = 100  # for each unknown, of the bounded solver
-ALIKE = 1e-10  # of the largest column's length: nuisances that differ less are one
+TURNS = 5  # in which bounded unknowns change sides: where more are needed, scipy solves from the start
+EXACT = 1e-10  # of the largest right side: gradients below are zero
 DAMPED = 1e-13
 """Added to a diagonal of ones where rounding cannot tell the unknowns apart; then hundreds of times that."""
 
@@ -136,11 +138,14 @@ def nonnegative(table: Floats, target: Floats) -> Floats:
     return np.asarray(x)
 
 
-def minimum(matrix: Floats, right: Floats, bounded: Booleans) -> Floats:
+def minimum(
+    matrix: Floats, right: Floats, bounded: Booleans, guess: Booleans
+) -> Floats:
     """Minimise x'Hx/2 - g'x with x >= 0 where it is ``bounded``; return x.
 
     With H = U'U this is |U x - c| for U'c = g. With the free unknowns first, the lower
-    rows of U hold bounded ones alone: non-negative least squares.
+    rows of U hold bounded ones alone: non-negative least squares. ``guess`` are unknowns
+    that are tried first as the only ones that are not 0.
 
     Raises
     ------
@@ -148,10 +153,14 @@ def minimum(matrix: Floats, right: Floats, bounded: Booleans) -> Floats:
         H is not positive definite, or the solver does not end.
     """
     scale = 1.0 / np.sqrt(np.diag(matrix))
+    scaled, target = matrix * scale * scale[:, None], right * scale
+    x = _guessed(scaled, target, bounded, guess)
+    if x is not None:
+        return x * scale
     order = np.argsort(bounded, kind="stable")
     free = len(bounded) - int(np.count_nonzero(bounded))
-    factor = factor_of((matrix * scale * scale[:, None])[np.ix_(order, order)])
-    target = solve_triangular(factor, (right * scale)[order], trans=1)
+    factor = factor_of(scaled[np.ix_(order, order)])
+    target = solve_triangular(factor, target[order], trans=1)
     positive = nonnegative(factor[free:, free:], target[free:])
     remainder = target[:free] - factor[:free, free:] @ positive
     x = np.empty(len(right))
@@ -159,6 +168,29 @@ def minimum(matrix: Floats, right: Floats, bounded: Booleans) -> Floats:
     if not np.isfinite(x).all():
         raise FitError(NOT_SOLVED)
     return x * scale
+
+
+def _guessed(
+    matrix: Floats, right: Floats, bounded: Booleans, guess: Booleans
+) -> Floats | None:
+    """Return the minimum, found by turns of which unknowns are not 0, begun at a guess; else None.
+
+    Block principal pivoting (Portugal, Judice and Vicente, 1994): all that are on the wrong side
+    of their bound change sides at once. It ends within a few turns, or it may cycle. Without it
+    an identification takes 1.3 times as long.
+    """
+    slack = EXACT * float(np.abs(right).max())
+    for _ in range(TURNS):
+        x, some = np.zeros(len(right)), np.flatnonzero(guess)
+        _, x[some], failed = dposv(matrix[np.ix_(some, some)], right[some])
+        if failed or not np.isfinite(x).all():
+            return None
+        gradient = matrix @ x - right
+        wrong = bounded & np.where(guess, x < 0.0, gradient < -slack)
+        if not wrong.any():
+            return x
+        guess = guess ^ wrong
+    return None
 
 
 def factor_of(matrix: Floats) -> Floats:
@@ -203,6 +235,7 @@ class Equations:
         self.gain_costs = np.zeros(self.inner - self.cells)
         self.penalty = self._penalty()
         self.bounded = np.arange(self.size) < self.free
+        self.positive = np.ones(self.size, bool)
         self._products: Floats | None = None
 
     def _slope_map(self) -> Floats:
@@ -229,7 +262,7 @@ class Equations:
         shown = np.column_stack((engaged.sum(axis=1), memories)) * self.roots[:, None]
         nuisance = np.column_stack((np.ones(len(shown)), self.rows.drift))
         nuisance *= self.roots[:, None]
-        shown -= nuisance @ np.linalg.lstsq(nuisance, shown, rcond=ALIKE)[0]
+        shown -= nuisance @ np.linalg.lstsq(nuisance, shown, rcond=EXACT)[0]
         squares = np.sum(shown**2, axis=0)
         ratios: Floats = squares[0] / np.maximum(squares[1:], RIDGE * squares[0])
         return ratios
@@ -344,7 +377,9 @@ class Equations:
             right[self.inner : self.free] += HOLD / self.segments
         lowest = np.zeros(self.size)
         lowest[self.inner : self.free] = LEAST_CURVE
-        return lowest + minimum(matrix, right - matrix @ lowest, self.bounded)
+        x = minimum(matrix, right - matrix @ lowest, self.bounded, self.positive)
+        self.positive = (x > 0.0) | ~self.bounded
+        return x + lowest
 
     def solve(self, first: Solution | None = None) -> Solution:
         """Return the fit at the least penalised squares that Gauss-Newton reaches."""

@@ -67,7 +67,7 @@ def test_a_solution_beyond_all_numbers_is_refused():
     right = np.array([1e300, -1e300, 1.0])
     bounded = np.array([False, False, True])
     with pytest.raises(FitError), np.errstate(all="ignore"):
-        minimum(matrix, right, bounded)
+        minimum(matrix, right, bounded, np.ones(3, bool))
 
 
 def test_a_fit_without_a_score_is_left_out(monkeypatch):
