@@ -14,6 +14,7 @@ from dbo_cli.identification.basis import (
     SPARE_BEYOND,
     Cells,
     Structure,
+    plays_at_start,
 )
 from dbo_cli.identification.cross_validation import (
     DRIFT_PRICE,
@@ -101,11 +102,15 @@ def _begun(problem: Problem, choices: Choices) -> Structure:
     tried where there are enough swings to tell it from the loop. Settled gears and memories
     stay where nothing is clearly better.
     """
-    starts = BEGUN_STARTS if problem.cells.spare else BEGUN_STARTS[:3]
+    starts: dict[bytes, str] = {}  # those that differ
+    for start in BEGUN_STARTS if problem.cells.spare else BEGUN_STARTS[:3]:
+        firsts, reach = [log.drive[0] for log in problem.logs], problem.cells.reach
+        plays = [plays_at_start(float(first), reach, start) for first in firsts]
+        starts.setdefault(np.concatenate(plays).tobytes(), start)
     levels = BEGUN_LEVELS if choices.drift and len(problem.taus) else LEVELS[:1]
     bases: list[Structure] = []
     errors: list[float] = []
-    for start, level in product(starts, levels):
+    for start, level in product(starts.values(), levels):
         base = replace(choices.base, start=start, level=level)
         rough = replace(ROUGHEST, start=start, level=level)
         trials = [replace(rough, slopes=rule) for rule in RULES]
