@@ -96,7 +96,7 @@ def identify(
             asked, own = replace(options, prior=shape), opened[: len(logs)]
             models[name] = identified(recordings, own, asked, tests)
         read += own
-        texts = describe(models[name])
+        texts = describe(models[name], recordings)
         lines += [f"{name}: {text}" if name else text for text in texts]
     is_set = "" not in models
     with Outputs() as outputs:

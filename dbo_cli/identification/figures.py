@@ -14,6 +14,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError, LimitError
 from dbo_cli.identification.averaging import Average
 from dbo_cli.identification.basis import PreparedLog
+from dbo_cli.identification.clean import spiked_rows
 from dbo_cli.identification.cross_validation import (
     error_left_out,
     line_left_out,
@@ -290,13 +291,20 @@ def line_rmse(logs: Sequence[Recording]) -> float:
     return math.sqrt(float(np.mean((y - gain * v) ** 2)))
 
 
-def describe(model: Cascade) -> list[str]:
-    """Return in one line what to expect of a model, and a line for each log that it was tried on."""
+def describe(model: Cascade, logs: Sequence[Recording]) -> list[str]:
+    """Return in one line what to expect of a model, as a part of what its logs moved.
+
+    A line for each log that it was tried on follows.
+    """
     fit, unit = model.fit, model.output.suffix
     expected = fit.get("expected_rmse")
     lines = [f"fit RMSE {fit['rmse']:.3g}{unit}; error on new moves unknown"]
     if expected is not None:
-        percent = 100.0 * expected / model.output.span
+        spans = []
+        for log in logs:
+            measured_rows = log.usable & ~spiked_rows(log.displacement)
+            spans.append(float(np.ptp(log.displacement[measured_rows])))
+        percent = 100.0 * expected / max(spans)
         lines = [
             f"expected error {expected:.3g}{unit} ({percent:.2g} % of range);"
             f" a straight line would leave {fit['line_rmse']:.3g}{unit}"

@@ -35,8 +35,8 @@ LEAST_KNOWN = 0.5  # of the rows: those behind the first way over the log's rang
 LONGEST_DELAY = (
     0.25  # of the usual swing, to either side: a lag beyond is another swing
 )
-NOISE_CHANCE = 4.0
-"""Over the root of the rows: two standard errors of the noise's variance, which is no change of the shape."""
+NOISE_CHANCE = 8.0
+"""Over the root of the rows: by so much medians may tell the variance of the noise too small, measured."""
 LEAST_STATED = 1e-6  # of the output's range: the least error that a prior may state
 
 
