@@ -10,7 +10,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.identification.basis import PreparedLog, Structure
 from dbo_cli.identification.problem import GOLDEN, Problem
-from dbo_cli.identification.search import CURVES
+from dbo_cli.identification.search import CURVES, likelihood
 from dbo_cli.identification.solve import Equations, FittedRows, Solution
 from dbo_cli.model.cascade import MOST_CANDIDATES
 
@@ -51,6 +51,41 @@ class Average:
         for parts in zip(*(fit.residuals for fit in self.fits), strict=True):
             residuals.append(np.einsum("k,kr->r", self.weights, np.stack(parts)))
         return residuals
+
+
+def with_levels(
+    average: Average, fits: Sequence[Solution], swings: int
+) -> list[tuple[float, Solution]]:
+    """Return the fits of an average and, as heavy together, where memories may have stood before the logs.
+
+    The level moves the zero. It shows in the first part, which the others do not predict
+    when it is left out; so levels are weighed by how all rows are followed: the likelihood
+    of a Gaussian error of one size a swing.
+
+    Parameters
+    ----------
+    average
+        The best one's kind is taken at all levels.
+    fits
+        All there are.
+    swings
+        How many differ.
+    """
+    weighted = list(zip(average.weights.tolist(), average.fits, strict=True))
+    best = average.fits[0].structure
+    levels: dict[float | None, Solution] = {}
+    for fit in sorted(fits, key=lambda fit: fit.rmse):
+        structure = fit.structure
+        same = structure.memories == best.memories and structure.past == best.past
+        same &= structure.start == best.start
+        if same and not structure.drift:
+            levels.setdefault(structure.level, fit)
+    if len(levels) < 2:
+        return weighted
+    smallest = min(fit.rmse for fit in levels.values())
+    likely = [(likelihood(fit, smallest, swings), fit) for fit in levels.values()]
+    total = sum(weight for weight, _ in likely)
+    return [*weighted, *((weight / total, fit) for weight, fit in likely)]
 
 
 def candidates(

@@ -11,6 +11,7 @@ from dbo_cli.identification.averaging import (
     average_model,
     candidates,
     invented_problem,
+    with_levels,
 )
 from dbo_cli.identification.clean import clean
 from dbo_cli.identification.figures import (
@@ -90,7 +91,7 @@ def _searched(logs: Sequence[Recording], options: Options) -> Cascade:
     average = Average.of(fits)
     invented = invented_problem(problem)
     fit = average_model(problem, invented, average)
-    others = list(zip(average.weights.tolist(), average.fits, strict=True))
+    others = with_levels(average, fits, problem.different_swings)
     few = problem.one_amplitude or problem.different_swings < FEWEST_SWINGS
     if few and dynamic is None:
         others = search.unjudged(average.fits[0])

@@ -171,9 +171,9 @@ def detrended(values: Floats, time: Floats | None) -> tuple[Floats, float]:
     if time is None:
         return centred_values, 0.0
     centred_time = time - time.mean()
-    square = max(float(centred_time @ centred_time), 1e-300)
-    rate = float(centred_time @ centred_values) / square
-    return centred_values - rate * centred_time, rate * float(np.ptp(time))
+    square = max(float(np.sum(centred_time**2)), 1e-300)
+    rate = float(np.sum(centred_time * centred_values)) / square
+    return centred_values - rate * centred_time, rate * float(np.ptp(centred_time))
 
 
 def runs_of(mask: Booleans) -> Integers:

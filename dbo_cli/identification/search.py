@@ -162,6 +162,11 @@ def _take_options(choices: Choices, options: Options) -> None:
             choices.base = replace(choices.base, segments=options.points)
 
 
+def likelihood(fit: Solution, smallest: float, swings: int) -> float:
+    """Return the likelihood of a Gaussian error of one size a swing, over that of the smallest one."""
+    return float(min(smallest / max(fit.rmse, 1e-300), 1.0) ** swings)
+
+
 class Search:
     """The fits of one identification, all judged."""
 
@@ -221,7 +226,7 @@ class Search:
         """Return weight and fit of structures that the logs cannot tell from the best one.
 
         They explain the logs nearly alike, and differ where these show nothing: in smaller
-        loops, for one. The weight is the likelihood of a Gaussian error of one size a swing.
+        loops, for one. The weight is the likelihood.
         """
         structure, problem = best.structure, self.problem
         straight = np.isinf(structure.smooth_curve)
@@ -241,8 +246,8 @@ class Search:
         weighted = []
         for trial in dict.fromkeys(trials):
             fit = Equations(problem.rows(trial), trial).solve()
-            ratio = min(best.rmse / max(fit.rmse, 1e-300), 1.0)
-            weighted.append((ratio**problem.different_swings, fit))
+            weight = likelihood(fit, best.rmse, problem.different_swings)
+            weighted.append((weight, fit))
         return weighted
 
     def _best_kinds(self) -> list[Solution]:
