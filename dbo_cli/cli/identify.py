@@ -55,7 +55,7 @@ def identify(
     """
     from dbo_cli import channels
     from dbo_cli.files import Outputs, check_outputs
-    from dbo_cli.identification import Options, describe, describe_validation
+    from dbo_cli.identification import Options, describe
     from dbo_cli.model import dumps_model, dumps_set
     from dbo_cli.recordings import identified, recordings_of, typed_constants
     from dbo_cli.reports.show import shown_text
@@ -94,7 +94,7 @@ def identify(
             asked, own = replace(options, prior=shape), opened[: len(logs)]
             models[name] = identified(recordings, own, asked, tests)
         read += own
-        texts = [describe(models[name], recordings), *describe_validation(models[name])]
+        texts = describe(models[name], recordings)
         lines += [f"{name}: {text}" if name else text for text in texts]
     with Outputs() as outputs:
         is_set = "" not in models

@@ -15,13 +15,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.optimize import minimize_scalar, nnls
+from scipy.optimize import minimize_scalar
 
 from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.compare.plays import EMPTY, Plays, places
 from dbo_cli.errors import FitError
 from dbo_cli.identification.recording import Recording, Swings, falling
 from dbo_cli.identification.search import FEWEST_SWINGS
+from dbo_cli.identification.solve import nonnegative
 from dbo_cli.model import Points, Scale
 from dbo_cli.model.points import Curves
 from dbo_cli.signals import usual_step
@@ -340,7 +341,7 @@ def bounded_minimum(
     # a play that does not move in these rows is an offset: nothing tells its weight
     table[:, np.linalg.norm(table, axis=0) <= RESTING * lengths] = 0.0
     triangle = np.linalg.qr(table).R
-    x[bound] += nnls(triangle[:, :-1], triangle[:, -1], maxiter=50 * len(x))[0]
+    x[bound] += nonnegative(triangle[:, :-1], triangle[:, -1])
     unbounded: Floats = np.linalg.pinv(free) @ (right - matrix @ x)
     alone = np.count_nonzero(~bound)
     x[~bound] = unbounded[:alone]

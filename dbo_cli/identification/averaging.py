@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -10,7 +9,6 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.identification.basis import PreparedLog, Structure
-from dbo_cli.identification.cross_validation import error_left_out
 from dbo_cli.identification.problem import GOLDEN, Problem
 from dbo_cli.identification.search import CURVES, likelihood
 from dbo_cli.identification.solve import Equations, FittedRows, Solution
@@ -24,7 +22,6 @@ BEYOND = 0.05  # of the range: the invented drive goes so far beyond the logs'
 REST = 0.25  # of a swing
 SWING_ROWS = 40  # of the invented drive
 SMOOTH_SLOPES = 1e-8  # of a mean prediction, which has no noise
-MOST_MISFIT = 0.5  # of the error left out: farther from the mean, one fit is better
 
 
 @dataclass(frozen=True)
@@ -54,15 +51,6 @@ class Average:
         for parts in zip(*(fit.residuals for fit in self.fits), strict=True):
             residuals.append(np.einsum("k,kr->r", self.weights, np.stack(parts)))
         return residuals
-
-    @property
-    def frame(self) -> tuple[float, float]:
-        """Delay (s) and bend that have most of the weight."""
-        frames = [fit.structure.frame for fit in self.fits]
-        total = dict.fromkeys(frames, 0.0)
-        for frame, weight in zip(frames, self.weights.tolist(), strict=True):
-            total[frame] += weight
-        return max(total, key=lambda key: total[key])
 
 
 def with_levels(
@@ -126,13 +114,9 @@ def candidates(
 
 
 def average_model(problem: Problem, invented: Problem, average: Average) -> Solution:
-    """Return the fit nearest to the mean prediction on the logs' drives and on an invented one.
-
-    Where it is far from that mean, the best fit.
-    """
-    best = average.fits[0]
+    """Return the fit nearest to the mean prediction on the logs' drives and on an invented one."""
     if len(average.fits) == 1:
-        return best
+        return average.fits[0]
     predicted = _predictions(problem, invented, average.fits)
     mean = np.einsum("k,kr->r", average.weights, predicted)
     weights = np.full(len(mean), INVENTED_WEIGHT)
@@ -147,8 +131,7 @@ def average_model(problem: Problem, invented: Problem, average: Average) -> Solu
         curved = replace(structure, smooth_curve=smooth)
         nearest = Equations(rows, curved).solve(nearest)
     assert nearest is not None
-    misfit = math.sqrt(float(weights @ nearest.error**2))
-    return best if misfit > MOST_MISFIT * error_left_out(best.residuals) else nearest
+    return nearest
 
 
 def _predictions(
@@ -164,17 +147,17 @@ def _predictions(
 
 
 def _widest(average: Average) -> Structure:
-    """Return a structure that holds all fits but for their delays and bends: those of most weight."""
+    """Return a structure that holds all fits but for their delays and bends: those of the heaviest."""
+    heaviest = average.fits[0].structure
     slopes = {fit.structure.slopes for fit in average.fits}
     memories = [fit.structure.memories for fit in average.fits]
-    delay, bend = average.frame
     return Structure(
         slopes=slopes.pop() if len(slopes) == 1 else "free",
         memories=max(memories, key=len),
         smooth_slopes=SMOOTH_SLOPES,
-        delay=delay,
-        bend=bend,
-        segments=average.fits[0].structure.segments,
+        delay=heaviest.delay,
+        bend=heaviest.bend,
+        segments=heaviest.segments,
     )
 
 

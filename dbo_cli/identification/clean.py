@@ -44,13 +44,27 @@ def clean(
         if not options.force:
             refuse_wrong_voltage(log)
         log = without_late_and_skipped_rows(log, options)
-        good = log.usable & ~faulty_rows(log, notes)
+        good = log.usable
+        faults = {
+            "spikes of the displacement": spiked_rows(log.displacement),
+            "the displacement stands still while the drive moves": stuck_rows(log),
+        }
+        for words, faulty in faults.items():
+            rows = np.flatnonzero(faulty & good)
+            if rows.size:
+                notes.append(
+                    f"{log.name}: {rows.size} rows left out (first: row {rows[0] + 1}): {words}"
+                )
+                warn(notes[-1])
+            good = good & ~faulty
         if int(good.sum()) < FEWEST_ROWS:
             raise FitError(
                 f"{log.name}: {int(good.sum())} usable rows are too few; record longer, or skip less"
             )
         logs.append(replace(log, good=good))
-    if not any(map(turns_back, logs)):
+    if not any(
+        len(turns(log.voltage, TURNS_BACK * np.ptp(log.voltage))) > 2 for log in logs
+    ):
         raise FitError(
             f"{logs[0].name}: the voltage never turns back; record a drive that goes up and down"
         )
@@ -72,46 +86,21 @@ def refuse_wrong_voltage(log: Recording) -> None:
         )
 
 
-def turns_back(log: Recording) -> bool:
-    """Whether the drive goes up and down."""
-    return len(turns(log.voltage, TURNS_BACK * float(np.ptp(log.voltage)))) > 2
-
-
 def without_late_and_skipped_rows(log: Recording, options: Options) -> Recording:
     """Return the log as a sensor without delay would have made it, without the rows that are skipped."""
     displacement, good = log.displacement, log.usable
     skip, delay = options.skip, options.known_sensor_delay
     if log.time is None:
-        for name, seconds in (("skip", skip), ("sensor_delay", delay)):
-            if seconds:
-                raise UsageError(
-                    f"{log.name}: `{name}` needs a clock: add `time` COLUMN or `sample_rate` HZ"
-                )
+        if skip or delay:
+            raise UsageError(
+                f"{log.name}: `skip` and `sensor_delay` need a clock: add `time` COLUMN or `sample_rate` HZ"
+            )
         return log
     if delay:
         displacement, measured = without_delay(log.time, displacement, delay)
         good = good & measured
     good = good & (log.time - log.time[0] >= skip)
     return replace(log, displacement=displacement, good=good)
-
-
-def faulty_rows(log: Recording, notes: list[str]) -> Booleans:
-    """Return the rows in which the sensor did not measure."""
-    spiked = spiked_rows(log.displacement)
-    stuck = stuck_rows(log) & ~spiked
-    kinds = {
-        "spikes of the displacement": spiked & log.usable,
-        "the displacement stands still while the drive moves": stuck & log.usable,
-    }
-    for words, rows in kinds.items():
-        if rows.any():
-            note = (
-                f"{log.name}: {int(rows.sum())} rows left out (first: row {int(np.argmax(rows)) + 1}): "
-                f"{words}"
-            )
-            notes.append(note)
-            warn(note)
-    return spiked | stuck
 
 
 def spiked_rows(displacement: Floats) -> Booleans:
@@ -136,10 +125,9 @@ def spiked_rows(displacement: Floats) -> Booleans:
 
 def stuck_rows(log: Recording) -> Booleans:
     """Return rows of runs of one displacement over which the drive travels far: a stuck or clipped sensor."""
-    y = log.displacement
-    edges = np.flatnonzero(np.diff(y) != 0.0) + 1
+    edges = np.flatnonzero(np.diff(log.displacement) != 0.0) + 1
     begins = np.concatenate(([0], edges))
-    ends = np.concatenate((edges, [len(y)]))
+    ends = np.concatenate((edges, [len(log.displacement)]))
     path = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(log.voltage)))))
     travelled = path[ends - 1] - path[begins]
     typical = float(np.percentile(travelled, 90.0))

@@ -3,9 +3,9 @@
 What the static model predicts for the fast rows is the input of the dynamics, what was
 measured their output. Starts come from the ratio of the two spectra; parameters are
 refined on the output error. No, one or two resonances, the last with an antiresonance
-or without, and a pure delay: by the error on blocks left out, one step from the whole
-fit. ``find`` does this beside a static model that knows no dynamics; the slow rows are
-then identified again with the sections known, and ``refine`` fits the sections again.
+or without: by the error on blocks left out, one step from the whole fit. ``find`` does
+this beside a static model that knows no dynamics; the slow rows are then identified
+again with the sections known, and ``refine`` fits the sections again.
 """
 
 from __future__ import annotations
@@ -16,80 +16,33 @@ from typing import Any
 
 import numpy as np
 
-from dbo_cli.identification.recording import noise_variance
 from dbo_cli.identification.sections import (
-    LEAST_DAMPING,
-    MOST_BESIDE,
-    Band,
     FastDynamics,
     FastRows,
     Form,
     fitted,
     peak_of,
-    phase_delay,
 )
-from dbo_cli.model import Mode, Resonance
+from dbo_cli.signals import noise
 
 MOST_RESONANCES = 2  # one sweep does not tell more apart
-EARNED = 0.9  # of the error left out: what a resonance must lower it to
-SURE, MOST_OF_IT = 200.0, 0.3
-"""Or, for a second resonance: the squares left out fall by so many times the noise's mean square, and by
-this share of what they are beyond white noise."""
-SHORT_LAG = 0.02  # periods of the highest frequency: a first guess
+SURE, EARNED = 200.0, 0.3
+"""The squares left out must fall by so many times the noise's mean square, and by this share of what they
+are beyond white noise."""
+SHORT_LAG, LONG_LAG = 0.02, 0.3  # periods of the highest frequency: first guesses
 DAMPINGS = (0.002, 0.02, 0.1, 0.4)  # starts: the error has several minima in it
-INSIDE = 1.02  # times a bound at which a fit would like to go on
-WHITE = 0.05  # of the noise's mean square: so little more is noise alone
+INSIDE = 1.02  # times the lowest frequency swept: below is no resonance
 NEAR = 0.03  # of the logarithms of two resonances that undo each other
 LATE = 0.5  # of a step: a shorter lag is no amplifier's
-SEEN_DELAY = 0.1  # periods of the highest frequency: less is fitted as a lag
 UNEXPLAINED = 0.1  # of what the fast rows do: more is a warning
 
 
 def find(rows: FastRows, order: str | int) -> FastDynamics:
-    """Return the dynamics that the fast rows ask for, with ``order`` resonances or "auto".
-
-    A sensor that is late by half a period of a resonance turns its phase around: without
-    a pure delay no resonance fits.
-    """
-    best = _chosen(rows, order, 0.0)
-    if best.form.resonances and _is_noise(rows, best):
-        return best
-    phase_lag = phase_delay(rows)
-    if phase_lag * rows.band[1] < SEEN_DELAY:
-        return best
-    delayed = _chosen(rows, order, phase_lag)
-    return delayed if delayed.left_out <= EARNED * best.left_out else best
-
-
-def refine(
-    rows: FastRows, found: FastDynamics, order: str | int = "auto"
-) -> FastDynamics:
-    """Return dynamics fitted again beside a static model that knew those ``found``.
-
-    The lag may stand before the gears. What hides a weak second resonance from the first
-    reading of the slow rows is gone with the second: one more is offered.
-    """
-    best = _with_amplifier(rows, fitted(rows, [found.parameters], found.form))
-    if order == "auto" and found.form.resonances < MOST_RESONANCES:
-        if not _is_noise(rows, best):
-            best = _one_more(rows, best) or best
-    return best
-
-
-# --- which dynamics ---
-
-
-def _chosen(rows: FastRows, order: str | int, delay: float) -> FastDynamics:
-    """Return the dynamics that earn their place, or with as many resonances as are asked for."""
-    pure_delay = [delay] if delay else []
-    starts = []
-    for lag in (SHORT_LAG, 0.3):
-        starts.append(np.log([*pure_delay, lag / rows.band[1]]))
-    best = fitted(rows, starts, Form(0, delay=delay > 0.0))
+    """Return the dynamics that the fast rows ask for, with ``order`` resonances or "auto"."""
+    starts = [np.log([lag / rows.band[1]]) for lag in (SHORT_LAG, LONG_LAG)]
+    best = fitted(rows, starts, Form(0))
     limit = MOST_RESONANCES if order == "auto" else int(order)
     while best.form.resonances < limit:
-        if order == "auto" and best.form.resonances and _is_noise(rows, best):
-            break
         more = _one_more(rows, best, always=order != "auto")
         if more is None:
             break
@@ -97,20 +50,26 @@ def _chosen(rows: FastRows, order: str | int, delay: float) -> FastDynamics:
     return best
 
 
-def _with_amplifier(rows: FastRows, found: FastDynamics) -> FastDynamics:
-    """Return dynamics with the lag before the gears, unless it earns its place behind them.
+def refine(
+    rows: FastRows, found: FastDynamics, order: str | int = "auto"
+) -> FastDynamics:
+    """Return dynamics fitted again beside a static model that knew those ``found``.
 
-    The actuator is the capacity that an amplifier charges. In a sweep of 1 % of the range
-    the gears are nearly straight, and both places explain it alike; a larger one tells
-    them apart. A lag of less than half a step is no more than late.
+    The lag may stand before the gears: the actuator is the capacity that an amplifier
+    charges. In a sweep of 1 % of the range the gears are nearly straight, and both places
+    explain it alike; a larger one tells them apart. A lag of less than half a step is no
+    more than late. What hides a weak second resonance from the first reading of the slow
+    rows is gone with the second: one more is offered.
     """
-    *delay, lag = found.times
-    shortest = np.log(LATE * rows.step)
-    if lag <= shortest:
-        return found
-    start = np.array([*found.modes, lag, *delay, shortest])
-    before = fitted(rows, [start], replace(found.form, amplifier=True))
-    return found if _earned(rows, found, before) else before
+    best = fitted(rows, [found.parameters], found.form)
+    shortest = LATE * rows.step
+    if best.lag > shortest:
+        start = np.append(best.parameters, np.log(shortest))
+        before = fitted(rows, [start], replace(best.form, amplifier=True))
+        best = best if _earned(rows, best, before) else before
+    if order == "auto" and found.form.resonances < MOST_RESONANCES:
+        best = _one_more(rows, best) or best
+    return best
 
 
 def _one_more(
@@ -122,6 +81,9 @@ def _one_more(
     have one.
     """
     count = best.form.resonances
+    excess = best.left_out**2 - _noise(rows, best)
+    if count and not always and rows.count * excess < SURE * _noise(rows, best):
+        return None
     form = replace(best.form, resonances=count + 1, antiresonance=False)
     resonances, highest = best.modes[: 2 * count], rows.band[1]
     times = best.times.copy()
@@ -134,13 +96,10 @@ def _one_more(
         pair = np.log([frequency, damping])
         starts.append(np.concatenate((resonances, pair, times)))
     more = fitted(rows, starts, form)
-    if not count:
-        starts = [more.parameters]
     notched = []
-    for start, side in product(starts, (-NEAR, NEAR)):
-        modes = start[: form.modes]
-        notch = modes[-2:] + np.array([side, 0.0])
-        notched.append(np.concatenate((modes, notch, times)))
+    for side in (-NEAR, NEAR):
+        notch = more.modes[-2:] + np.array([side, 0.0])
+        notched.append(np.concatenate((more.modes, notch, more.times)))
     with_notch = fitted(rows, notched, replace(form, antiresonance=True))
     if _earned(rows, with_notch, more):
         more = with_notch
@@ -150,55 +109,25 @@ def _one_more(
 def _earned(rows: FastRows, more: FastDynamics, best: FastDynamics) -> bool:
     """Return whether the error left out asks for more, all of it inside the swept band."""
     for resonance in more.resonances:
-        if not _is_inside(resonance, rows.band):
-            return False
-    if more.left_out <= EARNED * best.left_out:
-        return True
-    if not best.form.resonances:
-        return False
-    gained = rows.count * (best.left_out**2 - more.left_out**2)
-    excess = rows.count * (best.left_out**2 - best.noise)
-    return gained >= max(SURE * best.noise, MOST_OF_IT * excess)
+        for mode in (resonance, resonance.antiresonance or resonance):
+            if not INSIDE * rows.band[0] < mode.frequency < rows.band[1]:
+                return False
+    white = _noise(rows, best)
+    gained = best.left_out**2 - more.left_out**2
+    return gained >= max(SURE * white / rows.count, EARNED * (best.left_out**2 - white))
 
 
-def _is_noise(rows: FastRows, best: FastDynamics) -> bool:
-    """Return whether what is left beyond white noise cannot pay for another resonance."""
-    excess = best.rmse**2 - best.noise
-    return excess <= min(WHITE, SURE / rows.count) * best.noise
-
-
-def _is_inside(resonance: Resonance, band: Band) -> bool:
-    """Return whether a resonance, and its antiresonance, lie inside the swept band and the bounds."""
-    notch = resonance.antiresonance
-    modes: list[Mode] = [resonance]
-    if notch is not None:
-        modes.append(notch)
-        if max(mode.damping for mode in modes) > MOST_BESIDE / INSIDE:
-            return False
-    if resonance.damping < INSIDE * LEAST_DAMPING:
-        return False
-    return all(INSIDE * band[0] < mode.frequency < band[1] for mode in modes)
-
-
-# --- warnings ---
+def _noise(rows: FastRows, best: FastDynamics) -> float:
+    """Return the mean square of what is white in what dynamics leave."""
+    return noise(np.concatenate(rows.residuals(best.form, best.parameters))) ** 2
 
 
 def figures_of(rows: FastRows, best: FastDynamics) -> dict[str, Any]:
-    """Return what the model file says of the dynamics."""
-    return {
-        "rmse": best.rmse,
-        "left_out_rmse": best.left_out,
-        "logs": [signals.sweep.recording.name for signals in rows.signals],
-        "warnings": unexplained(rows, best),
-    }
-
-
-def unexplained(rows: FastRows, best: FastDynamics) -> list[str]:
-    """Return a warning for each sweep of which much is not explained; noise aside."""
+    """Return what the model file says of the dynamics; warnings where much beyond noise is unexplained."""
     warnings = []
     for signals in rows.signals:
         residuals, sweep = signals.residuals(best), signals.sweep
-        excess = max(float(np.var(residuals)) - noise_variance([residuals]), 0.0)
+        excess = max(float(np.var(residuals)) - noise(residuals) ** 2, 0.0)
         share = float(np.sqrt(excess / np.var(signals.measured)))
         if share > UNEXPLAINED:
             low, high = sweep.band
@@ -206,4 +135,9 @@ def unexplained(rows: FastRows, best: FastDynamics) -> list[str]:
                 f"{sweep.recording.name}: rows {sweep.rows.start + 1} to {sweep.rows.stop}, {low:.3g} "
                 f"to {high:.3g} Hz: {100.0 * share:.0f} % unexplained: slow moves only; try a larger sweep"
             )
-    return warnings
+    return {
+        "rmse": best.rmse,
+        "left_out_rmse": best.left_out,
+        "logs": [signals.sweep.recording.name for signals in rows.signals],
+        "warnings": warnings,
+    }

@@ -27,6 +27,7 @@ from dbo_cli.identification.recording import (
     Swings,
     begins_in_motion,
     centred,
+    detrended,
     falling,
 )
 from dbo_cli.identification.search import FEWEST_SWINGS
@@ -91,8 +92,7 @@ def stated(
     line = size * line_left_out(problem, average.fits[0].structure.drift)
     unexplained = unexplained_share(problem, residuals)
     if not options.force:
-        refuse_no_better(left_out, line, logs)
-        refuse_unrelated(unexplained, logs)
+        refuse_useless(logs, left_out, line, unexplained)
     errors = residuals_of(model, logs)
     sensor = noise_rms(errors)
     averaged = sensor**2 / rows_a_mean(problem, logs)
@@ -143,16 +143,14 @@ def measured(
     """Return the model with its figures on the logs; refuse (FitError) what is no better than a line."""
     errors = errors_of(logs, residuals_of(model, logs))
     rmse, line = pooled(errors), line_rmse(logs)
-    if not options.force and "left_out_line_rmse" not in model.fit:
-        refuse_no_better(rmse, line, logs)  # no part was left out
-    drifts = _drift_warnings(model, errors, options.force)
-    speeds, rests, ways = [], [], []
-    for log in logs:
-        if log.time is not None:
-            steps = np.diff(log.time)
-            speeds.append(fastest_drive(log.voltage, steps))
-            rests.append(longest_rest(log.voltage, steps))
-            ways.append(longest_swing(log.voltage, log.time))
+    if not options.force:
+        refuse_large_drift(model, errors)
+        if "left_out_line_rmse" not in model.fit:  # no part was left out
+            refuse_useless(logs, rmse, line)
+    drives = [(log.voltage, log.time) for log in logs if log.time is not None]
+    speeds = [fastest_drive(drive, np.diff(time)) for drive, time in drives]
+    rests = [longest_rest(drive, np.diff(time)) for drive, time in drives]
+    swings = [longest_swing(drive, time) for drive, time in drives]
     figures: dict[str, Any] = {
         **model.fit,
         "sign": model.sign,
@@ -160,108 +158,93 @@ def measured(
         "line_rmse": line,
         "fastest": max(speeds, default=None),
         "longest_rest": max(rests, default=None),
-        "longest_swing": max(ways, default=None),
+        "longest_swing": max(swings, default=None),
         "sample_period": min((log.dt for log in logs if log.dt), default=None),
         "logs": errors,
         "notes": list(notes),
     }
     if options.known_sensor_delay:
         figures["sensor_delay"] = options.known_sensor_delay
-    found = [*figures.get("warnings", []), *_warnings(model, figures), *drifts]
-    found += _zero_warnings(model, logs)
-    return replace(model, fit={**figures, "warnings": found})
+    return replace(model, fit=figures)
 
 
-def refuse_no_better(error: float, line: float, logs: Sequence[Recording]) -> None:
-    """Refuse (FitError) a model that follows the logs no better than a straight line."""
-    if error <= NO_BETTER * line:
+def refuse_useless(
+    logs: Sequence[Recording], error: float, line: float, unexplained: float = 0.0
+) -> None:
+    """Refuse (FitError) a model no better than a line, or that leaves too much within swings of the drive."""
+    if error <= NO_BETTER * line and unexplained <= UNRELATED:
         return
+    names = ", ".join(os.path.basename(log.name) for log in logs)
     raise FitError(
-        f"{_names(logs)}: error {error:.4g}, a straight line's is {line:.4g}: check columns and sensor, or "
-        "record more amplitudes (`force` keeps it)"
+        f"{names}: error {error:.4g}, a straight line's is {line:.4g}; within swings of the drive "
+        f"{min(unexplained, 1.0):.0%} of the displacement does not follow it: check columns, clocks and "
+        "sensor, or record more amplitudes (`force` keeps it)"
     )
 
 
-def refuse_unrelated(unexplained: float, logs: Sequence[Recording]) -> None:
-    """Refuse (FitError) logs of which too much is left unexplained within swings of the drive."""
-    if unexplained <= UNRELATED:
-        return
-    raise FitError(
-        f"{_names(logs)}: within swings of the drive {min(unexplained, 1.0):.0%} of the displacement does "
-        "not follow it: check columns and clocks (`force` keeps it)"
-    )
+def refuse_large_drift(model: Cascade, errors: Sequence[dict[str, Any]]) -> None:
+    """Refuse (FitError) a log that drifts further than the drive moves the actuator."""
+    for log in errors:
+        if abs(log["drift"]) > model.output.span:
+            raise FitError(
+                f"{log['name']}: a drift of {log['drift']:.3g}{model.output.suffix}, more than the drive's "
+                f"{model.output.span:.3g}: check the columns, or warm up and record again (`force` keeps it)"
+            )
 
 
-def _names(logs: Sequence[Recording]) -> str:
-    """Return the names of the logs' files."""
-    return ", ".join(os.path.basename(log.name) for log in logs)
+def warned(model: Cascade, logs: Sequence[Recording]) -> list[str]:
+    """Return what to be careful about, a rule a warning.
 
-
-def _warnings(model: Cascade, figures: dict[str, Any]) -> list[str]:
-    """Return what to be careful about."""
-    found = []
-    expected = figures.get("expected_rmse")
-    line = figures.get("left_out_line_rmse") or figures["line_rmse"]
-    if figures.get("dynamics"):
-        found += figures["dynamics"].get("warnings", [])
-    if figures.get("one_amplitude"):
+    Parameters
+    ----------
+    model
+        With its figures.
+    logs
+        Cleaned.
+    """
+    fit, unit = model.fit, model.output.suffix
+    found = [*fit.get("warnings", []), *fit.get("dynamics", {}).get("warnings", [])]
+    if fit.get("one_amplitude") or fit.get("swings", FEWEST_SWINGS) < FEWEST_SWINGS:
         found.append(
-            "the logs hold one amplitude, so smaller loops are a guess: record several amplitudes "
-            "(dbo excite)"
+            "the logs hold one amplitude or less than two cycles: smaller loops are a guess; record several "
+            "amplitudes and cycles (dbo excite)"
         )
-    elif (figures.get("swings") or FEWEST_SWINGS) < FEWEST_SWINGS:
-        found.append(
-            "the logs go up and down less than twice: the error may be larger than stated; record "
-            "more cycles"
-        )
-    if figures["fastest"] is None:
-        found.append(
-            "no clock, so no creep and no delay in the model: add `time` COLUMN or `sample_rate` HZ"
-        )
+    expected = fit.get("expected_rmse")
+    line = fit.get("left_out_line_rmse") or fit["line_rmse"]
     if expected is not None and expected >= line:
         found.append(
-            f"expected error {expected:.3g}{model.output.suffix}, a straight line's is {line:.3g}: "
-            "record several amplitudes and cycles"
+            f"expected error {expected:.3g}{unit}, a straight line's is {line:.3g}: record several "
+            "amplitudes and cycles"
         )
-    return found
-
-
-def _drift_warnings(
-    model: Cascade, errors: Sequence[dict[str, Any]], force: bool
-) -> list[str]:
-    """Return a warning for each large drift; refuse (FitError) one beyond the actuator's range."""
-    found, unit, span = [], model.output.suffix, model.output.span
-    for log in errors:
-        if abs(log["drift"]) <= LARGE_DRIFT * span:
-            continue
-        text = f"{log['name']}: a drift of {log['drift']:.3g}{unit} is left out of the model"
-        if abs(log["drift"]) > span and not force:
-            raise FitError(
-                f"{text}, more than the drive's {span:.3g}: check the columns, or warm up and record again"
-                " (`force` keeps it)"
-            )
-        found.append(f"{text}: warm up, and record again")
-    return found
-
-
-def _zero_warnings(model: Cascade, logs: Sequence[Recording]) -> list[str]:
-    """Return a warning for each log that begins in motion, if the creep from before it may hide the zero."""
-    expected = model.fit.get("expected_rmse")
-    if expected is None or model.gears.relaxation is None:
-        return []
-    found, unit = [], model.output.suffix
-    for log in logs:
-        if log.time is None or not begins_in_motion(log.voltage, log.time):
-            continue
-        steps = np.diff(log.time, prepend=log.time[0])
-        share, added = unknown_memory(model, log.voltage, steps)
-        error = math.sqrt(share) * abs(float(added.mean()))
-        if error > expected:
+    if leads(logs):
+        found.append(
+            "the displacement leads the drive, as that of a damper or motor does: else check `voltage` and "
+            "`displacement` (exchanged?) and the clocks (`clock_offset`)"
+        )
+    for log, error in zip(logs, fit["logs"], strict=True):
+        name, shift = error["name"], shift_of_zero(model, log)
+        if abs(error["drift"]) > LARGE_DRIFT * model.output.span:
             found.append(
-                f"{os.path.basename(log.name)}: begins in motion: creep from before it may shift the zero by "
-                f"{error:.2g}{unit}, which is not in the expected error; start the recorder before the drive"
+                f"{name}: a drift of {error['drift']:.3g}{unit} is left out of the model: warm up, and "
+                "record again"
+            )
+        if expected is not None and shift > expected:
+            found.append(
+                f"{name}: begins in motion: creep from before it may shift the zero by {shift:.2g}{unit}, "
+                "which is not in the expected error; start the recorder before the drive"
             )
     return found
+
+
+def shift_of_zero(model: Cascade, log: Recording) -> float:
+    """Return how far creep from before a log that begins in motion may shift its zero (RMS)."""
+    if log.time is None or model.gears.relaxation is None:
+        return 0.0
+    if not begins_in_motion(log.voltage, log.time):
+        return 0.0
+    steps = np.diff(log.time, prepend=log.time[0])
+    share, added = unknown_memory(model, log.voltage, steps)
+    return math.sqrt(share) * abs(float(added.mean()))
 
 
 def residuals_of(model: Cascade, logs: Sequence[Recording]) -> list[Floats]:
@@ -284,15 +267,11 @@ def errors_of(
     """
     errors = []
     for log, error in zip(logs, residuals, strict=True):
-        error = error - error.mean()
-        swings, drift = Swings.of(log.voltage[log.usable]), 0.0
+        swings = Swings.of(log.voltage[log.usable])
+        time = None
         if log.time is not None and len(swings.sizes) >= FEWEST_SWINGS:
             time = log.time[log.usable]
-            time = time - time.mean()
-            squares = max(float(np.sum(time**2)), 1e-300)
-            rate = float(np.sum(time * error)) / squares
-            error = error - rate * time
-            drift = rate * float(np.ptp(time))
+        error, drift = detrended(error, time)
         rmse = math.sqrt(float(np.mean(error**2)))
         name = os.path.basename(log.name)
         errors.append({"name": name, "rows": len(error), "rmse": rmse, "drift": drift})
@@ -312,37 +291,37 @@ def line_rmse(logs: Sequence[Recording]) -> float:
     return math.sqrt(float(np.mean((y - gain * v) ** 2)))
 
 
-def describe(model: Cascade, logs: Sequence[Recording]) -> str:
-    """Return in one line what to expect of a model, as a part of what its logs moved."""
+def describe(model: Cascade, logs: Sequence[Recording]) -> list[str]:
+    """Return in one line what to expect of a model, as a part of what its logs moved.
+
+    A line for each log that it was tried on follows.
+    """
     fit, unit = model.fit, model.output.suffix
     expected = fit.get("expected_rmse")
-    if expected is None:
-        return f"fit RMSE {fit['rmse']:.3g}{unit}; error on new moves unknown"
-    spans = []
-    for log in logs:
-        measured_rows = log.usable & ~spiked_rows(log.displacement)
-        spans.append(float(np.ptp(log.displacement[measured_rows])))
-    percent = 100.0 * expected / max(spans)
-    return (
-        f"expected error {expected:.3g}{unit} ({percent:.2g} % of range);"
-        f" a straight line would leave {fit['line_rmse']:.3g}{unit}"
-    )
+    lines = [f"fit RMSE {fit['rmse']:.3g}{unit}; error on new moves unknown"]
+    if expected is not None:
+        spans = []
+        for log in logs:
+            measured_rows = log.usable & ~spiked_rows(log.displacement)
+            spans.append(float(np.ptp(log.displacement[measured_rows])))
+        percent = 100.0 * expected / max(spans)
+        lines = [
+            f"expected error {expected:.3g}{unit} ({percent:.2g} % of range);"
+            f" a straight line would leave {fit['line_rmse']:.3g}{unit}"
+        ]
+    for log in fit.get("validation", []):
+        lines.append(
+            f"{log['name']}: error {log['rmse']:.3g}{unit}, {log['offset_free_rmse']:.3g} without its mean"
+        )
+    return lines
 
 
 def judged(
     model: Cascade, logs: Sequence[Recording], validation: Sequence[Recording]
 ) -> Cascade:
-    """Return the model with its errors on validation logs, and warnings of them and of exchanged columns.
-
-    Parameters
-    ----------
-    model
-        Identified from ``logs``.
-    logs, validation
-        As they were read.
-    """
+    """Return the model with its warnings, and its errors on validation logs."""
     expected = model.fit.get("expected_rmse")
-    entries, warnings = [], list(model.fit.get("warnings", []))
+    entries, warnings = [], warned(model, logs)
     residuals = residuals_of(model, validation)
     for log, error in zip(validation, residuals, strict=True):
         name = os.path.basename(log.name)
@@ -357,25 +336,10 @@ def judged(
                 f"{name}: {spread / expected:.2g} times the stated error: identify from a log like it, too, "
                 "or check that it is of this actuator"
             )
-    if leads(logs):
-        warnings.append(
-            "the displacement leads the drive, as that of a damper or motor does: else check `voltage` and "
-            "`displacement` (exchanged?) and the clocks (`clock_offset`)"
-        )
     fit = {**model.fit, "warnings": warnings}
     if entries:
         fit["validation"] = entries
     return replace(model, fit=fit)
-
-
-def describe_validation(model: Cascade) -> list[str]:
-    """Return a line for each log that the model was tried on."""
-    unit, lines = model.output.suffix, []
-    for log in model.fit.get("validation", []):
-        lines.append(
-            f"{log['name']}: error {log['rmse']:.3g}{unit}, {log['offset_free_rmse']:.3g} without its mean"
-        )
-    return lines
 
 
 def leads(logs: Sequence[Recording]) -> bool:

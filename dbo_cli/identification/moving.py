@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import nnls
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError
@@ -24,7 +23,6 @@ from dbo_cli.identification.dynamics import (
     figures_of,
     find,
     refine,
-    unexplained,
 )
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options, Recording
@@ -33,10 +31,8 @@ from dbo_cli.identification.sections import (
     FastDynamics,
     FastRows,
     Sweep,
-    even_step,
-    swept,
 )
-from dbo_cli.identification.solve import Solution
+from dbo_cli.identification.solve import Equations, Solution, nonnegative
 from dbo_cli.identification.stages import model_of, with_changed_stages
 from dbo_cli.model import (
     Amplifier,
@@ -67,7 +63,7 @@ class Moving:
     amplifier
         Before the gears, where there is one.
     dynamics
-        Behind them, creep first, and a delay; nothing where the fast rows ask for nothing.
+        Behind them, creep first; nothing where the fast rows ask for nothing.
     figures
         For ``fit["dynamics"]`` of the model.
     """
@@ -119,13 +115,13 @@ def moving(
         raise FitError(
             f"`dynamics` {order}: no log has a sweep: record a drive of dbo excite with `sweep_to` HZ"
         )
-    shortest = FAST_LAGS / swept(fast)[0]
+    shortest = FAST_LAGS / min(sweep.band[0] for sweep in fast)
     slower, steeper = without_fast_memories(problem, best, shortest)
     static = model_of(slower, steeper, logs[0], options).static
     rows = FastRows(static, fast)
     found = find(rows, order)
     if not found.form.resonances:
-        return Moving(problem, fits, {"warnings": unexplained(rows, found)})
+        return Moving(problem, fits, figures_of(rows, found))
     problem, fits, creep = _read_again(slower, best, logs, options, lateness(found))
     best = min(fits, key=lambda fit: fit.score)
     static = model_of(problem, best, logs[0], options).static
@@ -133,12 +129,9 @@ def moving(
         static = static.with_stages((*static.stages, Dynamics(creep)))
     rows = FastRows(static, fast)
     refined = refine(rows, found, order)
-    dynamics: list[Stage] = [Dynamics((*creep, *rows.sections(refined)))]
-    if refined.delay:
-        dynamics.append(Delay(refined.delay))
+    dynamics = Dynamics((*creep, *rows.sections(refined)))
     amplifier = (Amplifier(refined.amplifier),) if refined.amplifier else ()
-    figures = figures_of(rows, refined)
-    return Moving(problem, fits, figures, amplifier, tuple(dynamics))
+    return Moving(problem, fits, figures_of(rows, refined), amplifier, (dynamics,))
 
 
 def without_fast_memories(
@@ -163,8 +156,8 @@ def without_fast_memories(
 
 
 def lateness(found: FastDynamics) -> float:
-    """Return how late slow moves are behind a delay, a lag and resonances (s)."""
-    seconds = found.delay + found.lag
+    """Return how late slow moves are behind a lag and resonances (s)."""
+    seconds = found.lag
     for resonance in found.resonances:
         seconds += resonance.damping / (math.pi * resonance.frequency)
         notch = resonance.antiresonance
@@ -182,7 +175,11 @@ def _read_again(
 ) -> tuple[Problem, list[Solution], tuple[Lag, ...]]:
     """Return problem and fits of the slow rows with a known delay (s), and the creep behind the gears."""
     fits = _around(problem, best, delay)
-    if options.taus is None and len(problem.taus) and all(map(even_step, logs)):
+    if (
+        options.taus is None
+        and len(problem.taus)
+        and all(log.even_step for log in logs)
+    ):
         freed, others, creep = _with_creep(problem, logs, fits[0].structure)
         if others and min(fit.score for fit in others) < fits[0].score:
             return freed, others, creep
@@ -235,11 +232,8 @@ def _with_creep(
     freed = problem
     creep: tuple[Lag, ...] = ()
     for _ in range(CREEP_ROUNDS):
-        search = Search(freed, Choices())
-        search.path(bare, [bare.smooth_curve])
-        if not search.fits:
-            return problem, [], ()
-        creep = _lags_of(taus, _shares(problem, logs, search.fits[0], taus))
+        fit = Equations(freed.rows(bare), bare).solve()
+        creep = _lags_of(taus, _shares(problem, logs, fit, taus))
         if not creep:
             return problem, [], ()
         freed = _freed(problem, creep)
@@ -276,7 +270,7 @@ def _shares(
         targets.append(log.displacement[prepared.rows])
     stacked = np.vstack(tables) / abs(problem.scale)
     target = np.concatenate(targets) / abs(problem.scale)
-    gains, _ = nnls(stacked, target, maxiter=100 * stacked.shape[1])
+    gains = nonnegative(stacked, target)
     shares: Floats = gains[:count] / max(float(gains[count]), 1e-300)
     return shares
 

@@ -12,13 +12,17 @@ does on the cycle and on the cycle shrunk about its middle.
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import nnls
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import Structure
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.identification.solve import Equations, FittedRows, Solution
+from dbo_cli.identification.solve import (
+    Equations,
+    FittedRows,
+    Solution,
+    nonnegative,
+)
 from dbo_cli.identification.stages import with_reach, zero_of
 from dbo_cli.model import Cascade, Gears, Points, Quantity, Scale
 
@@ -53,11 +57,8 @@ def identify_paper(recording: Recording, options: Options) -> Cascade:
             f"{recording.name}: the displacement falls as the voltage rises: use `method` "
             "least-squares"
         )
-    count, segments = PAPER_GEARS, PAPER_SEGMENTS
-    if options.gears != "auto":
-        count = int(options.gears)
-    if options.points != "auto":
-        segments = max(int(options.points), 1)
+    count = PAPER_GEARS if options.gears == "auto" else options.gears
+    segments = PAPER_SEGMENTS if options.points == "auto" else max(options.points, 1)
     low, swing = float(voltage.min()), float(np.ptp(voltage))
     lowest, stroke = float(displacement.min()), float(np.ptp(displacement))
     drive = (voltage - low) / swing
@@ -73,18 +74,12 @@ def identify_paper(recording: Recording, options: Options) -> Cascade:
         stages.append(Points(parts, parts * fine.curve, 0.0, 0.0))
     shift = zero_of(recording, options)
     stages.append(Scale(stroke / swing, lowest - shift))
-    fit = {
-        "method": "paper",
-        "expected_rmse": None,
-        "gears": count,
-        "range": [low, low + swing],
-    }
     model = Cascade(
         direction="forward",
         input=Quantity(*recording.input, low, low + swing),
         output=Quantity(*recording.output, 0.0, 1.0),
         stages=tuple(stages),
-        fit=fit,
+        fit={"method": "paper", "expected_rmse": None},
     )
     return with_reach(model)
 
@@ -125,6 +120,6 @@ def _few_heights(drive: Floats, slopes: Floats, widths: Floats) -> Floats:
     squares[0] = CYCLE_WEIGHT
     weight = np.sqrt(np.repeat(squares, rows))
     bound = weight * (target - FLATTEST_GEAR * (parts @ widths))
-    unknown, _ = nnls(weight[:, None] * table, bound, maxiter=100 * table.shape[1])
+    unknown = nonnegative(weight[:, None] * table, bound)
     heights: Floats = widths * (FLATTEST_GEAR + np.cumsum(unknown[:count]))
     return heights

@@ -167,7 +167,7 @@ class Problem:
 
         Lags begin with what they still hold of a level, the drive less its lags without.
         """
-        key = (*structure.frame, structure.start, structure.level)
+        key = structure.delay, structure.bend, structure.start, structure.level
         if key not in self._columns:
             tables = []
             all_sums = self._sums_of(structure.bend, structure.start)

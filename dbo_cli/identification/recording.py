@@ -13,7 +13,7 @@ from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.errors import FitError, InputError, UsageError
 from dbo_cli.model import Cascade
 from dbo_cli.model.expect import SWING
-from dbo_cli.signals import turns, usual_step
+from dbo_cli.signals import even, turns, usual_step
 
 FEWEST_ROWS = 20  # fewer tell nothing of a loop
 AT_REST, SLOWER = 0.01, 3.0
@@ -49,12 +49,12 @@ class Recording:
             raise FitError(
                 f"{self.name}: {rows} rows are too few; record at least {FEWEST_ROWS}"
             )
-        if float(np.ptp(self.voltage)) == 0.0:
-            raise FitError(
-                f"{self.name}: voltage never changes; record a drive that goes up and down"
-            )
-        if float(np.ptp(self.displacement)) == 0.0:
-            raise FitError(f"{self.name}: displacement never changes; check the sensor")
+        for signal in ("voltage", "displacement"):
+            if float(np.ptp(getattr(self, signal))) == 0.0:
+                raise FitError(
+                    f"{self.name}: {signal} never changes; check the columns and the sensor, and record a "
+                    "drive that goes up and down"
+                )
         if self.time is not None and float(np.median(np.diff(self.time))) == 0.0:
             raise InputError(
                 f"{self.name}: most time stamps repeat: replace them with `sample_rate` HZ"
@@ -66,6 +66,11 @@ class Recording:
         if self.time is None:
             return None
         return usual_step(np.diff(self.time))
+
+    @property
+    def even_step(self) -> float | None:
+        """The step in seconds of an even clock, None without one."""
+        return None if self.time is None else even(self.time)
 
     @property
     def usable(self) -> Booleans:
@@ -160,10 +165,15 @@ def begins_in_motion(voltage: Floats, time: Floats) -> bool:
     return float(time[row] - time[0]) * speed < SLOWER * AT_REST * span
 
 
-def noise_variance(signals: Sequence[Floats]) -> float:
-    """Return the mean square of what is white in signals, by their second differences."""
-    bends = [np.diff(signal, 2) for signal in signals]
-    return float(np.mean(np.concatenate(bends) ** 2)) / 6.0
+def detrended(values: Floats, time: Floats | None) -> tuple[Floats, float]:
+    """Return values less their mean and, with a clock, an even drift; and how far that goes along them."""
+    centred_values = values - values.mean()
+    if time is None:
+        return centred_values, 0.0
+    centred_time = time - time.mean()
+    square = max(float(np.sum(centred_time**2)), 1e-300)
+    rate = float(np.sum(centred_time * centred_values)) / square
+    return centred_values - rate * centred_time, rate * float(np.ptp(centred_time))
 
 
 def runs_of(mask: Booleans) -> Integers:

@@ -89,39 +89,37 @@ def choices_for(problem: Problem, options: Options) -> tuple[Problem, Choices]:
         choices.memories = ("",)
     _take_options(choices, options)
     if problem.past.size:
-        start, level = _begun(problem, choices)
-        choices.base = replace(choices.base, start=start, level=level)
+        choices.base = _begun(problem, choices)
     if choices.base.start in ("below", "above"):
         problem = replace(problem, cells=Cells.of(spare=SPARE_BEYOND))
     return problem, choices
 
 
-def _begun(problem: Problem, choices: Choices) -> tuple[str, float | None]:
-    """Return the start of the gears and the level of memories from which all rows are followed best.
+def _begun(problem: Problem, choices: Choices) -> Structure:
+    """Return the structure of the start of gears and memories from which all rows are followed best.
 
     They are compared by a rough structure; a level costs what it costs in a score, and is
     tried where there are enough swings to tell it from the loop. Settled gears and memories
     stay where nothing is clearly better.
     """
-    settled = (SETTLED_START, None)
-    different: dict[bytes, str] = {}
+    starts: dict[bytes, str] = {}  # those that differ
     for start in BEGUN_STARTS if problem.cells.spare else BEGUN_STARTS[:3]:
-        plays = [
-            plays_at_start(float(log.drive[0]), problem.cells.reach, start)
-            for log in problem.logs
-        ]
-        different.setdefault(np.concatenate(plays).tobytes(), start)
+        firsts, reach = [log.drive[0] for log in problem.logs], problem.cells.reach
+        plays = [plays_at_start(float(first), reach, start) for first in firsts]
+        starts.setdefault(np.concatenate(plays).tobytes(), start)
     levels = BEGUN_LEVELS if choices.drift and len(problem.taus) else LEVELS[:1]
-    errors: dict[tuple[str, float | None], float] = {}
-    for start, level in product(different.values(), levels):
-        trials = [
-            replace(ROUGHEST, slopes=rule, start=start, level=level) for rule in RULES
-        ]
+    bases: list[Structure] = []
+    errors: list[float] = []
+    for start, level in product(starts.values(), levels):
+        base = replace(choices.base, start=start, level=level)
+        rough = replace(ROUGHEST, start=start, level=level)
+        trials = [replace(rough, slopes=rule) for rule in RULES]
         fits = [Equations(problem.rows(trial), trial).solve() for trial in trials]
-        price = DRIFT_PRICE * (level is not None)
-        errors[start, level] = math.exp(price) * min(fit.rmse for fit in fits)
-    best = min(errors, key=errors.__getitem__)
-    return best if errors[best] < BETTER_START * errors[settled] else settled
+        price = math.exp(DRIFT_PRICE * (level is not None))
+        bases.append(base)
+        errors.append(price * min(fit.rmse for fit in fits))
+    best = int(np.argmin(errors))
+    return bases[best if errors[best] < BETTER_START * errors[0] else 0]
 
 
 def _take_one_amplitude(problem: Problem, choices: Choices) -> None:
@@ -151,8 +149,6 @@ def _take_options(choices: Choices, options: Options) -> None:
     """Leave what the user left."""
     if options.slopes != "auto":
         choices.slopes = (options.slopes,)
-    if options.slopes == "free":
-        choices.smoothness = choices.smoothness[:2]
     if options.delay != "auto":
         choices.delays = ()
         choices.base = replace(choices.base, delay=options.delay)

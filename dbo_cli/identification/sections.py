@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from dbo_cli.arrays import Floats
-from dbo_cli.identification.recording import Recording, noise_variance, runs_of
+from dbo_cli.identification.recording import Recording, detrended, runs_of
 from dbo_cli.model import (
     Amplifier,
     Cascade,
-    Delay,
     Dynamics,
     Lag,
     Mode,
@@ -42,11 +41,10 @@ FAST_BLOCKS, FOLDS = 40, 5  # blocks of the fast rows, dealt out to the folds in
 LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.98
 MOST_BESIDE = 0.1  # damping of resonances one of which has an antiresonance
 NO_LAG = 2e-3  # of a time step: a lag at the lower end of its range is none
-SLOWEST_LAG = 10.0  # periods of the highest frequency: lags and delays are shorter
+SLOWEST_LAG = 10.0  # periods of the highest frequency: lags are shorter
 FEW_STEPS, FINALISTS, MOST_STEPS = 6, 2, 40  # of a refinement
 DERIVATIVE_STEP = 1e-5  # of a parameter's logarithm, for derivatives
 APART = 0.3  # of the logarithms of two resonances
-SAME_GAIN = 0.3  # of the logarithm: up to here the phase tells a delay
 ENERGY = 0.003  # of the strongest amplitude of the drive: with less nothing is known
 
 
@@ -91,19 +89,9 @@ def split(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Sweep]
     return slow, fast
 
 
-def even_step(log: Recording) -> float | None:
-    """Return the step (s) of an even clock to whose grid each row is nearest, or None."""
-    if log.time is None:
-        return None
-    rows = np.arange(len(log.time))
-    step = float(log.time[-1] - log.time[0]) / float(rows[-1])
-    deviation = np.abs(log.time - (log.time[0] + step * rows))
-    return step if float(deviation.max()) <= 0.5 * step else None
-
-
 def _sweep_of(log: Recording, span: float) -> Sweep | None:
     """Return the longest run of small swings whose frequency changes gradually over a wide band."""
-    step = even_step(log)
+    step = log.even_step
     if step is None:
         return None
     rows = turns(log.voltage, NOTICEABLE * span)
@@ -133,14 +121,10 @@ def _sweep_of(log: Recording, span: float) -> Sweep | None:
 
 @dataclass(frozen=True)
 class Form:
-    """How many resonances, an antiresonance of the highest or none, a delay behind all or none.
-
-    With ``amplifier`` another lag stands before the gears.
-    """
+    """How many resonances, an antiresonance of the highest or none, a lag before the gears or none."""
 
     resonances: int
     antiresonance: bool = False
-    delay: bool = False
     amplifier: bool = False
 
     @property
@@ -159,18 +143,15 @@ class FastDynamics:
         What is fitted.
     parameters
         Logarithms: frequency (Hz) and damping of each resonance, of the antiresonance,
-        the amplifier's lag (s), the delay (s), the lag (s).
+        the amplifier's lag (s), the lag (s).
     rmse, left_out
         On all fast rows, and on blocks left out.
-    noise
-        Mean square of what is white in what is left.
     """
 
     form: Form
     parameters: Floats
     rmse: float = np.inf
     left_out: float = np.inf
-    noise: float = 0.0
 
     @property
     def modes(self) -> Floats:
@@ -179,18 +160,13 @@ class FastDynamics:
 
     @property
     def times(self) -> Floats:
-        """The logarithms of the amplifier's lag and the delay, as far as there are any, and of the lag."""
+        """The logarithms of the amplifier's lag, where there is one, and of the lag."""
         return np.split(self.parameters, [self.form.modes])[1]
 
     @property
     def amplifier(self) -> float:
         """The lag before the gears (s), 0 for none."""
         return float(np.exp(self.times[0])) if self.form.amplifier else 0.0
-
-    @property
-    def delay(self) -> float:
-        """The pure delay behind all (s), 0 for none."""
-        return float(np.exp(self.times[-2])) if self.form.delay else 0.0
 
     @property
     def lag(self) -> float:
@@ -224,36 +200,26 @@ class Signals:
         self.sweep, self.measured = sweep, log.displacement[rows]
         size = self.measured.size
         self.block = np.arange(size) * FAST_BLOCKS // size
-        ramp = np.linspace(-1.0, 1.0, size)
-        self._drift = np.column_stack([np.ones(size), ramp])
-        self._drift /= np.sqrt(np.sum(self._drift**2, axis=0))
+        self.time: Floats = sweep.dt * np.arange(float(size))
 
     def _simulated(self, model: Cascade) -> Floats:
         """Return what a model without dynamics predicts; an amplifier rests at the first row."""
         output, _ = model.simulate(self.drive, dt=self.dt, state=self._before)
         return output
 
-    def free(self, signal: Floats) -> Floats:
-        """Return what an offset and an even drift do not explain of a signal."""
-        residuals: Floats = signal - self._drift @ (self._drift.T @ signal)
-        return residuals
-
     def modelled(self, trial: FastDynamics) -> Floats:
-        """Return the prediction through lags, resonances and delay."""
+        """Return the prediction through lags and resonances."""
         predicted = self.predicted
         if trial.amplifier:
             stages = (Amplifier(trial.amplifier), *self.static.stages)
             predicted = self._simulated(self.static.with_stages(stages))
         sections = Dynamics((Lag(trial.lag), *trial.resonances))
-        modelled = sections.run(predicted, State(), self.dt).y
-        if trial.form.delay:
-            modelled = Delay(trial.delay).run(modelled, State(), self.dt).y
-        return np.asarray(modelled, dtype=np.float64)
+        return np.asarray(sections.run(predicted, State(), self.dt).y)
 
     def residuals(self, trial: FastDynamics) -> Floats:
         """Return what the best gain, offset and drift of the prediction leave of the measured."""
-        modelled = self.free(self.modelled(trial))
-        measured = self.free(self.measured)
+        modelled, _ = detrended(self.modelled(trial), self.time)
+        measured, _ = detrended(self.measured, self.time)
         gain = float(modelled @ measured) / max(float(modelled @ modelled), 1e-300)
         return measured - gain * modelled
 
@@ -271,7 +237,8 @@ class FastRows:
 
     def __init__(self, static: Cascade, fast: Sequence[Sweep]) -> None:
         self.signals = [Signals(static, sweep) for sweep in fast]
-        self.band = swept(fast)
+        lows, highs = zip(*(sweep.band for sweep in fast), strict=True)
+        self.band: Band = min(lows), max(highs)
         self.step = min(sweep.dt for sweep in fast)
         self.count = sum(signals.measured.size for signals in self.signals)
 
@@ -292,12 +259,6 @@ class FastRows:
         return (Lag(best.lag), *best.resonances)
 
 
-def swept(fast: Sequence[Sweep]) -> Band:
-    """Return the lowest and the highest frequency swept (Hz)."""
-    lows, highs = zip(*(sweep.band for sweep in fast), strict=True)
-    return min(lows), max(highs)
-
-
 def fitted(rows: FastRows, starts: Sequence[Floats], form: Form) -> FastDynamics:
     """Return the best of several refinements, with its error on blocks left out."""
     low, high = _bounds(rows, form)
@@ -315,16 +276,8 @@ def fitted(rows: FastRows, starts: Sequence[Floats], form: Form) -> FastDynamics
     tried.sort(key=lambda trial: trial.cost)
     finals = [refined(trial.x, MOST_STEPS) for trial in tried[:FINALISTS]]
     best = min(finals, key=lambda trial: trial.cost)
-    parameters, count = np.array(best.x), 2 * form.resonances
-    pairs = parameters[:count].reshape(-1, 2)
-    parameters[:count] = pairs[np.argsort(pairs[:, 0])].ravel()
-    return FastDynamics(
-        form,
-        parameters,
-        float(np.sqrt(np.mean(best.fun**2))),
-        _left_out(rows, best.fun, best.jac),
-        noise_variance(rows.residuals(form, parameters)),
-    )
+    rmse = float(np.sqrt(np.mean(best.fun**2)))
+    return FastDynamics(form, best.x, rmse, _left_out(rows, best.fun, best.jac))
 
 
 def _bounds(rows: FastRows, form: Form) -> tuple[Floats, Floats]:
@@ -335,7 +288,6 @@ def _bounds(rows: FastRows, form: Form) -> tuple[Floats, Floats]:
     lag = 0.5 * NO_LAG * rows.step, SLOWEST_LAG / highest
     bounds = [*mode] * (form.resonances + form.antiresonance)
     bounds += [lag] * form.amplifier
-    bounds += [(0.01 / highest, SLOWEST_LAG / highest)] * form.delay
     low, high = np.log([*bounds, lag]).T
     return low, high
 
@@ -352,7 +304,7 @@ def _left_out(rows: FastRows, residuals: Floats, derivatives: Floats) -> float:
     return float(np.sqrt(squares / residuals.size))
 
 
-# --- spectra: where a resonance is to be looked for, and how late all is ---
+# --- spectra: where a resonance is to be looked for ---
 
 
 def spectra(
@@ -381,20 +333,3 @@ def peak_of(rows: FastRows, best: FastDynamics) -> float:
         return 0.7 * rows.band[1]
     ratio = np.abs(both[distant]) / power[distant]
     return float(frequency[distant][np.argmax(ratio)])
-
-
-def phase_delay(fast: FastRows) -> float:
-    """Return how late the measured is (s), by the phase where its gain is still that of slow moves."""
-    signals = fast.longest
-    frequency, power, both = spectra(
-        signals.predicted, signals.measured, signals.dt, fast.band
-    )
-    if frequency.size < 3:
-        return 0.0
-    gain = np.abs(both) / power
-    changed = np.flatnonzero(np.abs(np.log(gain / np.median(gain[:3]))) > SAME_GAIN)
-    rows = max(int(changed[0]) if changed.size else frequency.size, 3)
-    phase = np.unwrap(np.angle(both[:rows]))
-    w = 2.0 * np.pi * frequency[:rows]
-    slope = float(np.sum(power[:rows] * w * phase) / np.sum(power[:rows] * w * w))
-    return max(-slope, 0.0)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.identification.basis import SPARE, Cells, points_of
+from dbo_cli.identification.basis import SPARE, points_of
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.solve import LEAST_WITH_NEGATIVE, Solution
@@ -24,8 +24,8 @@ from dbo_cli.model import (
     Stage,
 )
 
-FLATTEST = 1e-9  # of the mean slope of the range: a gear must rise
 LAST = 0.05  # of the gears inside the range: those beyond it have their mean slope
+FLATTEST = 1e-9  # of the mean slope of the range: a gear must rise
 
 
 def stages_of(problem: Problem, fit: Solution, zero: float = 0.0) -> tuple[Stage, ...]:
@@ -61,7 +61,12 @@ def _gears_of(problem: Problem, fit: Solution, height: float, base: float) -> Ge
     both = np.zeros(2 * terms)
     both[: fit.gains.size] = fit.gains
     lags, rests = both[:terms], both[terms:]
-    fitted = _gear_slopes(cells, fit.slopes)
+    fitted = np.repeat(fit.slopes, cells.counts)
+    if (
+        0.0 < cells.overshoot <= SPARE
+    ):  # few rows show the last cell, which a curve may hide
+        last = fitted[round((1.0 - LAST) * cells.inside) : cells.inside]
+        fitted[cells.inside :] = last.mean()
     mean = float(fitted.mean()) + float(rests.sum())
     lowest = float(rests.sum()) + LEAST_WITH_NEGATIVE * mean * bool(rests.any())
     slopes = np.maximum(fitted + rests.sum(), max(lowest, FLATTEST))
@@ -80,19 +85,6 @@ def _gears_of(problem: Problem, fit: Solution, height: float, base: float) -> Ge
         base + height * empty,
         relaxation,
     )
-
-
-def _gear_slopes(cells: Cells, slopes: Floats) -> Floats:
-    """Return the slope of each gear; those beyond the range have the mean of the last ones inside.
-
-    Few rows show the last cell's own slope, which a curve may hide there. Where the drive
-    came from beyond its range, the logs do show the gears there: they are the last cell's.
-    """
-    inside = np.repeat(slopes, cells.gears)
-    last = slopes[-1]
-    if cells.overshoot <= SPARE:
-        last = inside[-round(LAST * cells.inside) :].mean()
-    return np.append(inside, np.full(2 * cells.spare, last))
 
 
 def model_of(
