@@ -181,7 +181,7 @@ class Clock:
             is_likely = is_likely and abs(samples - 1.0) <= _SAME
         if is_likely and (reach <= _LATEST or is_epoch):
             return
-        problem = f"has no unit: steps of {self.usual_step:.4g}, up to {reach:.6g}, are hardly s"
+        problem = f"has no unit, and in seconds its steps would be {self.usual_step:.4g}, its end {reach:.6g}"
         raise _unclear(self.name, self.column, problem)
 
     def close(self) -> None:
