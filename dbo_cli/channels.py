@@ -84,7 +84,7 @@ def columns_of(
         if pattern is not None and PLACE in pattern:
             of_role = fitting(table, role) if pattern == PLACE else table
             names = [column.name for column in of_role]
-            found[role] = _matches(pattern, names) or _in_paths(pattern, paths)
+            found[role] = _matches(pattern, names) or _matches(pattern, paths)
     channels = next(iter(found.values()))
     if not channels or any(set(names) != set(channels) for names in found.values()):
         lists = []
@@ -98,23 +98,16 @@ def columns_of(
     return {name: columns_for(columns, name) for name in channels}
 
 
-def _matches(pattern: str, headers: Sequence[str]) -> list[str]:
-    """Return what stands in the place of ``{}`` in the headers that fit, with or without their unit."""
-    before, _, after = pattern.partition(PLACE)
-    fit = re.compile(re.escape(before) + "(.+)" + re.escape(after), re.DOTALL)
+def _matches(pattern: str, names: Sequence[str]) -> list[str]:
+    """Return what stands in the place of ``{}`` in names that fit, with or without their unit."""
+    before, _, after = pattern.lstrip("/").partition(PLACE)
+    fit = re.compile(re.escape(before) + "([^/]+)" + re.escape(after))
     channels = []
-    for header in headers:
-        match = fit.fullmatch(split_header(header)[0]) or fit.fullmatch(header)
+    for name in names:
+        match = fit.fullmatch(split_header(name)[0]) or fit.fullmatch(name)
         if match is not None:
             channels.append(match[1])
     return channels
-
-
-def _in_paths(pattern: str, paths: Sequence[str]) -> list[str]:
-    """Return what stands in the place of ``{}`` in the paths of a file that fit, within one level."""
-    before, _, after = pattern.lstrip("/").partition(PLACE)
-    fit = re.compile(re.escape(before) + "([^/]+)" + re.escape(after))
-    return [match[1] for match in map(fit.fullmatch, paths) if match]
 
 
 def models_of(

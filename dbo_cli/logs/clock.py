@@ -64,8 +64,7 @@ class Clock:
         Whether a delay of the actuator is part of the seconds that are added to the clock
         of a second file.
     note
-        How messages tell of these seconds, and of what was typed in the place of what the
-        file states.
+        How messages tell of these seconds.
     usual_step, repeats, irregular, first_irregular
         The median step (s); how many steps are zero; how many are zero or much longer, and
         the row of the first.
@@ -155,11 +154,8 @@ class Clock:
                 "row is missing"
             )
         if self.step is not None or self.rows < 2:
-            if self.rate is not None:
-                self.step = 1.0 / self.rate if steps.max() < _GAP / self.rate else None
-            else:
-                stamps = np.concatenate([[self.last], time]) if self.rows else time
-                self.step = even(stamps, self.step)
+            stamps = np.concatenate([[self.last], time]) if self.rows else time
+            self.step = even(stamps, self.step)
         if not self.usual_step:
             self.usual_step = self.step or float(np.median(steps))
             self._require_seconds(float(time[-1]))
@@ -172,22 +168,21 @@ class Clock:
                 self.irregular += int(np.count_nonzero(irregular))
 
     def _require_seconds(self, reach: float) -> None:
-        """Refuse figures without a unit that can hardly be seconds."""
+        """Refuse figures without a unit that can hardly be seconds, or contradict a stated rate."""
         if self.kind != "column" or not self.assumption:
             return
         is_epoch = _EPOCH[0] < self.first < _EPOCH[1]
-        is_days = abs(86400.0 * self.usual_step - 1.0) < _SAME  # rows a second apart
-        is_short = 0.0 < self.usual_step < _SHORT_STEP
         samples = self.usual_step * (self.rate_beside or 0.0)
-        if samples and abs(samples - 1.0) > _SAME:
-            reason = "its steps contradict the stated rate"
-        elif self.usual_step >= _LONG_STEP or is_short or is_days:
-            reason = f"its usual step would be {self.usual_step:.4g} s"
-        elif reach > _LATEST and not is_epoch:
-            reason = f"its stamps would reach {reach:.6g} s"
-        else:
+        is_days = abs(86400.0 * self.usual_step - 1.0) < _SAME  # rows a second apart
+        is_likely = self.usual_step < _LONG_STEP and not is_days
+        if self.usual_step:
+            is_likely = is_likely and self.usual_step >= _SHORT_STEP
+        if samples:
+            is_likely = is_likely and abs(samples - 1.0) <= _SAME
+        if is_likely and (reach <= _LATEST or is_epoch):
             return
-        raise _unclear(self.name, self.column, f"has no unit, and in seconds {reason}")
+        problem = f"has no unit, and in seconds its steps would be {self.usual_step:.4g}, its end {reach:.6g}"
+        raise _unclear(self.name, self.column, problem)
 
     def close(self) -> None:
         """Warn of what is doubtful once all rows are read; refuse a time that mostly stands still."""
@@ -250,12 +245,19 @@ def find_clock(
     UsageError
         ``sample_rate`` is given beside ``time`` or ``time_unit``.
     """
-    if reading.sample_rate is not None:
-        return _typed_clock(source, reading.sample_rate, reading, selector, used)
+    rate = reading.sample_rate
+    if rate is not None and (selector or reading.time_unit) is not None:
+        option = "time_unit" if selector is None else "time"
+        raise UsageError(
+            f"`{option}` and `sample_rate` exclude each other: leave one out"
+        )
     if selector is not None:
         matches = [named(source, selector, "time")]
     else:
-        matches = _time_columns(source, used, needed=True)
+        matches = _time_columns(source, used, needed=rate is None)
+    if rate is not None:
+        column = matches[0] if len(matches) == 1 else None  # has no other role
+        return Clock(source.name, "rate", column, rate=rate, step=1.0 / rate)
     if len(matches) > 1:
         which = " or ".join(f"{column.number} ('{column.name}')" for column in matches)
         raise InputError(
@@ -267,37 +269,10 @@ def find_clock(
     if reading.time_unit is not None:
         listing = listing_of(source.columns)
         raise _unclear(source.name, None, f"of `time_unit` is in no column, {listing}")
-    return _stated_clock(source)
-
-
-def _typed_clock(
-    source: Table,
-    rate: float,
-    reading: Reading,
-    selector: str | None,
-    used: Sequence[Column],
-) -> Clock:
-    """Return the clock of a rate that the user states; it tells which column it replaces."""
-    for option, typed in (("time", selector), ("time_unit", reading.time_unit)):
-        if typed is not None:
-            raise UsageError(
-                f"`{option}` and `sample_rate` exclude each other: leave one out"
-            )
-    clock = Clock(source.name, "rate", rate=rate, step=1.0 / rate)
-    matches = _time_columns(source, used, needed=False)
-    if len(matches) == 1:
-        clock.column = matches[0]
-        clock.note = f" (`sample_rate`, in place of {matches[0].label})"
-    return clock
-
-
-def _stated_clock(source: Table) -> Clock:
-    """Return the clock of a rate that the file states beside its rows, if it does."""
-    name = source.name
-    rate, start, remark = stated_rate(name, source.settings, source.decimal)
+    rate, start, remark = stated_rate(source.name, source.settings, source.decimal)
     if rate is None:
-        return Clock(name)
-    clock = Clock(name, "rate", rate=rate, start=start, step=1.0 / rate)
+        return Clock(source.name)
+    clock = Clock(source.name, "rate", rate=rate, start=start, step=1.0 / rate)
     if remark:
         clock.assumption, clock.remarks = remark, [remark]
     return clock
@@ -353,11 +328,7 @@ def _clock_of(source: Table, column: Column, spelled: str | None) -> Clock:
     if column.kind == "stamp":
         return Clock(name, "stamps", column)
     if spelled is not None:
-        factor, stated = parse_time_unit(spelled), time_unit(column.unit)
-        clock = Clock(name, "column", column, factor)
-        if stated is not None and ratio(stated, "s") != factor:
-            clock.note = f" (`time_unit` {spelled}, in place of {stated})"
-        return clock
+        return Clock(name, "column", column, parse_time_unit(spelled))
     if column.doubt:
         raise _unclear(name, column, column.doubt.partition(":")[0])
     unit = _stated_unit(name, column)

@@ -168,23 +168,18 @@ def named(source: Table, selector: str, option: str) -> Column:
     InputError
         There is none, there are several, or it holds no numbers.
     """
-    how, _, remaining = selector.partition("=")
-    text = remaining if how in ("number", "name") else selector
-    matches = [] if how == "number" else _by_name(source.columns, text)
-    if how != "name" and re.fullmatch(r"\d{1,9}", text):
-        numbered = source.columns[int(text) - 1 : int(text)] if int(text) else []
+    number = selector.removeprefix("number=")
+    matches = _by_name(source.columns, selector) if number == selector else []
+    if re.fullmatch(r"0*[1-9]\d{0,8}", number):
+        numbered = source.columns[int(number) - 1 : int(number)]
         matches += [column for column in numbered if column not in matches]
-    found = None if matches else source.find(text)
+    found = None if matches else source.find(selector)
     matches += [] if found is None else [found]
     kinds = ("number", "stamp") if option == "time" else ("number",)
     if len(matches) == 1 and matches[0].kind in kinds:
         return matches[0]
-    numbers = [f"number={column.number}" for column in matches[1:] and matches]
-    choices = " or ".join(numbers)
-    raise InputError(
-        f"{source.name}: `{option}` {text} is not one column of numbers: {listing_of(source.columns)}"
-        f"{source.hint} (`{option}` {choices or 'NAME or NUMBER'})"
-    )
+    problem = f"`{option}` {selector} is not one column of numbers:"
+    raise _question(source, problem, [option])
 
 
 def _by_name(columns: Sequence[Column], selector: str) -> list[Column]:
@@ -234,7 +229,7 @@ def choose(
         if selector is not None:
             picks[role] = named(table, selector, role)
     used = [*clock_columns, *picks.values()]
-    unclear: dict[str, list[Column]] = {}
+    unclear: list[str] = []
     untyped = [role for role in selectors if role not in picks]
     for role in sorted(untyped, key=lambda role: role in optional):
         if role in optional:
@@ -244,39 +239,25 @@ def choose(
         if len(matches) == 1:
             picks[role] = matches[0]
         elif role not in optional:
-            unclear[role] = matches
-    shared = [role for role in picks if list(picks.values()).count(picks[role]) > 1]
-    if shared:
-        options = " ".join(f"`{role}` NAME" for role in shared)
-        raise InputError(
-            f"{table.name}: {picks[shared[0]].label} cannot be both {' and '.join(shared)}: "
-            f"{listing_of(table.columns)} ({options})"
-        )
-    if unclear:
-        used = [*clock_columns, *picks.values()]
-        free = [c for c in table.columns if c.kind == "number" and c not in used]
-        raise InputError(f"{table.name}: {_question(table, unclear, free)}{table.hint}")
+            unclear.append(role)
+    taken = list(picks.values())
+    shared = [role for role, column in picks.items() if taken.count(column) > 1]
+    if shared or unclear:
+        problem = f"which column is {' and which '.join(shared or unclear)}?"
+        raise _question(table, problem, shared or unclear)
     return {role: picks[role] for role in selectors if role in picks}
 
 
-def _question(
-    table: Table, unclear: Mapping[str, Sequence[Column]], free: Sequence[Column]
-) -> str:
-    """Ask for all roles that are not clear, with the options to type; no column is proposed."""
-    example = "FILE::COLUMN"
-    if free:
-        example = "NAME" if any(column.name for column in free) else "NUMBER"
-    questions, options = [], []
-    for role, matches in unclear.items():
-        # a trajectory is typed as what its file holds
-        option = "desired" if role == "trajectory" else role
-        labels = [column.label.removeprefix("column ") for column in matches[:_LISTED]]
-        which = f", {' or '.join(labels)}" if labels else ""
-        questions.append(f"which column is `{option}`{which}?")
-        options.append(f"`{option}` {example}")
-    listing = listing_of(table.columns)
-    remedy = "for example" if free else "write plain numbers, or type"
-    return f"{' '.join(questions)} {listing} ({remedy} {' '.join(options)})"
+def _question(table: Table, problem: str, roles: Sequence[str]) -> InputError:
+    """Return the refusal that lists all columns, with the options to type; no column is proposed."""
+    example = "NAME" if any(column.name for column in table.columns) else "NUMBER"
+    # a trajectory is typed as what its file holds
+    names = ["desired" if role == "trajectory" else role for role in roles]
+    options = " ".join(f"`{name}` {example}" for name in names)
+    return InputError(
+        f"{table.name}: {problem} {listing_of(table.columns)} (for example {options}), number=N, or "
+        f"FILE::COLUMN of another file{table.hint}"
+    )
 
 
 def fitting(columns: Sequence[Column], role: str) -> list[Column]:
@@ -296,7 +277,8 @@ def _candidates(columns: Sequence[Column], role: Role) -> list[Column]:
     A preferred name; a whole name; a word or a letter of the name, beside which every
     column counts whose unit fits; the unit alone.
     """
-    free = [column for column in columns if _is_free(column, role)]
+    free = [column for column in columns if column.kind == "number"]
+    free = [column for column in free if not words(column.name) & role.against]
     kinds = {None, *role.allowed, *role.proving}
     fitting = [column for column in free if kind_of(column.unit) in kinds]
     preferred = [c for c in fitting if words(c.quantity) & role.preferred]
@@ -312,8 +294,3 @@ def _candidates(columns: Sequence[Column], role: Role) -> list[Column]:
     if any(words(c.quantity) & role.names for c in free):
         return []  # the column of that name is in a unit that cannot be meant
     return proved or [c for c in free if kind_of(c.unit) in role.more]
-
-
-def _is_free(column: Column, role: Role) -> bool:
-    """Return whether a column holds numbers and no word of it gives it another role."""
-    return column.kind == "number" and not words(column.name) & role.against

@@ -93,11 +93,10 @@ def frame_table(frame: Any, time: Any = None) -> Table:
             )
             column = replace(column, doubt=doubt)
         columns.append(column)
-    index = time_index(frame)
     if time is not None:
         columns = [column for column in columns if column not in clocks]
         columns.append(column_in_memory(name, "time", time, "s"))
-    elif not clocks and index is not None:
+    elif not clocks and (index := time_index(frame)) is not None:
         columns.insert(0, index_column(name, index))
     table = table_of(name, columns)
     table.hint = " (of a frame: rename its columns)"
@@ -106,28 +105,19 @@ def frame_table(frame: Any, time: Any = None) -> Table:
 
 
 def time_index(data: Any) -> Any:
-    """Return the level of a pandas index that is a time by its name, else by its type; None of a count.
+    """Return a pandas index that is a time by its name or its type; None of a count.
 
     Raises
     ------
     InputError
-        Several levels may be meant.
+        It has several levels.
     """
     index: Any = getattr(data, "index", None)
-    called, typed = [], []
-    for level in range(getattr(index, "nlevels", 0)):
-        values = index.get_level_values(level)
-        title = str(values.name or "")
-        if is_time(Column(0, title, split_header(title)[1])):
-            called.append(values)
-        elif dtype_kind(values) in "fmM":
-            typed.append(values)
-    clocks = called or typed
-    if len(clocks) > 1:
-        raise InputError(
-            "which level of the index is the time? Name one, or give `time`"
-        )
-    return clocks[0] if clocks else None
+    if getattr(index, "nlevels", 0) > 1:
+        raise InputError("which level of the index is the time? Give `time`")
+    title = str(getattr(index, "name", None) or "")
+    is_called = is_time(Column(0, title, split_header(title)[1]))
+    return index if is_called or dtype_kind(index) in "fmM" else None
 
 
 def index_column(table: str, index: Any) -> Column:

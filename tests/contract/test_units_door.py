@@ -363,11 +363,9 @@ def test_nothing_is_no_signal(creep):
 def test_two_times_of_an_index_are_asked_about(names, creep):
     index = pd.MultiIndex.from_arrays([TIME, 2.0 * TIME], names=names)
     drive = pd.Series(np.linspace(1.0, 2.0, len(TIME)), index)
-    with pytest.raises(dbo.InputError, match=r"which level .* give `time`"):
+    with pytest.raises(dbo.InputError, match=r"which level .* Give `time`"):
         creep.simulate(drive)
     creep.simulate(drive, time=TIME)
-    one = drive.set_axis(index.set_names(["time_s", "set"]))
-    np.testing.assert_array_equal(creep.simulate(one), creep.simulate(drive, time=TIME))
 
 
 @pytest.mark.parametrize("verb", ["compensate", "simulate", "identify", "report"])
@@ -603,7 +601,6 @@ def test_attrs_and_a_name_that_disagree_are_refused():
 INDEXES = {
     "integers": pd.Index((1e6 * TIME).round().astype(int), name="t_us"),
     "a count": pd.RangeIndex(0, 1000 * len(TIME), 1000, name="t_us"),
-    "a level": pd.MultiIndex.from_arrays([0 * TIME, 1e3 * TIME], names=["run", "t_ms"]),
     "categories": pd.CategoricalIndex(TIME, name="time_s"),
 }
 

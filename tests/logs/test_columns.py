@@ -77,5 +77,7 @@ def test_scales(tmp_path):
     assert table["displacement"][0] == 20000.0
     with pytest.raises(InputError, match="`scale`"):
         open_log(path, BOTH, Reading(scale={"voltage": "2um/A"}))
-    with pytest.raises(InputError, match="cannot be both"):
+    with pytest.raises(
+        InputError, match="which column is voltage and which displacement"
+    ):
         open_log(path, {"voltage": "1", "displacement": "1"})

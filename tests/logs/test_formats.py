@@ -209,7 +209,7 @@ def test_a_truth_value_in_a_workbook_or_among_objects_is_no_number(tmp_path):
         log.read()
     for odd in (True, np.True_, 1j):
         frame["voltage_V"] = pd.Series([0.5, odd, 1.5, 2.0], dtype=object)
-        with pytest.raises(InputError, match="which column is `voltage`"):
+        with pytest.raises(InputError, match="which column is voltage"):
             open_log(frame_table(frame), {"voltage": None})
 
 

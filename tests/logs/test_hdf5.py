@@ -10,7 +10,6 @@ from dbo_cli.errors import InputError
 from dbo_cli.logs import open_log
 from dbo_cli.logs.columns import named
 from dbo_cli.logs.formats.hdf5 import read_hdf5
-from dbo_cli.logs.settings import stated_rate
 from dbo_cli.logs.table import Reading
 
 T = np.arange(200.0) / 1000.0
@@ -125,36 +124,21 @@ def test_parts_and_paths(tmp_path):
         read_hdf5(str(tmp_path / "run.h5"), "x", Reading())
 
 
-@pytest.mark.parametrize(
-    ("attributes", "rate", "problem"),
-    [
-        ({"sample_rate": 2.0, "sample_rate_units": "kHz"}, 2000.0, ""),
-        ({"dt": "0.5 ms"}, 2000.0, ""),
-        ({"fs": "1 kHz", "dt": "2 ms"}, None, "2 ms and .*1 kHz"),
-        ({"sample_rate": "10 furlongs"}, None, "10 furlongs"),
-        ({}, None, ""),
-        ({"single": 1}, 3000.0, ""),
-    ],
-)
-def test_a_rate_that_is_stated(tmp_path, attributes, rate, problem):
+def test_a_rate_in_an_attribute_is_no_clock(tmp_path):
     def fill(file):
-        file.attrs.update(attributes)
-        file["run/voltage"], file["run/displacement"] = V, D
-        if "single" in attributes:
-            file["fs"] = 3000.0
+        file.attrs["sample_rate"] = 2000.0
+        file["run/voltage"], file["run/displacement"], file["run/fs"] = V, D, 3000.0
 
-    source = opened(tmp_path, fill)
-    if problem:
-        with pytest.raises(InputError, match=problem):
-            stated_rate("run.h5", source.settings)
-    else:
-        assert stated_rate("run.h5", source.settings)[0] == rate
-    assert "time" not in names(source)
-    source.close()
+    path = str(made(tmp_path / "run.h5", fill))
+    with open_log(path, {"voltage": None}) as log:
+        assert log.read().time is None
+        assert "no clock" in log.line()
+    with open_log(path, {"voltage": None}, Reading(sample_rate=2000.0)) as log:
+        assert log.read().dt == 1.0 / 2000.0
 
 
 def test_groups_side_by_side(tmp_path):
-    """A single value is a statement and no column; unlike lengths are refused."""
+    """A single value is no column; unlike lengths are refused."""
 
     def fill(file):
         plain(file.create_group("run1"))
@@ -164,7 +148,6 @@ def test_groups_side_by_side(tmp_path):
     source = opened(tmp_path, fill)
     assert {"run1/voltage", "run2/voltage", "run1/short"} < set(names(source))
     assert not {"fs", "count"} & set(names(source))
-    assert stated_rate("run.h5", source.settings)[0] == 4000.0
     assert "run.h5::run1" in source.hint
     with pytest.raises(InputError, match=r"unequal length.*199|unequal length"):
         list(source.blocks(source.columns))
@@ -234,7 +217,7 @@ def test_two_attributes_that_state_another_unit_are_refused(tmp_path):
         file["voltage"].attrs["unit"] = "mV"
 
     path = str(made(tmp_path / "run.h5", fill))
-    with pytest.raises(InputError, match=r"one of the units V, mV: .*`scale` voltage"):
+    with pytest.raises(InputError, match=r"one of the units mV, V: .*`scale` voltage"):
         open_log(path, {"voltage": None})
 
 
@@ -263,21 +246,6 @@ def test_a_scale_beside_a_dataset_is_not_passed_over(tmp_path):
     scaled = Reading(scale={"voltage": "0.125"}, skip_bad=True)
     with open_log(path, {"voltage": "z"}, scaled) as log:
         np.testing.assert_array_equal(log.read()["voltage"], [0.0, 12.5])
-
-
-@pytest.mark.parametrize(
-    ("key", "pair"), [("sample_rate", (1000.0, 2000.0)), ("t0", (0.0, 0.25))]
-)
-def test_clocks_that_differ_by_column_are_no_clock(tmp_path, key, pair):
-    def fill(file):
-        for name, value in zip("vx", pair, strict=True):
-            file[f"{name}/data"] = np.arange(3.0)
-            file[name].attrs.update({"sample_rate": 1000.0, key: value})
-
-    source = opened(tmp_path, fill)
-    with pytest.raises(InputError, match=key):
-        stated_rate("run.h5", source.settings)
-    source.close()
 
 
 # --- what leads out of the file ---

@@ -16,18 +16,17 @@ import numpy as np
 
 from dbo_cli.errors import InputError
 from dbo_cli.logs.fence import closed_on_error, fenced
-from dbo_cli.logs.settings import is_clock_setting, plain_key
+from dbo_cli.logs.settings import plain_key
 from dbo_cli.logs.table import Column, Fetch, Reading, Table, columns_in
 
 # bytes a dataset: a compressed chunk is unpacked once, not once a block
 _CHUNK_CACHE = 1 << 22
 _LISTED = 9  # datasets that a message names at most
-_NOT_APPLIED = {
-    "scalefactor": 1.0, "addoffset": 0.0, "scale": 1.0, "offset": 0.0, "gain": 1.0, "factor": 1.0,
-    "slope": 1.0, "intercept": 0.0, "sensitivity": 1.0, "calibration": 1.0, "conversion": 1.0,
-    "scalingfactor": 1.0, "yinc": 1.0,
-}  # fmt: skip
-"""Attributes that may belong to a dataset's values, by their plain keys, and what changes nothing."""
+_SCALINGS = (
+    "scale", "scaling", "factor", "gain", "slope", "sensitivity", "calibration", "conversion",
+    "yinc", "offset", "intercept",
+)  # fmt: skip
+"""What the key of an attribute holds that may belong to a dataset's values."""
 _MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
                   "uint32", "uint64")  # fmt: skip
 
@@ -71,9 +70,6 @@ def _table_of(path: str, inner: str, file: Any) -> Table:
     for column in columns:
         table.add(replace(column, name=column.name[len(top) :].lstrip("/")))
     table.require_numbers([_listing(nodes)])
-    _state_clock(table, nodes, groups)
-    if not table.settings:
-        _state_clock(table, nodes, [inner, ""])
     if len(groups) > 1:
         table.hint = f" (or one group alone: {path}::{groups[0]})"
 
@@ -90,24 +86,6 @@ def _table_of(path: str, inner: str, file: Any) -> Table:
     return table
 
 
-def _state_clock(table: Table, nodes: Nodes, groups: Sequence[str]) -> None:
-    """Note what groups, the datasets in them and single values state of the sample rate."""
-    for path, node in nodes.items():
-        group, _, name = path.rpartition("/")
-        is_inside = group in groups and isinstance(node, h5py.Dataset)
-        if path not in groups and not is_inside:
-            continue
-        for key in filter(is_clock_setting, node.attrs):
-            values = _attribute(node, key)
-            if len(values) == 1:
-                unit = _texts(node, f"{key}_units", f"{key}_unit")
-                table.state(key, values[0], "".join(unit))
-        is_single = is_inside and node.size == 1 and is_clock_setting(name)
-        if is_single and not node.is_virtual and not node.external:
-            unit = _texts(node, "units", "unit")
-            table.state(name, _plain(np.ravel(node[()])[0]), "".join(unit))
-
-
 def _columns_of(path: str, dataset: Any) -> list[Column]:
     """Take a dataset apart into columns; none where it holds no numbers, or leads to other files."""
     if not isinstance(dataset, h5py.Dataset) or not dataset.size:
@@ -118,7 +96,7 @@ def _columns_of(path: str, dataset: Any) -> list[Column]:
     if matlab[0] not in _MATLAB_NUMBERS or "MATLAB_empty" in dataset.attrs:
         return []
     group, _, name = path.rpartition("/")
-    labels = _texts(dataset, "columns", "column_names", "names")
+    labels = _texts(dataset, "columns")
     columns = []
     stored = list(columns_in(name, dataset))
     units, doubt = _units_of(dataset, len(stored))
@@ -136,9 +114,9 @@ def _columns_of(path: str, dataset: Any) -> list[Column]:
 
 def _units_of(dataset: Any, count: int) -> tuple[list[str], str]:
     """Return the units of so many columns of a dataset, and what is doubtful in these or in its values."""
-    stated = [_texts(dataset, name) for name in ("units", "unit", "Units", "Unit")]
-    stated = [texts for texts in stated if texts] or [[""]]
-    units = stated[0]
+    keys = [key for key in dataset.attrs if key.lower() in ("units", "unit")]
+    stated = [texts for texts in (_texts(dataset, key) for key in keys) if texts]
+    units = stated[0] if stated else [""]
     if any(texts != units for texts in stated) or len(units) not in (1, count):
         listing = ", ".join(text for texts in stated for text in texts)
         doubt = f"has one of the units {listing}: type `scale` ROLE=1UNIT/UNIT"
@@ -195,29 +173,24 @@ def _with_missing(dataset: Any, fetch: Fetch) -> Fetch:
 
 def _not_applied(dataset: Any) -> str:
     """Say which factor or offset in or beside a dataset may belong to its values (Keysight, NeXus)."""
-    factors = {key: _attribute(dataset, key) for key in dataset.attrs}
-    factors["YInc"] = _attribute(dataset.parent, "YInc")
-    stated = ""
-    for key, values in factors.items():
-        neutral = _NOT_APPLIED.get(plain_key(key))
-        if neutral is not None and any(value != neutral for value in values):
-            stated = f"{key} {' '.join(map(str, values))}"
+    statements = {key: _attribute(dataset, key) for key in dataset.attrs}
+    statements["YInc"] = _attribute(dataset.parent, "YInc")
     for sibling in (f"{dataset.name}_scaling_factor", f"{dataset.name}_offset"):
         if sibling in dataset.file:
-            stated = sibling
-    if not stated:
-        return ""
-    return f"has {stated} beside it, which is not applied: type `scale` ROLE=FACTOR"
+            statements[sibling] = ["beside it"]
+    for key, values in statements.items():
+        plain = plain_key(key)
+        neutral = 0.0 if "offset" in plain or "intercept" in plain else 1.0
+        is_scaling = any(word in plain for word in _SCALINGS)
+        if is_scaling and any(value != neutral for value in values):
+            listing = " ".join(map(str, values))
+            return (
+                f"has {key} {listing}, which is not applied: type `scale` ROLE=FACTOR"
+            )
+    return ""
 
 
 # --- what a node says ---
-
-
-def _plain(value: Any) -> Any:
-    """Return a text as str, and a number as Python's."""
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
-    return value.item() if isinstance(value, np.generic) else value
 
 
 def _attribute(node: Any, name: str) -> Any:
@@ -225,15 +198,13 @@ def _attribute(node: Any, name: str) -> Any:
     value = node.attrs.get(name)
     if value is None or isinstance(value, h5py.Empty):
         return []
-    return [_plain(item) for item in np.ravel(value)]
+    items = np.ravel(value).tolist()
+    return [str(x, "utf-8", "replace") if isinstance(x, bytes) else x for x in items]
 
 
-def _texts(node: Any, *names: str) -> list[str]:
-    """Return the first of several attributes as texts; a text with commas is a list."""
-    for name in names:
-        texts = [str(item).strip() for item in _attribute(node, name)]
-        if len(texts) == 1:
-            return [text.strip() for text in texts[0].split(",")]
-        if texts:
-            return texts
-    return []
+def _texts(node: Any, name: str) -> list[str]:
+    """Return an attribute as texts; a text with commas is a list."""
+    texts = [str(item) for item in _attribute(node, name)]
+    if len(texts) == 1:
+        texts = texts[0].split(",")
+    return [text.strip() for text in texts]

@@ -50,19 +50,6 @@ def elements_of(data: bytes, order: str) -> Elements:
         start = stop
 
 
-def _numbers(elements: Elements, order: str) -> NDArray[Any]:
-    """Return the numbers of the next element."""
-    kind, data = next(elements, (0, b""))
-    if kind not in _TYPES:
-        raise ValueError(f"{kind} is no type of numbers")
-    return np.frombuffer(data, order + _TYPES[kind])
-
-
-def _text(elements: Elements) -> str:
-    """Return the text of the next element."""
-    return next(elements, (0, b""))[1].decode("utf-8", "replace")
-
-
 def variables_of(data: bytes) -> Iterator[tuple[str, NDArray[Any] | None]]:
     """Walk through the variables of a file of version 5: names, and values where they are plain numbers.
 
@@ -85,15 +72,20 @@ def variables_of(data: bytes) -> Iterator[tuple[str, NDArray[Any] | None]]:
 
 def _variable_of(elements: Elements, order: str) -> tuple[str, NDArray[Any] | None]:
     """Read a variable from its elements: flags, size, name, values."""
-    flags = _numbers(elements, order)
-    number = int(flags[0]) & 0xFF if len(flags) else 0
-    if number == _TABLE:  # its name has no size in front
-        return _text(elements), None
-    shape = tuple(int(length) for length in _numbers(elements, order))
-    name = _text(elements)
-    if number not in _NUMBERS or int(flags[0]) & _NO_NUMBERS:
+
+    def numbers() -> NDArray[Any]:
+        kind, data = next(elements, (0, b""))
+        if kind not in _TYPES:
+            raise ValueError(f"{kind} is no type of numbers")
+        return np.frombuffer(data, order + _TYPES[kind])
+
+    flags = int(numbers()[0])
+    # the name of a table has no size in front
+    shape = () if flags & 0xFF == _TABLE else tuple(numbers().tolist())
+    name = next(elements, (0, b""))[1].decode("utf-8", "replace")
+    if flags & 0xFF not in _NUMBERS or flags & _NO_NUMBERS:
         return name, None
-    values = _numbers(elements, order)
+    values = numbers()
     if np.prod(shape, dtype=object) != len(values):
         raise ValueError(f"{name} has another size than its values")
     return name, values.reshape(shape, order="F")
