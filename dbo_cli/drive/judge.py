@@ -11,7 +11,7 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import Lead
-from dbo_cli.drive.limits import Limits, in_full
+from dbo_cli.drive.limits import Limits, in_full, rounded_down, rounded_up
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Cascade, Run, State, Steps, expect
 
@@ -62,6 +62,8 @@ class Judge:
         # of the move: what limits cut off, and what no voltage reaches
         self._clipped = self._first_clipped = self._unreachable = 0
         self._squares = self._largest = 0.0
+        # least and greatest voltage, and slew, of limits that let the cut rows pass
+        self._needed = (math.inf, -math.inf, 0.0)
         # the first rows, which judgements play again: voltages and steps, part by part
         self._voltages: list[Floats] = []
         self._steps: list[Floats] = []
@@ -117,6 +119,8 @@ class Judge:
         lost[: max(self._first_clipped - 1 - before, 0)] = 0.0
         self._squares += float(np.square(lost).sum())
         self._largest = max(self._largest, float(np.abs(lost).max()))
+        if run.clipped and self.on_limit != "clip":
+            self._need(target, state, dt)
         if self.on_limit == "error":
             raise self._refusal()
 
@@ -164,12 +168,31 @@ class Judge:
             f"at most {self._largest:.3g}{unit}"
         )
 
+    def _need(self, target: Floats, state: State, dt: Steps) -> None:
+        """Look at what limits would let rows pass that limits cut off."""
+        head = self.model.head
+        voltage = self.model.drive(target, state, dt).y
+        rate = 0.0
+        if dt is not None:
+            steps = np.broadcast_to(np.asarray(dt), voltage.shape)
+            before = voltage[0] if state.drive is None else state.drive
+            way = np.abs(np.diff(head(np.append(before, voltage)))) / head.least_slope
+            rate = float((way[steps > 0.0] / steps[steps > 0.0]).max(initial=0.0))
+        low, high, fastest = self._needed
+        low, high = min(low, float(voltage.min())), max(high, float(voltage.max()))
+        self._needed = low, high, max(fastest, rate)
+
     def _refusal(self) -> LimitError:
-        """Return the refusal of a move that limits cut off, with what to type."""
+        """Return the refusal of a move that limits cut off: which limits it needs, and what to type."""
+        low, high, rate = self._needed
+        unit = self.limits.suffix
+        needed = f"{rounded_down(low, 4):.4g} to {rounded_up(high, 4):.4g}{unit}"
+        if self.limits.slew is not None:
+            needed += f", {rounded_up(rate, 3):.3g}{unit}/s"
         return LimitError(
-            f"{self.name}: {self._exceeding()}: give wider limits (beyond the identified range "
-            "`extrapolate`), a way to row 1 (`from_` VOLT, `approach` auto), a slower, smaller or smoother "
-            "move (`bandwidth` HZ), or `on_limit` clip"
+            f"{self.name}: {self._exceeding()}; it needs {needed}: give wider limits (beyond the identified "
+            "range `extrapolate`), a way to row 1 (`from_` VOLT, `approach` auto), a slower, smaller or "
+            "smoother move (`bandwidth` HZ), or `on_limit` clip"
         )
 
     def require_reached(self, step: float) -> None:

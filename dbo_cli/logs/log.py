@@ -90,6 +90,7 @@ class Log(AbstractContextManager["Log"]):
         self._skip_bad = reading.skip_bad
         self.left_out: list[int] = []
         self._first_dropped = ""
+        self._lost: tuple[int, str] | None = None
         self._count = 0
         self._rows: Block | None = None
 
@@ -176,6 +177,7 @@ class Log(AbstractContextManager["Log"]):
             inner = [array[inside] for array in arrays]
             numbers, arrays = self._good(numbers[inside], inner, columns)
             if len(numbers):
+                self._require_time(int(numbers[-1]))
                 self._count += len(numbers)
                 time, dt = self.clock.read(numbers, arrays[time_place])
                 values = {}
@@ -186,6 +188,15 @@ class Log(AbstractContextManager["Log"]):
                 break
         self.doubtful += self.remarks[noted:]
         self._finish(row - 1)
+
+    def _require_time(self, row: int) -> None:
+        """Refuse a row behind one that may be no sample, where rows are counted (InputError)."""
+        if self._lost is None or self.clock.kind != "rate" or row <= self._lost[0]:
+            return
+        lost, where = self._lost
+        raise InputError(
+            f"{where}: the time behind it is not known: cut with `rows` {self._first}:{lost - 1}"
+        )
 
     def _finish(self, rows: int) -> None:
         """Remark on what was left out of so many rows (InputError where nothing is left)."""
@@ -231,15 +242,10 @@ class Log(AbstractContextManager["Log"]):
         is_guarded = len(columns) > len(self.columns) + self.clock.is_read
         if is_guarded and columns[-1].kind != "stamp":
             lost += numbers[bad[-1]].tolist()  # the guard alone shows these
-        begin = numbers[-1]
-        if self._count or len(good):
-            begin = 0 if self._count else good[0]
-        behind = [row for row in lost if begin < row <= numbers[-1]]
-        if behind and self.clock.kind == "rate":
-            where = self._source.where(behind[0], columns[-1], "")
-            raise InputError(
-                f"{where}: the time behind it is not known: cut with `rows` {self._first}:{behind[0] - 1}"
-            )
+        for row in lost:
+            is_behind = self._count or (len(good) and row > good[0])
+            if is_behind and self._lost is None:
+                self._lost = row, self._source.where(row, columns[-1], "")
         return good, [array[~is_bad] for array in arrays]
 
     def line(self) -> str:

@@ -1,5 +1,6 @@
 """Limits hold, wherever a drive is made: the gate, inverse models, and ``check`` of one mind with them."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -153,6 +154,23 @@ def test_the_line_says_which_limits_were_kept_and_where_a_drive_starts():
         assert "within limits" in line and f"starts at {first:.4g} V" in line
     line = done(*words, "--from", 0, "--approach", "auto").said[1]
     assert "starts at" not in line and "within the identified range" in line
+
+
+@pytest.mark.parametrize("rows_a_second", [400, 1000, 3000])
+@pytest.mark.parametrize("low, high", [(0.9, 5.9), (0.1, 6.3), (-0.3, 5.0)])
+def test_the_limits_that_a_refusal_names_do(rows_a_second, low, high):
+    wave = low + (high - low) * np.sin(np.pi * np.arange(400) / 400) ** 2
+    write("fast.csv", MOVE, np.arange(400) / rows_a_second, wave)
+    words = ("compensate", model("creep"), "fast.csv", "--on-limit", "error")
+    words = (*words, "--state", "empty", "-o", "drive.csv")
+    error = refused(3, *words, "--v-max", 50, "--max-slew", 10)
+    number = r"(-?[\d.e+]+)"
+    needs = re.search(rf"needs {number} to {number} V, {number} V/s: give (.*)", error)
+    least, greatest, slew, remedy = needs.groups()
+    limits = [f"--v-min={least}", f"--v-max={greatest}", f"--max-slew={slew}"]
+    if "--extrapolate" in remedy:
+        limits.append("--extrapolate")
+    done(*words, *limits)
 
 
 def test_a_clipped_row_is_counted_among_the_rows_that_were_read():

@@ -6,6 +6,7 @@ passed over, and refused where it is typed. MATLAB's files of version 7.3 and ne
 
 from __future__ import annotations
 
+import math
 import posixpath
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -177,17 +178,22 @@ def _not_applied(dataset: Any) -> str:
     statements["YInc"] = _attribute(dataset.parent, "YInc")
     for sibling in (f"{dataset.name}_scaling_factor", f"{dataset.name}_offset"):
         if sibling in dataset.file:
-            statements[sibling] = ["beside it"]
+            statements[sibling] = [math.nan]
     for key, values in statements.items():
         plain = plain_key(key)
         neutral = 0.0 if "offset" in plain or "intercept" in plain else 1.0
         is_scaling = any(word in plain for word in _SCALINGS)
-        if is_scaling and any(value != neutral for value in values):
-            listing = " ".join(map(str, values))
-            return (
-                f"has {key} {listing}, which is not applied: type `scale` ROLE=FACTOR"
-            )
+        if is_scaling and any(_number(value, neutral) != neutral for value in values):
+            return f"has {key} beside it, which is not applied: type `scale` ROLE=FACTOR"
     return ""
+
+
+def _number(value: object, otherwise: float) -> float:
+    """Return a number, or a text that is one; another text, such as a date, is none."""
+    try:
+        return float(str(value))
+    except ValueError:
+        return otherwise
 
 
 # --- what a node says ---
