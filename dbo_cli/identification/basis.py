@@ -27,6 +27,7 @@ CELL_GROWTH = 1.5  # a cell's upper edge grows with its number to this power
 SEGMENTS = 24  # of the curve behind the gears
 BEND_SEGMENTS = 32  # of the points before the gears
 TAU_RATIO = 3.0  # of neighbouring time constants
+RISING = 1e-6  # of a step: what a clock that repeats stamps rises by at least
 BLOCK_ROWS = 256  # of the full rate: their sums stay in a near cache
 LANES = 8  # plays in a group of the kernel
 PAST_GROUPS = 5  # of cells, each with a past of its own
@@ -310,6 +311,7 @@ def _late(log: PreparedLog, delay: float, places: Integers) -> Floats:
     if delay == 0.0 or isinstance(log.steps, float):
         return places.astype(np.float64) - delay / log.dt
     clock = np.append(log.time, log.time[-1] + log.dt)
+    clock = clock + RISING * log.dt * np.arange(len(clock))
     shifted = clock[places] - delay
     within: Floats = np.interp(shifted, clock, np.arange(len(clock), dtype=float))
     position: Floats = within + np.minimum(shifted - clock[0], 0.0) / log.dt

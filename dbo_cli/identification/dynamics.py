@@ -3,9 +3,9 @@
 What the static model predicts for the fast rows is the input of the dynamics, what was
 measured their output. Starts come from the ratio of the two spectra; parameters are
 refined on the output error. No, one or two resonances, the last with an antiresonance
-or without: by the error on blocks left out, one step from the whole fit. ``find`` does
-this beside a static model that knows no dynamics; the slow rows are then identified
-again with the sections known, and ``refine`` fits the sections again.
+or without, and a pure delay: by the error on blocks left out, one step from the whole
+fit. ``find`` does this beside a static model that knows no dynamics; the slow rows are
+then identified again with the sections known, and ``refine`` fits the sections again.
 """
 
 from __future__ import annotations
@@ -17,37 +17,44 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.identification.sections import (
+    LEAST_DAMPING,
+    MOST_BESIDE,
+    Band,
     FastDynamics,
     FastRows,
     Form,
     fitted,
     peak_of,
+    phase_delay,
 )
+from dbo_cli.model import Mode, Resonance
 from dbo_cli.signals import noise
 
 MOST_RESONANCES = 2  # one sweep does not tell more apart
 SURE, EARNED = 200.0, 0.3
 """The squares left out must fall by so many times the noise's mean square, and by this share of what they
 are beyond white noise."""
-SHORT_LAG, LONG_LAG = 0.02, 0.3  # periods of the highest frequency: first guesses
+SHORT_LAG = 0.02  # periods of the highest frequency: a first guess
 DAMPINGS = (0.002, 0.02, 0.1, 0.4)  # starts: the error has several minima in it
-INSIDE = 1.02  # times the lowest frequency swept: below is no resonance
+INSIDE = 1.02  # times a bound at which a fit would like to go on
 NEAR = 0.03  # of the logarithms of two resonances that undo each other
 LATE = 0.5  # of a step: a shorter lag is no amplifier's
+SEEN_DELAY = 0.1  # periods of the highest frequency: less is fitted as a lag
 UNEXPLAINED = 0.1  # of what the fast rows do: more is a warning
 
 
 def find(rows: FastRows, order: str | int) -> FastDynamics:
-    """Return the dynamics that the fast rows ask for, with ``order`` resonances or "auto"."""
-    starts = [np.log([lag / rows.band[1]]) for lag in (SHORT_LAG, LONG_LAG)]
-    best = fitted(rows, starts, Form(0))
-    limit = MOST_RESONANCES if order == "auto" else int(order)
-    while best.form.resonances < limit:
-        more = _one_more(rows, best, always=order != "auto")
-        if more is None:
-            break
-        best = more
-    return best
+    """Return the dynamics that the fast rows ask for, with ``order`` resonances or "auto".
+
+    A sensor that is late by half a period of a resonance turns its phase around: without
+    a pure delay no resonance fits.
+    """
+    best = _chosen(rows, order, 0.0)
+    phase_lag = phase_delay(rows)
+    if phase_lag * rows.band[1] < SEEN_DELAY:
+        return best
+    delayed = _chosen(rows, order, phase_lag)
+    return delayed if _earned(rows, delayed, best) else best
 
 
 def refine(
@@ -62,13 +69,33 @@ def refine(
     rows is gone with the second: one more is offered.
     """
     best = fitted(rows, [found.parameters], found.form)
-    shortest = LATE * rows.step
-    if best.lag > shortest:
-        start = np.append(best.parameters, np.log(shortest))
+    *delay, lag = best.times
+    shortest = np.log(LATE * rows.step)
+    if lag > shortest:
+        start = np.array([*best.modes, lag, *delay, shortest])
         before = fitted(rows, [start], replace(best.form, amplifier=True))
         best = best if _earned(rows, best, before) else before
     if order == "auto" and found.form.resonances < MOST_RESONANCES:
         best = _one_more(rows, best) or best
+    return best
+
+
+# --- which dynamics ---
+
+
+def _chosen(rows: FastRows, order: str | int, delay: float) -> FastDynamics:
+    """Return the dynamics that earn their place, or with as many resonances as are asked for."""
+    pure_delay = [delay] if delay else []
+    starts = []
+    for lag in (SHORT_LAG, 0.3):
+        starts.append(np.log([*pure_delay, lag / rows.band[1]]))
+    best = fitted(rows, starts, Form(0, delay=delay > 0.0))
+    limit = MOST_RESONANCES if order == "auto" else int(order)
+    while best.form.resonances < limit:
+        more = _one_more(rows, best, always=order != "auto")
+        if more is None:
+            break
+        best = more
     return best
 
 
@@ -81,9 +108,6 @@ def _one_more(
     have one.
     """
     count = best.form.resonances
-    excess = best.left_out**2 - _noise(rows, best)
-    if count and not always and rows.count * excess < SURE * _noise(rows, best):
-        return None
     form = replace(best.form, resonances=count + 1, antiresonance=False)
     resonances, highest = best.modes[: 2 * count], rows.band[1]
     times = best.times.copy()
@@ -109,17 +133,24 @@ def _one_more(
 def _earned(rows: FastRows, more: FastDynamics, best: FastDynamics) -> bool:
     """Return whether the error left out asks for more, all of it inside the swept band."""
     for resonance in more.resonances:
-        for mode in (resonance, resonance.antiresonance or resonance):
-            if not INSIDE * rows.band[0] < mode.frequency < rows.band[1]:
-                return False
-    white = _noise(rows, best)
+        if not _is_inside(resonance, rows.band):
+            return False
+    white = noise(np.concatenate(rows.residuals(best.form, best.parameters))) ** 2
     gained = best.left_out**2 - more.left_out**2
     return gained >= max(SURE * white / rows.count, EARNED * (best.left_out**2 - white))
 
 
-def _noise(rows: FastRows, best: FastDynamics) -> float:
-    """Return the mean square of what is white in what dynamics leave."""
-    return noise(np.concatenate(rows.residuals(best.form, best.parameters))) ** 2
+def _is_inside(resonance: Resonance, band: Band) -> bool:
+    """Return whether a resonance, and its antiresonance, lie inside the swept band and the bounds."""
+    notch = resonance.antiresonance
+    modes: list[Mode] = [resonance]
+    if notch is not None:
+        modes.append(notch)
+        if max(mode.damping for mode in modes) > MOST_BESIDE / INSIDE:
+            return False
+    if resonance.damping < INSIDE * LEAST_DAMPING:
+        return False
+    return all(INSIDE * band[0] < mode.frequency < band[1] for mode in modes)
 
 
 def figures_of(rows: FastRows, best: FastDynamics) -> dict[str, Any]:

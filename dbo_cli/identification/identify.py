@@ -21,8 +21,6 @@ from dbo_cli.identification.figures import (
     stated,
 )
 from dbo_cli.identification.moving import moving
-from dbo_cli.identification.paper import identify_paper
-from dbo_cli.identification.prior import rescale
 from dbo_cli.identification.problem import prepare
 from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.identification.search import FEWEST_SWINGS, Search, choices_for
@@ -69,8 +67,12 @@ def _judged(
     logs, notes = clean(recordings, options)
     refuse_other_sign(logs, options)
     if options.method == "paper":
+        from dbo_cli.identification.paper import identify_paper
+
         model = identify_paper(logs[0], options)
     elif options.prior is not None:
+        from dbo_cli.identification.prior import rescale
+
         model = rescale(options.prior, logs, options)
     else:
         model = _searched(logs, options)

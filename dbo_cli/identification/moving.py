@@ -63,7 +63,7 @@ class Moving:
     amplifier
         Before the gears, where there is one.
     dynamics
-        Behind them, creep first; nothing where the fast rows ask for nothing.
+        Behind them, creep first, and a delay; nothing where the fast rows ask for nothing.
     figures
         For ``fit["dynamics"]`` of the model.
     """
@@ -129,9 +129,12 @@ def moving(
         static = static.with_stages((*static.stages, Dynamics(creep)))
     rows = FastRows(static, fast)
     refined = refine(rows, found, order)
-    dynamics = Dynamics((*creep, *rows.sections(refined)))
+    dynamics: list[Stage] = [Dynamics((*creep, *rows.sections(refined)))]
+    if refined.delay:
+        dynamics.append(Delay(refined.delay))
     amplifier = (Amplifier(refined.amplifier),) if refined.amplifier else ()
-    return Moving(problem, fits, figures_of(rows, refined), amplifier, (dynamics,))
+    figures = figures_of(rows, refined)
+    return Moving(problem, fits, figures, amplifier, tuple(dynamics))
 
 
 def without_fast_memories(
@@ -156,8 +159,8 @@ def without_fast_memories(
 
 
 def lateness(found: FastDynamics) -> float:
-    """Return how late slow moves are behind a lag and resonances (s)."""
-    seconds = found.lag
+    """Return how late slow moves are behind a delay, a lag and resonances (s)."""
+    seconds = found.delay + found.lag
     for resonance in found.resonances:
         seconds += resonance.damping / (math.pi * resonance.frequency)
         notch = resonance.antiresonance

@@ -74,12 +74,18 @@ def identify_paper(recording: Recording, options: Options) -> Cascade:
         stages.append(Points(parts, parts * fine.curve, 0.0, 0.0))
     shift = zero_of(recording, options)
     stages.append(Scale(stroke / swing, lowest - shift))
+    fit = {
+        "method": "paper",
+        "expected_rmse": None,
+        "gears": count,
+        "range": [low, low + swing],
+    }
     model = Cascade(
         direction="forward",
         input=Quantity(*recording.input, low, low + swing),
         output=Quantity(*recording.output, 0.0, 1.0),
         stages=tuple(stages),
-        fit={"method": "paper", "expected_rmse": None},
+        fit=fit,
     )
     return with_reach(model)
 

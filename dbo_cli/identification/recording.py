@@ -49,12 +49,12 @@ class Recording:
             raise FitError(
                 f"{self.name}: {rows} rows are too few; record at least {FEWEST_ROWS}"
             )
-        for signal in ("voltage", "displacement"):
-            if float(np.ptp(getattr(self, signal))) == 0.0:
-                raise FitError(
-                    f"{self.name}: {signal} never changes; check the columns and the sensor, and record a "
-                    "drive that goes up and down"
-                )
+        if float(np.ptp(self.voltage)) == 0.0:
+            raise FitError(
+                f"{self.name}: voltage never changes; record a drive that goes up and down"
+            )
+        if float(np.ptp(self.displacement)) == 0.0:
+            raise FitError(f"{self.name}: displacement never changes; check the sensor")
         if self.time is not None and float(np.median(np.diff(self.time))) == 0.0:
             raise InputError(
                 f"{self.name}: most time stamps repeat: replace them with `sample_rate` HZ"

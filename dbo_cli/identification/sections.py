@@ -20,6 +20,7 @@ from dbo_cli.identification.recording import Recording, detrended, runs_of
 from dbo_cli.model import (
     Amplifier,
     Cascade,
+    Delay,
     Dynamics,
     Lag,
     Mode,
@@ -41,10 +42,11 @@ FAST_BLOCKS, FOLDS = 40, 5  # blocks of the fast rows, dealt out to the folds in
 LEAST_DAMPING, MOST_DAMPING = 1e-4, 0.98
 MOST_BESIDE = 0.1  # damping of resonances one of which has an antiresonance
 NO_LAG = 2e-3  # of a time step: a lag at the lower end of its range is none
-SLOWEST_LAG = 10.0  # periods of the highest frequency: lags are shorter
+SLOWEST_LAG = 10.0  # periods of the highest frequency: lags and delays are shorter
 FEW_STEPS, FINALISTS, MOST_STEPS = 6, 2, 40  # of a refinement
 DERIVATIVE_STEP = 1e-5  # of a parameter's logarithm, for derivatives
 APART = 0.3  # of the logarithms of two resonances
+SAME_GAIN = 0.3  # of the logarithm: up to here the phase tells a delay
 ENERGY = 0.003  # of the strongest amplitude of the drive: with less nothing is known
 
 
@@ -121,10 +123,14 @@ def _sweep_of(log: Recording, span: float) -> Sweep | None:
 
 @dataclass(frozen=True)
 class Form:
-    """How many resonances, an antiresonance of the highest or none, a lag before the gears or none."""
+    """How many resonances, an antiresonance of the highest or none, a delay behind all or none.
+
+    With ``amplifier`` another lag stands before the gears.
+    """
 
     resonances: int
     antiresonance: bool = False
+    delay: bool = False
     amplifier: bool = False
 
     @property
@@ -143,7 +149,7 @@ class FastDynamics:
         What is fitted.
     parameters
         Logarithms: frequency (Hz) and damping of each resonance, of the antiresonance,
-        the amplifier's lag (s), the lag (s).
+        the amplifier's lag (s), the delay (s), the lag (s).
     rmse, left_out
         On all fast rows, and on blocks left out.
     """
@@ -160,13 +166,18 @@ class FastDynamics:
 
     @property
     def times(self) -> Floats:
-        """The logarithms of the amplifier's lag, where there is one, and of the lag."""
+        """The logarithms of the amplifier's lag and the delay, as far as there are any, and of the lag."""
         return np.split(self.parameters, [self.form.modes])[1]
 
     @property
     def amplifier(self) -> float:
         """The lag before the gears (s), 0 for none."""
         return float(np.exp(self.times[0])) if self.form.amplifier else 0.0
+
+    @property
+    def delay(self) -> float:
+        """The pure delay behind all (s), 0 for none."""
+        return float(np.exp(self.times[-2])) if self.form.delay else 0.0
 
     @property
     def lag(self) -> float:
@@ -208,13 +219,16 @@ class Signals:
         return output
 
     def modelled(self, trial: FastDynamics) -> Floats:
-        """Return the prediction through lags and resonances."""
+        """Return the prediction through lags, resonances and delay."""
         predicted = self.predicted
         if trial.amplifier:
             stages = (Amplifier(trial.amplifier), *self.static.stages)
             predicted = self._simulated(self.static.with_stages(stages))
         sections = Dynamics((Lag(trial.lag), *trial.resonances))
-        return np.asarray(sections.run(predicted, State(), self.dt).y)
+        modelled = sections.run(predicted, State(), self.dt).y
+        if trial.form.delay:
+            modelled = Delay(trial.delay).run(modelled, State(), self.dt).y
+        return np.asarray(modelled, dtype=np.float64)
 
     def residuals(self, trial: FastDynamics) -> Floats:
         """Return what the best gain, offset and drift of the prediction leave of the measured."""
@@ -288,6 +302,7 @@ def _bounds(rows: FastRows, form: Form) -> tuple[Floats, Floats]:
     lag = 0.5 * NO_LAG * rows.step, SLOWEST_LAG / highest
     bounds = [*mode] * (form.resonances + form.antiresonance)
     bounds += [lag] * form.amplifier
+    bounds += [(0.01 / highest, SLOWEST_LAG / highest)] * form.delay
     low, high = np.log([*bounds, lag]).T
     return low, high
 
@@ -304,7 +319,7 @@ def _left_out(rows: FastRows, residuals: Floats, derivatives: Floats) -> float:
     return float(np.sqrt(squares / residuals.size))
 
 
-# --- spectra: where a resonance is to be looked for ---
+# --- spectra: where a resonance is to be looked for, and how late all is ---
 
 
 def spectra(
@@ -333,3 +348,20 @@ def peak_of(rows: FastRows, best: FastDynamics) -> float:
         return 0.7 * rows.band[1]
     ratio = np.abs(both[distant]) / power[distant]
     return float(frequency[distant][np.argmax(ratio)])
+
+
+def phase_delay(fast: FastRows) -> float:
+    """Return how late the measured is (s), by the phase where its gain is still that of slow moves."""
+    signals = fast.longest
+    frequency, power, both = spectra(
+        signals.predicted, signals.measured, signals.dt, fast.band
+    )
+    if frequency.size < 3:
+        return 0.0
+    gain = np.abs(both) / power
+    changed = np.flatnonzero(np.abs(np.log(gain / np.median(gain[:3]))) > SAME_GAIN)
+    rows = max(int(changed[0]) if changed.size else frequency.size, 3)
+    phase = np.unwrap(np.angle(both[:rows]))
+    w = 2.0 * np.pi * frequency[:rows]
+    slope = float(np.sum(power[:rows] * w * phase) / np.sum(power[:rows] * w * w))
+    return max(-slope, 0.0)

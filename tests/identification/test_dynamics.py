@@ -26,9 +26,9 @@ from tests.drive.actuators import actuator
 RATE = 2_000.0
 
 
-def plant(*sections):
+def plant(*sections, delay=0.0):
     """An actuator of 80 gears with dynamics."""
-    return actuator(80, growth=7.0 / 3.0, sections=sections)
+    return actuator(80, growth=7.0 / 3.0, sections=sections, delay=delay)
 
 
 def swept(slow_seconds=2.0, crest=1.0):
@@ -56,12 +56,12 @@ def rows_of(model, crest=1.0):
 
 
 def found(model, wanted="auto"):
-    """Sections, and what is left of blocks left out; no sections without a resonance."""
+    """Sections, delay, and what is left of blocks left out; no sections without a resonance."""
     rows = rows_of(model)
     best = dynamics.find(rows, wanted)
     if not best.form.resonances:
-        return (), best.left_out
-    return rows.sections(best), best.left_out
+        return (), 0.0, best.left_out
+    return rows.sections(best), best.delay, best.left_out
 
 
 def test_the_sweep_is_told_from_the_loops():
@@ -84,18 +84,21 @@ def test_the_sweep_is_told_from_the_loops():
     [(60.0, 0.02, 5e-4), (110.0, 0.005, 2e-3), (35.0, 0.3, 1e-3)],
 )
 def test_a_resonance_and_a_lag_come_back(frequency, damping, lag):
-    sections, left_out = found(plant(dm.Lag(lag), dm.Resonance(frequency, damping)))
+    sections, delay, left_out = found(
+        plant(dm.Lag(lag), dm.Resonance(frequency, damping))
+    )
     *lags, resonance = sections
     assert isinstance(resonance, dm.Resonance)
     assert resonance.frequency == pytest.approx(frequency, rel=0.005)
     assert resonance.damping == pytest.approx(damping, rel=0.1)
     assert sum(one.lag for one in lags) == pytest.approx(lag, abs=2e-4)
+    assert delay == 0.0
     assert left_out < 0.003
 
 
 def test_two_modes_that_add_up_have_an_antiresonance():
     notch = dm.Resonance(150.0, 0.02, dm.Mode(120.0, 0.02))
-    sections, _ = found(plant(dm.Resonance(60.0, 0.02), notch))
+    sections, _, _ = found(plant(dm.Resonance(60.0, 0.02), notch))
     first, second = (one for one in sections if isinstance(one, dm.Resonance))
     assert first.frequency == pytest.approx(60.0, rel=0.005)
     assert second.antiresonance is not None
@@ -104,9 +107,18 @@ def test_two_modes_that_add_up_have_an_antiresonance():
 
 
 def test_no_resonance_is_found_where_there_is_none():
-    assert found(plant(dm.Lag(1e-3)))[0] == ()
-    sections, _ = found(plant(dm.Lag(1e-3)), 0)
+    assert found(plant(dm.Lag(1e-3)))[:2] == ((), 0.0)
+    sections, _, _ = found(plant(dm.Lag(1e-3)), 0)
     assert sections == ()
+
+
+def test_a_late_sensor_hides_no_resonance():
+    sections, delay, _ = found(plant(dm.Resonance(60.0, 0.02), delay=0.02))
+    resonance = sections[-1]
+    assert isinstance(resonance, dm.Resonance)
+    assert resonance.frequency == pytest.approx(60.0, rel=0.005)
+    late = delay + sum(one.lag for one in sections if isinstance(one, dm.Lag))
+    assert late == pytest.approx(0.02, rel=0.05)
 
 
 def test_refining_keeps_what_fits_and_offers_one_more():

@@ -184,7 +184,9 @@ def _not_applied(dataset: Any) -> str:
         neutral = 0.0 if "offset" in plain or "intercept" in plain else 1.0
         is_scaling = any(word in plain for word in _SCALINGS)
         if is_scaling and any(_number(value, neutral) != neutral for value in values):
-            return f"has {key} beside it, which is not applied: type `scale` ROLE=FACTOR"
+            return (
+                f"has {key} beside it, which is not applied: type `scale` ROLE=FACTOR"
+            )
     return ""
 
 
