@@ -1,7 +1,7 @@
 """Compensation: the drive that makes an actuator follow a trajectory, within its limits.
 
 One object drives, whoever feeds it: ``Driver.rows`` takes the blocks of a file or a pipe,
-and ``Driver.whole`` an array, which is one block. What stands before the move and the move itself
+and ``Driver.whole`` an array, in blocks. What stands before the move and the move itself
 are one signal through one inverse in one state, and every row passes the gate.
 """
 
@@ -26,6 +26,7 @@ from dbo_cli.units import Typed
 
 OnLimit = Literal["auto", "clip", "error"]
 
+DRIVEN_ROWS = 65_536  # that are driven at once: what they take stays in caches
 LARGEST_DISPLACEMENT = 1e60  # of a displacement, as of the numbers of a model
 
 
@@ -238,7 +239,7 @@ class Driver:
         if time is None and step is not None:
             time = step * np.arange(float(desired.size))
         if not (tracked or periodic or bandwidth is not None):
-            return self._array(desired, dt, time, desired)
+            return self._in_blocks(desired, desired, dt, time)
         if time is None or step is None:
             raise InputError(
                 f"{self.name}: `tracked`, `periodic` and `bandwidth` need an even clock (`sample_rate` "
@@ -267,16 +268,21 @@ class Driver:
         if periodic:
             drive = self.loop(desired, target, time, step, passes)
         else:
-            drive = self._array(desired, dt, time, target)
+            drive = self._in_blocks(desired, target, dt, time)
         return replace(drive, **figures)
 
-    def _array(
-        self, desired: Floats, dt: Steps, time: Floats | None, target: Floats
+    def _in_blocks(
+        self, desired: Floats, target: Floats, dt: Steps, time: Floats | None
     ) -> Drive:
-        """Return the drive of a whole trajectory, with its rows; parameters as of ``rows``."""
-        rows = self.rows(desired, dt, time, target)
+        """Return the drive of a whole trajectory that is driven in blocks, with its rows."""
+        blocks = []
+        for begin in range(0, desired.size, DRIVEN_ROWS):
+            rows = slice(begin, begin + DRIVEN_ROWS)
+            times = None if time is None else time[rows]
+            steps = dt[rows] if isinstance(dt, np.ndarray) else dt
+            blocks.append(self.rows(desired[rows], steps, times, target[rows]))
         last, drive = self.finish()
-        return drive.with_rows(stacked([rows, last]))
+        return drive.with_rows(stacked([*blocks, last]))
 
     # --- before the move ---
 
