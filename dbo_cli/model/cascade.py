@@ -493,8 +493,8 @@ class Cascade:
     ) -> Run:
         """Return the drive before an amplifier, whose limits reach through amplifier, head and gears.
 
-        A block is undone as if there were no limits; where one may hold a row back, each
-        row is undone within its own window.
+        A block is undone as if there were no limits; from the first row on that one may hold
+        back, each row is undone within its own window.
         """
         assert self.amplifier is not None
         before, shares = self.amplifier.shares(state, dt, output.size)
@@ -514,9 +514,13 @@ class Cascade:
         if not held.any():
             return free
         steps = np.broadcast_to(dt, output.shape)
-        drive = np.empty_like(output)
+        first = int(np.argmax(held))
+        if first:
+            begin = dt[:first] if isinstance(dt, np.ndarray) else dt
+            state = self._undo_amplified(output[:first], state, begin, None, None).state
+        drive = free.y.copy()
         clipped = first_clipped = 0
-        for row in range(output.size):
+        for row in range(first, output.size):
             last = math.nan if state.drive is None else state.drive
             low, high = allowed_drive(last, changes[row], window)
             inner_output = state.amplifier or 0.0

@@ -45,7 +45,7 @@ KINDS: dict[str, type[Stage]] = {
     "delay": Delay,
 }
 TYPES = {stage: name for name, stage in KINDS.items()}
-ORDER = re.compile(
+STAGE_ORDER = re.compile(
     "(amplifier )?((point|scale) )*backlash ((point|scale) )*(dynamics )?(delay )?"
 )
 """Of the stages from voltage to displacement."""
@@ -180,7 +180,7 @@ def _stages(
     stages = fields.listed(values, path, partial(_stage, direction=direction))
     if direction == "inverse":
         stages = stages[::-1]
-    if ORDER.fullmatch("".join(f"{TYPES[type(stage)]} " for stage in stages)):
+    if STAGE_ORDER.fullmatch("".join(f"{TYPES[type(stage)]} " for stage in stages)):
         return stages
     raise ModelError(
         f"{path}: wrong order; one amplifier, points and scales around one backlash, one "

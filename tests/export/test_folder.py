@@ -22,6 +22,10 @@ def test_files_are_refused_and_folders_are_made(tmp_path):
     for name in ("file", "file/fw", "other"):
         with pytest.raises(OutputError, match=name):
             write_folder(str(tmp_path / name), FILES, {"name": "a"})
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/README.md").write_text("mine")  # no export wrote it
+    with pytest.raises(OutputError, match="README"):
+        write_folder(str(tmp_path / "mine"), FILES, {"name": "a"})
     (tmp_path / "empty").mkdir()
     for name in ("empty", "new/fw"):
         write_folder(str(tmp_path / name), FILES, {"name": "a"})
