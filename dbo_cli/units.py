@@ -322,7 +322,10 @@ def quantity(name: str, value: Any, unit: str | None, *words: str) -> Any:
     """Return a typed figure in ``unit`` (``parse_quantity``); None, and some words, as they are."""
     if value is None or (isinstance(value, str) and value in words):
         return value
-    return parse_quantity(value, unit, name)
+    try:
+        return parse_quantity(value, unit, name)
+    except UsageError as problem:
+        raise UsageError(" or ".join([str(problem), *words])) from None
 
 
 def split_quantity(text: Typed, name: str = "value") -> tuple[float, str | None]:

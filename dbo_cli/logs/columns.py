@@ -255,8 +255,8 @@ def _question(table: Table, problem: str, roles: Sequence[str]) -> InputError:
     names = ["desired" if role == "trajectory" else role for role in roles]
     options = " ".join(f"`{name}` {example}" for name in names)
     return InputError(
-        f"{table.name}: {problem} {listing_of(table.columns)} (for example {options}), number=N, or "
-        f"FILE::COLUMN of another file{table.hint}"
+        f"{table.name}: {problem} {listing_of(table.columns)} (for example {options}); number=N, or "
+        f"FILE::COLUMN of another file, are taken, too{table.hint}"
     )
 
 
