@@ -241,7 +241,7 @@ class Judge:
         lowest, highest = self.limits.identified
         error = from_rest = unrested = None
         if not self.limits.extrapolate or lowest <= low <= high <= highest:
-            error, from_rest, unrested = expected_error(
+            error, from_rest, unrested = stated_errors(
                 lead, voltage, steps, move.start, missed
             )
         texts = [self._exceeding()] if self._clipped else []
@@ -281,7 +281,7 @@ class Judge:
 # --- verdicts on a whole drive; warnings without the name of the trajectory ---
 
 
-def expected_error(
+def stated_errors(
     lead: Lead, voltage: Floats, dt: Steps, begin: int, missed: float
 ) -> tuple[float | None, float | None, float | None]:
     """Return the error to expect; from a known past, where it is not known; and not from rest behind a sweep.

@@ -30,7 +30,7 @@ STEPS = 12
 ENOUGH = 1e-4  # relative gain of a step that ends the iteration
 HALVINGS = 5
 NOT_SOLVED = "the least-squares solver did not converge; leave out bad rows"
-ITERATIONS = 100  # for each unknown, of the bounded solver
+NNLS_ITERATIONS = 100  # for each unknown, of the bounded solver
 TURNS = 5  # in which bounded unknowns change sides: where more are needed, scipy solves from the start
 EXACT = 1e-10  # of the largest right side: gradients below are zero
 DAMPED = 1e-13
@@ -132,7 +132,7 @@ def nonnegative(table: Floats, target: Floats) -> Floats:
         The solver does not end.
     """
     try:
-        x, _ = nnls(table, target, maxiter=ITERATIONS * table.shape[1])
+        x, _ = nnls(table, target, maxiter=NNLS_ITERATIONS * table.shape[1])
     except RuntimeError as problem:
         raise FitError(NOT_SOLVED) from problem
     return np.asarray(x)
