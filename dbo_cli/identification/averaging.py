@@ -52,6 +52,15 @@ class Average:
             residuals.append(np.einsum("k,kr->r", self.weights, np.stack(parts)))
         return residuals
 
+    @property
+    def frame(self) -> tuple[float, float]:
+        """Delay (s) and bend that have most of the weight."""
+        total: dict[tuple[float, float], float] = {}
+        for fit, weight in zip(self.fits, self.weights.tolist(), strict=True):
+            frame = fit.structure.delay, fit.structure.bend
+            total[frame] = total.get(frame, 0.0) + weight
+        return max(total, key=lambda frame: total[frame])
+
 
 def with_levels(
     average: Average, fits: Sequence[Solution], swings: int
@@ -147,17 +156,17 @@ def _predictions(
 
 
 def _widest(average: Average) -> Structure:
-    """Return a structure that holds all fits but for their delays and bends: those of the heaviest."""
-    heaviest = average.fits[0].structure
+    """Return a structure that holds all fits but for their delays and bends: those of most weight."""
     slopes = {fit.structure.slopes for fit in average.fits}
     memories = [fit.structure.memories for fit in average.fits]
+    delay, bend = average.frame
     return Structure(
         slopes=slopes.pop() if len(slopes) == 1 else "free",
         memories=max(memories, key=len),
         smooth_slopes=SMOOTH_SLOPES,
-        delay=heaviest.delay,
-        bend=heaviest.bend,
-        segments=heaviest.segments,
+        delay=delay,
+        bend=bend,
+        segments=average.fits[0].structure.segments,
     )
 
 
