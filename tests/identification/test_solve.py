@@ -111,6 +111,24 @@ def test_model_is_what_was_fitted(slopes, memories):
         model.inverse()
 
 
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_a_drive_beyond_the_range_goes_on_as_the_last_gears_do(direction):
+    log = Recording("log", DRIVE, hysteresis(DRIVE), TIME)
+    problem = prepare([log], Options())
+    structure = Structure(memories="")
+    fit = Equations(problem.rows(structure), structure).solve()
+    low, high = problem.low, problem.high
+    end = high if direction > 0.0 else low
+    drive = np.array([low + high - end, end, end + 0.1 * direction * (high - low)])
+    moves = []
+    for last in (1.0, 20.0):
+        slopes = np.append(np.ones(len(fit.slopes) - 1), last)
+        model = model_of(problem, replace(fit, slopes=slopes), log, Options())
+        moved, _ = model.simulate(drive, dt=1.0)
+        moves.append(abs(moved[2] - moved[1]))
+    assert moves[1] < 10.0 * moves[0]  # by the last cell alone, 1.6 % of the range: 20
+
+
 def test_slopes_keep_their_floor():
     log = Recording("log", DRIVE, 100.0 - hysteresis(DRIVE)[::-1], TIME)
     problem = prepare([log], Options())
