@@ -157,18 +157,18 @@ class Lead:
             voltage = np.array([self.standing])
             state = self.model.start(self.standing, state)
         moves = self.condition or self.approach is not None
-        rest, chosen = 0, 0.0
+        rest, added = 0, 0.0
         if isinstance(self.rest, float):
             rest = swing_rows(0.0, dt, self.rest)
         elif moves or self.rest == "auto":
             rest = self.model.inverter(dt).ahead
-            chosen = rest * dt
+            added = rest * dt
         if not moves:
-            _require_short(chosen, "lead", chosen)
+            _require_short(added, "lead", added)
             if isinstance(state, State):
                 state = self._state_after(voltage, state, dt)
             return state, NO_VOLTAGES, rest + self.hold
-        return *self._way_in(first, dt, state, voltage, chosen), rest
+        return *self._way_in(first, dt, state, voltage, added), rest
 
     def _held(self, state: State, time: float | None, dt: float) -> State:
         """Return a state after the pause behind its last row, in which the voltage was held."""
@@ -185,11 +185,11 @@ class Lead:
         dt: float,
         state: State | str,
         voltage: Floats,
-        chosen: float,
+        added: float,
     ) -> tuple[State, Floats]:
         """Return the state before the first row, and the voltages that lead to the move.
 
-        ``voltage`` is a row of where the amplifier stands, or none; ``chosen`` are seconds
+        ``voltage`` is a row of where the amplifier stands, or none; ``added`` are seconds
         of the rest before the move that nobody typed.
         """
         seconds = typed = self.approach if isinstance(self.approach, float) else None
@@ -207,10 +207,10 @@ class Lead:
         if not self.condition:
             require_time(seconds, (path.size - quiet) * dt, dt)
         swing = (voltage.size - self.hold - quiet) * dt
-        chosen += quiet * dt
+        added += quiet * dt
         if typed is None:
-            chosen += swing
-        _require_short(chosen, "approach", swing)
+            added += swing
+        _require_short(added, "approach", swing)
         return state, voltage
 
     def _conditioning(self, first: float, dt: float, seconds: float | None) -> Floats:
@@ -299,13 +299,13 @@ def _seconds(name: str, value: Typed | None) -> Typed | None:
     raise UsageError(f"`{name}` {value}: give seconds above 0, or auto")
 
 
-def _require_short(chosen: float, option: str, seconds: float) -> None:
+def _require_short(added: float, option: str, seconds: float) -> None:
     """Refuse to choose more than a minute before a move; name the seconds to type (LimitError)."""
-    if chosen <= LONGEST_CHOSEN:
+    if added <= LONGEST_CHOSEN:
         return
     more = " or more `max_slew`" if option == "approach" else ""
     raise LimitError(
-        f"{chosen:.4g} s before the move, and at most {LONGEST_CHOSEN:g} s are chosen: give `{option}` "
+        f"{added:.4g} s before the move, and at most {LONGEST_CHOSEN:g} s are chosen: give `{option}` "
         f"{rounded_up(seconds, 3):.9g}{more}"
     )
 

@@ -29,14 +29,14 @@ def q31_sources(plan: Plan) -> c.Sources:
     """
     _check(plan)
     gears, starts = plan.gears, plan.forward.starts
-    whole = tables.Whole(plan)
-    source, drive = whole.source, whole.drive
-    bounds = bounds_of(whole)
+    fixed = tables.FixedPoint(plan)
+    source, drive = fixed.source, fixed.drive
+    bounds = bounds_of(fixed)
     kernel = ["dbo_q31.h", "dbo_q31.c"]
-    low, high, change, positions = tables.limits_of(whole)
+    low, high, change, positions = tables.limits_of(fixed)
     tolerance = round(-math.log2(bounds["fraction"]))
-    text = _gear_tables(whole, tolerance)
-    curves, numbers = _functions(whole)
+    text = _gear_tables(fixed, tolerance)
+    curves, numbers = _functions(fixed)
     limits = ", ".join(map(c.whole, positions))
     text += f"{curves}static const dboq_limits limits = {{{limits}}};\n"
     first = plan.forward.head.value(plan.first_drive)
@@ -45,11 +45,11 @@ def q31_sources(plan: Plan) -> c.Sources:
     text += spare
     numbers |= {
         "COVERED": f"{starts.covered}U",
-        "FIRST_AT_GEARS": c.whole(round((first - gears.x0) / whole.y_axis.unit)),
+        "FIRST_AT_GEARS": c.whole(round((first - gears.x0) / fixed.y_axis.unit)),
         "FIRST_DRIVE": c.whole(output),
         "LOW": c.whole(low),
         "HIGH": c.whole(high),
-        "Y_SHIFT": f"{whole.y_axis.fine}U",
+        "Y_SHIFT": f"{fixed.y_axis.fine}U",
     }
     values = plan.sizes | {
         "IN_MIDDLE": repr(source.offset),
@@ -102,16 +102,16 @@ def _check(plan: Plan) -> None:
         raise tables.beyond_q31(f"{plan.key}.dx", "lower `gears`, or ")
 
 
-def _functions(whole: tables.Whole) -> tuple[str, dict[str, str]]:
+def _functions(fixed: tables.FixedPoint) -> tuple[str, dict[str, str]]:
     """Return the curves around the gears as segments; and how many there are, and their shifts."""
-    gears, at_drive = whole.plan.gears, whole.y_axis
+    gears, at_drive = fixed.plan.gears, fixed.y_axis
     # where the gears begin on the input, which the memory widens
-    begin = gears.y0 + whole.plan.kappa * (gears.x0 - gears.reference)
+    begin = gears.y0 + fixed.plan.kappa * (gears.x0 - gears.reference)
     text, numbers = "", {}
     for name, curve, x, y in (
-        ("before", whole.before, whole.source, (begin, whole.x_axis.unit)),
-        ("behind", whole.after, (gears.x0, at_drive.count_unit), whole.drive),
-        ("drive", whole.start, whole.drive, (gears.x0, at_drive.unit)),
+        ("before", fixed.before, fixed.source, (begin, fixed.x_axis.unit)),
+        ("behind", fixed.after, (gears.x0, at_drive.count_unit), fixed.drive),
+        ("drive", fixed.start, fixed.drive, (gears.x0, at_drive.unit)),
     ):
         rows, shift = tables.segments_of(curve, x, y)
         text += c.array("dboq_segment", f"{name}_segments", rows, c.whole)
@@ -120,9 +120,9 @@ def _functions(whole: tables.Whole) -> tuple[str, dict[str, str]]:
     return text, numbers
 
 
-def _gear_tables(whole: tables.Whole, tolerance: int) -> str:
+def _gear_tables(fixed: tables.FixedPoint, tolerance: int) -> str:
     """Return the tables of the gears and of the memory, and the operator, whose tolerance is 2^-tolerance."""
-    plan, memory, x_axis, y_axis = whole.plan, whole.memory, whole.x_axis, whole.y_axis
+    plan, memory, x_axis, y_axis = fixed.plan, fixed.memory, fixed.x_axis, fixed.y_axis
     n, run = plan.gears.n, plan.gears.equal_run
     slopes = y_axis.widths / x_axis.widths * (x_axis.unit / y_axis.unit)
     slope_shift = tables.shift_for(float(slopes.max()))

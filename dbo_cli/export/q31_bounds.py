@@ -30,7 +30,7 @@ COARSEST_TOLERANCE = 4
 """Where even 2^-4 of a gear drowns in rounding, whole numbers cannot hold the gears."""
 
 
-def bounds_of(whole: tables.Whole) -> dict[str, float]:
+def bounds_of(fixed: tables.FixedPoint) -> dict[str, float]:
     """Return bounds on the error inside the model's range.
 
     Returns
@@ -45,18 +45,18 @@ def bounds_of(whole: tables.Whole) -> dict[str, float]:
     ModelError
         The gears are too narrow: rounding is beyond 1/16 of one.
     """
-    plan, x_axis, y_axis, after = whole.plan, whole.x_axis, whole.y_axis, whole.after
+    plan, x_axis, y_axis, after = fixed.plan, fixed.x_axis, fixed.y_axis, fixed.after
     slopes = y_axis.exact / x_axis.exact
     steepest = float(slopes.max())
     # what each part rounds: the input, the gears' widths, the memory, and their heights
-    unit, reach = whole.source.unit, plan.forward.output.max
-    input_error = _function_error(whole.before, reach, unit, x_axis.unit)
+    unit, reach = fixed.source.unit, plan.forward.output.max
+    input_error = _function_error(fixed.before, reach, unit, x_axis.unit)
     if plan.delay_part:
-        input_error += INTERPOLATED * unit * float(np.abs(whole.before.slope).max())
+        input_error += INTERPOLATED * unit * float(np.abs(fixed.before.slope).max())
     input_error += _subset_error(x_axis)
     gain, growth = 0.0, 1.0
-    if whole.memory is not None:
-        error, gain, growth = _memory_error(whole, whole.memory, steepest)
+    if fixed.memory is not None:
+        error, gain, growth = _memory_error(fixed, fixed.memory, steepest)
         input_error += error
     height = _height_error(x_axis, y_axis)
     inner = (steepest * input_error + height) * growth
@@ -70,7 +70,7 @@ def bounds_of(whole: tables.Whole) -> dict[str, float]:
     variation = float(np.sum(np.abs(np.diff(slopes))))
     hop = float(x_axis.exact.max()) * variation * growth
     # and from the gears to the drive
-    output_unit = whole.drive.unit
+    output_unit = fixed.drive.unit
     bend = float(np.abs(after.slope).max())
     end = plan.gears.x0 + float(y_axis.exact.sum())
     leaving = _function_error(after, end, y_axis.count_unit, output_unit)
@@ -114,21 +114,21 @@ def _height_error(x_axis: tables.Axis, y_axis: tables.Axis) -> float:
 
 
 def _memory_error(
-    whole: tables.Whole, memory: tables.Memory, steepest: float
+    fixed: tables.FixedPoint, memory: tables.Memory, steepest: float
 ) -> tuple[float, float, float]:
     """Bound what the memories round, as the input meets it.
 
     Also return the gain of the loop through the memory, and how much a disturbance grows
     in it.
     """
-    plan, a = whole.plan, whole.plan.decay
+    plan, a = fixed.plan, fixed.plan.decay
     b, c = 1.0 - a, plan.gears.gain
     carried = c * a
-    counts = (float(whole.y_axis.exact.sum()) + abs(memory.offset)) / memory.unit
+    counts = (float(fixed.y_axis.exact.sum()) + abs(memory.offset)) / memory.unit
     followed = 2.0 + 2.0 * counts * 2.0**-30 + 2.0**-24 / b
     recalled = 0.5 + carried.size * counts * 2.0 ** -(memory.carried_shift + 1)
     error = float(np.sum(carried * followed)) * memory.unit
-    error += whole.x_axis.unit * recalled
+    error += fixed.x_axis.unit * recalled
     stiff = max(1.0 / steepest - plan.kappa, 0.0) + 0.5 * plan.kappa
     rho = float(np.min(2.0 * b * (1.0 - 0.5 * b)))
     energy = float(np.sum(2.0 * b * c * a**2))

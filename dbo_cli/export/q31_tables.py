@@ -159,7 +159,7 @@ class Memory:
             self.terms.append((scaled, round(float(follow) * 2.0**down), down))
 
 
-class Whole:
+class FixedPoint:
     """A plan as whole numbers hold it.
 
     Parameters
@@ -197,7 +197,7 @@ class Whole:
         self.start = fold(plan.forward.head, drive.min, drive.max)
 
 
-def limits_of(whole: Whole) -> tuple[int, int, int | None, tuple[int, int, int]]:
+def limits_of(fixed: FixedPoint) -> tuple[int, int, int | None, tuple[int, int, int]]:
     """Return the limits of the drive, rounded inwards.
 
     Returns
@@ -214,7 +214,7 @@ def limits_of(whole: Whole) -> tuple[int, int, int | None, tuple[int, int, int]]
     ModelError
         They are beyond what counts hold, or finer than they resolve.
     """
-    plan, drive, position = whole.plan, whole.drive, whole.y_axis.unit
+    plan, drive, position = fixed.plan, fixed.drive, fixed.y_axis.unit
     lowest, highest = plan.limits.move
     low = round((lowest - drive.offset) / drive.unit)
     high = round((highest - drive.offset) / drive.unit)
