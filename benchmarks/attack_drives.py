@@ -106,10 +106,8 @@ def whole(
     in_memory = {name: options[name] for name in names if name in options}
     is_even = not isinstance(clock, np.ndarray)
     driver = driver_of(model, limits, options)
-    if is_even:
-        drive = driver.whole(desired, clock, **in_memory)
-    else:
-        drive = driver.whole(desired, clock_steps(clock), clock, **in_memory)
+    step = clock if is_even else clock_steps(clock)
+    drive = driver.whole(desired, step, None if is_even else clock, **in_memory)
     before = options["start"]
     if isinstance(options.get("state"), State):
         before = options["state"].drive
@@ -122,7 +120,7 @@ def whole(
         wrong = "clipped, and an error was asked for"
     if options.get("periodic") and limits.slew is not None:
         period = drive.voltage[drive.move]
-        if abs(period[0] - period[-1]) > limits.slew * clock * (1.0 + 1e-9) + 1e-12:
+        if abs(period[0] - period[-1]) > limits.slew * step * (1.0 + 1e-9) + 1e-12:
             wrong = "the loop does not close"
     return wrong, drive.state
 
