@@ -27,7 +27,7 @@ NORMAL_MEDIAN = 0.6745
 """Median of |x| of a normal variable of standard deviation 1."""
 
 FEWEST_SHARED = 16
-"""Rows that two signals must have in common for a lag."""
+"""Rows that two signals must have in common for a lag of a part of a row."""
 SHARED = 0.25
 """Part of the shorter signal that must overlap with the other."""
 MARGIN = 3.0
@@ -171,7 +171,7 @@ class TimeLag:
     seconds
         In the unit of the step that was given.
     deviation
-        One standard deviation of it, in the middle; infinite where nothing shows it.
+        One standard deviation of it, in the middle; infinite where it is known to a row only.
     rate
         Part by which the signal's clock runs fast; 0 where it was not looked for.
     residual
@@ -360,6 +360,7 @@ def _refined(
     """Return the best lag (rows) near a first one; None where too little overlaps."""
     rows = np.arange(0, len(signal), -(-len(signal) // most_rows), dtype=np.float64)
     picked = signal[rows.astype(np.intp)]
+    fewest = min(FEWEST_SHARED, len(rows))
     moves = [np.ones(len(rows))]
     if rate:
         moves.append(rows - 0.5 * rows[-1])  # about the middle, where it is known best
@@ -370,7 +371,9 @@ def _refined(
     for _ in range(ITERATIONS):
         places = rows - sum(u * move for u, move in zip(unknown, moves, strict=True))
         inside = (places >= MARGIN) & (places <= len(columns) - 1.0 - MARGIN)
-        if np.count_nonzero(inside) < FEWEST_SHARED:
+        if np.count_nonzero(inside) < fewest:
+            if len(rows) < FEWEST_SHARED:
+                return _whole(signal, columns, int(start))
             return None
         at, target = places[inside], picked[inside]
         error = _unexplained(target, columns, at)
@@ -396,6 +399,19 @@ def _refined(
     slope_of_clocks = float(unknown[1]) if rate else 0.0
     shift = float(unknown[0]) - 0.5 * rows[-1] * slope_of_clocks
     return TimeLag(shift, deviation, slope_of_clocks, residual, evidence=evidence)
+
+
+def _whole(signal: Floats, columns: Floats, start: int) -> TimeLag:
+    """Return a lag of whole rows, of signals that are too short for more."""
+    begin = max(0, -start)
+    count = min(len(columns) - begin, len(signal) - begin - start)
+    a = columns[begin : begin + count, 0]
+    b = signal[begin + start : begin + start + count]
+    residual = 1.0
+    if np.ptp(a) > 0.0 and np.ptp(b) > 0.0:
+        residual = 1.0 - float(np.corrcoef(a, b)[0, 1]) ** 2
+    evidence = float(_evidence(count, residual))
+    return TimeLag(float(start), residual=residual, evidence=evidence)
 
 
 def _unexplained(target: Floats, columns: Floats, places: Floats) -> Floats:

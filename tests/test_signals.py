@@ -71,6 +71,11 @@ def test_a_signal_that_repeats_has_a_rival_and_one_that_rests_has_no_lag():
     assert lag(sine, np.ones(100)) is None
 
 
+def test_short_signals_are_laid_over_by_whole_rows():
+    found = lag(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.0, 1.0, 2.0]))
+    assert found.seconds == -1.0 and np.isinf(found.deviation)
+
+
 @pytest.mark.parametrize("rows", [2, 3, 10, 101, 1000])
 def test_plays_beside_a_lag_are_those_of_walking_row_by_row(rows):
     rng = np.random.default_rng(rows)

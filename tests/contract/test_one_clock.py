@@ -113,6 +113,13 @@ def test_another_drive_is_said():
         assert len(more) == len(expected) // 2
 
 
+def test_a_drive_of_a_few_rows_is_known_again():
+    volts = 50.0 - 50.0 * np.cos(20.0 * np.pi * TIME[:100:10])
+    for name, clock in (("drive.csv", TIME), ("pass.csv", TIME + 5.0)):
+        write(name, "time_s,voltage_V", clock[:100:10], volts)
+    done("check", "pass.csv", "--against", "drive.csv", "--v-max", 120)
+
+
 @pytest.mark.parametrize("late", [0.0, 17.0, 2.37])
 def test_what_was_played_is_late_by_rows(late):
     drive, _ = recorded(3)
