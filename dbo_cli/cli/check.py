@@ -136,7 +136,7 @@ def read_meant(path: str, column: str | None, unit: str | None) -> Block:
         return read_drive(path, Reading(), {"time": None, "voltage": column}, unit)[0]
     except InputError as problem:
         raise InputError(
-            f"`against`: {problem}; name its only drive voltage_V there"
+            f"`against` takes the only drive of its file: call its column voltage_V there ({problem})"
         ) from None
 
 

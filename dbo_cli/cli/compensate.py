@@ -111,7 +111,8 @@ def compensate(
     recorded["time"] = time
     reading_of_pass = reading
     if tracked:
-        reading, reading_of_pass = readings_apart(reading, recorded)
+        is_joined = "::" in (displacement or "")
+        reading, reading_of_pass = readings_apart(reading, recorded, is_joined)
     histories = channels.histories_of(history, models)
     cutoff = quantity("bandwidth", bandwidth, "Hz")
     logs, tables, passes_of = {}, {}, {}
@@ -154,16 +155,18 @@ def compensate(
 
 
 def readings_apart(
-    reading: opt.Reading, recorded: Collection[str]
+    reading: opt.Reading, recorded: Collection[str], is_joined: bool
 ) -> tuple[opt.Reading, opt.Reading]:
     """Return how a trajectory is read, and how recordings of other roles: each has the scales of its own.
 
-    The drive, whose clock an offset belongs to, is in the recordings.
+    The drive, whose clock an offset belongs to, is in the recordings; a trajectory has it where it
+    is joined of two files.
     """
     scale = reading.scale
     own = {role: scale[role] for role in scale if role not in recorded}
     of_pass = {role: scale[role] for role in scale if role in recorded}
-    trajectory = replace(reading, scale=own, clock_offset=None)
+    offset = reading.clock_offset if is_joined else None
+    trajectory = replace(reading, scale=own, clock_offset=offset)
     return trajectory, replace(reading, scale=of_pass)
 
 

@@ -201,7 +201,8 @@ def _check_sweep(
         )
     if not 0.0 < crest <= 0.5 * span:
         raise UsageError(
-            f"`sweep_amplitude` {crest:g}: give more than 0, at most {0.5 * span:g}"
+            f"`sweep_amplitude` {crest:g}: give more than 0, at most "
+            f"{rounded_down(0.5 * span, 6):.6g}"
         )
     fastest = 2.0 * math.pi * sweep_to * crest * SWEEP_FADED
     if max_slew is not None and fastest > max_slew:

@@ -119,7 +119,8 @@ class Judge:
         lost[: max(self._first_clipped - 1 - before, 0)] = 0.0
         self._squares += float(np.square(lost).sum())
         self._largest = max(self._largest, float(np.abs(lost).max()))
-        if run.clipped and self.on_limit != "clip":
+        is_early = run.clipped == self._clipped or before < expect.FIRST_ROWS
+        if run.clipped and is_early and self.on_limit != "clip":
             self._need(target, state, dt)
         if self.on_limit == "error":
             raise self._refusal()
@@ -308,16 +309,20 @@ def stated_errors(
 
 
 def start_warnings(lead: Lead, first: float, off: float) -> list[str]:
-    """Return a warning of a first row that jumps, or begins off its displacement or in motion."""
-    voltage, displacement = lead.model.input, lead.model.output
-    jump = 0.0 if lead.standing is None else abs(first - lead.standing)
-    if jump <= JUMP * voltage.span and off <= OFF_AT_FIRST * displacement.span:
-        return []
-    return [
-        f"row 1 starts {off:.3g}{displacement.suffix} off or in motion, {in_full(jump)}{voltage.suffix} from "
-        "where the amplifier stands, and the error there is not in the expected one: add `approach` auto, "
-        "`lead` auto, `condition` or `state` empty"
-    ]
+    """Return warnings of a first row that begins off its displacement or in motion, and of a jump to it."""
+    voltage, displacement, texts = lead.model.input, lead.model.output, []
+    if off > OFF_AT_FIRST * displacement.span:
+        texts.append(
+            f"row 1 starts {off:.3g}{displacement.suffix} off or in motion: try `lead` auto, `condition` or "
+            "`state` empty"
+        )
+    standing = lead.standing
+    if standing is not None and abs(first - standing) > JUMP * voltage.span:
+        texts.append(
+            f"jumps from {in_full(standing)} to {in_full(first)}{voltage.suffix} at row 1, and the error "
+            "there is not in the expected one: add `approach` auto"
+        )
+    return texts
 
 
 def range_warnings(limits: Limits, low: float, high: float) -> list[str]:

@@ -230,8 +230,10 @@ class Lead:
         # at or below the first gear's origin every bit is clear, so that the past is wiped out
         low, high = limits.sweep
         if not low < high:
+            lowest, highest = limits.identified
             raise UsageError(
-                "`condition`: the limits leave no identified range to sweep"
+                f"`condition` sweeps the identified range, {lowest:.6g} to {highest:.6g}{limits.suffix}; "
+                "the limits leave none of it"
             )
         begin = low if standing is None else standing
         inwards, sweeping = None, SWEEP_SECONDS

@@ -331,7 +331,8 @@ class Gate:
             return
         if max(low - self.last, self.last - high) > largest:
             unit = self.limits.suffix
+            aim = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
             raise LimitError(
                 f"the amplifier is at {self.last:.6g}{unit}; {self.limits.slew:g}{unit}/s does not reach "
-                f"{low:.6g} to {high:.6g}{unit} in one row: add `approach` auto"
+                f"{aim}{unit} in one row: add `approach` auto"
             )

@@ -178,11 +178,8 @@ def _read_again(
 ) -> tuple[Problem, list[Solution], tuple[Lag, ...]]:
     """Return problem and fits of the slow rows with a known delay (s), and the creep behind the gears."""
     fits = _around(problem, best, delay)
-    if (
-        options.taus is None
-        and len(problem.taus)
-        and all(log.even_step for log in logs)
-    ):
+    is_even = all(log.even_step for log in logs)
+    if options.taus is None and len(problem.taus) and is_even:
         freed, others, creep = _with_creep(problem, logs, fits[0].structure)
         if others and min(fit.score for fit in others) < fits[0].score:
             return freed, others, creep

@@ -32,9 +32,7 @@ from dbo_cli.signals import lag, noise
 
 STUDENT = 2.0  # standard errors of a 95 % interval
 LEAST_KNOWN = 0.5  # of the rows: those behind the first way over the log's range
-LONGEST_DELAY = (
-    0.25  # of the usual swing, to either side: a lag beyond is another swing
-)
+LONGEST_DELAY = 0.25  # of the usual swing: a lag beyond is another swing's
 NOISE_CHANCE = 8.0
 """Over the root of the rows: by so much medians may tell the variance of the noise too small, measured."""
 LEAST_STATED = 1e-6  # of the output's range: the least error that a prior may state
@@ -202,20 +200,17 @@ def _refreshed(
     """Return the prior's model, candidates and figures behind another scale and a delay (s)."""
 
     def changed(stages: Sequence[Stage]) -> tuple[Stage, ...]:
-        seconds, scale, moving = delay, change, []
-        static: list[Stage] = []
-        for stage in stages:
-            if isinstance(stage, Delay):
-                seconds += stage.seconds
-            elif isinstance(stage, Scale):
-                scale = Scale(change.gain * stage.gain, change.value(stage.offset))
-            elif isinstance(stage, Dynamics):
-                moving.append(stage)
-            else:
-                static.append(stage)
+        moving = [stage for stage in stages if isinstance(stage, Dynamics)]
+        delays = [stage.seconds for stage in stages if isinstance(stage, Delay)]
+        static = [s for s in stages if not isinstance(s, Delay | Dynamics)]
+        scale, last = change, static[-1]
+        if isinstance(last, Scale):
+            del static[-1]
+            scale = Scale(change.gain * last.gain, change.value(last.offset))
         scales = [scale] if scale != Scale(1.0, 0.0) else []
-        delays = [Delay(seconds)] if seconds > 0.0 else []
-        return (*static, *scales, *moving, *delays)
+        seconds = delay + sum(delays)
+        late = [Delay(seconds)] if seconds > 0.0 else []
+        return (*static, *scales, *moving, *late)
 
     fit: dict[str, Any] = dict(prior.fit)
     for key in ("expected_rmse", "left_out_rmse"):

@@ -62,9 +62,8 @@ def _gears_of(problem: Problem, fit: Solution, height: float, base: float) -> Ge
     both[: fit.gains.size] = fit.gains
     lags, rests = both[:terms], both[terms:]
     fitted = np.repeat(fit.slopes, cells.counts)
-    if (
-        0.0 < cells.overshoot <= SPARE
-    ):  # few rows show the last cell, which a curve may hide
+    # few rows show the last cell, which a curve may hide
+    if 0.0 < cells.overshoot <= SPARE:
         last = fitted[round((1.0 - LAST) * cells.inside) : cells.inside]
         fitted[cells.inside :] = last.mean()
     mean = float(fitted.mean()) + float(rests.sum())

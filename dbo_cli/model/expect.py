@@ -76,9 +76,8 @@ def expected_error(
     for start in STARTS:
         past += _mean_square(simulated(model, start) - expected) / len(STARTS)
     memory = 0.0
-    if (
-        model.gears.relaxation is not None
-    ):  # at rest elsewhere than at the first voltage
+    # at rest elsewhere than at the first voltage
+    if model.gears.relaxation is not None:
         share, added = unknown_memory(model, drive, steps)
         memory = share * _mean_square(added[begin:])
     return ExpectedError(math.sqrt(squares), math.sqrt(past), math.sqrt(memory))

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dbo_cli.arrays import Floats, Range
+from dbo_cli.drive.limits import rounded_down
 from dbo_cli.errors import UsageError, require_positive
 from dbo_cli.model import Cascade
 
@@ -129,8 +130,9 @@ def trajectory(
         period = round(rate / frequency)
         fewest = max(FEWEST_CYCLE_ROWS, form.turns * turn + 2)
         if period < fewest:
+            highest = rounded_down(rate / fewest, 4)
             raise UsageError(
-                f"`frequency` {frequency:g}: too fast for `rate` and `bandwidth`: give {rate / fewest:.4g}"
+                f"`frequency` {frequency:g}: too fast for `rate` and `bandwidth`: give {highest:.4g}"
             )
         plan = _Plan(range, period, turn, count, loop)
     axes = form.make(plan)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats, Range
 from dbo_cli.drive.check import check_drive
 from dbo_cli.drive.limits import Gate, Limits
-from dbo_cli.errors import LimitError, UsageError, require_positive
+from dbo_cli.errors import LimitError, UsageError, prefixed, require_positive
 
 Codes = NDArray[np.int64]
 Values = NDArray[np.float64 | np.int64]
@@ -240,7 +240,8 @@ def waveform(
     values: Values = exact
     heard, meaning, ends = exact, "", (low, high)
     if form.codes is not None:
-        (lowest, highest), ends = _codes_of(form, to, codes, volts, exact)
+        with prefixed(name):
+            (lowest, highest), ends = _codes_of(form, to, codes, volts, exact)
         values, heard = _encoded(exact, (lowest, highest), ends, (low, high))
         rounding = abs(gain) * float(np.abs(heard - exact).max())
         line = _line(heard, rate, gain, change)

@@ -79,6 +79,9 @@ def _by_rows(recording: Pair, trajectory: Pair) -> Pair:
     pair = replace(recording.taken(rows), desired=trajectory.desired[rows])
     if trajectory.time is not None:
         pair = replace(pair, time=trajectory.time[rows])
+    missing = len(trajectory) - len(recording)
+    if missing > 0:
+        pair = pair.noted(f"{rows_text(missing)} fewer than in {trajectory.name}")
     return pair
 
 

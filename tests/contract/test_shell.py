@@ -150,7 +150,7 @@ WRONG = {
     "trajectory raster --rate 1000 --range 2:8 --frequency 5": "--lines",
     "trajectory spiral --rate 1000 --range 2:8 --frequency 5 --duration 1 --loop": "--loop",
     "trajectory sine --rate 1000 --range 2:8 --frequency 300": "give 250",
-    "trajectory sine --rate 1000 --range 2:8 --frequency 50 --bandwidth 40": "give 37.04",
+    "trajectory sine --rate 1000 --range 2:8 --frequency 50 --bandwidth 40": "give 37.03",
     "trajectory triangle --rate 1000 --range 2:8 --frequency 30 --bandwidth 40": "give 19.23",
     "trajectory raster --rate 1000 --range 2:8 --frequency 39 --lines 4 --bandwidth 39.8": "give 35.71",
     "waveform d.csv --to mp3": "--to",

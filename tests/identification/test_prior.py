@@ -126,3 +126,18 @@ def test_chance_in_the_noise_of_a_short_log_is_no_change_of_the_shape():
     drive = waves(0.0, 100.0, 1)
     for seed in range(60):
         rescale(prior, [recorded(actuator(), drive, seed)], Options())
+
+
+def test_a_scale_before_the_gears_stays_there():
+    prior = actuator(delay=0.0)
+    before = Scale(0.5, 3.0)
+    prior = Cascade(
+        "forward", prior.input, prior.output, (before, *prior.stages), prior.fit
+    )
+    drive = waves(0.0, 100.0)
+    moved, _ = prior.simulate(drive, dt=1.0 / RATE)
+    log = Recording("new.csv", drive, 1.2 * moved + 0.4, np.arange(drive.size) / RATE)
+    again = rescale(prior, [log], Options())
+    assert again.stages[0] == before and len(again.stages) == 3
+    found, _ = again.simulate(drive, dt=1.0 / RATE)
+    np.testing.assert_allclose(found, log.displacement, atol=0.1)

@@ -6,7 +6,6 @@ passed over, and refused where it is typed. MATLAB's files of version 7.3 and ne
 
 from __future__ import annotations
 
-import math
 import posixpath
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -23,11 +22,12 @@ from dbo_cli.logs.table import Column, Fetch, Reading, Table, columns_in
 # bytes a dataset: a compressed chunk is unpacked once, not once a block
 _CHUNK_CACHE = 1 << 22
 _LISTED = 9  # datasets that a message names at most
-_SCALINGS = (
-    "scale", "scaling", "factor", "gain", "slope", "sensitivity", "calibration", "conversion",
-    "yinc", "offset", "intercept",
-)  # fmt: skip
-"""What the key of an attribute holds that may belong to a dataset's values."""
+_NOT_APPLIED = {
+    "scalefactor": 1.0, "addoffset": 0.0, "scale": 1.0, "offset": 0.0, "gain": 1.0, "factor": 1.0,
+    "slope": 1.0, "intercept": 0.0, "sensitivity": 1.0, "calibration": 1.0, "conversion": 1.0,
+    "scalingfactor": 1.0, "yinc": 1.0,
+}  # fmt: skip
+"""Attributes that may belong to a dataset's values, by their plain keys, and what changes nothing."""
 _MATLAB_NUMBERS = ("double", "single", "int8", "int16", "int32", "int64", "uint8", "uint16",
                   "uint32", "uint64")  # fmt: skip
 
@@ -174,28 +174,19 @@ def _with_missing(dataset: Any, fetch: Fetch) -> Fetch:
 
 def _not_applied(dataset: Any) -> str:
     """Say which factor or offset in or beside a dataset may belong to its values (Keysight, NeXus)."""
-    statements = {key: _attribute(dataset, key) for key in dataset.attrs}
-    statements["YInc"] = _attribute(dataset.parent, "YInc")
+    factors = {key: _attribute(dataset, key) for key in dataset.attrs}
+    factors["YInc"] = _attribute(dataset.parent, "YInc")
+    stated = ""
+    for key, values in factors.items():
+        neutral = _NOT_APPLIED.get(plain_key(key))
+        if neutral is not None and any(value != neutral for value in values):
+            stated = f"{key} {' '.join(map(str, values))}"
     for sibling in (f"{dataset.name}_scaling_factor", f"{dataset.name}_offset"):
         if sibling in dataset.file:
-            statements[sibling] = [math.nan]
-    for key, values in statements.items():
-        plain = plain_key(key)
-        neutral = 0.0 if "offset" in plain or "intercept" in plain else 1.0
-        is_scaling = any(word in plain for word in _SCALINGS)
-        if is_scaling and any(_number(value, neutral) != neutral for value in values):
-            return (
-                f"has {key} beside it, which is not applied: type `scale` ROLE=FACTOR"
-            )
-    return ""
-
-
-def _number(value: object, otherwise: float) -> float:
-    """Return a number, or a text that is one; another text, such as a date, is none."""
-    try:
-        return float(str(value))
-    except ValueError:
-        return otherwise
+            stated = sibling
+    if not stated:
+        return ""
+    return f"has {stated} beside it, which is not applied: type `scale` ROLE=FACTOR"
 
 
 # --- what a node says ---
