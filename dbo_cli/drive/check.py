@@ -12,7 +12,7 @@ import numpy as np
 
 from dbo_cli.alignment import RATE_SLACK, Trace, align_drives
 from dbo_cli.arrays import Booleans, Floats
-from dbo_cli.drive.limits import Gate, Limits
+from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.smooth import open_seam
 from dbo_cli.errors import LimitError, UsageError, prefixed
 from dbo_cli.signals import between, noise
@@ -147,23 +147,23 @@ def check_drive(
         if forward.any():
             fastest = float((change[forward] / np.diff(time)[forward]).max())
     if start is not None and not low <= start <= high:
-        _, reason = Gate(limits).broken(np.array([start]), 1.0, "return")
+        _, reason = limits.broken(np.array([start]), None, 1.0, "return")
         problems.append(f"the amplifier: {reason}")
-    gate = Gate(replace(limits, rating=(low - tolerance, high + tolerance)), start)
+    allowed = replace(limits, rating=(low - tolerance, high + tolerance))
     with prefixed(name):
-        bad, reason = gate.broken(voltage, waits, "return")
+        bad, reason = allowed.broken(voltage, start, waits, "return")
     if reason:
         problems.append(_problem(bad, reason))
     if loop:
         wait = None if waits is None else waits[:1]
-        _, reason = gate.broken(voltage[:1], wait, "return")
+        _, reason = allowed.broken(voltage[:1], float(voltage[-1]), wait, "return")
         seam = f"from the last row to the first: {reason}" if reason else ""
         seam = seam or open_seam(voltage)
         if seam:
             problems.append(seam)
     return Checked(
         name=name,
-        unit=limits.unit,
+        unit=limits.quantity.unit,
         rows=voltage.size,
         least=float(voltage.min()),
         greatest=float(voltage.max()),

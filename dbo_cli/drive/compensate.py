@@ -18,7 +18,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.drive import Drive, PassRecord
 from dbo_cli.drive.judge import Judge
 from dbo_cli.drive.lead import Lead, ramp
-from dbo_cli.drive.limits import Gate, voltage_in
+from dbo_cli.drive.limits import voltage_in
 from dbo_cli.drive.simulate import NO_ROWS, Ahead, Due, Rows, stacked
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import State, Steps
@@ -66,7 +66,7 @@ class Driver:
         self.model, self.limits, self.name = lead.model, lead.limits, name
         self.lead, self.on_limit, self.return_rows = lead, on_limit, return_rows
         self.return_to = voltage_in("return_", return_to, lead.model.input)
-        self._gate = Gate(lead.limits, lead.standing)
+        self._last = lead.standing  # the last row
         self._judge = Judge(lead, on_limit, name)
         self._state: State | str = lead.state
         self._row_count = 0
@@ -144,7 +144,7 @@ class Driver:
 
     def _way_back(self) -> Floats:
         """Return the voltages from the last row to where the amplifier goes."""
-        last, end = self._gate.last, self.return_to
+        last, end = self._last, self.return_to
         assert last is not None
         if end is None:
             return np.full(self.return_rows, last)
@@ -184,12 +184,12 @@ class Driver:
         self._judge.warned = loop.require_settled(self.on_limit)
         leading, period = loop.lead_voltage, loop.voltage
         first = float(leading[0] if leading.size else period[0])
-        self._gate.require_reachable(first, first, dt)
+        self.limits.require_reachable((first, first), self._last, dt)
         self._state, self._step = loop.begin, dt
         stamps = time[0] - dt * np.arange(leading.size, 0.0, -1.0)
         before = self._played(stamps, leading, "lead", True)
         first_pass = self._played(time, period, "move", True)
-        self._gate.admit(period[:1], dt)  # the seam
+        self.limits.admit(period[:1], self._last, dt)  # the seam
         unsettled = first_pass.x - loops.settled_run(model, period, dt, loop.state)
         self._judge.unsettled = float(np.sqrt(np.mean(unsettled**2)))
         drive = self._judge.concluded(self._state, dt)
@@ -299,7 +299,7 @@ class Driver:
         count = voltage.size + still_rows
         stamps = (begin or 0.0) - step * np.arange(count, 0.0, -1.0)
         if not voltage.size:
-            self._gate.require_reachable(*self.limits.move, dt)
+            self.limits.require_reachable(self.limits.move, self._last, dt)
         way, at_rest = np.split(stamps, [voltage.size])
         rows = self._played(way, voltage, "lead", time is not None)
         self._ahead = Ahead(self.model, dt, self._state)
@@ -336,8 +336,8 @@ class Driver:
         """Return the drive of rows that are due, with which the static part reaches their target."""
         model, limits, target = self.model, self.limits, due.target
         state = model.start_drive(float(target[0]), self._state, *limits.move)
-        if self._gate.last is None:
-            self._gate.last = state.drive  # of a start at an end of the range
+        if self._last is None:
+            self._last = state.drive  # of a start at an end of the range
         run = model.drive(target, state, due.dt, limits.move, limits.slew)
         if self._judge.off_at_first is None:
             self._judge.begin(self._first, float(target[0]), run, state)
@@ -360,7 +360,8 @@ class Driver:
 
     def _admit(self, voltage: Floats, dt: Steps, phase: str) -> None:
         """Let rows of a part (``lead``, ``move``, ``return``) pass the gate, and count them."""
-        self._gate.admit(voltage, dt, phase)
+        self.limits.admit(voltage, self._last, dt, phase)
+        self._last = float(voltage[-1])
         self._judge.count(voltage, dt, phase)
 
     def _require_numbers(self, values: Floats) -> None:

@@ -1,4 +1,4 @@
-"""What a drive may do: two ranges of the voltage, and how fast it may change.
+"""What a drive may do: two ranges of the voltage, and how fast it may change; and the gate that holds it to that.
 
 The *rating* is what the amplifier may be asked for: the limits that were typed, or an
 end of the identified range where none was typed. The *move's range* is the rating cut
@@ -34,6 +34,10 @@ WRONG_UNIT = 10.0
 """Times the largest identified voltage: a plain number beyond it was meant in another unit; chosen."""
 
 
+class GateError(DboError):
+    """The program computed a drive that breaks its own limits: exit 1, nothing more is written."""
+
+
 @dataclass(frozen=True)
 class Limits:
     """The limits of a drive.
@@ -42,12 +46,10 @@ class Limits:
     ----------
     rating : tuple of float
         Least and greatest voltage of any row.
-    identified : tuple of float
-        The range on which the model was identified.
+    quantity : Quantity
+        The voltage of a model: its unit, and the range on which it was identified.
     slew : float, optional
         Fastest change per second.
-    unit : str, optional
-        Unit of the voltages.
     extrapolate : bool
         Whether a move may leave the identified range.
     given : bool
@@ -60,9 +62,8 @@ class Limits:
     """
 
     rating: Range
-    identified: Range
+    quantity: Quantity
     slew: float | None = None
-    unit: str | None = "V"
     extrapolate: bool = False
     given: bool = True
 
@@ -112,17 +113,15 @@ class Limits:
         if max_slew is not None:
             per_second = None if quantity.unit is None else f"{quantity.unit}/s"
             slew = parse_quantity(max_slew, per_second, "max_slew", 0.0)
-        return cls(
-            rating=(
-                quantity.min if low is None else low,
-                quantity.max if high is None else high,
-            ),
-            identified=(quantity.min, quantity.max),
-            slew=slew,
-            unit=quantity.unit,
-            extrapolate=extrapolate,
-            given=any(limit is not None for limit in (v_min, v_max, max_slew)),
-        )
+        given = any(limit is not None for limit in (v_min, v_max, max_slew))
+        low = quantity.min if low is None else low
+        high = quantity.max if high is None else high
+        return cls((low, high), quantity, slew, extrapolate, given)
+
+    @property
+    def identified(self) -> Range:
+        """The range on which the model was identified."""
+        return self.quantity.min, self.quantity.max
 
     @cached_property
     def move(self) -> Range:
@@ -138,7 +137,7 @@ class Limits:
     @property
     def suffix(self) -> str:
         """The unit behind a blank, for messages."""
-        return f" {self.unit}" if self.unit else ""
+        return self.quantity.suffix
 
     def largest_step(self, dt: float | Floats | None) -> float | Floats | None:
         """Return the largest change in a time step (s), rounded down; None where any change is allowed.
@@ -171,10 +170,104 @@ class Limits:
             "bring the amplifier inside, or give its rating (`v_min`, `v_max`)"
         )
 
+    # --- the gate ---
+
+    def broken(
+        self,
+        voltage: Floats,
+        last: float | None,
+        dt: float | Floats | None = None,
+        phase: str = "move",
+    ) -> tuple[Booleans, str]:
+        """Return which rows break a limit, and how the first one does.
+
+        Parameters
+        ----------
+        voltage : array
+            Consecutive rows, one at least.
+        last : float or None
+            Where the amplifier stands before them; None: any first row inside the range may
+            come.
+        dt : float or array, optional
+            Seconds since the row before; needed with a slew limit.
+        phase : {"move", "lead", "return"}
+            What the rows are: rows of a move keep the move's range, others the rating.
+
+        Raises
+        ------
+        InputError
+            There is a slew limit and no ``dt``.
+        """
+        low, high = self.move if phase == "move" else self.rating
+        first = voltage[:1] if last is None else [last]
+        before = np.concatenate([first, voltage[:-1]])
+        bad = ~((voltage >= low) & (voltage <= high) & np.isfinite(voltage))
+        largest = self.largest_step(dt)
+        if largest is not None:
+            digits = STEP_ROUNDING * np.maximum(np.abs(voltage), np.abs(before))
+            bad |= ~(np.abs(voltage - before) <= largest + digits)
+        row = int(np.argmax(bad))
+        if not bad[row]:
+            return bad, ""
+        value, unit = float(voltage[row]), self.suffix
+        if not math.isfinite(value):
+            return bad, f"{value} is no voltage"
+        if not low <= value <= high:
+            side = f"above {high:.9g}" if value > high else f"below {low:.9g}"
+            return bad, f"{value:.9g}{unit} is {side}{unit}"
+        return bad, (
+            f"{float(before[row]):.9g} to {value:.9g}{unit} in one row is faster than "
+            f"{self.slew:g}{unit}/s"
+        )
+
+    def admit(
+        self,
+        voltage: Floats,
+        last: float | None,
+        dt: float | Floats | None = None,
+        phase: str = "move",
+    ) -> None:
+        """Let rows pass; see ``broken``.
+
+        Raises
+        ------
+        GateError
+            A row breaks a limit.
+        """
+        bad, reason = self.broken(voltage, last, dt, phase)
+        if bad.any():
+            raise GateError(
+                f"internal error: a computed row breaks the limits: {reason}; the output ends here "
+                "(please report it)"
+            )
+
+    def require_reachable(
+        self, aim: Range, last: float | None, dt: float | Floats | None
+    ) -> None:
+        """Refuse a first row within ``aim`` that one step from ``last``, if that is known, does not reach.
+
+        Raises
+        ------
+        LimitError
+            It does not.
+        """
+        first = float(dt[0]) if isinstance(dt, np.ndarray) else dt
+        largest = self.largest_step(first)
+        if last is None or largest is None:
+            return
+        low, high = aim
+        if max(low - last, last - high) > largest:
+            unit = self.suffix
+            text = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
+            raise LimitError(
+                f"the amplifier is at {last:.6g}{unit}; {self.slew:g}{unit}/s does not reach {text}{unit} in "
+                "one row: add `approach` auto"
+            )
+
     def as_dict(self) -> dict[str, Any]:
         """Return the limits as plain values, for summaries."""
         return {
-            "unit": self.unit,
+            "unit": self.quantity.unit,
             "rating": list(self.rating),
             "move": list(self.move),
             "identified": list(self.identified),
@@ -224,115 +317,3 @@ def rounded_up(value: float, digits: int = 2) -> float:
 def rounded_down(value: float, digits: int = 2) -> float:
     """Return a bound to some digits, no larger than it is."""
     return -rounded_up(-value, digits)
-
-
-# --- the gate ---
-
-
-class GateError(DboError):
-    """The program computed a drive that breaks its own limits: exit 1, nothing more is written."""
-
-
-class Gate:
-    """Watches rows go by: range, slew, and the row before.
-
-    Parameters
-    ----------
-    limits : Limits
-        What the drive may do.
-    last : float, optional
-        Where the amplifier stands before the first row; not given, any first row inside
-        the range may come.
-
-    Attributes
-    ----------
-    last : float or None
-        The last row that was seen.
-    """
-
-    def __init__(self, limits: Limits, last: float | None = None) -> None:
-        self.limits = limits
-        self.last = last
-
-    def broken(
-        self, voltage: Floats, dt: float | Floats | None = None, phase: str = "move"
-    ) -> tuple[Booleans, str]:
-        """Return which rows break a limit, and how the first one does; the gate goes on behind the last row.
-
-        Parameters
-        ----------
-        voltage : array
-            Consecutive rows.
-        dt : float or array, optional
-            Seconds since the row before; needed with a slew limit.
-        phase : {"move", "lead", "return"}
-            What the rows are: rows of a move keep the move's range, others the rating.
-
-        Raises
-        ------
-        InputError
-            There is a slew limit and no ``dt``.
-        """
-        if voltage.size == 0:
-            return np.zeros(0, dtype=np.bool_), ""
-        low, high = self.limits.move if phase == "move" else self.limits.rating
-        first = voltage[:1] if self.last is None else [self.last]
-        before = np.concatenate([first, voltage[:-1]])
-        bad = ~((voltage >= low) & (voltage <= high) & np.isfinite(voltage))
-        largest = self.limits.largest_step(dt)
-        if largest is not None:
-            digits = STEP_ROUNDING * np.maximum(np.abs(voltage), np.abs(before))
-            slow = np.abs(voltage - before) <= largest + digits
-            if self.last is None:
-                slow[0] = True
-            bad |= ~slow
-        self.last = float(voltage[-1])
-        row = int(np.argmax(bad))
-        if not bad[row]:
-            return bad, ""
-        value, unit = float(voltage[row]), self.limits.suffix
-        if not math.isfinite(value):
-            return bad, f"{value} is no voltage"
-        if not low <= value <= high:
-            side = f"above {high:.9g}" if value > high else f"below {low:.9g}"
-            return bad, f"{value:.9g}{unit} is {side}{unit}"
-        return bad, (
-            f"{float(before[row]):.9g} to {value:.9g}{unit} in one row is faster than "
-            f"{self.limits.slew:g}{unit}/s"
-        )
-
-    def admit(
-        self, voltage: Floats, dt: float | Floats | None = None, phase: str = "move"
-    ) -> None:
-        """Let rows pass; see ``broken``.
-
-        Raises
-        ------
-        GateError
-            A row breaks a limit.
-        """
-        bad, reason = self.broken(voltage, dt, phase)
-        if bad.any():
-            raise GateError(
-                f"internal error: a computed row breaks the limits: {reason}; the output ends here "
-                "(please report it)"
-            )
-
-    def require_reachable(
-        self, low: float, high: float, dt: float | Floats | None
-    ) -> None:
-        """Refuse a first row between ``low`` and ``high`` that one step does not reach (LimitError).
-
-        Nothing is known before the first row where ``last`` is None.
-        """
-        first = float(dt[0]) if isinstance(dt, np.ndarray) else dt
-        largest = self.limits.largest_step(first)
-        if self.last is None or largest is None:
-            return
-        if max(low - self.last, self.last - high) > largest:
-            unit = self.limits.suffix
-            aim = f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
-            raise LimitError(
-                f"the amplifier is at {self.last:.6g}{unit}; {self.limits.slew:g}{unit}/s does not reach "
-                f"{aim}{unit} in one row: add `approach` auto"
-            )

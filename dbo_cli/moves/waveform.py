@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats, Range
 from dbo_cli.drive.check import check_drive
-from dbo_cli.drive.limits import Gate, Limits
+from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import LimitError, UsageError, prefixed, require_positive
 
 Codes = NDArray[np.int64]
@@ -259,7 +259,7 @@ def waveform(
             " raise `points`, `rate` or `max_rounding`, or narrow `volts`"
         )
     allowed = replace(limits, rating=(low, high), slew=slew, extrapolate=True)
-    Gate(allowed).admit(heard, 1.0 / rate, "return")
+    allowed.admit(heard, None, 1.0 / rate, "return")
     return Waveform(form.write(values, rate, ends), heard, rate, line, meaning, values)
 
 

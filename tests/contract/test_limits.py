@@ -188,18 +188,17 @@ def test_a_clipped_row_is_counted_among_the_rows_that_were_read():
 def test_the_gate_rounds_by_a_few_last_digits_and_no_more():
     """What passes beyond a slew limit is rounding; a range is kept exactly."""
     from dbo_cli.drive import Limits
-    from dbo_cli.drive.limits import Gate, GateError
+    from dbo_cli.drive.limits import GateError
     from dbo_cli.model import Quantity
 
     limits = Limits.within(Quantity("voltage", "V", 0.0, 100.0), max_slew=1000.0)
     for part in ("move", "lead", "return"):
-        gate = Gate(limits, 50.0)
-        gate.admit(np.array([51.0, 52.0 + 1e-14]), 1e-3, part)
+        limits.admit(np.array([51.0, 52.0 + 1e-14]), 50.0, 1e-3, part)
         with pytest.raises(GateError):
-            gate.admit(np.array([53.0 + 1e-11]), 1e-3, part)
+            limits.admit(np.array([53.0 + 1e-11]), 52.0 + 1e-14, 1e-3, part)
         for beyond in (np.nextafter(100.0, 200.0), -5e-324, np.nan):
             with pytest.raises(GateError):
-                Gate(limits).admit(np.array([beyond]), 1e-3, part)
+                limits.admit(np.array([beyond]), None, 1e-3, part)
 
 
 # --- the drive of an inverse model ---

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbo_cli.drive.lead import Lead
-from dbo_cli.drive.limits import Gate, Limits
+from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import InputError, LimitError, UsageError
 from dbo_cli.model import Quantity
 
@@ -101,7 +101,6 @@ def test_units_of_limits():
 
 
 def test_gate_needs_a_clock_for_slew():
+    limits = Limits.within(Quantity("voltage", "V", 0.0, 4.0), max_slew=1)
     with pytest.raises(InputError):
-        Gate(Limits.within(Quantity("voltage", "V", 0.0, 4.0), max_slew=1)).broken(
-            np.array([1.0]), None
-        )
+        limits.broken(np.array([1.0]), None, None)

@@ -7,6 +7,7 @@ import pytest
 
 from dbo_cli.drive.limits import Limits
 from dbo_cli.errors import UsageError
+from dbo_cli.model import Quantity
 from dbo_cli.moves.waveform import GENERATORS, waveform
 
 RATE = 1000.0
@@ -15,7 +16,7 @@ DRIVE = 50.0 - 40.0 * np.cos(2.0 * np.pi * 4.0 * TIME)
 
 
 def within(low=-math.inf, high=math.inf, slew=None):
-    return Limits((low, high), (low, high), slew, "V")
+    return Limits((low, high), Quantity("voltage", "V", low, high), slew)
 
 
 def made(to, drive=DRIVE, limits=None, **options):
