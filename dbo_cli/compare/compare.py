@@ -71,7 +71,7 @@ class DboModel:
         count = len(slopes) + 1 + (model.delay is not None) + gears.gain.size
         for curve in (*model.head, *model.tail):
             if isinstance(curve, Points):
-                count += curve.m - 1
+                count += curve.dx.size - 1
         if model.dynamics is not None:
             for section in model.dynamics.sections:
                 keys = section.keys()

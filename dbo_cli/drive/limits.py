@@ -1,4 +1,4 @@
-"""What a drive may do: two ranges of the voltage, and how fast it may change; and the gate that holds it to that.
+"""What a drive may do: two ranges of the voltage, how fast it may change, and the gate that holds it to them.
 
 The *rating* is what the amplifier may be asked for: the limits that were typed, or an
 end of the identified range where none was typed. The *move's range* is the rating cut

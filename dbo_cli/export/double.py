@@ -14,8 +14,8 @@ from dbo_cli.errors import ModelError
 from dbo_cli.export import text as c
 from dbo_cli.export.plan import Plan
 from dbo_cli.model import Quantity, Scale
+from dbo_cli.model.gears import kernel_table
 from dbo_cli.model.points import Curve
-from dbo_cli.model.widths import kernel_table
 
 MOST_LOOKUP_GEARS = 12
 """2^12 states are 70 kB of table; one gear more doubles it."""
@@ -95,7 +95,9 @@ def _curves(curves: list[Curve]) -> str:
             continue
         name = f"points_{number}"
         text += c.array("dbo_segment", name, stage.segments, c.real)
-        rows.append([name, str(stage.m), c.real(stage.x0), c.real(stage.y0)])
+        rows.append(
+            [name, str(len(stage.segments)), c.real(stage.x0), c.real(stage.y0)]
+        )
     return text + c.array("curve", "curves", rows or [["0", "0", "0.0", "0.0"]])
 
 

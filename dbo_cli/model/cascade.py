@@ -22,18 +22,17 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.arrays import Booleans, Floats, Range
 from dbo_cli.errors import InputError, ModelError
-from dbo_cli.model.amplifier import (
+from dbo_cli.model.delay import Delay
+from dbo_cli.model.dynamics import Dynamics, Inverter, Mode
+from dbo_cli.model.gears import NEGLIGIBLE, Gears, Starts, largest_step
+from dbo_cli.model.lags import (
     Amplifier,
     allowed_drive,
     drive_before,
     output_behind,
     window_behind,
 )
-from dbo_cli.model.delay import Delay
-from dbo_cli.model.dynamics import Dynamics, Inverter
-from dbo_cli.model.gears import NEGLIGIBLE, Gears, largest_step
 from dbo_cli.model.points import Curve, Curves, Points, Scale
-from dbo_cli.model.start import Starts
 from dbo_cli.model.state import Quantity, Run, State, Steps, steps_of
 
 Stage = Amplifier | Gears | Curve | Dynamics | Delay
@@ -160,9 +159,9 @@ class Cascade:
     @property
     def trusted_frequency(self) -> float | None:
         """The frequency (Hz) up to which the model can be trusted; None where it has no resonance."""
-        if self.dynamics is None or not self.dynamics.resonances:
-            return None
-        return self.dynamics.resonances[0].frequency / RESONANCE_SHARE
+        sections = () if self.dynamics is None else self.dynamics.sections
+        frequencies = [each.frequency for each in sections if isinstance(each, Mode)]
+        return min(frequencies) / RESONANCE_SHARE if frequencies else None
 
     @property
     def needs_time(self) -> bool:

@@ -39,7 +39,7 @@ from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.delay import BEFORE, Delay
 from dbo_cli.model.fields import Keyed, above_0, listed, magnitude, notes, number
-from dbo_cli.model.relaxation import checked_steps
+from dbo_cli.model.lags import checked_steps
 from dbo_cli.model.state import Run, SectionStates, State, Undoing
 
 LAG_ZERO = 0.4
@@ -320,12 +320,6 @@ class Dynamics(Keyed):
     @cached_property
     def _output(self) -> Floats:
         return np.array([section.output for section in self.sections], dtype=np.float64)
-
-    @property
-    def resonances(self) -> tuple[Resonance, ...]:
-        """The second-order sections, lowest first."""
-        sections = [each for each in self.sections if isinstance(each, Resonance)]
-        return tuple(sorted(sections, key=lambda section: section.frequency))
 
     def run(self, x: Floats, state: State, dt: float | Floats) -> Run:
         """Return one block behind all sections, and the state with (p, q, u) of each section after it.

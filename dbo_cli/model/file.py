@@ -17,7 +17,6 @@ from typing import Any
 
 from dbo_cli.errors import ModelError, prefixed
 from dbo_cli.model import fields
-from dbo_cli.model.amplifier import Amplifier
 from dbo_cli.model.cascade import (
     MOST_CANDIDATES,
     Candidate,
@@ -29,9 +28,9 @@ from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics
 from dbo_cli.model.fields import VERSION, Json, Reader, build, number, number_list
 from dbo_cli.model.gears import Gears
-from dbo_cli.model.points import Points, Scale
+from dbo_cli.model.lags import Amplifier
+from dbo_cli.model.points import TABLE, Points, Scale
 from dbo_cli.model.state import KEPT_STARTS, START_NAMES, Held, Quantity, State
-from dbo_cli.model.widths import TABLE
 
 MODEL_FORMAT = "dbo-model"
 SET_FORMAT = "dbo-model-set"

@@ -1,4 +1,4 @@
-"""The Discrete Backlash Operator: gears, their states, and their inverse.
+"""The Discrete Backlash Operator: gears, their states, their inverse, and what they have been through before.
 
 Gears are a value: they hold no state and are never changed. A state goes in and a new
 one comes out, and the output does not depend on how a signal is cut into blocks.
@@ -13,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -22,15 +23,9 @@ from dbo_cli.arrays import Floats, Range
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.fields import Keyed
-from dbo_cli.model.relaxation import Relaxation
-from dbo_cli.model.state import Run, State
-from dbo_cli.model.widths import (
-    TABLE,
-    axes,
-    gear_table,
-    kernel_table,
-    read_only,
-)
+from dbo_cli.model.lags import Relaxation
+from dbo_cli.model.points import TABLE, axes, on_binary_grid, read_only
+from dbo_cli.model.state import START_NAMES, Run, State
 
 Words = NDArray[np.uint64]
 Places = NDArray[np.uint32]
@@ -40,6 +35,18 @@ NEGLIGIBLE = 1e-9
 
 INWARDS = 1.0 - 2.0**-51
 """Factor on a step: the step in time, the product and this factor are rounded by 2^-53 each."""
+
+CROSSING_TOLERANCE = 1e-9
+"""A gear counts as crossed when all but this fraction of it is travelled (more where rounding is coarse)."""
+
+# chosen: more than the additions of a signal's way lose
+_ROUNDING_STEPS = 64.0 * np.finfo(np.float64).eps
+_LARGEST_TOLERANCE = 1.0 / 16.0  # what 64 steps of rounding are of the narrowest width
+
+LEAST_SLOPE_LEFT = 0.03
+"""Of the mean slope: what the negative gains must leave of every slope. At 0.1 % a wish with 1e-4 um of noise
+becomes 0.8 V of it; round trips do not show that.
+"""
 
 OPEN = (-math.inf, math.inf)
 _WORD = 64  # bits of a uint64, in which the kernel keeps the states of gears
@@ -98,19 +105,18 @@ class Gears(Keyed):
         self.dx, self.dy, widths, heights = axes(dx, dy)
         self.x0, self.y0 = float(x0), float(y0)
         self.relaxation = relaxation
-        self.n = int(self.dx.size)
-        self.width = math.fsum(widths.tolist())
-        self.height = math.fsum(heights.tolist())
-        low, high = self.x0, self.x0 + self.width
-        bottom, top = self.y0, self.y0 + self.height
         self.gain, self.reference = np.empty(0), 0.0
         if relaxation is not None:
             self.gain = np.array(relaxation.gain, dtype=np.float64)
             self.reference = relaxation.reference
-            relaxation.require_slopes(heights / widths, self.height / self.width)
-            bottom += relaxation.at_rest(low)
-            top += relaxation.at_rest(high)
-        self.table = gear_table(widths, heights, self._rounding(widths, heights))
+        self.n = int(self.dx.size)
+        self.width = math.fsum(widths.tolist())
+        self.height = math.fsum(heights.tolist())
+        self.table = self._table(widths, heights)
+        low, high = self.x0, self.x0 + self.width
+        at_rest = math.fsum(self.gain.tolist())
+        bottom = self.y0 + at_rest * (low - self.reference)
+        top = self.y0 + self.height + at_rest * (high - self.reference)
         self.x_range, self.y_range = (low, high), (bottom, top)
         for key, (low, high) in (("x0", self.x_range), ("y0", self.y_range)):
             if not low < high:
@@ -118,18 +124,40 @@ class Gears(Keyed):
                     f"{key}: the gears are lost in rounding beside their origin, {low:.6g}"
                 )
 
-    def _rounding(self, widths: Floats, heights: Floats) -> Floats:
-        """Return the largest numbers of an axis over what is told apart of each gear, the greater of both."""
+    def _table(self, widths: Floats, heights: Floats) -> Floats:
+        """Return a row (dx, dy, slope, crossing_fraction) for each gear, of widths on the binary grid.
+
+        ``crossing_fraction`` is where a gear counts as crossed: all but 1e-9 of it, since a
+        drive that turns on a breakpoint is the usual case and one unit in the last place
+        must not decide which gear engages on the way back. Where a gear is so narrow beside
+        the numbers that are added and subtracted on an axis that rounding exceeds that, the
+        tolerance is 64 rounding steps. Exchanging the axes leaves it as it is, so an operator
+        and its inverse decide alike.
+
+        Every slope and the sum of the negative gains, the least that kappa = sum c_j (1 - a_j)
+        can be, must be at least 3 % of the mean slope (ModelError): the inverse is then exact
+        for every time step, and well conditioned.
+        """
+        negative = math.fsum(self.gain[self.gain < 0.0].tolist())
+        slopes, least = heights / widths, LEAST_SLOPE_LEFT * (self.height / self.width)
+        gear = int(np.argmin(slopes))
+        slope = float(slopes[gear]) + negative
+        if negative < 0.0 and slope < least:
+            raise ModelError(
+                f"relaxation.gain: negative gains leave gear {gear} a slope of {slope:.6g}, less than 3 % "
+                f"of the mean, {least:.6g}"
+            )
         scale_x = max(abs(self.x0), abs(self.x0 + self.width), self.width)
         scale_y = max(abs(self.y0), abs(self.y0 + self.height), self.height)
-        apart_y = heights
-        if self.relaxation is not None:
-            gains = math.fsum(map(abs, self.relaxation.gain))
-            scale_y += gains * (scale_x + abs(self.reference))
-            apart_y = heights + self.relaxation.negative * widths
+        gains = math.fsum(np.abs(self.gain).tolist())
+        scale_y += gains * (scale_x + abs(self.reference))
+        apart_y = heights + negative * widths
         with np.errstate(over="ignore", divide="ignore"):
-            rounding: Floats = np.maximum(scale_x / widths, scale_y / apart_y)
-        return rounding
+            rounding = np.maximum(scale_x / widths, scale_y / apart_y)
+        tolerance = np.clip(
+            _ROUNDING_STEPS * rounding, CROSSING_TOLERANCE, _LARGEST_TOLERANCE
+        )
+        return read_only(np.column_stack([widths, heights, slopes, 1.0 - tolerance]))
 
     @property
     def equal_run(self) -> int:
@@ -336,6 +364,121 @@ class Gears(Keyed):
         return rows
 
 
+def kernel_table(gears: Floats, run: int = 1) -> tuple[Floats, Places]:
+    """Return the kernel's table, a row for each ``run`` of equal gears, and its guide.
+
+    To the row of its gears, each row adds where the first of them begins; one more
+    stands behind the last and begins where the last gear ends. The guide cuts the range
+    of the input into as many equal parts as there are rows, and says in which row each
+    begins.
+    """
+    ends = np.cumsum(gears[:, :2], axis=0)  # exact: the widths lie on one binary grid
+    begins = np.vstack([[0.0, 0.0], ends[run - 1 : -1 : run], ends[-1]])
+    rows = np.vstack([gears[::run], gears[-1]])
+    table = read_only(np.hstack([rows, begins]))
+    parts = np.linspace(0.0, ends[-1, 0], 2 * len(table) - 1)
+    guide = np.searchsorted(begins[:-1, 0], parts, side="right") - 1
+    return table, guide.astype(np.uint32)
+
+
 def bits_of(words: Words) -> int:
     """Return B out of the kernel's buffer."""
     return int.from_bytes(words.astype("<u8").tobytes(), "little")
+
+
+# --- starts: what the gears have been through before the first sample, by name ---
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """The starts of gears whose voltage stays between ``low`` and ``high``.
+
+    Spare gears may go on beyond that range, so that a drive that goes a little further
+    turns there as it does inside. They come last in the table. No drive inside the range
+    moves them: those that reach below it are crossed, the others open.
+    """
+
+    gears: Gears
+    low: float
+    high: float
+
+    @functools.cached_property
+    def covered(self) -> int:
+        """How many gears, the first ones, a drive inside the range moves."""
+        return self._count(self.high - max(self.low, self.gears.x0))
+
+    @functools.cached_property
+    def ends(self) -> Range:
+        """The voltages between which it moves them."""
+        gears, count = self.gears, self.covered
+        if count == gears.n:
+            return gears.x_range
+        below = gears.dx[count : self._count(self.high - gears.x0)]
+        low = gears.x0 + float(below.sum())
+        return low, low + math.fsum(on_binary_grid("dx", gears.dx[:count]).tolist())
+
+    @functools.cached_property
+    def full(self) -> int:
+        """The bits of all gears, where the drive comes from the upper end of its range."""
+        return (1 << self._count(self.high - self.gears.x0)) - 1
+
+    @functools.cached_property
+    def empty(self) -> int:
+        """The bits of all gears, where the drive comes from the lower end of its range."""
+        return self.full + 1 - (1 << self.covered)
+
+    def _count(self, width: float) -> int:
+        """Return how many gears, the first ones, span ``width``, to half a gear."""
+        ends = np.cumsum(self.gears.dx)
+        last = int(np.searchsorted(ends, width - 0.5 * float(self.gears.dx[-1])))
+        return min(last + 1, self.gears.n)
+
+    def bits(self, voltage: float, name: str = "auto") -> int:
+        """Return the bits of the start ``name``.
+
+        ``empty``: the actuator has been at or below the lower end of the drive's range.
+        ``full``: likewise the upper end. ``settled``: after an oscillation that decays
+        from the whole range to ``voltage``. ``below``, ``above``: the drive comes from
+        beyond the spare gears of that end. ``auto``: empty where ``voltage`` is at or
+        below the lower end, else settled (a model may keep another one:
+        ``Cascade.auto_start``).
+
+        Raises
+        ------
+        ModelError
+            There is no start of that name.
+        """
+        fixed = {"below": 0, "above": (1 << self.gears.n) - 1}
+        fixed |= {"full": self.full, "empty": self.empty}
+        if name in fixed:
+            return fixed[name]
+        if name not in START_NAMES:
+            raise ModelError(f"`state` {name}: give {', '.join(START_NAMES)} or a file")
+        return self.gears.settled(voltage, self.covered, self.empty)
+
+    def voltage_settled_at(self, output: float, low: float, high: float) -> float:
+        """Return the voltage in [low, high] whose own settled state leads to ``output``.
+
+        The output at rest in the settled state rises with the voltage, but by steps
+        where the state changes: where it steps over ``output``, the voltage on the
+        nearer side is taken. It is found by halving the range, and within the reach of
+        one state exactly.
+        """
+
+        def miss_at(voltage: float) -> float:
+            state = State(self.bits(voltage))
+            return abs(float(self.gears.run([voltage], state).y[0]) - output)
+
+        below, above = self.ends
+        # a little beside the step, so that a voltage that is rounded on its way still
+        # starts on the same side
+        margin = CROSSING_TOLERANCE * (above - below)
+        halved: tuple[float, float, float] = kernel.extension.backlash_settled_at(
+            self.gears.operator(True, is_inverse=True), self.gears.words(self.empty),
+            self.covered, output, below, above, 0.001 * margin,
+        )  # fmt: skip
+        below, above, voltage = halved
+        if not math.isnan(voltage):
+            return min(max(voltage, low), high)
+        ends = [min(max(end, low), high) for end in (below - margin, above + margin)]
+        return min(ends, key=miss_at)

@@ -1,4 +1,7 @@
-"""Stages without memory: the Discrete Point Operator (13)-(16), and a scale."""
+"""Stages without memory: the Discrete Point Operator (13)-(16), and a scale.
+
+Widths of segments, as those of gears, lie on a grid that makes their sums exact.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +16,73 @@ from numpy.typing import ArrayLike
 from dbo_cli.arrays import Floats, Range
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
-from dbo_cli.model.fields import Keyed, number
+from dbo_cli.model.fields import Keyed, Reader, number, widths
 from dbo_cli.model.state import Run, State
-from dbo_cli.model.widths import TABLE, axes, read_only
+
+TABLE: dict[str, Reader] = {"x0": number, "y0": number, "dx": widths, "dy": widths}
+"""Keys of gears and segments in a model file."""
+# of the sum: the grid of 2^-53 then moves no width by more than 2^-12 of itself
+_NARROWEST = 2.0**-42
+
+
+def axes(dx: ArrayLike, dy: ArrayLike) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return read-only copies of both axes' widths, and both on their binary grids.
+
+    Raises
+    ------
+    ModelError
+        Their numbers differ, or a width is none; the message begins with the key.
+    """
+    x, y = (
+        read_only(np.array(axis, dtype=np.float64).reshape(-1)) for axis in (dx, dy)
+    )
+    if x.size != y.size:
+        raise ModelError(f"dy: has {y.size} entries where dx has {x.size}")
+    return x, y, on_binary_grid("dx", x), on_binary_grid("dy", y)
+
+
+def read_only(values: Floats) -> Floats:
+    """Return a table as the kernel takes it, which nobody can write to: models are values."""
+    table: Floats = np.ascontiguousarray(values)
+    table.flags.writeable = False
+    return table
+
+
+def on_binary_grid(key: str, widths: Floats) -> Floats:
+    """Round widths to multiples of the power of two that makes every sum of them exact in float64.
+
+    The grid is 2^-53 of the power of two above their sum, so no width moves by more
+    than 2^-53 of the sum. Adding and subtracting them, (6)-(9), then never rounds: X_B
+    and Y_B equal (2)-(3) exactly after any number of transitions. Rounding what is
+    rounded changes nothing.
+
+    Raises
+    ------
+    ModelError
+        A width is not above 2^-42 of the sum, or the sum is 0 or beyond what float64
+        holds.
+    """
+    while True:
+        total = math.fsum(widths.tolist())
+        if not 1e-120 < total < 1e120:  # slopes stay finite, too
+            raise ModelError(
+                f"{key}: the widths add up to {total!r}, beyond the range of the arithmetic"
+            )
+        grid = math.ldexp(1.0, math.frexp(total)[1] - 53)
+        rounded: Floats = np.rint(widths / grid) * grid
+        narrow = np.flatnonzero(rounded < _NARROWEST * total)
+        if narrow.size:
+            index = int(narrow[0])
+            raise ModelError(
+                f"{key}[{index}]: {float(widths[index])!r} is less than 2^-42 of the sum of all widths,"
+                f" {total!r}"
+            )
+        if np.array_equal(rounded, widths):
+            return rounded
+        widths = rounded
+
+
+# --- curves ---
 
 
 class _Curve(Keyed):
@@ -54,11 +121,8 @@ class Points(_Curve):
     ) -> None:
         self.dx, self.dy, widths, heights = axes(dx, dy)
         self.x0, self.y0 = float(x0), float(y0)
-        self.m = int(self.dx.size)
         x = np.concatenate([[0.0], np.cumsum(widths)])
         y = np.concatenate([[0.0], np.cumsum(heights)])
-        self.x_range = (self.x0, self.x0 + float(x[-1]))
-        self.y_range = (self.y0, self.y0 + float(y[-1]))
         slopes = heights / widths
         self.segments = read_only(np.column_stack([x[:-1], y[:-1], slopes]))
 
