@@ -190,14 +190,9 @@ class Cascade:
 
     def inverse(self) -> Cascade:
         """Return the same cascade for the other direction, without candidates."""
-        return self._inverse
-
-    @functools.cached_property
-    def _inverse(self) -> Cascade:
-        direction: Direction = "inverse" if self.is_forward else "forward"
         return replace(
             self,
-            direction=direction,
+            direction="inverse" if self.is_forward else "forward",
             input=self.output,
             output=self.input,
             candidates=(),
@@ -218,13 +213,6 @@ class Cascade:
     def with_stages(self, stages: tuple[Stage, ...]) -> Cascade:
         """Return a model of the same quantities with other stages, without candidates."""
         return replace(self, stages=stages, candidates=())
-
-    @functools.cached_property
-    def candidate_models(self) -> list[tuple[float, Cascade]]:
-        """Weight and model of every candidate of a forward model."""
-        return [
-            (each.weight, self.with_stages(each.stages)) for each in self.candidates
-        ]
 
     # ---- starts ----
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.model.cascade import Cascade
+from dbo_cli.model.state import Steps
 from dbo_cli.signals import turns
 
 FIRST_ROWS = 131_072  # of a move, that expectations and refusals look at
@@ -45,7 +46,7 @@ class ExpectedError(NamedTuple):
 
 
 def expected_error(
-    model: Cascade, voltage: Floats, dt: float | Floats | None, begin: int = 0
+    model: Cascade, voltage: Floats, dt: Steps, begin: int = 0
 ) -> ExpectedError | None:
     """Return the error to expect on a move; None without candidates.
 
@@ -61,31 +62,29 @@ def expected_error(
         return None
     last = begin + FIRST_ROWS
     drive = np.asarray(voltage, dtype=np.float64)[:last]
-    steps = dt
     if isinstance(dt, np.ndarray):
-        steps = dt[:last]
+        dt = dt[:last]
 
     def simulated(candidate: Cascade, start: str = "auto") -> Floats:
-        return candidate.simulate(drive, dt=steps, state=start)[0][begin:]
+        return candidate.simulate(drive, dt=dt, state=start)[0][begin:]
 
     expected = simulated(model)
     squares = float(left_out) ** 2
-    for weight, candidate in model.candidate_models:
-        squares += weight * _mean_square(simulated(candidate) - expected)
+    for candidate in model.candidates:
+        other = simulated(model.with_stages(candidate.stages))
+        squares += candidate.weight * _mean_square(other - expected)
     past = 0.0
     for start in STARTS:
         past += _mean_square(simulated(model, start) - expected) / len(STARTS)
     memory = 0.0
     # at rest elsewhere than at the first voltage
     if model.gears.relaxation is not None:
-        share, added = unknown_memory(model, drive, steps)
+        share, added = unknown_memory(model, drive, dt)
         memory = share * _mean_square(added[begin:])
     return ExpectedError(math.sqrt(squares), math.sqrt(past), math.sqrt(memory))
 
 
-def unknown_memory(
-    model: Cascade, drive: Floats, dt: float | Floats | None
-) -> tuple[float, Floats]:
+def unknown_memory(model: Cascade, drive: Floats, dt: Steps) -> tuple[float, Floats]:
     """Return the mean square of the share that memories of an unknown past add of D, and D; (rows,).
 
     D is the difference between a rest at the greatest and the least voltage before the
@@ -108,9 +107,7 @@ def _mean_square(values: Floats) -> float:
     return float(np.mean(values**2))
 
 
-def move_warnings(
-    model: Cascade, voltage: Floats, dt: float | Floats | None, move: slice
-) -> list[str]:
+def move_warnings(model: Cascade, voltage: Floats, dt: Steps, move: slice) -> list[str]:
     """Return what of a move the logs did not show: a faster drive, a slower swing; in words.
 
     Parameters

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from itertools import chain, groupby
 from pathlib import Path
@@ -118,18 +118,6 @@ def member(
     raise ModelError(
         f"{path}: {lacking}; models: {', '.join(models)}: type {path}::{next(iter(models))}{hint}"
     )
-
-
-def parse_model(values: object, name: str = "the model") -> Cascade:
-    """Return the model that JSON values describe, checked to the last key.
-
-    Raises
-    ------
-    ModelError
-        They do not; the message begins with ``name`` and the key.
-    """
-    with prefixed(name):
-        return _model(values, "")
 
 
 def _model(values: Any, path: str) -> Cascade:
@@ -324,33 +312,24 @@ def read_state(path: str, model: Cascade) -> State:
 
 def parse_state(values: object, model: Cascade, name: str = "the state") -> State:
     """Return the state that JSON values describe (ModelError: they do not, or it is another model's)."""
-    gears, delay = model.gears, model.delay
-    count = 0 if model.dynamics is None else len(model.dynamics.sections)
-
-    def sized(size: int) -> Reader:
-        fits = _fitting(number_list, lambda numbers: len(numbers) == size)
-        return fields.unless_null(fits)
-
-    def is_held(held: Held) -> bool:
-        times, samples = held
-        is_even = 0 < len(times) == len(samples)
-        return delay is not None and is_even and sorted(times) == list(times)
-
+    number_or_null = fields.unless_null(number)
+    numbers_or_null = fields.unless_null(number_list)
     readers: dict[str, Reader] = {
-        "model": _fitting(fields.text, lambda digest: digest == model.digest),
-        "gears": _fitting(number, lambda n: n == gears.n),
-        "bits": _fitting(_bits, lambda bits: 0 <= bits < 1 << gears.n),
-        "memory": sized(gears.gain.size),
-        "time": fields.unless_null(number),
-        "drive": fields.unless_null(number),
-        "sections": sized(3 * count),
-        "delay": fields.unless_null(_fitting(_held, is_held)),
+        "model": fields.text,
+        "gears": number,
+        "bits": _bits,
+        "memory": numbers_or_null,
+        "time": number_or_null,
+        "drive": number_or_null,
+        "sections": numbers_or_null,
+        "delay": fields.unless_null(_held),
     }
     if model.amplifier is not None:
-        readers["amplifier"] = fields.unless_null(number)
+        readers["amplifier"] = number_or_null
     with prefixed(name):
         content = fields.contents(values, "", STATE_FORMAT, "a state")
         keys = build(dict, content, "", **readers)
+        _require_own(keys, model)
     flat = keys["sections"]
     if flat is not None:
         keys["sections"] = tuple(zip(flat[::3], flat[1::3], flat[2::3], strict=True))
@@ -358,18 +337,28 @@ def parse_state(values: object, model: Cascade, name: str = "the state") -> Stat
     return State(**keys)
 
 
-def _fitting(read: Reader, is_fitting: Callable[[Any], bool]) -> Reader:
-    """Return a reader that refuses what a state of the model does not have."""
-
-    def fitting(value: Any, path: str) -> Any:
-        content = read(value, path)
-        if not is_fitting(content):
+def _require_own(keys: Json, model: Cascade) -> None:
+    """Refuse the keys of a state that the model cannot have (ModelError)."""
+    gears = model.gears
+    sections = () if model.dynamics is None else model.dynamics.sections
+    sizes = {"memory": gears.gain.size, "sections": 3 * len(sections)}
+    fitting = {
+        "model": keys["model"] == model.digest,
+        "gears": keys["gears"] == gears.n,
+        "bits": 0 <= keys["bits"] < 1 << gears.n,
+    }
+    for key, size in sizes.items():
+        fitting[key] = keys[key] is None or len(keys[key]) == size
+    if keys["delay"] is not None:
+        times, held = keys["delay"]
+        is_even = 0 < len(times) == len(held)
+        in_order = sorted(times) == list(times)
+        fitting["delay"] = model.delay is not None and is_even and in_order
+    for key, fits in fitting.items():
+        if not fits:
             raise ModelError(
-                f"{path}: the state belongs to another model: save it again with this one"
+                f"{key}: the state belongs to another model: save it again with this one"
             )
-        return content
-
-    return fitting
 
 
 def _bits(value: Any, path: str) -> int:

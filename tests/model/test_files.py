@@ -11,7 +11,6 @@ import pytest
 
 import dbo_cli.model as dm
 from dbo_cli.errors import ModelError
-from dbo_cli.model.file import parse_model
 from dbo_cli.reports.show import shown_text
 
 DT = 1e-4
@@ -78,23 +77,29 @@ def test_a_model_comes_back(tmp_path):
     assert len(dm.dumps_model(model).splitlines()) < 120
 
 
+def read_back(values, tmp_path):
+    path = tmp_path / "model.json"
+    path.write_text(json.dumps(values))
+    return dm.read_cascade(str(path))
+
+
 def test_a_model_keeps_the_start_of_its_logs_and_shows_it(tmp_path):
     model = replace(full_model(), auto_start="full")
     values = json.loads(dm.dumps_model(model))
     assert values["past"] == "full"
-    back = parse_model(values)
+    back = read_back(values, tmp_path)
     assert back.start(2.0) == model.start(2.0, "full") != model.start(2.0, "settled")
     page = shown_text(back.inverse(), "model.json")
     assert "full, as the logs began" in page
     assert "logs began" not in shown_text(full_model(), "model.json")
 
 
-def test_the_example_of_the_page_is_a_model():
+def test_the_example_of_the_page_is_a_model(tmp_path):
     page = (DOCS / "model-file.md").read_text()
     begin = page.index('    {\n      "format": "dbo-model"')
     example = page[begin : page.index("\n\n", begin)]
     SCHEMA.validate(json.loads(example))
-    model = parse_model(json.loads(example))
+    model = read_back(json.loads(example), tmp_path)
     assert model.gears.n == 5
 
 
@@ -137,12 +142,12 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("change", "place", "in_schema"), BROKEN)
-def test_what_is_wrong_is_named(change, place, in_schema):
+def test_what_is_wrong_is_named(change, place, in_schema, tmp_path):
     values = copy.deepcopy(json.loads(dm.dumps_model(full_model())))
     change(values)
     with pytest.raises(ModelError) as problem:
-        parse_model(values, "model.json")
-    assert str(problem.value).startswith(f"model.json: {place}")
+        read_back(values, tmp_path)
+    assert str(problem.value).startswith(f"{tmp_path / 'model.json'}: {place}")
     assert "\n" not in str(problem.value)
     assert SCHEMA.is_valid(values) is not in_schema
 
