@@ -113,7 +113,7 @@ class Driver:
         if self._ahead is None:
             dt, before = self._begin(float(target[0]), dt, time)
         assert self._ahead is not None
-        due = self._ahead.take(dt, target, desired, time)
+        due = self._ahead.take(Due(target, desired, time, dt))
         return stacked([before, *map(self._driven, due)])
 
     def finish(self) -> tuple[Rows, Drive]:
@@ -306,7 +306,7 @@ class Driver:
         if still_rows:
             still = np.full(still_rows, first)
             stamped = None if time is None else at_rest
-            due = self._ahead.take(step, still, still, stamped, "lead")
+            due = self._ahead.take(Due(still, still, stamped, step, "lead"))
             rows = stacked([rows, *map(self._driven, due)])
         return dt, rows
 

@@ -126,9 +126,7 @@ def excite(
     voltage[level_of_row == 1.0] = v_max
     if sweep_to is not None:
         crest = SWEEP_AMPLITUDE * span if sweep_amplitude is None else sweep_amplitude
-        _check_sweep(span, sample_rate, sweep_to, crest, max_slew)
-        ramp = swing_rows(0.5 * span, 1.0 / sample_rate, SETTLE, max_slew)
-        sweep = _sweep(v_min, v_min + 0.5 * span, ramp, sample_rate, sweep_to, crest)
+        sweep = _sweep(v_min, span, sample_rate, sweep_to, crest, max_slew)
         voltage = np.concatenate([voltage, sweep])
     return np.arange(voltage.size) / sample_rate, voltage
 
@@ -173,26 +171,17 @@ def _legs(
 
 
 def _sweep(
-    begin: float, middle: float, ramp: int, rate: float, sweep_to: float, crest: float
+    begin: float,
+    span: float,
+    rate: float,
+    sweep_to: float,
+    crest: float,
+    max_slew: float | None,
 ) -> Floats:
-    """Return the way to the middle, a logarithmic sweep there, and the way back; ``ramp`` rows each."""
-    seconds = max(SWEEP_SECONDS, SWEEP_PERIODS / sweep_to)
-    count = round(seconds * rate)
-    fraction = np.arange(count) / count
-    grown = math.log(SWEEP_FROM)
-    periods = sweep_to / SWEEP_FROM * seconds / grown * np.expm1(grown * fraction)
-    edge = np.clip(np.minimum(fraction, 1.0 - fraction) / SWEEP_TAPER, 0.0, 1.0)
-    size = crest * SWEEP_FADED**fraction * (0.5 - 0.5 * np.cos(np.pi * edge))
-    still = round(SETTLE * rate)
-    up = swings([begin, middle, middle], [ramp, still])
-    down = swings([middle, middle, begin, begin], [still, ramp, still])
-    return np.concatenate([up[1:], middle + size * np.sin(2.0 * np.pi * periods), down])
+    """Return the way to the middle, a logarithmic sweep there, and the way back.
 
-
-def _check_sweep(
-    span: float, rate: float, sweep_to: float, crest: float, max_slew: float | None
-) -> None:
-    """Refuse a sweep that the rate does not resolve, or that range or slew do not allow."""
+    A sweep is refused that the rate does not resolve, or that range or slew do not allow.
+    """
     least_rate = SWEEP_ROWS_A_PERIOD * sweep_to
     if rate < least_rate * (1.0 - 1e-9):
         raise UsageError(
@@ -210,3 +199,15 @@ def _check_sweep(
             f"`sweep_amplitude` {crest:g}: needs {fastest:.6g}/s at {sweep_to:g} Hz, more than `max_slew`; "
             f"{rounded_down(crest * max_slew / fastest, 3):.9g} fits"
         )
+    ramp = swing_rows(0.5 * span, 1.0 / rate, SETTLE, max_slew)
+    seconds = max(SWEEP_SECONDS, SWEEP_PERIODS / sweep_to)
+    count = round(seconds * rate)
+    fraction = np.arange(count) / count
+    grown = math.log(SWEEP_FROM)
+    periods = sweep_to / SWEEP_FROM * seconds / grown * np.expm1(grown * fraction)
+    edge = np.clip(np.minimum(fraction, 1.0 - fraction) / SWEEP_TAPER, 0.0, 1.0)
+    size = crest * SWEEP_FADED**fraction * (0.5 - 0.5 * np.cos(np.pi * edge))
+    still, middle = round(SETTLE * rate), begin + 0.5 * span
+    up = swings([begin, middle, middle], [ramp, still])
+    down = swings([middle, middle, begin, begin], [still, ramp, still])
+    return np.concatenate([up[1:], middle + size * np.sin(2.0 * np.pi * periods), down])

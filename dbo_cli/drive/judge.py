@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -240,11 +241,9 @@ class Judge:
         low, high = min(span[0] for span in spans), max(span[1] for span in spans)
         missed = math.hypot(self._lost_rms, self.unsettled or 0.0, self.rounding)
         lowest, highest = self.limits.identified
-        error = from_rest = unrested = None
+        errors: dict[str, Any] = {}
         if not self.limits.extrapolate or lowest <= low <= high <= highest:
-            error, from_rest, unrested = stated_errors(
-                lead, voltage, steps, move.start, missed
-            )
+            errors = stated_errors(lead, voltage, steps, move.start, missed)
         texts = [self._exceeding()] if self._clipped else []
         texts += start_warnings(lead, float(voltage[0]), self.off_at_first or 0.0)
         texts += range_warnings(self.limits, low, high)
@@ -268,9 +267,7 @@ class Judge:
             first_clipped=self._first_clipped,
             lost_rms=self._lost_rms,
             lost_most=self._largest,
-            expected_error=error,
-            expected_known=from_rest,
-            expected_unrested=unrested,
+            **errors,
             starts_at=float(voltage[0]) if asks_start else None,
             past_known=lead.past_known,
             is_loop=self.unsettled is not None,
@@ -284,8 +281,8 @@ class Judge:
 
 def stated_errors(
     lead: Lead, voltage: Floats, dt: Steps, begin: int, missed: float
-) -> tuple[float | None, float | None, float | None]:
-    """Return the error to expect; from a known past, where it is not known; and not from rest behind a sweep.
+) -> dict[str, float]:
+    """Return the errors to expect of a drive, by the names of ``Drive``; none where the model does not know.
 
     Parameters
     ----------
@@ -296,16 +293,20 @@ def stated_errors(
     """
     expected = expect.expected_error(lead.model, voltage, dt, begin)
     if expected is None:
-        return None, None, None
+        return {}
     known, past, memory = expected
     if lead.condition:
         missed = math.hypot(missed, past)
         unrested = math.hypot(math.hypot(known, memory), missed)
-        return math.hypot(known, missed), None, unrested
+        return {
+            "expected_error": math.hypot(known, missed),
+            "expected_unrested": unrested,
+        }
+    from_known = math.hypot(known, missed)
     if lead.past_known:
-        return math.hypot(known, missed), None, None
+        return {"expected_error": from_known}
     error = math.hypot(math.hypot(*expected), missed)
-    return error, math.hypot(known, missed), None
+    return {"expected_error": error, "expected_known": from_known}
 
 
 def start_warnings(lead: Lead, first: float, off: float) -> list[str]:

@@ -18,7 +18,7 @@ from dbo_cli.drive.limits import Limits, rounded_up, voltage_in
 from dbo_cli.drive.smooth import swing_rows, swings
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.model import Cascade, State
-from dbo_cli.units import Typed, parse_quantity
+from dbo_cli.units import Typed, quantity
 
 SWEEP_SECONDS = 1.0
 """s over the whole range, where no slew limit asks for more; as ``excite`` by default."""
@@ -293,12 +293,10 @@ class Lead:
 
 def _seconds(name: str, value: Typed | None) -> Typed | None:
     """Return typed seconds as a number; UsageError where they are not above 0, None or auto."""
-    if value is None or value == "auto":
-        return value
-    seconds = parse_quantity(value, "s", name)
-    if 0.0 < seconds < math.inf:
-        return seconds
-    raise UsageError(f"`{name}` {value}: give seconds above 0, or auto")
+    seconds: Typed | None = quantity(name, value, "s", "auto")
+    if isinstance(seconds, float) and not seconds > 0.0:
+        raise UsageError(f"`{name}` {value}: give seconds above 0, or auto")
+    return seconds
 
 
 def _require_short(added: float, option: str, seconds: float) -> None:

@@ -91,13 +91,9 @@ class Controller:
         self._dt = 1.0 / sample_rate
         step = self.limits.largest_step(self._dt)
         self._step = math.inf if step is None else float(step)
-        self.last = Lead(model, limits, state, from_).standing
-        if self.last is not None:
-            if not isinstance(state, State):
-                begin = model.start(self.last, state)
-                state = model.run(np.array([self.last]), begin, self._dt).state
-            state = dataclasses.replace(state, drive=self.last)
-        self._begin = state
+        lead = Lead(model, limits, state, from_)
+        self.last = lead.standing
+        self._begin, *_ = lead.planned(0.0, self._dt, None)
         self._stepper: Any = None
         self._plan: Planned | None = None  # and not committed yet
         # of a first row: the state before it, and that behind it, of an amplifier

@@ -47,25 +47,26 @@ def stacked(blocks: list[Rows]) -> Rows:
 
 
 class Due(NamedTuple):
-    """Rows behind which enough is known to drive them.
+    """Rows on their way to a drive.
 
     Attributes
     ----------
     target : array
-        What the static part is to reach.
+        What is asked for; once enough is known behind them, what the static part is to
+        reach.
     desired, time : array
         Of the rows; no time without a clock.
-    phase : {"move", "lead"}
-        Whether they stand before the move.
     dt : float, array or None
         Seconds since the row before.
+    phase : {"move", "lead"}
+        Whether they stand before the move.
     """
 
     target: Floats
     desired: Floats
     time: Floats | None
-    phase: str
     dt: Steps
+    phase: str = "move"
 
 
 class Ahead:
@@ -77,31 +78,18 @@ class Ahead:
         A forward model, seconds a row, and the state before the first row.
     """
 
-    def __init__(
-        self,
-        model: Cascade,
-        dt: Steps,
-        state: State | str | None,
-    ) -> None:
-        self._model, self._dt = model, dt
+    def __init__(self, model: Cascade, dt: Steps, state: State | str) -> None:
+        self._model = model
         inverter = model.inverter(dt)
         self._count = inverter.ahead
         self._undoing = inverter.behind(state) if isinstance(state, State) else None
-        self._waiting: deque[tuple[Floats, Floats | None, str]] = deque()
+        self._waiting: deque[Due] = deque()
         self._asked = np.empty(0)  # of the blocks that wait, and of those after
 
-    def take(
-        self,
-        dt: Steps,
-        asked: Floats,
-        desired: Floats,
-        time: Floats | None,
-        phase: str = "move",
-    ) -> list[Due]:
-        """Take a block, what is asked for and what is desired; return the blocks that are due."""
-        self._dt = dt
-        self._waiting.append((desired, time, phase))
-        return self._due(asked)
+    def take(self, block: Due) -> list[Due]:
+        """Take a block; return the blocks that are due."""
+        self._waiting.append(block)
+        return self._due(block.target)
 
     def remaining(self) -> list[Due]:
         """Return the blocks that are left: the last value goes on for ever."""
@@ -112,13 +100,16 @@ class Ahead:
         if self._asked.size:
             asked = np.concatenate([self._asked, asked])
         blocks = []
-        while self._waiting and asked.size >= self._waiting[0][0].size + self._count:
-            desired, time, phase = self._waiting.popleft()
-            read = asked[: desired.size + self._count]
-            asked = asked[desired.size :]
-            inverter = self._model.inverter(self._dt)
+        while (
+            self._waiting and asked.size >= self._waiting[0].desired.size + self._count
+        ):
+            block = self._waiting.popleft()
+            rows = block.desired.size
+            inverter = self._model.inverter(block.dt)
+            read = asked[: rows + self._count]
             target, self._undoing = inverter.run(read, self._undoing)
-            blocks.append(Due(target, desired, time, phase, self._dt))
+            asked = asked[rows:]
+            blocks.append(block._replace(target=target))
         self._asked = asked
         return blocks
 
@@ -196,7 +187,7 @@ class Simulator:
             run = self.model.run(x, start, dt, self.outside)
             self.state = run.state
             return self._counted(x, run.y, time)
-        return self._driven(self._ahead.take(dt, x, x, time))
+        return self._driven(self._ahead.take(Due(x, x, time, dt)))
 
     def finish(self) -> Rows:
         """Return what was held back, as if the last value went on for ever; warn of rows outside."""
