@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dbo_cli.export.export import Export, export_model
-from dbo_cli.export.folder import write_folder
+from dbo_cli.export.export import Export, export_model, write_folder
 
 __all__ = ["Export", "export_model", "write_folder"]

@@ -1,21 +1,32 @@
-"""A model as a folder of C sources with tables, self-test, and one page to read."""
+"""A model as a folder of C sources with tables, self-test, and one page to read.
+
+The files of a folder appear together or not at all, and only ever replace an export.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import json
+import os
 import re
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from dbo_cli.drive.limits import Limits
-from dbo_cli.errors import UsageError
+from dbo_cli.errors import OutputError, UsageError
 from dbo_cli.export import text as c
 from dbo_cli.export.double import double_sources
 from dbo_cli.export.plan import Loss, Plan, with_fewer_gears
 from dbo_cli.export.q31 import q31_sources
+from dbo_cli.files import telling, write_all
 from dbo_cli.model import Cascade
+from dbo_cli.reports.words import json_text
 
 IDENTIFIER = re.compile(r"(?!dboq?_)[A-Za-z][A-Za-z0-9_]{0,39}")  # dbo_: the kernel's
 NUMBER_TYPES = {"double": "double", "q31": "int32_t"}
 """The arithmetics, and the type of what goes in and comes out."""
+MANIFEST = "export.json"
 
 
 class Export(NamedTuple):
@@ -174,3 +185,44 @@ def _self_test(name: str, number: str, sources: c.Sources) -> dict[str, str]:
         calls.append(f'    wrong += play("{label}", &state, {arguments});')
         count += len(inputs)
     return {"VECTORS": vectors, "RUNS": "\n".join(calls), "COUNT": str(count)}
+
+
+# --- the folder ---
+
+
+def write_folder(
+    folder: str, files: Mapping[str, str], figures: Mapping[str, Any]
+) -> None:
+    """Write files, and their ``figures`` as export.json, into a folder; an older export is replaced.
+
+    Raises
+    ------
+    OutputError
+        Writing failed, or the folder holds something else; what stood there stays.
+    """
+    names = [*sorted(files), MANIFEST]
+    manifest = {"format": "dbo-export", "version": 1, **figures, "files": names}
+    target, older = Path(folder), set()
+    if target.is_dir():
+        older = _files_of_export(target)
+    contents = {**files, MANIFEST: json_text(manifest)}
+    write_all(folder, {name: data.encode() for name, data in contents.items()})
+    with telling(folder):
+        for name in older - set(names):
+            (target / name).unlink()
+
+
+def _files_of_export(target: Path) -> set[str]:
+    """Return what is in the folder of an older export; refuse what is neither its nor built from it."""
+    names: set[str] = set()
+    with contextlib.suppress(OSError, ValueError, TypeError, KeyError):
+        manifest = json.loads((target / MANIFEST).read_text(encoding="utf-8"))
+        if manifest["format"] == "dbo-export":
+            names = {*manifest["files"], f"{manifest['name']}_test"}
+    present = set(os.listdir(target))
+    for name in sorted(present - names):
+        if not name.endswith(".o"):
+            raise OutputError(
+                f"{target}: holds '{name}', which is not of an export: choose another folder"
+            )
+    return present

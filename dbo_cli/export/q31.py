@@ -6,10 +6,9 @@ import math
 
 import numpy as np
 
-from dbo_cli.export import q31_tables as tables
+from dbo_cli.export import fixed_point
 from dbo_cli.export import text as c
 from dbo_cli.export.plan import Plan
-from dbo_cli.export.q31_bounds import bounds_of
 
 STEP_PARTS = 2**26  # of a step, as dbo_q31_interpolation.h counts them
 MOST_GEARS = 46_340
@@ -29,11 +28,11 @@ def q31_sources(plan: Plan) -> c.Sources:
     """
     _check(plan)
     gears, starts = plan.gears, plan.forward.starts
-    fixed = tables.FixedPoint(plan)
+    fixed = fixed_point.FixedPoint(plan)
     source, drive = fixed.source, fixed.drive
-    bounds = bounds_of(fixed)
+    bounds = fixed_point.bounds_of(fixed)
     kernel = ["dbo_q31.h", "dbo_q31.c"]
-    low, high, change, positions = tables.limits_of(fixed)
+    low, high, change, positions = fixed_point.limits_of(fixed)
     tolerance = round(-math.log2(bounds["fraction"]))
     text = _gear_tables(fixed, tolerance)
     curves, numbers = _functions(fixed)
@@ -92,17 +91,17 @@ def _check(plan: Plan) -> None:
     """Refuse what q31 has no arithmetic or no bound for."""
     for stage in ("amplifier", "dynamics"):
         if getattr(plan.forward, stage) is not None:
-            raise tables.beyond_q31(stage)
+            raise fixed_point.beyond_q31(stage)
     if np.any(plan.gears.gain < 0.0):  # no bound is proven for them
-        raise tables.beyond_q31(f"{plan.key}.relaxation.gain")
+        raise fixed_point.beyond_q31(f"{plan.key}.relaxation.gain")
     if np.any(1.0 - plan.decay < SLOWEST_REST):
         slow = f"{plan.key}.relaxation.tau"
-        raise tables.beyond_q31(slow, "lower `sample_rate`, or ")
+        raise fixed_point.beyond_q31(slow, "lower `sample_rate`, or ")
     if plan.gears.n > MOST_GEARS:
-        raise tables.beyond_q31(f"{plan.key}.dx", "lower `gears`, or ")
+        raise fixed_point.beyond_q31(f"{plan.key}.dx", "lower `gears`, or ")
 
 
-def _functions(fixed: tables.FixedPoint) -> tuple[str, dict[str, str]]:
+def _functions(fixed: fixed_point.FixedPoint) -> tuple[str, dict[str, str]]:
     """Return the curves around the gears as segments; and how many there are, and their shifts."""
     gears, at_drive = fixed.plan.gears, fixed.y_axis
     # where the gears begin on the input, which the memory widens
@@ -113,21 +112,21 @@ def _functions(fixed: tables.FixedPoint) -> tuple[str, dict[str, str]]:
         ("behind", fixed.after, (gears.x0, at_drive.count_unit), fixed.drive),
         ("drive", fixed.start, fixed.drive, (gears.x0, at_drive.unit)),
     ):
-        rows, shift = tables.segments_of(curve, x, y)
+        rows, shift = fixed_point.segments_of(curve, x, y)
         text += c.array("dboq_segment", f"{name}_segments", rows, c.whole)
         numbers[f"{name.upper()}_ROWS"] = f"{len(rows)}U"
         numbers[f"{name.upper()}_SHIFT"] = f"{shift}U"
     return text, numbers
 
 
-def _gear_tables(fixed: tables.FixedPoint, tolerance: int) -> str:
+def _gear_tables(fixed: fixed_point.FixedPoint, tolerance: int) -> str:
     """Return the tables of the gears and of the memory, and the operator, whose tolerance is 2^-tolerance."""
     plan, memory, x_axis, y_axis = fixed.plan, fixed.memory, fixed.x_axis, fixed.y_axis
     n, run = plan.gears.n, plan.gears.equal_run
     slopes = y_axis.widths / x_axis.widths * (x_axis.unit / y_axis.unit)
-    slope_shift = tables.shift_for(float(slopes.max()))
+    slope_shift = fixed_point.shift_for(float(slopes.max()))
     if slope_shift < 16:
-        raise tables.beyond_q31(f"{plan.key}.dy")
+        raise fixed_point.beyond_q31(f"{plan.key}.dy")
     numbers = [x_axis.widths / x_axis.unit, y_axis.widths / y_axis.unit]
     numbers.append(slopes * 2.0**slope_shift)
     rows = np.rint(np.column_stack(numbers)).astype(np.int64)
