@@ -3,12 +3,12 @@
 Positions along the axes of the gears are finer than counts.
 
 The bounds are derived from the tables, step by step. Every rounding is bounded by half a
-unit, and followed to the output through the slopes. Two runs cross the same gears unless the drive turns within the crossing tolerance of a
-gear's end. After such a turn their remembered turning points differ by up to one gear's
-width until a larger move wipes them out. The output depends on nested turning points
-m_1, m_2 ... by the difference of the slopes at which the branches before and behind each
-end, and these differences add up to at most the total variation of the slopes: hence one
-width times that variation.
+unit, and followed to the output through the slopes. Two runs cross the same gears unless
+the drive turns within the crossing tolerance of a gear's end. After such a turn their
+remembered turning points differ by up to one gear's width until a larger move wipes them
+out. The output depends on nested turning points m_1, m_2 ... by the difference of the
+slopes at which the branches before and behind each end, and these differences add up to at
+most the total variation of the slopes: hence one width times that variation.
 
 Memory feeds an error back, and the bound comes from energy: with V = sum c_j e_j^2 / (2 b_j)
 a disturbance r of the input gives V_k+1 <= V_k + r e - s e^2 - sum c_j ((b_j/2) e^2 +
