@@ -66,7 +66,6 @@ class Driver:
         self.model, self.limits, self.name = lead.model, lead.limits, name
         self.lead, self.on_limit, self.return_rows = lead, on_limit, return_rows
         self.return_to = voltage_in("return_", return_to, lead.model.input)
-        self._last = lead.standing  # the last row
         self._judge = Judge(lead, on_limit, name)
         self._state: State | str = lead.state
         self._row_count = 0
@@ -144,7 +143,7 @@ class Driver:
 
     def _way_back(self) -> Floats:
         """Return the voltages from the last row to where the amplifier goes."""
-        last, end = self._last, self.return_to
+        last, end = self._judge.last, self.return_to
         assert last is not None
         if end is None:
             return np.full(self.return_rows, last)
@@ -184,12 +183,12 @@ class Driver:
         self._judge.warned = loop.require_settled(self.on_limit)
         leading, period = loop.lead_voltage, loop.voltage
         first = float(leading[0] if leading.size else period[0])
-        self.limits.require_reachable((first, first), self._last, dt)
+        self.limits.require_reachable((first, first), self._judge.last, dt)
         self._state, self._step = loop.begin, dt
         stamps = time[0] - dt * np.arange(leading.size, 0.0, -1.0)
         before = self._played(stamps, leading, "lead", True)
         first_pass = self._played(time, period, "move", True)
-        self.limits.admit(period[:1], self._last, dt)  # the seam
+        self.limits.admit(period[:1], self._judge.last, dt, "move")  # the seam
         unsettled = first_pass.x - loops.settled_run(model, period, dt, loop.state)
         self._judge.unsettled = float(np.sqrt(np.mean(unsettled**2)))
         drive = self._judge.concluded(self._state, dt)
@@ -299,7 +298,7 @@ class Driver:
         count = voltage.size + still_rows
         stamps = (begin or 0.0) - step * np.arange(count, 0.0, -1.0)
         if not voltage.size:
-            self.limits.require_reachable(self.limits.move, self._last, dt)
+            self.limits.require_reachable(self.limits.move, self._judge.last, dt)
         way, at_rest = np.split(stamps, [voltage.size])
         rows = self._played(way, voltage, "lead", time is not None)
         self._ahead = Ahead(self.model, dt, self._state)
@@ -336,14 +335,14 @@ class Driver:
         """Return the drive of rows that are due, with which the static part reaches their target."""
         model, limits, target = self.model, self.limits, due.target
         state = model.start_drive(float(target[0]), self._state, *limits.move)
-        if self._last is None:
-            self._last = state.drive  # of a start at an end of the range
+        if self._judge.last is None:
+            self._judge.last = state.drive  # of a start at an end of the range
         run = model.drive(target, state, due.dt, limits.move, limits.slew)
         if self._judge.off_at_first is None:
             self._judge.begin(self._first, float(target[0]), run, state)
         if due.phase == "move":
             self._judge.clip(due.desired, target, run, state, due.dt)
-        self._admit(run.y, due.dt, due.phase)
+        self._judge.admit(run.y, due.dt, due.phase)
         self._state = run.state
         if due.time is not None:
             self._state = replace(run.state, time=float(due.time[-1]))
@@ -354,15 +353,9 @@ class Driver:
         if not voltage.size:
             return NO_ROWS
         run = self.model.run(voltage, self._last_state, self._step)
-        self._admit(voltage, self._step, phase)
+        self._judge.admit(voltage, self._step, phase)
         self._state = replace(run.state, time=float(time[-1]))
         return Rows(time if clocked else None, run.y, voltage)
-
-    def _admit(self, voltage: Floats, dt: Steps, phase: str) -> None:
-        """Let rows of a part (``lead``, ``move``, ``return``) pass the gate, and count them."""
-        self.limits.admit(voltage, self._last, dt, phase)
-        self._last = float(voltage[-1])
-        self._judge.count(voltage, dt, phase)
 
     def _require_numbers(self, values: Floats) -> None:
         """Refuse a row that is no displacement (InputError)."""

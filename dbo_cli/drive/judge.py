@@ -27,7 +27,7 @@ LONG_HOLD = 100.0  # times the longest time constant: what creeps has come to re
 
 
 class Judge:
-    """Counts the rows of a drive as they come, refuses what limits cost, and concludes.
+    """Lets the rows of a drive pass the gate and counts them, refuses what limits cost, and concludes.
 
     Parameters
     ----------
@@ -40,6 +40,8 @@ class Judge:
 
     Attributes
     ----------
+    last : float or None
+        The last row, or where the amplifier stands before the first; None: not known.
     off_at_first : float or None
         How far the first row starts off its displacement, or is in motion; None: not looked at.
     rounding : float
@@ -53,6 +55,7 @@ class Judge:
     def __init__(self, lead: Lead, on_limit: str, name: str) -> None:
         self.model, self.limits, self.lead = lead.model, lead.limits, lead
         self.on_limit, self.name = on_limit, name
+        self.last = lead.standing
         self.off_at_first: float | None = None
         self.rounding = 0.0
         self.unsettled: float | None = None
@@ -126,10 +129,16 @@ class Judge:
         if self.on_limit == "error":
             raise self._refusal()
 
-    def count(self, voltage: Floats, dt: Steps, phase: str) -> None:
-        """Count rows of a part: ``lead``, ``move``, of which ``clip`` knows already, or ``return``."""
-        if not voltage.size:
-            return
+    def admit(self, voltage: Floats, dt: Steps, phase: str) -> None:
+        """Let rows of a part pass the gate: ``lead``, ``move``, which ``clip`` has counted, or ``return``.
+
+        Raises
+        ------
+        GateError
+            A row breaks a limit: this program's fault.
+        """
+        self.limits.admit(voltage, self.last, dt, phase)
+        self.last = float(voltage[-1])
         self._widen(phase, voltage)
         first = voltage.size
         if phase == "move":

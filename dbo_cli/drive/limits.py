@@ -21,7 +21,7 @@ import numpy as np
 
 from dbo_cli.arrays import Booleans, Floats, Range
 from dbo_cli.errors import DboError, InputError, LimitError, UsageError
-from dbo_cli.model import Quantity
+from dbo_cli.model import Quantity, Steps
 from dbo_cli.model.gears import largest_step
 from dbo_cli.units import Typed, parse_quantity
 
@@ -109,13 +109,13 @@ class Limits:
             raise UsageError("`extrapolate` needs `v_min` or `v_max`")
         low = voltage_in("v_min", v_min, quantity)
         high = voltage_in("v_max", v_max, quantity)
+        low = quantity.min if low is None else low
+        high = quantity.max if high is None else high
         slew = None
         if max_slew is not None:
             per_second = None if quantity.unit is None else f"{quantity.unit}/s"
             slew = parse_quantity(max_slew, per_second, "max_slew", 0.0)
         given = any(limit is not None for limit in (v_min, v_max, max_slew))
-        low = quantity.min if low is None else low
-        high = quantity.max if high is None else high
         return cls((low, high), quantity, slew, extrapolate, given)
 
     @property
@@ -139,7 +139,7 @@ class Limits:
         """The unit behind a blank, for messages."""
         return self.quantity.suffix
 
-    def largest_step(self, dt: float | Floats | None) -> float | Floats | None:
+    def largest_step(self, dt: Steps) -> Any:
         """Return the largest change in a time step (s), rounded down; None where any change is allowed.
 
         Raises
@@ -151,8 +151,7 @@ class Limits:
             raise InputError(
                 "`max_slew` needs a clock: add `time` COLUMN or `sample_rate` HZ"
             )
-        step: float | Floats | None = largest_step(self.slew, dt)
-        return step
+        return largest_step(self.slew, dt)
 
     def require_start(self, voltage: float, name: str) -> None:
         """Refuse an amplifier that stands outside the rating.
@@ -173,11 +172,7 @@ class Limits:
     # --- the gate ---
 
     def broken(
-        self,
-        voltage: Floats,
-        last: float | None,
-        dt: float | Floats | None = None,
-        phase: str = "move",
+        self, voltage: Floats, last: float | None, dt: Steps, phase: str
     ) -> tuple[Booleans, str]:
         """Return which rows break a limit, and how the first one does.
 
@@ -188,7 +183,7 @@ class Limits:
         last : float or None
             Where the amplifier stands before them; None: any first row inside the range may
             come.
-        dt : float or array, optional
+        dt : float, array or None
             Seconds since the row before; needed with a slew limit.
         phase : {"move", "lead", "return"}
             What the rows are: rows of a move keep the move's range, others the rating.
@@ -220,13 +215,7 @@ class Limits:
             f"{self.slew:g}{unit}/s"
         )
 
-    def admit(
-        self,
-        voltage: Floats,
-        last: float | None,
-        dt: float | Floats | None = None,
-        phase: str = "move",
-    ) -> None:
+    def admit(self, voltage: Floats, last: float | None, dt: Steps, phase: str) -> None:
         """Let rows pass; see ``broken``.
 
         Raises
@@ -241,9 +230,7 @@ class Limits:
                 "(please report it)"
             )
 
-    def require_reachable(
-        self, aim: Range, last: float | None, dt: float | Floats | None
-    ) -> None:
+    def require_reachable(self, aim: Range, last: float | None, dt: Steps) -> None:
         """Refuse a first row within ``aim`` that one step from ``last``, if that is known, does not reach.
 
         Raises

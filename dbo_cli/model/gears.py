@@ -198,26 +198,6 @@ class Gears(Keyed):
         content = bits.to_bytes(8 * size, "little")
         return np.frombuffer(content, dtype="<u8").astype(np.uint64)
 
-    def settled(self, voltage: float, covered: int, spare: int) -> int:
-        """Return the bits after an oscillation that decays from the whole range to ``voltage``.
-
-        The range is that of the first ``covered`` gears; others stay as they are in the
-        bits ``spare``.
-
-        The oscillation turns at ``voltage + A`` and ``voltage - A``, both cut off at
-        the ends of the range; A falls arbitrarily slowly to 0 and the first turn is the
-        upper one. The gears stop flipping from the highest to the lowest. With the
-        gears up to k spanning [low, high], gear k stops when A no longer reaches high
-        (it stays 0) or low (it stays 1), whichever comes first: the end that is farther
-        from ``voltage``. A tie, as with even gears halfway, stays 1; a tolerance
-        decides that, not rounding.
-        """
-        words = self.words(spare)
-        kernel.extension.backlash_settled(
-            self.operator(True, is_inverse=True), words, covered, float(voltage),
-        )  # fmt: skip
-        return bits_of(words)
-
     def run(
         self,
         x: ArrayLike,
@@ -443,6 +423,14 @@ class Starts:
         below the lower end, else settled (a model may keep another one:
         ``Cascade.auto_start``).
 
+        The oscillation turns at ``voltage + A`` and ``voltage - A``, both cut off at
+        the ends of the range; A falls arbitrarily slowly to 0 and the first turn is the
+        upper one. The gears stop flipping from the highest to the lowest. With the
+        gears up to k spanning [low, high], gear k stops when A no longer reaches high
+        (it stays 0) or low (it stays 1), whichever comes first: the end that is farther
+        from ``voltage``. A tie, as with even gears halfway, stays 1; a tolerance
+        decides that, not rounding.
+
         Raises
         ------
         ModelError
@@ -454,7 +442,11 @@ class Starts:
             return fixed[name]
         if name not in START_NAMES:
             raise ModelError(f"`state` {name}: give {', '.join(START_NAMES)} or a file")
-        return self.gears.settled(voltage, self.covered, self.empty)
+        words = self.gears.words(self.empty)
+        kernel.extension.backlash_settled(
+            self.gears.operator(True, is_inverse=True), words, self.covered, float(voltage),
+        )  # fmt: skip
+        return bits_of(words)
 
     def voltage_settled_at(self, output: float, low: float, high: float) -> float:
         """Return the voltage in [low, high] whose own settled state leads to ``output``.

@@ -234,32 +234,31 @@ def waveform(
         raise UsageError(f"{name}: one row is not a drive")
     resampled, rate, change = _at_points(voltage, drive_rate, points, rate, loop)
     exact = resampled / gain
-    line = _line(exact, rate, gain, change)
     low, high = sorted(end / gain for end in limits.rating)
     slew = None if limits.slew is None else limits.slew / abs(gain)
     values: Values = exact
-    heard, meaning, ends = exact, "", (low, high)
+    heard, meaning, ends, rounding = exact, "", (low, high), 0.0
     if form.codes is not None:
         with prefixed(name):
             (lowest, highest), ends = _codes_of(form, to, codes, volts, exact)
         values, heard = _encoded(exact, (lowest, highest), ends, (low, high))
         rounding = abs(gain) * float(np.abs(heard - exact).max())
-        line = _line(heard, rate, gain, change)
         meaning = (
             f"codes {lowest} to {highest} mean {ends[0]:.6g} to {ends[1]:.6g} V; "
             f"rounding changes the drive by {rounding:.3g} V"
         )
-        change = max(change, rounding)
         if slew is not None:  # codes stand a step beside
             slew += (ends[1] - ends[0]) / (highest - lowest) * rate
     allowance = 0.01 * max_rounding * float(np.ptp(voltage))
-    if not change <= allowance and np.ptp(voltage) > 0.0:
+    largest = max(change, rounding)
+    if not largest <= allowance and np.ptp(voltage) > 0.0:
         raise LimitError(
-            f"{name}: points or codes change the drive by up to {change:.3g} V, more than {allowance:.3g} V:"
+            f"{name}: points or codes change the drive by up to {largest:.3g} V, more than {allowance:.3g} V:"
             " raise `points`, `rate` or `max_rounding`, or narrow `volts`"
         )
     allowed = replace(limits, rating=(low, high), slew=slew, extrapolate=True)
     allowed.admit(heard, None, 1.0 / rate, "return")
+    line = _line(heard, rate, gain, change)
     return Waveform(form.write(values, rate, ends), heard, rate, line, meaning, values)
 
 

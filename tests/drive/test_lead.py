@@ -103,4 +103,4 @@ def test_units_of_limits():
 def test_gate_needs_a_clock_for_slew():
     limits = Limits.within(Quantity("voltage", "V", 0.0, 4.0), max_slew=1)
     with pytest.raises(InputError):
-        limits.broken(np.array([1.0]), None, None)
+        limits.broken(np.array([1.0]), None, None, "move")

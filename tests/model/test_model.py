@@ -135,7 +135,7 @@ def test_starts():
     assert model.start(-1.0).bits == 0
     assert model.start(5.0, "empty").bits == 0
     assert model.start(5.0, "full").bits == (1 << model.gears.n) - 1
-    assert model.start(5.0).bits == model.gears.settled(5.0, model.gears.n, 0)
+    assert model.start(5.0).bits == model.starts.bits(5.0, "settled")
     with pytest.raises(ModelError, match="auto, empty, full, settled"):
         model.start(5.0, "sideways")
     assert model.start_drive(5.0, "full").drive == pytest.approx(10.0)
