@@ -131,7 +131,7 @@ class Driver:
         self._judge.require_reached(self._step)
         voltage, begin = self._way_back(), self._last_state.time
         stamps = (begin or 0.0) + self._step * np.arange(1.0, voltage.size + 1.0)
-        back = self._played(stamps, voltage, "return", begin is not None)
+        back = self._played(stamps, voltage, "return")
         drive = self._judge.concluded(self._last_state, self._step)
         return stacked([rows, back]), drive
 
@@ -186,8 +186,8 @@ class Driver:
         self.limits.require_reachable((first, first), self._judge.last, dt)
         self._state, self._step = loop.begin, dt
         stamps = time[0] - dt * np.arange(leading.size, 0.0, -1.0)
-        before = self._played(stamps, leading, "lead", True)
-        first_pass = self._played(time, period, "move", True)
+        before = self._played(stamps, leading, "lead")
+        first_pass = self._played(time, period, "move")
         self.limits.admit(period[:1], self._judge.last, dt, "move")  # the seam
         unsettled = first_pass.x - loops.settled_run(model, period, dt, loop.state)
         self._judge.unsettled = float(np.sqrt(np.mean(unsettled**2)))
@@ -300,12 +300,11 @@ class Driver:
         if not voltage.size:
             self.limits.require_reachable(self.limits.move, self._judge.last, dt)
         way, at_rest = np.split(stamps, [voltage.size])
-        rows = self._played(way, voltage, "lead", time is not None)
+        rows = self._played(way, voltage, "lead")
         self._ahead = Ahead(self.model, dt, self._state)
         if still_rows:
             still = np.full(still_rows, first)
-            stamped = None if time is None else at_rest
-            due = self._ahead.take(Due(still, still, stamped, step, "lead"))
+            due = self._ahead.take(Due(still, still, at_rest, step, "lead"))
             rows = stacked([rows, *map(self._driven, due)])
         return dt, rows
 
@@ -348,14 +347,14 @@ class Driver:
             self._state = replace(run.state, time=float(due.time[-1]))
         return Rows(due.time, due.desired, run.y)
 
-    def _played(self, time: Floats, voltage: Floats, phase: str, clocked: bool) -> Rows:
+    def _played(self, time: Floats, voltage: Floats, phase: str) -> Rows:
         """Return rows that are played as they are, with the displacement that the model expects of them."""
         if not voltage.size:
             return NO_ROWS
         run = self.model.run(voltage, self._last_state, self._step)
         self._judge.admit(voltage, self._step, phase)
         self._state = replace(run.state, time=float(time[-1]))
-        return Rows(time if clocked else None, run.y, voltage)
+        return Rows(time, run.y, voltage)
 
     def _require_numbers(self, values: Floats) -> None:
         """Refuse a row that is no displacement (InputError)."""

@@ -19,7 +19,7 @@ from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.limits import STEP_ROUNDING, GateError, Limits
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import Cascade, State, Undoing
-from dbo_cli.model.lags import drive_before, window_behind
+from dbo_cli.model.lags import Reach
 from dbo_cli.units import Typed
 
 WANTED_SPANS = 1e12
@@ -249,10 +249,9 @@ class Controller:
         (low, high), last = self.limits.move, self.last
         assert last is not None
         low, high = max(low, last - self._step), min(high, last + self._step)
-        row = self._output, self._share, low, high
-        window = window_behind(self._model.head, *row)
-        stepper.limit(*window, self._model.gears.slack(*window))
-        voltage, output = drive_before(self._model.head, stepper.plan(at_gears), *row)
+        reach = Reach(self._model.head, self._output, self._share, low, high)
+        stepper.limit(*reach.window, self._model.gears.slack(*reach.window))
+        voltage, output = reach.drive(stepper.plan(at_gears))
         return voltage, bool(stepper.clipped), output
 
     def _way_in(self) -> float | None:

@@ -25,13 +25,7 @@ from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics, Inverter, Mode
 from dbo_cli.model.gears import NEGLIGIBLE, Gears, Starts, largest_step
-from dbo_cli.model.lags import (
-    Amplifier,
-    allowed_drive,
-    drive_before,
-    output_behind,
-    window_behind,
-)
+from dbo_cli.model.lags import Amplifier, Reach, allowed_drive, output_behind
 from dbo_cli.model.points import Curve, Curves, Points, Scale
 from dbo_cli.model.state import Quantity, Run, State, Steps, steps_of
 
@@ -207,8 +201,10 @@ class Cascade:
         """The same model without dynamics and delay."""
         if self.dynamics is None and self.delay is None:
             return self
-        amplifier = () if self.amplifier is None else (self.amplifier,)
-        return self.with_stages((*amplifier, *self.head, self.gears, *self.tail))
+        stages = [
+            each for each in self.stages if not isinstance(each, Dynamics | Delay)
+        ]
+        return self.with_stages(tuple(stages))
 
     def with_stages(self, stages: tuple[Stage, ...]) -> Cascade:
         """Return a model of the same quantities with other stages, without candidates."""
@@ -510,13 +506,11 @@ class Cascade:
         for row in range(first, output.size):
             last = math.nan if state.drive is None else state.drive
             low, high = allowed_drive(last, changes[row], window)
-            inner_output = state.amplifier or 0.0
-            row_limits = inner_output, float(shares[row]), float(low), float(high)
-            inner = window_behind(self.head, *row_limits)
+            reached, share = state.amplifier or 0.0, float(shares[row])
+            reach = Reach(self.head, reached, share, float(low), float(high))
             step = float(steps[row])
-            solved = self.gears.undo(output[row : row + 1], state, step, inner)
-            voltage = float(solved.y[0])
-            drive[row], reached = drive_before(self.head, voltage, *row_limits)
+            solved = self.gears.undo(output[row : row + 1], state, step, reach.window)
+            drive[row], reached = reach.drive(float(solved.y[0]))
             state = replace(solved.state, amplifier=reached, drive=float(drive[row]))
             if solved.clipped and not clipped:
                 first_clipped = row

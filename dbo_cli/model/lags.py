@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -183,12 +183,10 @@ def output_behind(before: Any, share: Any, drive: Any) -> Any:
     return before + share * (drive - before)
 
 
-def window_behind(
-    head: Curves, before: float, share: float, low: float, high: float
-) -> Range:
-    """Return the range of the voltage at the gears for a row's drive from ``low`` to ``high``.
+class Reach(NamedTuple):
+    """What the limits of a row's drive leave to the gears behind an amplifier.
 
-    Parameters
+    Attributes
     ----------
     head : Curves
         Between the amplifier and the gears.
@@ -197,20 +195,28 @@ def window_behind(
     share : float
         1 - a.
     low, high : float
-        Least and greatest drive.
+        Least and greatest drive of the row.
     """
-    return head.ends(
-        output_behind(before, share, low), output_behind(before, share, high)
-    )
 
+    head: Curves
+    before: float
+    share: float
+    low: float
+    high: float
 
-def drive_before(
-    head: Curves, voltage: float, before: float, share: float, low: float, high: float
-) -> tuple[float, float]:
-    """Return a row's drive for a voltage at the gears, and the amplifier's output; see ``window_behind``."""
-    output = head.inverse.value(voltage)
-    drive = before + (output - before) / share
-    return min(max(drive, low), high), output  # rounding on the way back
+    @property
+    def window(self) -> Range:
+        """The range of the voltage at the gears."""
+        ends = (self.low, self.high)
+        return self.head.ends(
+            *(output_behind(self.before, self.share, end) for end in ends)
+        )
+
+    def drive(self, voltage: float) -> tuple[float, float]:
+        """Return the row's drive for a voltage at the gears, and the amplifier's output."""
+        output = self.head.inverse.value(voltage)
+        drive = self.before + (output - self.before) / self.share
+        return min(max(drive, self.low), self.high), output  # rounding on the way back
 
 
 def allowed_drive(last: Any, change: Any, window: Range) -> tuple[Any, Any]:

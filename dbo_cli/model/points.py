@@ -145,9 +145,7 @@ class Points(_Curve):
 
     def value(self, x: float) -> float:
         """Return the output for one number."""
-        y = np.array([x])
-        kernel.extension.point_run(self.segments, self.x0, self.y0, y, y)
-        return float(y[0])
+        return float(self(x)[0])
 
     def identity(self) -> list[object]:
         """Return what a state of the stage refers to."""
