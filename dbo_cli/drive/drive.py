@@ -125,9 +125,8 @@ class Drive:
         """Return the error to expect; empty where it is not known."""
         if self.expected_error is None:
             return ""
-        error = in_full(self.expected_error, 2)
         unit = self.model.output.suffix
-        text = f"expected error {error}{unit} RMS"
+        text = f"expected error {in_full(self.expected_error, 2)}{unit} RMS"
         if self.mean_left_out is not None:
             return f"{text} without the mean, {in_full(self.mean_left_out, 2)}{unit} (`absolute` learns it)"
         if self.expected_unrested is not None:
@@ -137,9 +136,8 @@ class Drive:
             return text
         if self.expected_known is None:
             return f"{text} (past unknown)"
-        from_rest = in_full(self.expected_known, 2)
         way = "from a known `state`" if self.is_loop else "from rest with `condition`"
-        return f"{text} (past unknown; {from_rest} {way})"
+        return f"{text} (past unknown; {in_full(self.expected_known, 2)} {way})"
 
     def summary(self) -> dict[str, Any]:
         """Return the drive as plain values, for a summary in JSON."""

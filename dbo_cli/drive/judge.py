@@ -60,7 +60,7 @@ class Judge:
         self.rounding = 0.0
         self.unsettled: float | None = None
         self.warned: tuple[str, ...] = ()
-        # rows, least and greatest voltage by part of the drive; and the displacement's
+        # rows by part of the drive; least and greatest voltage, that before the move, and displacement
         self._rows: Counter[str] = Counter()
         self._ranges: dict[str, list[float]] = {}
         # of the move: what limits cut off, and what no voltage reaches
@@ -139,7 +139,9 @@ class Judge:
         """
         self.limits.admit(voltage, self.last, dt, phase)
         self.last = float(voltage[-1])
-        self._widen(phase, voltage)
+        self._widen("voltage", voltage)
+        if phase == "lead":
+            self._widen("lead", voltage)
         first = voltage.size
         if phase == "move":
             first = max(first + expect.FIRST_ROWS - self._rows[phase], 0)
@@ -246,8 +248,7 @@ class Judge:
         lead, ranges = self.lead, self._ranges
         voltage, steps = self._played()
         move = slice(self._rows["lead"], self._rows["lead"] + self._rows["move"])
-        spans = [ranges[part] for part in ("lead", "move", "return") if part in ranges]
-        low, high = min(span[0] for span in spans), max(span[1] for span in spans)
+        low, high = ranges["voltage"]
         missed = math.hypot(self._lost_rms, self.unsettled or 0.0, self.rounding)
         lowest, highest = self.limits.identified
         errors: dict[str, Any] = {}

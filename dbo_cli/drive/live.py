@@ -99,9 +99,6 @@ class Controller:
         # of a first row: the state before it, and that behind it, of an amplifier
         self._first: State | None = None
         self._first_run: State | None = None
-        self._to_gears = model.tail.inverse
-        self._from_gears = model.head.inverse
-        self._amplifier = model.amplifier
         self._output = 0.0  # of the amplifier, now
         if model.amplifier is not None:
             self._share = float(model.amplifier.share(self._dt)[0])
@@ -129,7 +126,7 @@ class Controller:
             drive=self.last,
             undoing=self._memory,
             model=self._model.digest,
-            amplifier=None if self._amplifier is None else self._output,
+            amplifier=None if self._model.amplifier is None else self._output,
         )
 
     def plan(self, wanted: float) -> float:
@@ -153,7 +150,7 @@ class Controller:
                 row = np.array([target])
                 run = self._model.drive(row, start, self._dt, (low, high), slew)
                 voltage, clipped = float(run.y[0]), bool(run.clipped)
-                if self._amplifier is not None:
+                if self._model.amplifier is not None:
                     self._first_run = run.state
             self._first = start
         elif voltage is None:
@@ -186,12 +183,8 @@ class Controller:
             if applied is not None:
                 output = self._follow(voltage)
             self._stepper.commit()
-        self.last, self._output, self._queue, self._memory = (
-            voltage,
-            output,
-            queue,
-            memory,
-        )
+        self.last, self._output = voltage, output
+        self._queue, self._memory = queue, memory
         self.clipped += clipped
         self._plan = None
 
@@ -229,28 +222,29 @@ class Controller:
     def _follow(self, voltage: float) -> float:
         """Plan a voltage that was not asked of the gears; return what comes out of the amplifier."""
         output = 0.0
-        if self._amplifier is not None:
+        if self._model.amplifier is not None:
             before = State(amplifier=self._output)
             block = np.array([voltage])
-            run = self._amplifier.run(block, before, self._dt)
+            run = self._model.amplifier.run(block, before, self._dt)
             voltage = output = float(run.y[0])
         self._stepper.follow(self._model.head.value(voltage))
         return output
 
     def _planned(self, target: float) -> tuple[float, bool, float]:
         """Return the voltage of a later row, whether a limit held it, and the amplifier's output."""
-        stepper, at_gears = self._stepper, self._to_gears.value(target)
-        if self._amplifier is None:
+        stepper, model = self._stepper, self._model
+        at_gears = model.tail.inverse.value(target)
+        if model.amplifier is None:
             voltage, output = stepper.plan(at_gears), 0.0
-            if self._from_gears:
+            if model.head:
                 low, high = self.limits.move
-                voltage = min(max(self._from_gears.value(voltage), low), high)
+                voltage = min(max(model.head.inverse.value(voltage), low), high)
             return voltage, bool(stepper.clipped), output
         (low, high), last = self.limits.move, self.last
         assert last is not None
         low, high = max(low, last - self._step), min(high, last + self._step)
-        reach = Reach(self._model.head, self._output, self._share, low, high)
-        stepper.limit(*reach.window, self._model.gears.slack(*reach.window))
+        reach = Reach(model.head, self._output, self._share, low, high)
+        stepper.limit(*reach.window, model.gears.slack(*reach.window))
         voltage, output = reach.drive(stepper.plan(at_gears))
         return voltage, bool(stepper.clipped), output
 

@@ -89,13 +89,6 @@ class Resonance(Mode):
         return 1.0 / (2.0 * math.pi * self.frequency * self.damping)
 
     @property
-    def highest(self) -> float:
-        """The higher of the resonance's and the antiresonance's frequency (Hz)."""
-        if self.antiresonance is None:
-            return self.frequency
-        return max(self.frequency, self.antiresonance.frequency)
-
-    @property
     def output(self) -> tuple[float, float]:
         """What the numerator adds to p: parts of the lead u - p and of q (``dbo_section_output``)."""
         if self.antiresonance is None:
@@ -260,11 +253,12 @@ def section_inverse(section: Section, dt: float) -> SectionInverse:
     if root > 0.0:
         outer = half + math.copysign(math.sqrt(root), half)
         inner, outer = sorted([det / outer, outer], key=abs)
+    highest = max(section.frequency, (section.antiresonance or section).frequency)
     refusal = InputError(
         f"the model's resonance at {section.frequency:.6g} Hz is too fast to be undone at {1.0 / dt:.6g} Hz "
-        f"(`resample` {6.0 * section.highest:.6g} or more)"
+        f"(`resample` {6.0 * highest:.6g} or more)"
     )
-    if section.highest * dt > HIGHEST_PART:
+    if highest * dt > HIGHEST_PART:
         raise refusal
     if abs(outer) < 1.0 and section.antiresonance is not None:
         return SectionInverse(numbers, np.zeros(0), np.eye(2))
