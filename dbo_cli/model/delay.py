@@ -110,10 +110,13 @@ class Delay(Keyed):
         self, times: Floats, values: Floats, count: int
     ) -> tuple[Floats, Held]:
         """Delay the last ``count`` samples, looked up by time."""
-        times, values = _with_rest_before(times, values, count)
+        newest = values.size - count
+        if newest < 2 and values.size > 1:  # a signal that has just begun
+            step = float(times[1] - times[0])
+            times, values = _with_rest_before(times, values, step, WINDOW - 1)
+            newest += WINDOW - 1
         sought = np.ascontiguousarray(times[-count:] - self.seconds)
         y = np.empty(count)
-        newest = values.size - count
         before = kernel.extension.between(times, values, sought, y, newest, WHOLE_STEP)
         begin = max(before - (WINDOW - 1), 0)
         return y, (tuple(times[begin:].tolist()), tuple(values[begin:].tolist()))
@@ -133,9 +136,7 @@ class Delay(Keyed):
             needed = count_before + 1 + position
         missing = needed - (values.size - count)
         if missing > 0:
-            earlier = times[0] - step * np.arange(missing, 0, -1)
-            times = np.concatenate([earlier, times])
-            values = np.concatenate([np.full(missing, values[0]), values])
+            times, values = _with_rest_before(times, values, step, missing)
         begin = values.size - count - needed
         if fraction:
             six = values[begin : begin + count + WINDOW - 1]
@@ -206,13 +207,9 @@ class Delay(Keyed):
 
 
 def _with_rest_before(
-    times: Floats, values: Floats, count: int
+    times: Floats, values: Floats, step: float, count: int
 ) -> tuple[Floats, Floats]:
-    """Put five samples of the first value before a signal that has just begun, at its first step."""
-    past = values.size - count
-    if past > 1 or values.size < 2:
-        return times, values
-    step = float(times[1] - times[0])
-    rest_times = times[0] - step * np.arange(WINDOW - 1.0, 0.0, -1.0)
-    values_before = np.full(rest_times.size, values[0])
-    return np.concatenate([rest_times, times]), np.concatenate([values_before, values])
+    """Put ``count`` samples of the first value before a signal, ``step`` (s) apart."""
+    rest_times = times[0] - step * np.arange(float(count), 0.0, -1.0)
+    rest = np.full(count, values[0])
+    return np.concatenate([rest_times, times]), np.concatenate([rest, values])
