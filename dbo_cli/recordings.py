@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -28,8 +28,10 @@ from dbo_cli.logs.frame import (
 from dbo_cli.logs.table import Column
 from dbo_cli.model import Cascade, Quantity, State
 from dbo_cli.units import (
+    Typed,
     multiplied,
     parse_quantity,
+    quantity,
     quantity_name,
     ratio,
     split_header,
@@ -164,8 +166,8 @@ def table_in_memory(
     signals: Mapping[str, Any],
     unit_options: Units,
     units: Units,
-    time: Any = None,
-    sample_rate: float | None = None,
+    time: Any,
+    reading: Reading,
 ) -> tuple[Table, dict[str, str | None]]:
     """Return arrays, or a frame in the place of all, as a table, and which of its columns has which role.
 
@@ -177,9 +179,9 @@ def table_in_memory(
         By role, the unit that the user gives.
     units : mapping
         By role, the unit of a model that they are for.
-    time, sample_rate
-        Time in s, or a rate in Hz. The time index of a pandas object counts where
-        neither is given, judged as the time column of a file is.
+    time, reading
+        Time in s, or how the table will be read: with a rate, or without. The time index of
+        a pandas object counts where neither is given, judged as the time column of a file is.
 
     Raises
     ------
@@ -212,7 +214,7 @@ def table_in_memory(
     clock = None
     if time is not None:
         clock = column_in_memory(table.name, "time", seconds_of(time), "s")
-    elif sample_rate is None:
+    elif reading.sample_rate is None:
         clock = _index_of(table.name, signals)
     if clock is not None:
         columns["time"] = f"number={table.add(clock).number}"
@@ -413,11 +415,43 @@ def identified(
     return replace(model, provenance=provenance)
 
 
-def typed_constants(values: Sequence[float | str] | str) -> Any:
+def options_of(typed: Mapping[str, Any]) -> Options:
+    """Return what the user fixes of an identification, by the typed options of these names.
+
+    Raises
+    ------
+    UsageError
+        A value cannot be read, or makes no sense.
+    """
+    from dbo_cli.identification import Options
+
+    values = {attribute.name: typed[attribute.name] for attribute in fields(Options)}
+    for name in ("skip", "sensor_delay"):
+        values[name] = quantity(name, values[name], "s")
+    values["delay"] = quantity("delay", values["delay"], "s", "auto")
+    values["zero"] = quantity("zero", values["zero"], None, "none", "mean", "first")
+    for name in ("gears", "points", "dynamics"):
+        values[name] = _whole_number(name, values[name])
+    values["relaxation"] = _time_constants(values["relaxation"])
+    return Options(**values)
+
+
+def _whole_number(name: str, typed: int | str) -> Any:
+    """Return a typed whole number, or ``auto`` (UsageError)."""
+    if typed == "auto" or not isinstance(typed, str):
+        return typed
+    try:
+        return int(typed)
+    except ValueError:
+        raise UsageError(f"`{name}` {typed}: give auto or a whole number") from None
+
+
+def _time_constants(typed: Sequence[Typed] | str) -> Any:
     """Return typed time constants in s, 0 alone for none, or ``auto`` (UsageError)."""
-    if isinstance(values, str):
-        return values
-    constants = [parse_quantity(value, "s", "relaxation") for value in values]
+    if typed == "auto":
+        return typed
+    texts = typed.split(",") if isinstance(typed, str) else typed
+    constants = [parse_quantity(text, "s", "relaxation") for text in texts]
     if len(constants) > 1 and 0.0 in constants:
         raise UsageError("`relaxation`: give times above 0 s, or 0 alone")
     return tuple(constants)
@@ -426,9 +460,9 @@ def typed_constants(values: Sequence[float | str] | str) -> Any:
 def signal_of(
     data: Any,
     roles: tuple[str, str],
-    quantity: Quantity,
+    of_model: Quantity,
     time: Any,
-    sample_rate: float | None,
+    sample_rate: Typed | None,
     unit: str | None,
 ) -> Block:
     """Return a signal that a user hands over, in the unit of a model, as ``block["signal"]``.
@@ -439,14 +473,15 @@ def signal_of(
         An array, a Series, or a frame, which is read as the command reads a log.
     roles
         What it is, and the role of its column in a log.
-    quantity
-        Of the model.
+    of_model
+        What it is in the model.
     time, sample_rate, unit
-        As of ``Model.simulate``, the rate in Hz.
+        As of ``Model.simulate``.
     """
+    reading = Reading.typed({"sample_rate": sample_rate})
     role = roles[1] if is_frame(data) else roles[0]
-    signals, units = {role: data}, {role: quantity.unit}
-    source, columns = table_in_memory(signals, {role: unit}, units, time, sample_rate)
-    block = read_table(source, columns, Reading(sample_rate=sample_rate), units)[1]
+    signals, units = {role: data}, {role: of_model.unit}
+    source, columns = table_in_memory(signals, {role: unit}, units, time, reading)
+    block = read_table(source, columns, reading, units)[1]
     is_stamped = is_frame(data) or sample_rate is None
     return Block(block.time if is_stamped else None, {"signal": block[role]}, block.dt)

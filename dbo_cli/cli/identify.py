@@ -9,7 +9,6 @@ from typing import Any, Literal
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import READING, Text, Texts, flag, option, rare
 from dbo_cli.cli.say import detail, say, say_logs, say_output, working
-from dbo_cli.units import quantity
 
 
 def structure(metavar: str | None, text: str, default: str = "auto") -> Any:
@@ -53,30 +52,16 @@ def identify(
 
     Example: dbo identify run.csv --voltage CH1 --scale displacement=10um/V -o model.json
     """
+    typed = dict(locals())
     from dbo_cli import channels
     from dbo_cli.files import Outputs, check_outputs
-    from dbo_cli.identification import Options, describe
+    from dbo_cli.identification import describe
     from dbo_cli.model import dumps_model, dumps_set
-    from dbo_cli.recordings import identified, recordings_of, typed_constants
+    from dbo_cli.recordings import identified, options_of, recordings_of
     from dbo_cli.reports.show import shown_text
 
     check_outputs(output, summary)
-    options = Options(
-        sign=sign,
-        skip=quantity("skip", skip, "s"),
-        zero=quantity("zero", zero, None, "none", "mean", "first"),
-        sensor_delay=quantity("sensor_delay", sensor_delay, "s"),
-        gears=opt.whole_number("gears", gears),
-        points=opt.whole_number("points", points),
-        relaxation=typed_constants(
-            "auto" if relaxation == "auto" else relaxation.split(",")
-        ),
-        delay=quantity("delay", delay, "s", "auto"),
-        dynamics=opt.whole_number("dynamics", dynamics),
-        slopes=slopes,
-        method=method,
-        force=force,
-    )
+    options = options_of({**typed, "prior": None})
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
     columns_of = channels.columns_of(logs, reading, columns)
     priors = {} if prior is None else channels.models_of(prior, columns_of, columns)

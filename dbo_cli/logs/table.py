@@ -7,7 +7,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from typing import Any
 
@@ -129,13 +129,16 @@ class Reading:
             raise UsageError(f"`skip_lines` {self.skip_lines}: give 0 or more")
 
     @classmethod
-    def typed(cls, **options: Any) -> Reading:
-        """Return how a log is to be read, of options whose figures are numbers or texts with a unit."""
+    def typed(cls, options: Mapping[str, Any]) -> Reading:
+        """Return how a log is to be read, by the typed options that have the names of its attributes."""
+        names = [attribute.name for attribute in fields(cls)]
+        typed = [name for name in names if options.get(name) is not None]
+        values = {name: options[name] for name in typed}
         for name in ("sample_rate", "resample"):
-            options[name] = quantity(name, options.get(name), "Hz")
+            values[name] = quantity(name, options.get(name), "Hz")
         offset = options.get("clock_offset")
-        options["clock_offset"] = quantity("clock_offset", offset, "s", "auto")
-        return cls(**options)
+        values["clock_offset"] = quantity("clock_offset", offset, "s", "auto")
+        return cls(**values)
 
 
 def parse_rows(rows: str | None) -> tuple[int, int]:
