@@ -47,6 +47,7 @@ from dbo_cli.recordings import (
     signal_of,
     table_in_memory,
     tracked_of,
+    units_of,
 )
 from dbo_cli.reports import Report, expected_in
 from dbo_cli.units import Typed, quantity
@@ -621,9 +622,7 @@ def identify(
     if isinstance(prior, (str, Path)):
         prior = read_model(prior)
     shape = None if prior is None else prior.actuator
-    units: dict[str, str | None] = {}
-    if shape is not None:
-        units = {"voltage": shape.input.unit, "displacement": shape.output.unit}
+    units = units_of(shape, "displacement")
     given = {"voltage": voltage_unit, "displacement": displacement_unit}
     reading = Reading.typed(typed)
     columns: Mapping[str, str | None] = RECORDING_COLUMNS
@@ -726,9 +725,8 @@ def report(
     start = "auto" if actuator is None else room.state_of(state, actuator)
     signals = {"desired": desired, "measured": measured, "voltage": voltage}
     options = {"desired": unit, "measured": unit, "voltage": voltage_unit}
-    units: Units = {}
+    units: Units = units_of(actuator)
     if actuator is not None:
-        units = {"voltage": actuator.input.unit, "measured": actuator.output.unit}
         signals = {"voltage": desired, "measured": measured}
     if measured is None and not is_frame(desired):
         raise UsageError("report: give `desired` and `measured`, or a frame")

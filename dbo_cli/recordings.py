@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError, UsageError, warn
-from dbo_cli.logs import Block, Reading, Table, open_log, open_table
+from dbo_cli.drive.simulate import Rows
+from dbo_cli.errors import InputError, LimitError, UsageError, warn
+from dbo_cli.logs import Block, Log, Reading, Table, open_log, open_table
 from dbo_cli.logs.frame import (
     column_in_memory,
     frame_table,
@@ -27,6 +28,7 @@ from dbo_cli.logs.frame import (
 )
 from dbo_cli.logs.table import Column
 from dbo_cli.model import Cascade, Quantity, State
+from dbo_cli.reports import Pair, match, predict
 from dbo_cli.units import (
     Typed,
     multiplied,
@@ -40,10 +42,7 @@ from dbo_cli.units import (
 from dbo_cli.version import __version__
 
 if TYPE_CHECKING:
-    from dbo_cli.drive.simulate import Rows
     from dbo_cli.identification import Options, Recording
-    from dbo_cli.logs import Log
-    from dbo_cli.reports import Pair
 
 RECORDING_ROLES = ("voltage", "displacement")
 """The columns of a recording, beside its time; files, frames and arrays bring these."""
@@ -55,6 +54,13 @@ TRACKED_COLUMNS: Columns = dict.fromkeys(("time", "voltage", "measured"))
 """Nothing typed for the roles of a recording of a pass."""
 Units = Mapping[str, str | None]
 """The unit of each role; None: not known."""
+
+
+def units_of(model: Cascade | None, sensor: str = "measured") -> dict[str, str | None]:
+    """Return the units of a model's drive and displacement, by role; nothing without a model."""
+    if model is None:
+        return {}
+    return {"voltage": model.input.unit, sensor: model.output.unit}
 
 
 def read_table(
@@ -92,7 +98,7 @@ def read_table(
         raise InputError("give a file, or a frame of pandas or polars")
     with open_log(source, columns, reading, units, optional) as log:
         table = log.read()
-    warn_of_doubts(log)
+    log.warn_of_doubts()
     for role, column in log.columns.items():
         name = titles.get(column.name, column.name)
         log.columns[role] = replace(column, name=name)
@@ -133,19 +139,14 @@ def recordings_of(
         log, table = read_table(source, columns, reading, units)
         if logs:
             _refuse_other_units(logs[0], log)
-        drive, sensor = (log.columns[role].unit for role in RECORDING_ROLES)
-        units = {"voltage": drive, "displacement": sensor}
-        units = {role: unit for role, unit in units.items() if unit}
+        stated = {role: log.columns[role].unit for role in RECORDING_ROLES}
+        units = {role: unit for role, unit in stated.items() if unit}
+        into, out = [(quantity_name(role, unit), unit) for role, unit in stated.items()]
         # a model does not depend on where its logs were
         file, mark, inside = log.name.partition("::")
-        recording = Recording(
-            os.path.basename(file) + mark + inside,
-            table["voltage"],
-            table["displacement"],
-            table.time,
-            input=(quantity_name("voltage", drive), drive),
-            output=(quantity_name("displacement", sensor), sensor),
-        )
+        name = os.path.basename(file) + mark + inside
+        voltage, displacement = table["voltage"], table["displacement"]
+        recording = Recording(name, voltage, displacement, table.time, into, out)
         recordings.append(recording)
         logs.append(log)
     return recordings, logs
@@ -256,19 +257,17 @@ def pairs_of(
     InputError
         A log cannot be read, or its two columns measure different things.
     """
-    from dbo_cli.reports import Pair, predict
-
     common = dict(units or {})
     optional = ["time"]
     if model is None:
         optional.append("voltage")
     else:
         model.require("forward", model_name)
-        common = {"voltage": model.input.unit, "measured": model.output.unit}
+        common = units_of(model)
     pairs, logs = [], []
     for source in sources:
         log, table = read_table(source, columns, reading, common, optional)
-        warn_of_assumed(log)
+        log.warn_of_assumed()
         measured = table["measured"]
         desired = table.values.get("desired", measured)
         stated = {role: column.unit for role, column in log.columns.items()}
@@ -317,8 +316,6 @@ def matched(
     ``desired`` is the column of that file; its drive is looked for beside it. Without a
     summary, nothing tells where the move of a drive ends.
     """
-    from dbo_cli.reports import Pair, match
-
     roles = {"time": None, "trajectory": desired}
     roles["voltage"] = _drive_beside(trajectory, desired)
     optional = ("time", "voltage")
@@ -348,18 +345,6 @@ def _drive_beside(trajectory: str, desired: str | None) -> str | None:
     return next((each for each in quantities if name.startswith(each)), None)
 
 
-def warn_of_assumed(log: Log) -> None:
-    """Warn of columns whose unit is assumed, where no line says what was read."""
-    for label in log.assumed:
-        warn(f"{log.name}: {label}: state its unit in its name, or by `scale`")
-
-
-def warn_of_doubts(log: Log) -> None:
-    """Warn of rows that were left out, cut or guessed."""
-    for doubt in log.doubtful:
-        warn(f"{log.name}: {doubt}")
-
-
 def tracked_of(
     sources: Sequence[Any], columns: Columns, reading: Reading, model: Cascade
 ) -> list[tuple[str, Rows]]:
@@ -372,13 +357,10 @@ def tracked_of(
     model : Cascade
         A forward model.
     """
-    from dbo_cli.drive.simulate import Rows
-
-    units = {"voltage": model.input.unit, "measured": model.output.unit}
     recordings = []
     for source in sources:
-        log, table = read_table(source, columns, reading, units)
-        warn_of_assumed(log)
+        log, table = read_table(source, columns, reading, units_of(model))
+        log.warn_of_assumed()
         rows = Rows(table.time, table["voltage"], table["measured"])
         recordings.append((log.name, rows))
     return recordings
@@ -485,3 +467,37 @@ def signal_of(
     block = read_table(source, columns, reading, units)[1]
     is_stamped = is_frame(data) or sample_rate is None
     return Block(block.time if is_stamped else None, {"signal": block[role]}, block.dt)
+
+
+def read_drive(
+    path: str, columns: Columns, reading: Reading, units: Units | None = None
+) -> tuple[Log, Block]:
+    """Read a drive whole, as strictly as it was written.
+
+    Raises
+    ------
+    LimitError
+        A row holds no number: an amplifier cannot play it.
+    UsageError
+        The drive is in another file than its time: interpolated, it is not the drive.
+    """
+    if "::" in (columns["voltage"] or ""):
+        raise UsageError(f"`voltage` {columns['voltage']}: name that file as DRIVE")
+    with open_log(path, columns, reading, units) as log:
+        try:
+            table = log.read()
+        except InputError as problem:
+            raise LimitError(str(problem)) from problem
+    log.warn_of_assumed()
+    return log, table
+
+
+def read_meant(path: str, column: str | None, unit: str | None) -> Block:
+    """Read the drive that was meant to be played (InputError): the only one of its file."""
+    columns, units = {"time": None, "voltage": column}, {"voltage": unit}
+    try:
+        return read_drive(path, columns, Reading(), units if unit else None)[1]
+    except InputError as problem:
+        raise InputError(
+            f"`against` takes the only drive of its file: call its column voltage_V there ({problem})"
+        ) from None

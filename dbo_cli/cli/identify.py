@@ -57,7 +57,7 @@ def identify(
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.identification import describe
     from dbo_cli.model import dumps_model, dumps_set
-    from dbo_cli.recordings import identified, options_of, recordings_of
+    from dbo_cli.recordings import identified, options_of, recordings_of, units_of
     from dbo_cli.reports.show import shown_text
 
     check_outputs(output, summary)
@@ -67,9 +67,8 @@ def identify(
     priors = {} if prior is None else channels.models_of(prior, columns_of, columns)
     models, lines, read = {}, [], []
     for name, roles in columns_of.items():
-        shape, units = priors.get(name), {}
-        if shape is not None:
-            units = {"voltage": shape.input.unit, "displacement": shape.output.unit}
+        shape = priors.get(name)
+        units = units_of(shape, "displacement")
         with channels.naming(name):
             every, opened = recordings_of(
                 [*logs, *(validate or [])], roles, reading, units

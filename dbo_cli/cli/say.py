@@ -12,8 +12,6 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from dbo_cli.errors import warn
-
 ERASE = "\r\x1b[K"
 PARAMETER = re.compile(r"`([a-z]\w*)`")
 UPDATE_SECONDS = 0.2  # seconds between two updates of a progress line
@@ -54,8 +52,7 @@ def say_logs(logs: Sequence[Any], rows: int, suffix: str = "") -> None:
 def say_log(log: Any) -> None:
     """Print what was read, and warn of rows that were left out, cut or guessed."""
     say_logs([log], 0)
-    for doubt in log.doubtful:
-        warn(f"{log.name}: {doubt}")
+    log.warn_of_doubts()
 
 
 def detail(*texts: str) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.files import note_input
 from dbo_cli.logs.clock import find_clock
 from dbo_cli.logs.columns import ROLES, choose, named
@@ -122,11 +122,18 @@ class Log(AbstractContextManager["Log"]):
         self._rows, self.clock = resampled(self.read(), self.clock, rate)
         self.remarks += self.clock.remarks
 
-    @property
-    def assumed(self) -> list[str]:
-        """The columns whose unit nothing states, each with the unit that is assumed."""
-        titles = [column.title for column in self.columns.values()]
-        return [title for title in titles if title.endswith(" assumed)")]
+    def warn_of_assumed(self) -> None:
+        """Warn of columns whose unit is assumed, where no line says what was read."""
+        for column in self.columns.values():
+            if column.title.endswith(" assumed)"):
+                warn(
+                    f"{self.name}: {column.title}: state its unit in its name, or by `scale`"
+                )
+
+    def warn_of_doubts(self) -> None:
+        """Warn of rows that were left out, cut or guessed."""
+        for doubt in self.doubtful:
+            warn(f"{self.name}: {doubt}")
 
     def blocks(self) -> Iterator[Block]:
         """Return the log once, in blocks of at most ``ROWS_A_BLOCK`` rows.

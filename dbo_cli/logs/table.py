@@ -188,6 +188,11 @@ class Block:
         """Return the array of a role."""
         return self.values[role]
 
+    @property
+    def step(self) -> float | None:
+        """The seconds from row to row; None where they are uneven, or no clock is known."""
+        return self.dt if isinstance(self.dt, float) else None
+
     def part(self, start: int, stop: int) -> Block:
         """Return some of the rows."""
         values = {role: array[start:stop] for role, array in self.values.items()}
