@@ -34,7 +34,7 @@ from dbo_cli.drive.live import Controller
 from dbo_cli.drive.simulate import Simulator
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.files import write_text
-from dbo_cli.logs import Reading, frame_table, is_frame, open_log, seconds_of
+from dbo_cli.logs import Reading, is_frame, open_log
 from dbo_cli.recordings import (
     RECORDING_COLUMNS,
     RECORDING_ROLES,
@@ -251,7 +251,7 @@ class Model:
         signal = signal_of(x, (role, "input"), self.input, time, sample_rate, unit)
         begin = room.state_of(state, self.actuator)
         simulator = Simulator(self.actuator, begin, outside)
-        first = simulator.rows(signal["signal"], signal.dt, signal.time)
+        first = simulator.rows(*signal)
         y = np.concatenate([first.y, simulator.finish().y])
         return (y, cast(room.State, simulator.state)) if return_state else y
 
@@ -366,9 +366,7 @@ class Model:
             file = str(history)
             history = histories_of(file)[""]
         drive: Drive = driver.whole(
-            signal["signal"],
-            signal.dt,
-            signal.time,
+            *signal,
             bandwidth=quantity("bandwidth", bandwidth, "Hz"),
             periodic=periodic,
             passes=passes,
@@ -626,22 +624,18 @@ def identify(
     given = {"voltage": voltage_unit, "displacement": displacement_unit}
     reading = Reading.typed(typed)
     columns: Mapping[str, str | None] = RECORDING_COLUMNS
-    if displacement is not None:
+    sources = _listed(data)
+    if displacement is not None or is_frame(data):
         signals = {"voltage": data, "displacement": displacement}
         source, columns = table_in_memory(signals, given, units, time, reading)
         sources = [source]
-    elif voltage_unit or displacement_unit:
+    elif time is not None or voltage_unit or displacement_unit:
         raise UsageError(
-            "`voltage_unit`, `displacement_unit`: of arrays; frames and files have units"
+            "`time`, `voltage_unit`, `displacement_unit` are of arrays: files and lists have "
+            "their own"
         )
-    else:
-        sources = _listed(data)
-        if not sources:
-            raise InputError("no log: give a file, a frame, or two arrays")
-        if time is not None:
-            if not all(map(is_frame, sources)):
-                raise UsageError("`time` is of arrays and frames: a file has its own")
-            sources = [frame_table(source, seconds_of(time)) for source in sources]
+    if not sources:
+        raise InputError("no log: give a file, a frame, or two arrays")
     recordings, logs = recordings_of(sources, columns, reading, units)
     options = options_of({**typed, "prior": shape})
     units = {"voltage": recordings[0].input[1], "displacement": recordings[0].output[1]}

@@ -27,7 +27,7 @@ from dbo_cli.logs.frame import (
     time_index,
 )
 from dbo_cli.logs.table import Column
-from dbo_cli.model import Cascade, Quantity, State
+from dbo_cli.model import Cascade, Quantity, State, Steps
 from dbo_cli.reports import Pair, match, predict
 from dbo_cli.units import (
     Typed,
@@ -90,18 +90,13 @@ def read_table(
     InputError
         It cannot be read, or it is not clear which column is which.
     """
-    titles: Mapping[str, str] = {}  # in the file that a frame was read from
     if is_frame(source):
-        titles = getattr(source, "attrs", {}).get("columns", {})
         source = frame_table(source)
     elif not isinstance(source, (str, Path, Table)):
         raise InputError("give a file, or a frame of pandas or polars")
     with open_log(source, columns, reading, units, optional) as log:
         table = log.read()
     log.warn_of_doubts()
-    for role, column in log.columns.items():
-        name = titles.get(column.name, column.name)
-        log.columns[role] = replace(column, name=name)
     return log, table
 
 
@@ -390,9 +385,10 @@ def identified(
     model = identify(recordings, options, tests)
     sources = []  # and no time of day: the same logs give the same file
     for recording, log in zip(recordings, logs, strict=True):
-        rows = len(recording.voltage)
-        names = {role: column.name for role, column in log.columns.items()}
-        sources.append({"name": recording.name, "rows": rows, **names})
+        origin = {"name": recording.name, "rows": len(recording.voltage)}
+        for role, column in log.columns.items():
+            origin[role] = log.titles.get(column.name, column.name)
+        sources.append(origin)
     provenance = {"program": f"dbo {__version__}", "logs": sources}
     return replace(model, provenance=provenance)
 
@@ -446,8 +442,8 @@ def signal_of(
     time: Any,
     sample_rate: Typed | None,
     unit: str | None,
-) -> Block:
-    """Return a signal that a user hands over, in the unit of a model, as ``block["signal"]``.
+) -> tuple[Floats, Steps, Floats | None]:
+    """Return a signal that a user hands over, in the unit of a model, the seconds a row, and its stamps.
 
     Parameters
     ----------
@@ -466,7 +462,7 @@ def signal_of(
     source, columns = table_in_memory(signals, {role: unit}, units, time, reading)
     block = read_table(source, columns, reading, units)[1]
     is_stamped = is_frame(data) or sample_rate is None
-    return Block(block.time if is_stamped else None, {"signal": block[role]}, block.dt)
+    return block[role], block.dt, block.time if is_stamped else None
 
 
 def read_drive(

@@ -92,12 +92,11 @@ def identify(
                 figures[name] = json.dumps(figure, indent=2) + "\n"
             outputs.write_text(summary, channels.dumps_files("summary", figures))
     model = next(iter(models.values()))
-    rows = sum(log["rows"] for log in model.provenance["logs"])
     if is_set:
         lines.insert(0, f"{len(models)} models")
-        say_logs(read, rows)
+        say_logs(read)
     else:
-        say_logs(read, rows, f" ({model.sign})")
+        say_logs(read, f" ({model.sign})")
         detail(*shown_text(model, "").splitlines()[1:])
     say_output(output, lines.pop(0))
     for line in lines:

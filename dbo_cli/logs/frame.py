@@ -100,6 +100,7 @@ def frame_table(frame: Any, time: Any = None) -> Table:
         columns.insert(0, index_column(name, index))
     table = table_of(name, columns)
     table.hint = " (of a frame: rename its columns)"
+    table.titles = attrs.get("columns", {})
     table.has_found_offset = bool(attrs.get("holds_delay"))
     return table
 

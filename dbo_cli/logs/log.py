@@ -52,6 +52,8 @@ class Log(AbstractContextManager["Log"]):
         The file as it was typed.
     columns
         By role, the column; its unit is that of the values, after all conversions.
+    titles
+        Of a frame that was read from a file, the names of its columns there.
     clock
         Where the times come from.
     remarks
@@ -60,6 +62,8 @@ class Log(AbstractContextManager["Log"]):
         The remarks about rows that were left out or cut.
     left_out
         The numbers of the rows (from 1) that held no numbers; complete after the last block.
+    row_count
+        How many rows were read so far.
     """
 
     def __init__(
@@ -80,7 +84,7 @@ class Log(AbstractContextManager["Log"]):
         for role, column in columns.items():
             scale = reading.scale
             columns[role] = scaled_column(source.name, role, column, scale, units)
-        self.name = source.name
+        self.name, self.titles = source.name, source.titles
         self.columns = columns
         self.remarks = source.remarks
         self.doubtful: list[str] = []
@@ -91,7 +95,7 @@ class Log(AbstractContextManager["Log"]):
         self.left_out: list[int] = []
         self._first_dropped = ""
         self._lost: tuple[int, str] | None = None
-        self._count = 0
+        self.row_count = 0
         self._rows: Block | None = None
 
     def join(
@@ -145,7 +149,7 @@ class Log(AbstractContextManager["Log"]):
         """
         blocks = self._blocks()
         for block in blocks:
-            if self._count == 1 and block.time is not None:
+            if self.row_count == 1 and block.time is not None:
                 following = next(blocks, None)  # tells the first row's step
                 if following is not None:
                     dt = following.dt
@@ -167,7 +171,7 @@ class Log(AbstractContextManager["Log"]):
     def _blocks(self) -> Iterator[Block]:
         """Read the file once, in its own blocks."""
         if self._rows is not None:
-            self._count = len(self._rows)
+            self.row_count = len(self._rows)
             yield self._rows
             return
         columns = list(self.columns.values())
@@ -185,7 +189,7 @@ class Log(AbstractContextManager["Log"]):
             numbers, arrays = self._good(numbers[inside], inner, columns)
             if len(numbers):
                 self._require_time(int(numbers[-1]))
-                self._count += len(numbers)
+                self.row_count += len(numbers)
                 time, dt = self.clock.read(numbers, arrays[time_place])
                 values = {}
                 for index, (role, column) in enumerate(self.columns.items()):
@@ -213,7 +217,7 @@ class Log(AbstractContextManager["Log"]):
             text = f"{count:,} row{s} left out, the first: {self._first_dropped}"
             self.remarks.append(text)
             self.doubtful.append(text)
-        if not self._count:
+        if not self.row_count:
             raise InputError(
                 f"{self.name}: `rows` {self._typed_rows}: none of its {rows:,} rows is inside and holds only "
                 "numbers"
@@ -250,7 +254,7 @@ class Log(AbstractContextManager["Log"]):
         if is_guarded and columns[-1].kind != "stamp":
             lost += numbers[bad[-1]].tolist()  # the guard alone shows these
         for row in lost:
-            is_behind = self._count or (len(good) and row > good[0])
+            is_behind = self.row_count or (len(good) and row > good[0])
             if is_behind and self._lost is None:
                 self._lost = row, self._source.where(row, columns[-1], "")
         return good, [array[~is_bad] for array in arrays]
@@ -258,8 +262,8 @@ class Log(AbstractContextManager["Log"]):
     def line(self) -> str:
         """Return one line on what was read; complete after the last block."""
         names = [column.title for column in self.columns.values()]
-        s = "" if self._count == 1 else "s"
-        line = f"{self.name}: {self._count:,} row{s}, {self.clock.describe()}"
+        s = "" if self.row_count == 1 else "s"
+        line = f"{self.name}: {self.row_count:,} row{s}, {self.clock.describe()}"
         return f"{line}; {', '.join(names)}"
 
     def close(self) -> None:

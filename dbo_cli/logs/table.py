@@ -250,6 +250,8 @@ class Table(AbstractContextManager["Table"]):
         What is appended to a refusal about columns.
     cure
         What helps where rows hold no numbers.
+    titles
+        Of a frame that was read from a file, the names of its columns there.
     has_found_offset
         Whether a clock offset was found when it was made of two files.
     remarks
@@ -279,6 +281,7 @@ class Table(AbstractContextManager["Table"]):
         self.close = close
         self.columns: list[Column] = []
         self.settings: Settings = {}
+        self.titles: Mapping[str, str] = {}
         self.remarks: list[str] = []
         self.torn: list[int] = []
         self.find: Callable[[str], Column | None] = lambda name: None
