@@ -17,16 +17,13 @@ from dbo_cli.drive.simulate import Rows
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 from dbo_cli.logs import Block, Log, Reading, Table, open_log, open_table
 from dbo_cli.logs.frame import (
+    clock_of,
     column_in_memory,
     frame_table,
-    index_column,
     is_frame,
-    seconds_of,
     stated_unit,
     table_of,
-    time_index,
 )
-from dbo_cli.logs.table import Column
 from dbo_cli.model import Cascade, Quantity, State, Steps
 from dbo_cli.reports import Pair, match, predict
 from dbo_cli.units import (
@@ -191,7 +188,7 @@ def table_in_memory(
     if is_frame(first):
         if any(value is not None for value in (*others, *unit_options.values())):
             raise UsageError("a frame has its own columns and units: leave out `unit`")
-        return frame_table(first, seconds_of(time)), columns
+        return frame_table(first, time), columns
     if first is None:
         raise InputError(f"{next(iter(signals))}: give an array, a Series or a frame")
     table = table_of("the arrays", [])
@@ -207,23 +204,10 @@ def table_in_memory(
             name = split_header(name)[0]
         column = table.add(column_in_memory(table.name, name, values, unit))
         columns[role] = f"number={column.number}"
-    clock = None
-    if time is not None:
-        clock = column_in_memory(table.name, "time", seconds_of(time), "s")
-    elif reading.sample_rate is None:
-        clock = _index_of(table.name, signals)
-    if clock is not None:
-        columns["time"] = f"number={table.add(clock).number}"
+    if time is not None or reading.sample_rate is None:
+        for clock in clock_of(table.name, signals, time):
+            columns["time"] = f"number={table.add(clock).number}"
     return table, columns
-
-
-def _index_of(table: str, signals: Mapping[str, Any]) -> Column | None:
-    """Return the time index that pandas objects share; InputError where they have several."""
-    indexes = [time_index(values) for values in signals.values()]
-    indexes = [index for index in indexes if index is not None]
-    if any(not index.equals(indexes[0]) for index in indexes):
-        raise InputError(f"{', '.join(signals)} have other times: give one `time`")
-    return index_column(table, indexes[0]) if indexes else None
 
 
 def pairs_of(

@@ -315,12 +315,14 @@ def parse_quantity(
         ) from None
 
 
-def quantity(name: str, value: Any, unit: str | None, *words: str) -> Any:
+def quantity(
+    name: str, value: Any, unit: str | None, *words: str, largest: float = math.inf
+) -> Any:
     """Return a typed figure in ``unit`` (``parse_quantity``); None, and some words, as they are."""
     if value is None or (isinstance(value, str) and value in words):
         return value
     try:
-        return parse_quantity(value, unit, name)
+        return parse_quantity(value, unit, name, largest)
     except UsageError as problem:
         raise UsageError(" or ".join([str(problem), *words])) from None
 

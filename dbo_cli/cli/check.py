@@ -8,6 +8,7 @@ from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, Texts, column, flag, option, rare
 from dbo_cli.cli.say import detail, with_options
 from dbo_cli.errors import UsageError, warn
+from dbo_cli.units import quantity
 
 
 def check(
@@ -42,7 +43,6 @@ def check(
     from dbo_cli.drive.check import check_drive, check_played, tolerance_of
     from dbo_cli.files import write_text
     from dbo_cli.recordings import read_drive, read_meant
-    from dbo_cli.units import parse_quantity
 
     if not math.isfinite(gain) or not gain or (gain != 1.0 and against is None):
         raise UsageError(f"`gain` {gain:g}: give a factor, together with `against`")
@@ -61,11 +61,9 @@ def check(
         unit = log.columns["voltage"].unit
         if max_slew and log.clock.assumption:
             warn(f"{drive}: {log.clock.assumption}")
-        stands = typed[channel].pop("from")
+        begin = quantity("from", typed[channel].pop("from"), unit, largest=0.0)
         recorded, slack = signal["voltage"] * gain, 0.0
-        allowed = None
-        if tolerance is not None:
-            allowed = parse_quantity(tolerance, unit, "tolerance", 0.0)
+        allowed = quantity("tolerance", tolerance, unit, largest=0.0)
         if against is not None:
             column = roles["voltage"] if channel else None
             meant = read_meant(against, column, unit)
@@ -75,7 +73,7 @@ def check(
             signal.time,
             Limits.in_unit(unit, **typed[channel]),
             name=f"{drive}: channel {channel}" if channel else drive,
-            start=None if stands is None else parse_quantity(stands, unit, "from", 0.0),
+            start=begin,
             loop=loop,
             tolerance=slack,
             doubts=log.doubtful,

@@ -62,8 +62,6 @@ class Log(AbstractContextManager["Log"]):
         The remarks about rows that were left out or cut.
     left_out
         The numbers of the rows (from 1) that held no numbers; complete after the last block.
-    row_count
-        How many rows were read so far.
     """
 
     def __init__(
@@ -95,7 +93,7 @@ class Log(AbstractContextManager["Log"]):
         self.left_out: list[int] = []
         self._first_dropped = ""
         self._lost: tuple[int, str] | None = None
-        self.row_count = 0
+        self._count = 0
         self._rows: Block | None = None
 
     def join(
@@ -126,6 +124,11 @@ class Log(AbstractContextManager["Log"]):
         self._rows, self.clock = resampled(self.read(), self.clock, rate)
         self.remarks += self.clock.remarks
 
+    @property
+    def row_count(self) -> int:
+        """How many rows were read so far."""
+        return self._count
+
     def warn_of_assumed(self) -> None:
         """Warn of columns whose unit is assumed, where no line says what was read."""
         for column in self.columns.values():
@@ -149,7 +152,7 @@ class Log(AbstractContextManager["Log"]):
         """
         blocks = self._blocks()
         for block in blocks:
-            if self.row_count == 1 and block.time is not None:
+            if self._count == 1 and block.time is not None:
                 following = next(blocks, None)  # tells the first row's step
                 if following is not None:
                     dt = following.dt
@@ -171,7 +174,7 @@ class Log(AbstractContextManager["Log"]):
     def _blocks(self) -> Iterator[Block]:
         """Read the file once, in its own blocks."""
         if self._rows is not None:
-            self.row_count = len(self._rows)
+            self._count = len(self._rows)
             yield self._rows
             return
         columns = list(self.columns.values())
@@ -189,7 +192,7 @@ class Log(AbstractContextManager["Log"]):
             numbers, arrays = self._good(numbers[inside], inner, columns)
             if len(numbers):
                 self._require_time(int(numbers[-1]))
-                self.row_count += len(numbers)
+                self._count += len(numbers)
                 time, dt = self.clock.read(numbers, arrays[time_place])
                 values = {}
                 for index, (role, column) in enumerate(self.columns.items()):
@@ -217,7 +220,7 @@ class Log(AbstractContextManager["Log"]):
             text = f"{count:,} row{s} left out, the first: {self._first_dropped}"
             self.remarks.append(text)
             self.doubtful.append(text)
-        if not self.row_count:
+        if not self._count:
             raise InputError(
                 f"{self.name}: `rows` {self._typed_rows}: none of its {rows:,} rows is inside and holds only "
                 "numbers"
@@ -254,7 +257,7 @@ class Log(AbstractContextManager["Log"]):
         if is_guarded and columns[-1].kind != "stamp":
             lost += numbers[bad[-1]].tolist()  # the guard alone shows these
         for row in lost:
-            is_behind = self.row_count or (len(good) and row > good[0])
+            is_behind = self._count or (len(good) and row > good[0])
             if is_behind and self._lost is None:
                 self._lost = row, self._source.where(row, columns[-1], "")
         return good, [array[~is_bad] for array in arrays]
@@ -262,8 +265,8 @@ class Log(AbstractContextManager["Log"]):
     def line(self) -> str:
         """Return one line on what was read; complete after the last block."""
         names = [column.title for column in self.columns.values()]
-        s = "" if self.row_count == 1 else "s"
-        line = f"{self.name}: {self.row_count:,} row{s}, {self.clock.describe()}"
+        s = "" if self._count == 1 else "s"
+        line = f"{self.name}: {self._count:,} row{s}, {self.clock.describe()}"
         return f"{line}; {', '.join(names)}"
 
     def close(self) -> None:
