@@ -137,16 +137,12 @@ def end_by_signal(number: int, frame: FrameType | None = None) -> None:
         _late_signals.append(number)
         return
     for path in list(_unfinished):
-        _remove(path)
+        with contextlib.suppress(OSError):
+            os.unlink(path)
     if number == signal.SIGINT:
         with contextlib.suppress(OSError):
             os.write(2, b"dbo: interrupted\n")
     os._exit(128 + number)
-
-
-def _remove(path: str) -> None:
-    with contextlib.suppress(OSError):
-        os.unlink(path)
 
 
 def _identity(path: str, standard: object) -> FileId | None:
@@ -166,7 +162,7 @@ def _identity(path: str, standard: object) -> FileId | None:
 # --- outputs ---
 
 
-class Outputs:
+class Outputs(contextlib.AbstractContextManager["Outputs"]):
     """Files that appear together when the block is left, or none of them."""
 
     def __init__(self) -> None:
@@ -226,10 +222,6 @@ class Outputs:
         for name, data in files.items():
             self.write_bytes(target / name, data)
         return [target / name for name in files]
-
-    def __enter__(self) -> Outputs:
-        """Begin."""
-        return self
 
     def __exit__(
         self,
@@ -345,7 +337,8 @@ class Output:
         with contextlib.suppress(Exception):
             self.close()
         if self.temporary is not None:
-            _remove(self.temporary)
+            with contextlib.suppress(OSError):
+                os.unlink(self.temporary)
             _unfinished.discard(self.temporary)
 
 

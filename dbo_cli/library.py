@@ -585,7 +585,7 @@ def identify(
     displacement : array_like
         With an array of voltages, the displacement.
     time, sample_rate
-        Time in s, or a rate in Hz. A time index counts as the time.
+        Time in s of arrays or of one frame, or a rate in Hz. A time index counts as the time.
     voltage_unit, displacement_unit : str, optional
         Units of arrays; without, those that Series state of themselves, if any.
     validate
