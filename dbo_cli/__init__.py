@@ -32,23 +32,10 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
-    "DboError",
-    "DboWarning",
-    "FitError",
-    "InputError",
-    "LimitError",
-    "Model",
-    "ModelError",
-    "ModelSet",
-    "OutputError",
-    "UsageError",
-    "__version__",
-    "identify",
-    "read_log",
-    "read_model",
-    "read_models",
-    "report",
-]
+    "DboError", "DboWarning", "FitError", "InputError", "LimitError", "Model", "ModelError",
+    "ModelSet", "OutputError", "UsageError", "__version__", "identify", "read_log",
+    "read_model", "read_models", "report",
+]  # fmt: skip
 
 if not TYPE_CHECKING:
 

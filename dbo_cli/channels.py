@@ -15,9 +15,11 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from dbo_cli import errors
+from dbo_cli.drive import Drive, Driver, voltage_in
+from dbo_cli.drive.drive import PassRecord
 from dbo_cli.errors import (
     DboWarning,
     InputError,
@@ -26,18 +28,14 @@ from dbo_cli.errors import (
     UsageError,
     warn,
 )
-from dbo_cli.model import State, fields
+from dbo_cli.files import Outputs
+from dbo_cli.logs import Log, Reading, add_table, open_table
+from dbo_cli.logs.columns import fitting, listing_of
+from dbo_cli.logs.write import Attributes, Named, Writer
+from dbo_cli.model import Cascade, State, dumps_state, fields, member, read_cascades
 from dbo_cli.model.file import parse_state
 from dbo_cli.model.state import START_NAMES
 from dbo_cli.units import split_header
-
-if TYPE_CHECKING:
-    from dbo_cli.drive import Drive, Driver
-    from dbo_cli.drive.drive import PassRecord
-    from dbo_cli.files import Outputs
-    from dbo_cli.logs import Log, Reading
-    from dbo_cli.logs.write import Named
-    from dbo_cli.model import Cascade
 
 PLACE = "{}"
 ALONE = ("",)
@@ -67,9 +65,6 @@ def columns_of(
     UsageError
         The log is a stream, which cannot be read once for every channel.
     """
-    from dbo_cli.logs import open_table
-    from dbo_cli.logs.columns import fitting, listing_of
-
     if not any(
         pattern is not None and PLACE in pattern for pattern in columns.values()
     ):
@@ -121,8 +116,6 @@ def models_of(
         A file is no model, or a set that lacks one; the message names the columns that
         are patterns, or could be.
     """
-    from dbo_cli.model import member, read_cascades
-
     models = read_cascades(path)
     roles = [f"`{role}` COLUMN" for role, name in columns.items() if name]
     hint = f" with {' '.join(roles)}"
@@ -166,8 +159,6 @@ def require_own_limit(
     name: str, texts: Sequence[str] | None, channel: str, model: Cascade
 ) -> None:
     """Refuse a limit for all channels that is far beyond the range of one of them (UsageError)."""
-    from dbo_cli.drive import voltage_in
-
     common = [text for text in texts or () if "=" not in text]
     if not channel or not common or any(f"{channel}=" in text for text in texts or ()):
         return
@@ -339,28 +330,55 @@ def named_columns(
     return columns
 
 
-def heading(
-    drives: Mapping[str, Drive] | Mapping[str, Driver], is_clocked: bool
-) -> tuple[list[Named], dict[str, str | float]]:
-    """Return names and units of the columns of drives, side by side, and what an HDF5 file says of them."""
+def table_of(
+    outputs: Outputs,
+    output: str,
+    drives: Mapping[str, Drive] | Mapping[str, Driver],
+    is_clocked: bool,
+) -> Writer:
+    """Return what writes drives side by side; an HDF5 file states the models and limits."""
     pairs, digests, limits = {}, {}, {}
     for name, drive in drives.items():
         into, out = drive.model.input, drive.model.output
         pairs[name] = [("desired", out.unit), (into.quantity, into.unit)]
         digests[name], limits[name] = drive.model.digest, drive.limits.as_dict()
-    columns = named_columns(pairs, is_clocked)
-    if tuple(drives) == ALONE:
-        return columns, {"model": digests[""], "limits": json.dumps(limits[""])}
-    return columns, {"model": json.dumps(digests), "limits": json.dumps(limits)}
+    origin: Attributes = {
+        "model": digests.get("") or json.dumps(digests),
+        "limits": json.dumps(limits.get("") or limits),
+    }
+    return add_table(outputs, output, named_columns(pairs, is_clocked), origin)
 
 
 def write_drives(outputs: Outputs, output: str, drives: Mapping[str, Drive]) -> None:
     """Write drives side by side: the time, then displacement and voltage of each channel."""
-    from dbo_cli.logs import add_table
-
     time = next(iter(drives.values())).time
-    columns, origin = heading(drives, time is not None)
     values = [] if time is None else [time]
     for drive in drives.values():
         values += [drive.desired, drive.voltage]
-    add_table(outputs, output, columns, origin).write(*values)
+    table_of(outputs, output, drives, time is not None).write(*values)
+
+
+def write_beside(
+    outputs: Outputs,
+    drives: Mapping[str, Drive],
+    logs: Mapping[str, Log],
+    paths: Mapping[str, str | None],
+) -> None:
+    """Write the summary, state and history of drives, as far as there are ``paths`` for them."""
+    if not any(paths.values()):
+        return
+    from dbo_cli.drive.learning import dumps_history
+
+    texts: dict[str, dict[str, str]] = {kind: {} for kind in paths}
+    for name, drive in drives.items():
+        figures, clock = drive.summary(), logs[name].clock
+        figures["trajectory"] = logs[name].name
+        if clock.kind != "none":
+            figures["move_time"] = [clock.first, clock.last]
+        assert drive.state is not None
+        texts["summary"][name] = json.dumps(figures, indent=2) + "\n"
+        texts["state"][name] = dumps_state(drive.state, drive.model)
+        texts["history"][name] = dumps_history(drive.history)
+    for kind, path in paths.items():
+        if path is not None:
+            outputs.write_text(path, dumps_files(kind, texts[kind]), kind)

@@ -24,7 +24,7 @@ import re
 import signal
 import stat
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import IO
@@ -137,16 +137,12 @@ def end_by_signal(number: int, frame: FrameType | None = None) -> None:
         _late_signals.append(number)
         return
     for path in list(_unfinished):
-        _remove(path)
+        with contextlib.suppress(OSError):
+            os.unlink(path)
     if number == signal.SIGINT:
         with contextlib.suppress(OSError):
             os.write(2, b"dbo: interrupted\n")
     os._exit(128 + number)
-
-
-def _remove(path: str) -> None:
-    with contextlib.suppress(OSError):
-        os.unlink(path)
 
 
 def _identity(path: str, standard: object) -> FileId | None:
@@ -166,7 +162,7 @@ def _identity(path: str, standard: object) -> FileId | None:
 # --- outputs ---
 
 
-class Outputs:
+class Outputs(contextlib.AbstractContextManager["Outputs"]):
     """Files that appear together when the block is left, or none of them."""
 
     def __init__(self) -> None:
@@ -227,10 +223,6 @@ class Outputs:
             self.write_bytes(target / name, data)
         return [target / name for name in files]
 
-    def __enter__(self) -> Outputs:
-        """Begin."""
-        return self
-
     def __exit__(
         self,
         kind: type[BaseException] | None,
@@ -280,8 +272,7 @@ class Output:
         self.path = path  # as typed
         self.replaces = replaces
         self.is_stdout = path in STDOUT
-        self.stream: IO[bytes] | None = None
-        self.complete: Callable[[], None] | None = None  # ends the format
+        self.closing = contextlib.ExitStack()  # ends the format, then closes the stream
         self.temporary: str | None = None
         if not path or "\0" in path or os.path.isdir(path):
             raise OutputError(
@@ -312,12 +303,10 @@ class Output:
         with telling(self.path):
             if self.is_stdout:
                 sys.stdout.flush()
-                self.stream = sys.stdout.buffer
-            elif self.temporary is not None:
-                self.stream = open(self.begin(), "xb")
-            else:
-                self.stream = open(self.path, "wb")
-        return self.stream
+                return sys.stdout.buffer
+            if self.temporary is None:
+                return self.closing.enter_context(open(self.path, "wb"))
+            return self.closing.enter_context(open(self.begin(), "xb"))
 
     def finish(self) -> None:
         """Bring everything to the disk, with the permissions of the file that it replaces."""
@@ -332,13 +321,9 @@ class Output:
 
     def close(self) -> None:
         """End the format and close the stream; standard output stays open."""
-        complete, self.complete = self.complete, None
-        if complete is not None:
-            complete()
+        self.closing.close()
         if self.is_stdout:
             sys.stdout.buffer.flush()
-        elif self.stream is not None:
-            self.stream.close()
 
     def rename(self) -> None:
         """Give the output its name."""
@@ -351,10 +336,9 @@ class Output:
         """Close the stream, and remove what has not got its name."""
         with contextlib.suppress(Exception):
             self.close()
-        with contextlib.suppress(OSError, ValueError):
-            self.close()  # where the format could not be ended
         if self.temporary is not None:
-            _remove(self.temporary)
+            with contextlib.suppress(OSError):
+                os.unlink(self.temporary)
             _unfinished.discard(self.temporary)
 
 

@@ -25,32 +25,36 @@ from numpy.typing import ArrayLike
 
 from dbo_cli import model as room
 from dbo_cli.arrays import Floats
+from dbo_cli.channels import histories_of
+from dbo_cli.drive import Drive, Driver, Lead, Limits
+from dbo_cli.drive.compensate import OnLimit
+from dbo_cli.drive.drive import PassRecord
+from dbo_cli.drive.learning import dumps_history
+from dbo_cli.drive.live import Controller
+from dbo_cli.drive.simulate import Simulator
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.files import write_text
-from dbo_cli.logs import Reading, frame_table, is_frame, open_log, seconds_of
+from dbo_cli.logs import Reading, is_frame, open_log
 from dbo_cli.recordings import (
     RECORDING_COLUMNS,
+    RECORDING_ROLES,
     TRACKED_COLUMNS,
     Units,
     identified,
+    options_of,
     pairs_of,
     recordings_of,
     signal_of,
     table_in_memory,
     tracked_of,
-    typed_constants,
+    units_of,
 )
+from dbo_cli.reports import Report, expected_in
 from dbo_cli.units import Typed, quantity
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
-
-    from dbo_cli.drive import Drive
-    from dbo_cli.drive.compensate import OnLimit
-    from dbo_cli.drive.drive import PassRecord
-    from dbo_cli.drive.live import Controller
-    from dbo_cli.reports import Report
 
 Signal = ArrayLike
 """An array, a Series of pandas or polars, or one of their frames, which is read as a file is."""
@@ -243,14 +247,11 @@ class Model:
         ModelError
             The model needs time and there is none, or the state is of another model.
         """
-        from dbo_cli.drive.simulate import Simulator
-
         role = "voltage" if self.direction == "forward" else "displacement"
-        rate = Reading.typed(sample_rate=sample_rate).sample_rate
-        signal = signal_of(x, (role, "input"), self.input, time, rate, unit)
+        signal = signal_of(x, (role, "input"), self.input, time, sample_rate, unit)
         begin = room.state_of(state, self.actuator)
         simulator = Simulator(self.actuator, begin, outside)
-        first = simulator.rows(signal["signal"], signal.dt, signal.time)
+        first = simulator.rows(*signal)
         y = np.concatenate([first.y, simulator.finish().y])
         return (y, cast(room.State, simulator.state)) if return_state else y
 
@@ -351,12 +352,9 @@ class Model:
         LimitError
             A start outside the limits, or a move that they do not allow.
         """
-        from dbo_cli.drive import Driver, Lead, Limits
-
         self.actuator.require("forward")
-        rate = Reading.typed(sample_rate=sample_rate).sample_rate
         roles = ("displacement", "displacement")
-        signal = signal_of(wanted, roles, self.output, time, rate, unit)
+        signal = signal_of(wanted, roles, self.output, time, sample_rate, unit)
         start = room.state_of(state, self.actuator)
         limits = Limits.within(self.input, v_min, v_max, max_slew, extrapolate)
         before = Lead(self.actuator, limits, start, from_, approach, condition, lead)
@@ -365,14 +363,10 @@ class Model:
         if history and tracked is None:
             raise UsageError("`history` needs `tracked` LOG")
         if isinstance(history, (str, Path)):
-            from dbo_cli.channels import histories_of
-
             file = str(history)
             history = histories_of(file)[""]
         drive: Drive = driver.whole(
-            signal["signal"],
-            signal.dt,
-            signal.time,
+            *signal,
             bandwidth=quantity("bandwidth", bandwidth, "Hz"),
             periodic=periodic,
             passes=passes,
@@ -383,8 +377,6 @@ class Model:
             absolute=absolute,
         )
         if file is not None:
-            from dbo_cli.drive.learning import dumps_history
-
             write_text(file, dumps_history(drive.history))
         return drive if details else drive.voltage
 
@@ -411,14 +403,11 @@ class Model:
         lookahead : float, str or "auto", optional
             Seconds by which what is passed is wanted later.
         """
-        from dbo_cli.drive import Limits
-        from dbo_cli.drive.live import Controller
-
         self.actuator.require("forward")
-        rate = Reading.typed(sample_rate=sample_rate).sample_rate
+        reading = Reading.typed({"sample_rate": sample_rate})
         return Controller(
             self.actuator,
-            cast(float, rate),
+            cast(float, reading.sample_rate),
             Limits.within(self.input, v_min, v_max, max_slew, extrapolate),
             state=room.state_of(state, self.actuator),
             from_=from_,
@@ -536,26 +525,16 @@ def read_log(
     InputError
         The log cannot be read, or it is not clear which column is which.
     """
+    typed = dict(locals())
     import pandas as pd
 
-    reading = Reading.typed(
-        sample_rate=sample_rate,
-        time_unit=time_unit,
-        scale=scale or {},
-        rows=rows,
-        skip_bad=skip_bad,
-        resample=resample,
-        delimiter=delimiter,
-        decimal=decimal,
-        skip_lines=skip_lines,
-        encoding=encoding,
-        clock_offset=clock_offset,
-    )
-    typed = {"time": time, "voltage": voltage, "displacement": displacement}
-    roles = {role: None if name is None else str(name) for role, name in typed.items()}
+    roles = {}
+    for role in RECORDING_COLUMNS:
+        name = typed[role]
+        roles[role] = None if name is None else str(name)
     absent = tuple(role for role, name in roles.items() if name is None)
-    with open_log(str(path), roles, reading, None, absent) as log:
-        present = [role for role in ("voltage", "displacement") if role in log.columns]
+    with open_log(str(path), roles, Reading.typed(typed), None, absent) as log:
+        present = [role for role in RECORDING_ROLES if role in log.columns]
         if not present:
             raise InputError(
                 f"{path}: no column is named voltage or displacement: give `voltage` NAME"
@@ -606,7 +585,7 @@ def identify(
     displacement : array_like
         With an array of voltages, the displacement.
     time, sample_rate
-        Time in s, or a rate in Hz. A time index counts as the time.
+        Time in s of arrays or of one frame, or a rate in Hz. A time index counts as the time.
     voltage_unit, displacement_unit : str, optional
         Units of arrays; without, those that Series state of themselves, if any.
     validate
@@ -637,51 +616,28 @@ def identify(
     FitError
         No trustworthy model can be identified.
     """
-    from dbo_cli.identification import Options
-
+    typed = dict(locals())
     if isinstance(prior, (str, Path)):
         prior = read_model(prior)
     shape = None if prior is None else prior.actuator
-    units: dict[str, str | None] = {}
-    if shape is not None:
-        units = {"voltage": shape.input.unit, "displacement": shape.output.unit}
+    units = units_of(shape, "displacement")
     given = {"voltage": voltage_unit, "displacement": displacement_unit}
-    reading = Reading.typed(sample_rate=sample_rate)
+    reading = Reading.typed(typed)
     columns: Mapping[str, str | None] = RECORDING_COLUMNS
-    if displacement is not None:
+    sources = _listed(data)
+    if displacement is not None or is_frame(data):
         signals = {"voltage": data, "displacement": displacement}
-        source, columns = table_in_memory(
-            signals, given, units, time, reading.sample_rate
-        )
+        source, columns = table_in_memory(signals, given, units, time, reading)
         sources = [source]
-    elif voltage_unit or displacement_unit:
+    elif time is not None or voltage_unit or displacement_unit:
         raise UsageError(
-            "`voltage_unit`, `displacement_unit`: of arrays; frames and files have units"
+            "`time`, `voltage_unit`, `displacement_unit` are of arrays: files and lists have "
+            "their own"
         )
-    else:
-        sources = _listed(data)
-        if not sources:
-            raise InputError("no log: give a file, a frame, or two arrays")
-        if time is not None:
-            if not all(map(is_frame, sources)):
-                raise UsageError("`time` is of arrays and frames: a file has its own")
-            sources = [frame_table(source, seconds_of(time)) for source in sources]
+    if not sources:
+        raise InputError("no log: give a file, a frame, or two arrays")
     recordings, logs = recordings_of(sources, columns, reading, units)
-    options = Options(
-        prior=shape,
-        sign=sign,
-        skip=quantity("skip", skip, "s"),
-        zero=zero,
-        sensor_delay=quantity("sensor_delay", sensor_delay, "s"),
-        gears=gears,
-        points=points,
-        relaxation=typed_constants(relaxation),
-        delay=quantity("delay", delay, "s", "auto"),
-        dynamics=dynamics,
-        slopes=slopes,
-        method=method,
-        force=force,
-    )
+    options = options_of({**typed, "prior": shape})
     units = {"voltage": recordings[0].input[1], "displacement": recordings[0].output[1]}
     tests, _ = recordings_of(_listed(validate), RECORDING_COLUMNS, Reading(), units)
     return Model(identified(recordings, logs, options, tests))
@@ -752,9 +708,7 @@ def report(
     InputError
         Lengths or units differ, or there is nothing to compare.
     """
-    from dbo_cli.reports import Report, expected_in
-
-    reading = Reading.typed(sample_rate=sample_rate)
+    reading = Reading.typed({"sample_rate": sample_rate})
     if model is None and state != "auto":
         raise UsageError("`state` needs `model`")
     if model is not None and voltage is not None:
@@ -765,13 +719,12 @@ def report(
     start = "auto" if actuator is None else room.state_of(state, actuator)
     signals = {"desired": desired, "measured": measured, "voltage": voltage}
     options = {"desired": unit, "measured": unit, "voltage": voltage_unit}
-    units: Units = {}
+    units: Units = units_of(actuator)
     if actuator is not None:
-        units = {"voltage": actuator.input.unit, "measured": actuator.output.unit}
         signals = {"voltage": desired, "measured": measured}
     if measured is None and not is_frame(desired):
         raise UsageError("report: give `desired` and `measured`, or a frame")
-    table, columns = table_in_memory(signals, options, units, time, reading.sample_rate)
+    table, columns = table_in_memory(signals, options, units, time, reading)
     stated = [column.unit or "no unit" for column in table.columns[:2]]
     if measured is not None and actuator is None and stated[0] != stated[1]:
         raise InputError(

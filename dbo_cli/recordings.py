@@ -8,28 +8,29 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError, UsageError, warn
-from dbo_cli.logs import Block, Reading, Table, open_log, open_table
+from dbo_cli.drive.simulate import Rows
+from dbo_cli.errors import InputError, LimitError, UsageError, warn
+from dbo_cli.logs import Block, Log, Reading, Table, open_log, open_table
 from dbo_cli.logs.frame import (
+    clock_of,
     column_in_memory,
     frame_table,
-    index_column,
     is_frame,
-    seconds_of,
     stated_unit,
     table_of,
-    time_index,
 )
-from dbo_cli.logs.table import Column
-from dbo_cli.model import Cascade, Quantity, State
+from dbo_cli.model import Cascade, Quantity, State, Steps
+from dbo_cli.reports import Pair, match, predict
 from dbo_cli.units import (
+    Typed,
     multiplied,
     parse_quantity,
+    quantity,
     quantity_name,
     ratio,
     split_header,
@@ -38,10 +39,7 @@ from dbo_cli.units import (
 from dbo_cli.version import __version__
 
 if TYPE_CHECKING:
-    from dbo_cli.drive.simulate import Rows
     from dbo_cli.identification import Options, Recording
-    from dbo_cli.logs import Log
-    from dbo_cli.reports import Pair
 
 RECORDING_ROLES = ("voltage", "displacement")
 """The columns of a recording, beside its time; files, frames and arrays bring these."""
@@ -53,6 +51,13 @@ TRACKED_COLUMNS: Columns = dict.fromkeys(("time", "voltage", "measured"))
 """Nothing typed for the roles of a recording of a pass."""
 Units = Mapping[str, str | None]
 """The unit of each role; None: not known."""
+
+
+def units_of(model: Cascade | None, sensor: str = "measured") -> dict[str, str | None]:
+    """Return the units of a model's drive and displacement, by role; nothing without a model."""
+    if model is None:
+        return {}
+    return {"voltage": model.input.unit, sensor: model.output.unit}
 
 
 def read_table(
@@ -82,18 +87,13 @@ def read_table(
     InputError
         It cannot be read, or it is not clear which column is which.
     """
-    titles: Mapping[str, str] = {}  # in the file that a frame was read from
     if is_frame(source):
-        titles = getattr(source, "attrs", {}).get("columns", {})
         source = frame_table(source)
     elif not isinstance(source, (str, Path, Table)):
         raise InputError("give a file, or a frame of pandas or polars")
     with open_log(source, columns, reading, units, optional) as log:
         table = log.read()
-    warn_of_doubts(log)
-    for role, column in log.columns.items():
-        name = titles.get(column.name, column.name)
-        log.columns[role] = replace(column, name=name)
+    log.warn_of_doubts()
     return log, table
 
 
@@ -131,19 +131,14 @@ def recordings_of(
         log, table = read_table(source, columns, reading, units)
         if logs:
             _refuse_other_units(logs[0], log)
-        drive, sensor = (log.columns[role].unit for role in RECORDING_ROLES)
-        units = {"voltage": drive, "displacement": sensor}
-        units = {role: unit for role, unit in units.items() if unit}
+        stated = {role: log.columns[role].unit for role in RECORDING_ROLES}
+        units = {role: unit for role, unit in stated.items() if unit}
+        into, out = [(quantity_name(role, unit), unit) for role, unit in stated.items()]
         # a model does not depend on where its logs were
         file, mark, inside = log.name.partition("::")
-        recording = Recording(
-            os.path.basename(file) + mark + inside,
-            table["voltage"],
-            table["displacement"],
-            table.time,
-            input=(quantity_name("voltage", drive), drive),
-            output=(quantity_name("displacement", sensor), sensor),
-        )
+        name = os.path.basename(file) + mark + inside
+        voltage, displacement = table["voltage"], table["displacement"]
+        recording = Recording(name, voltage, displacement, table.time, into, out)
         recordings.append(recording)
         logs.append(log)
     return recordings, logs
@@ -164,8 +159,8 @@ def table_in_memory(
     signals: Mapping[str, Any],
     unit_options: Units,
     units: Units,
-    time: Any = None,
-    sample_rate: float | None = None,
+    time: Any,
+    reading: Reading,
 ) -> tuple[Table, dict[str, str | None]]:
     """Return arrays, or a frame in the place of all, as a table, and which of its columns has which role.
 
@@ -177,9 +172,9 @@ def table_in_memory(
         By role, the unit that the user gives.
     units : mapping
         By role, the unit of a model that they are for.
-    time, sample_rate
-        Time in s, or a rate in Hz. The time index of a pandas object counts where
-        neither is given, judged as the time column of a file is.
+    time, reading
+        Time in s, or how the table will be read: with a rate, or without. The time index of
+        a pandas object counts where neither is given, judged as the time column of a file is.
 
     Raises
     ------
@@ -193,7 +188,7 @@ def table_in_memory(
     if is_frame(first):
         if any(value is not None for value in (*others, *unit_options.values())):
             raise UsageError("a frame has its own columns and units: leave out `unit`")
-        return frame_table(first, seconds_of(time)), columns
+        return frame_table(first, time), columns
     if first is None:
         raise InputError(f"{next(iter(signals))}: give an array, a Series or a frame")
     table = table_of("the arrays", [])
@@ -209,23 +204,10 @@ def table_in_memory(
             name = split_header(name)[0]
         column = table.add(column_in_memory(table.name, name, values, unit))
         columns[role] = f"number={column.number}"
-    clock = None
-    if time is not None:
-        clock = column_in_memory(table.name, "time", seconds_of(time), "s")
-    elif sample_rate is None:
-        clock = _index_of(table.name, signals)
-    if clock is not None:
-        columns["time"] = f"number={table.add(clock).number}"
+    if time is not None or reading.sample_rate is None:
+        for clock in clock_of(table.name, signals, time):
+            columns["time"] = f"number={table.add(clock).number}"
     return table, columns
-
-
-def _index_of(table: str, signals: Mapping[str, Any]) -> Column | None:
-    """Return the time index that pandas objects share; InputError where they have several."""
-    indexes = [time_index(values) for values in signals.values()]
-    indexes = [index for index in indexes if index is not None]
-    if any(not index.equals(indexes[0]) for index in indexes):
-        raise InputError(f"{', '.join(signals)} have other times: give one `time`")
-    return index_column(table, indexes[0]) if indexes else None
 
 
 def pairs_of(
@@ -254,19 +236,17 @@ def pairs_of(
     InputError
         A log cannot be read, or its two columns measure different things.
     """
-    from dbo_cli.reports import Pair, predict
-
     common = dict(units or {})
     optional = ["time"]
     if model is None:
         optional.append("voltage")
     else:
         model.require("forward", model_name)
-        common = {"voltage": model.input.unit, "measured": model.output.unit}
+        common = units_of(model)
     pairs, logs = [], []
     for source in sources:
         log, table = read_table(source, columns, reading, common, optional)
-        warn_of_assumed(log)
+        log.warn_of_assumed()
         measured = table["measured"]
         desired = table.values.get("desired", measured)
         stated = {role: column.unit for role, column in log.columns.items()}
@@ -315,8 +295,6 @@ def matched(
     ``desired`` is the column of that file; its drive is looked for beside it. Without a
     summary, nothing tells where the move of a drive ends.
     """
-    from dbo_cli.reports import Pair, match
-
     roles = {"time": None, "trajectory": desired}
     roles["voltage"] = _drive_beside(trajectory, desired)
     optional = ("time", "voltage")
@@ -346,18 +324,6 @@ def _drive_beside(trajectory: str, desired: str | None) -> str | None:
     return next((each for each in quantities if name.startswith(each)), None)
 
 
-def warn_of_assumed(log: Log) -> None:
-    """Warn of columns whose unit is assumed, where no line says what was read."""
-    for label in log.assumed:
-        warn(f"{log.name}: {label}: state its unit in its name, or by `scale`")
-
-
-def warn_of_doubts(log: Log) -> None:
-    """Warn of rows that were left out, cut or guessed."""
-    for doubt in log.doubtful:
-        warn(f"{log.name}: {doubt}")
-
-
 def tracked_of(
     sources: Sequence[Any], columns: Columns, reading: Reading, model: Cascade
 ) -> list[tuple[str, Rows]]:
@@ -370,13 +336,10 @@ def tracked_of(
     model : Cascade
         A forward model.
     """
-    from dbo_cli.drive.simulate import Rows
-
-    units = {"voltage": model.input.unit, "measured": model.output.unit}
     recordings = []
     for source in sources:
-        log, table = read_table(source, columns, reading, units)
-        warn_of_assumed(log)
+        log, table = read_table(source, columns, reading, units_of(model))
+        log.warn_of_assumed()
         rows = Rows(table.time, table["voltage"], table["measured"])
         recordings.append((log.name, rows))
     return recordings
@@ -406,18 +369,51 @@ def identified(
     model = identify(recordings, options, tests)
     sources = []  # and no time of day: the same logs give the same file
     for recording, log in zip(recordings, logs, strict=True):
-        rows = len(recording.voltage)
-        names = {role: column.name for role, column in log.columns.items()}
-        sources.append({"name": recording.name, "rows": rows, **names})
+        origin = {"name": recording.name, "rows": len(recording.voltage)}
+        for role, column in log.columns.items():
+            origin[role] = log.titles.get(column.name, column.name)
+        sources.append(origin)
     provenance = {"program": f"dbo {__version__}", "logs": sources}
     return replace(model, provenance=provenance)
 
 
-def typed_constants(values: Sequence[float | str] | str) -> Any:
+def options_of(typed: Mapping[str, Any]) -> Options:
+    """Return what the user fixes of an identification, by the typed options of these names.
+
+    Raises
+    ------
+    UsageError
+        A value cannot be read, or makes no sense.
+    """
+    from dbo_cli.identification import Options
+
+    values = {attribute.name: typed[attribute.name] for attribute in fields(Options)}
+    for name in ("skip", "sensor_delay"):
+        values[name] = quantity(name, values[name], "s")
+    values["delay"] = quantity("delay", values["delay"], "s", "auto")
+    values["zero"] = quantity("zero", values["zero"], None, "none", "mean", "first")
+    for name in ("gears", "points", "dynamics"):
+        values[name] = _whole_number(name, values[name])
+    values["relaxation"] = _time_constants(values["relaxation"])
+    return Options(**values)
+
+
+def _whole_number(name: str, typed: int | str) -> Any:
+    """Return a typed whole number, or ``auto`` (UsageError)."""
+    if typed == "auto" or not isinstance(typed, str):
+        return typed
+    try:
+        return int(typed)
+    except ValueError:
+        raise UsageError(f"`{name}` {typed}: give auto or a whole number") from None
+
+
+def _time_constants(typed: Sequence[Typed] | str) -> Any:
     """Return typed time constants in s, 0 alone for none, or ``auto`` (UsageError)."""
-    if isinstance(values, str):
-        return values
-    constants = [parse_quantity(value, "s", "relaxation") for value in values]
+    if typed == "auto":
+        return typed
+    texts = typed.split(",") if isinstance(typed, str) else typed
+    constants = [parse_quantity(text, "s", "relaxation") for text in texts]
     if len(constants) > 1 and 0.0 in constants:
         raise UsageError("`relaxation`: give times above 0 s, or 0 alone")
     return tuple(constants)
@@ -426,12 +422,12 @@ def typed_constants(values: Sequence[float | str] | str) -> Any:
 def signal_of(
     data: Any,
     roles: tuple[str, str],
-    quantity: Quantity,
+    of_model: Quantity,
     time: Any,
-    sample_rate: float | None,
+    sample_rate: Typed | None,
     unit: str | None,
-) -> Block:
-    """Return a signal that a user hands over, in the unit of a model, as ``block["signal"]``.
+) -> tuple[Floats, Steps, Floats | None]:
+    """Return a signal that a user hands over, in the unit of a model, the seconds a row, and its stamps.
 
     Parameters
     ----------
@@ -439,14 +435,49 @@ def signal_of(
         An array, a Series, or a frame, which is read as the command reads a log.
     roles
         What it is, and the role of its column in a log.
-    quantity
-        Of the model.
+    of_model
+        What it is in the model.
     time, sample_rate, unit
-        As of ``Model.simulate``, the rate in Hz.
+        As of ``Model.simulate``.
     """
+    reading = Reading.typed({"sample_rate": sample_rate})
     role = roles[1] if is_frame(data) else roles[0]
-    signals, units = {role: data}, {role: quantity.unit}
-    source, columns = table_in_memory(signals, {role: unit}, units, time, sample_rate)
-    block = read_table(source, columns, Reading(sample_rate=sample_rate), units)[1]
+    signals, units = {role: data}, {role: of_model.unit}
+    source, columns = table_in_memory(signals, {role: unit}, units, time, reading)
+    block = read_table(source, columns, reading, units)[1]
     is_stamped = is_frame(data) or sample_rate is None
-    return Block(block.time if is_stamped else None, {"signal": block[role]}, block.dt)
+    return block[role], block.dt, block.time if is_stamped else None
+
+
+def read_drive(
+    path: str, columns: Columns, reading: Reading, units: Units | None = None
+) -> tuple[Log, Block]:
+    """Read a drive whole, as strictly as it was written.
+
+    Raises
+    ------
+    LimitError
+        A row holds no number: an amplifier cannot play it.
+    UsageError
+        The drive is in another file than its time: interpolated, it is not the drive.
+    """
+    if "::" in (columns["voltage"] or ""):
+        raise UsageError(f"`voltage` {columns['voltage']}: name that file as DRIVE")
+    with open_log(path, columns, reading, units) as log:
+        try:
+            table = log.read()
+        except InputError as problem:
+            raise LimitError(str(problem)) from problem
+    log.warn_of_assumed()
+    return log, table
+
+
+def read_meant(path: str, column: str | None, unit: str | None) -> Block:
+    """Read the drive that was meant to be played (InputError): the only one of its file."""
+    columns, units = {"time": None, "voltage": column}, {"voltage": unit}
+    try:
+        return read_drive(path, columns, Reading(), units if unit else None)[1]
+    except InputError as problem:
+        raise InputError(
+            f"`against` takes the only drive of its file: call its column voltage_V there ({problem})"
+        ) from None

@@ -35,27 +35,21 @@ _BASES = {
     "ohm": "resistance", "F": "capacitance", "Nm": "torque", "A/m": "field",
 }  # fmt: skip
 _PREFIXES = {"": 0, "p": -12, "n": -9, "u": -6, "m": -3, "k": 3, "M": 6, "G": 9}
-# units without prefixes: what they measure, and their size in the base unit
-_UNPREFIXED: dict[str, tuple[str, Fraction]] = {
-    "cm": ("length", Fraction(1, 100)),
-    "angstrom": ("length", Fraction(1, 10**10)),
-    "min": ("time", Fraction(60)),
-    "h": ("time", Fraction(3600)),
-    "d": ("time", Fraction(86400)),
-    "deg": ("angle", Fraction(math.pi / 180.0)),
-    "arcsec": ("angle", Fraction(math.pi / 648000.0)),
-    "bar": ("pressure", Fraction(10**5)),
-    "mbar": ("pressure", Fraction(100)),
-    "psi": ("pressure", Fraction("6894.757293168")),
-    "K": ("temperature", Fraction(1)),
-    "degC": ("temperature in degC", Fraction(1)),
-    "degF": ("temperature in degF", Fraction(1)),
-    "Oe": ("field in Oe", Fraction(1)),
-    "%": ("share", Fraction(1)),
-    "ppm": ("strain", Fraction(1, 10**6)),
-    "dB": ("level", Fraction(1)),
-    "counts": ("count", Fraction(1)),
-    "samples": ("number of samples", Fraction(1)),
+# units without prefixes by what they measure, and their size in the base unit
+_UNPREFIXED: dict[str, dict[str, float | Fraction]] = {
+    "length": {"cm": Fraction(1, 100), "angstrom": Fraction(1, 10**10)},
+    "time": {"min": 60, "h": 3600, "d": 86400},
+    "angle": {"deg": math.pi / 180.0, "arcsec": math.pi / 648000.0},
+    "pressure": {"bar": 10**5, "mbar": 100, "psi": Fraction("6894.757293168")},
+    "temperature": {"K": 1},
+    "temperature in degC": {"degC": 1},
+    "temperature in degF": {"degF": 1},
+    "field in Oe": {"Oe": 1},
+    "share": {"%": 1},
+    "strain": {"ppm": Fraction(1, 10**6)},
+    "level": {"dB": 1},
+    "count": {"counts": 1},
+    "number of samples": {"samples": 1},
 }
 _BASE_OF = {kind: base for base, kind in _BASES.items()}
 _SPELLINGS = {
@@ -90,7 +84,10 @@ MOVED_KINDS = frozenset(("strain", "force", "torque", "induction"))
 _VALUE_KINDS = DRIVING_KINDS | MOVED_KINDS | {"voltage", "length", "angle"}
 
 
-_UNITS = {text: Unit(text, *entry) for text, entry in _UNPREFIXED.items()}
+_UNITS: dict[str, Unit] = {}
+for _kind, _sizes in _UNPREFIXED.items():
+    for _text, _size in _sizes.items():
+        _UNITS[_text] = Unit(_text, _kind, Fraction(_size))
 for _base, _kind in _BASES.items():
     for _prefix, _power in _PREFIXES.items():
         _text = _prefix + _base
@@ -318,12 +315,14 @@ def parse_quantity(
         ) from None
 
 
-def quantity(name: str, value: Any, unit: str | None, *words: str) -> Any:
+def quantity(
+    name: str, value: Any, unit: str | None, *words: str, largest: float = math.inf
+) -> Any:
     """Return a typed figure in ``unit`` (``parse_quantity``); None, and some words, as they are."""
     if value is None or (isinstance(value, str) and value in words):
         return value
     try:
-        return parse_quantity(value, unit, name)
+        return parse_quantity(value, unit, name, largest)
     except UsageError as problem:
         raise UsageError(" or ".join([str(problem), *words])) from None
 

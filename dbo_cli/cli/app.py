@@ -158,13 +158,6 @@ def _outcome(words: list[str]) -> tuple[int, str]:
         sys.stdout.flush()
     except typer.Exit as leaving:
         return int(leaving.exit_code), ""
-    except BrokenPipeError:  # the reader has had enough
-        missing = ", ".join(missing_outputs())
-        if missing:
-            return (
-                1,
-                f"error: standard output: its reader has left: {missing} is not written",
-            )
     except KeyboardInterrupt:
         return INTERRUPTED, "interrupted"
     except SystemExit:
@@ -173,7 +166,7 @@ def _outcome(words: list[str]) -> tuple[int, str]:
         if Level.debug:
             traceback.print_exc()
         code, text = _explained(problem, words)
-        return code, f"error: {text}"
+        return code, f"error: {text}" if code else ""
     return 0, ""
 
 
@@ -181,6 +174,10 @@ def _explained(problem: BaseException, words: Sequence[str]) -> tuple[int, str]:
     """Return the exit code that belongs to an exception, and the exception in one line."""
     if isinstance(problem, DboError):
         return problem.exit_code, str(problem)
+    if isinstance(problem, BrokenPipeError):  # the reader has had enough
+        missing = ", ".join(missing_outputs())
+        text = f"standard output: its reader has left: {missing} is not written"
+        return int(missing != ""), text
     if hasattr(problem, "format_message"):  # the command line, refused by typer
         command = (
             f"{words[0]} --help-all" if words and words[0] in COMMANDS else "--help"

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, Texts, column, flag, option, rare
 from dbo_cli.cli.say import detail, with_options
-from dbo_cli.errors import InputError, LimitError, UsageError, warn
-
-if TYPE_CHECKING:
-    from dbo_cli.drive.limits import Limits
-    from dbo_cli.logs import Block, Log
+from dbo_cli.errors import UsageError, warn
+from dbo_cli.units import quantity
 
 
 def check(
@@ -43,9 +39,10 @@ def check(
     dbo check played.csv --against drive.csv
     """
     from dbo_cli import channels
+    from dbo_cli.drive import Limits
     from dbo_cli.drive.check import check_drive, check_played, tolerance_of
     from dbo_cli.files import write_text
-    from dbo_cli.units import parse_quantity
+    from dbo_cli.recordings import read_drive, read_meant
 
     if not math.isfinite(gain) or not gain or (gain != 1.0 and against is None):
         raise UsageError(f"`gain` {gain:g}: give a factor, together with `against`")
@@ -60,15 +57,13 @@ def check(
     typed = channels.values_for(ranges, columns_of)
     checks = {}
     for channel, roles in columns_of.items():
-        signal, log = read_drive(drive, reading, roles)
+        log, signal = read_drive(drive, roles, reading)
         unit = log.columns["voltage"].unit
         if max_slew and log.clock.assumption:
             warn(f"{drive}: {log.clock.assumption}")
-        stands = typed[channel].pop("from")
+        begin = quantity("from", typed[channel].pop("from"), unit, largest=0.0)
         recorded, slack = signal["voltage"] * gain, 0.0
-        allowed = None
-        if tolerance is not None:
-            allowed = parse_quantity(tolerance, unit, "tolerance", 0.0)
+        allowed = quantity("tolerance", tolerance, unit, largest=0.0)
         if against is not None:
             column = roles["voltage"] if channel else None
             meant = read_meant(against, column, unit)
@@ -76,15 +71,15 @@ def check(
         result = checks[channel] = check_drive(
             recorded,  # limits are those of the amplifier's output
             signal.time,
-            limits_in(unit, **typed[channel]),
+            Limits.in_unit(unit, **typed[channel]),
             name=f"{drive}: channel {channel}" if channel else drive,
-            start=None if stands is None else parse_quantity(stands, unit, "from", 0.0),
+            start=begin,
             loop=loop,
             tolerance=slack,
             doubts=log.doubtful,
         )
         if against is not None:
-            steps = step_between(meant), step_between(signal)
+            steps = meant.step, signal.step
             check_played(result, meant["voltage"], recorded, steps, allowed)
         detail(*log.doubtful)
     is_json = opt.form_of(form, output) == "json"
@@ -96,61 +91,3 @@ def check(
         write_text(output, "".join(texts))
     for result in checks.values():
         result.require_passed()
-
-
-def read_drive(
-    path: str,
-    reading: opt.Reading,
-    columns: dict[str, str | None],
-    unit: str | None = None,
-) -> tuple[Block, Log]:
-    """Read a drive whole, as strictly as it was written.
-
-    Raises
-    ------
-    LimitError
-        A row holds no number: an amplifier cannot play it.
-    UsageError
-        The drive is in another file than its time: interpolated, it is not the drive.
-    """
-    from dbo_cli.logs import open_log
-    from dbo_cli.recordings import warn_of_assumed
-
-    if "::" in (columns["voltage"] or ""):
-        raise UsageError(f"`voltage` {columns['voltage']}: name that file as DRIVE")
-    units = {} if unit is None else {"voltage": unit}
-    with open_log(path, columns, reading, units) as log:
-        try:
-            table = log.read()
-        except InputError as problem:
-            raise LimitError(str(problem)) from problem
-        warn_of_assumed(log)
-    return table, log
-
-
-def read_meant(path: str, column: str | None, unit: str | None) -> Block:
-    """Read the drive that was meant to be played (InputError): the only one of its file."""
-    from dbo_cli.logs import Reading
-
-    try:
-        return read_drive(path, Reading(), {"time": None, "voltage": column}, unit)[0]
-    except InputError as problem:
-        raise InputError(
-            f"`against` takes the only drive of its file: call its column voltage_V there ({problem})"
-        ) from None
-
-
-def step_between(table: Block) -> float | None:
-    """Return the seconds from row to row; None where they are uneven, or no clock is known."""
-    return table.dt if isinstance(table.dt, float) else None
-
-
-def limits_in(
-    unit: str | None, v_min: str | None, v_max: str | None, max_slew: str | None
-) -> Limits:
-    """Return the limits in the unit of the drive; infinite where not given."""
-    from dbo_cli.drive import Limits
-    from dbo_cli.model import Quantity
-
-    anything = Quantity("voltage", unit, -math.inf, math.inf)
-    return Limits.within(anything, v_min, v_max, max_slew)

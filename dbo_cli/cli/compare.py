@@ -35,7 +35,7 @@ def compare(
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
     every, opened = recordings_of([*logs, *(validate or [])], columns, reading)
     recordings, tests = every[: len(logs)], every[len(logs) :]
-    say_logs(opened[: len(logs)], sum(len(log.voltage) for log in recordings))
+    say_logs(opened[: len(logs)])
     working("fitting")
     seconds = quantity("skip", skip, "s")
     result = compare_operators(recordings, tests, seconds)

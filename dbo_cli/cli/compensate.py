@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
@@ -16,8 +15,8 @@ from dbo_cli.units import quantity
 
 if TYPE_CHECKING:
     from dbo_cli.drive import Drive, Driver
-    from dbo_cli.files import Outputs
     from dbo_cli.logs import Log
+    from dbo_cli.logs.write import Writer
 
 
 def compensate(
@@ -68,6 +67,7 @@ def compensate(
     recorded = {"voltage": voltage, "measured": measured}
     opt.require("tracked", tracked, learning | recorded)
     opt.require("periodic", periodic, {"passes": passes})
+    beside = {"summary": summary, "state": save_state, "history": history}
     check_outputs(output, summary, state=save_state, history=history)
     columns = {"time": time, "displacement": displacement}
     columns_of = channels.columns_of([trajectory], reading, columns)
@@ -102,11 +102,13 @@ def compensate(
     if streams:
         units = {"displacement": models[""].output.unit}
         with open_log(trajectory, columns, reading, units) as log, Outputs() as outputs:
-            drive = write_stream(driver(""), log, outputs, output)
-            write_figures({"": drive}, {"": log}, outputs, summary, save_state, history)
+            driving, has_time = driver(""), log.clock.kind != "none"
+            table = channels.table_of(outputs, output, {"": driving}, has_time)
+            drive = write_stream(driving, log, table)
+            channels.write_beside(outputs, {"": drive}, {"": log}, beside)
         say_one(log, output, drive)
         return
-    from dbo_cli.recordings import read_table, tracked_of, warn_of_assumed
+    from dbo_cli.recordings import read_table, tracked_of
 
     recorded["time"] = time
     reading_of_pass = reading
@@ -122,7 +124,7 @@ def compensate(
             trajectory, columns_of[name], reading, units
         )
         if name:
-            warn_of_assumed(logs[name])
+            logs[name].warn_of_assumed()
         roles = channels.columns_for(recorded, name)
         with channels.naming(name):
             passes_of[name] = tracked_of(
@@ -147,7 +149,7 @@ def compensate(
     drives = channels.together(drive_of, models)
     with Outputs() as outputs:
         channels.write_drives(outputs, output, drives)
-        write_figures(drives, logs, outputs, summary, save_state, history)
+        channels.write_beside(outputs, drives, logs, beside)
     if is_one:
         say_one(logs[""], output, drives[""])
     else:
@@ -170,54 +172,14 @@ def readings_apart(
     return trajectory, replace(reading, scale=of_pass)
 
 
-def write_stream(driver: Driver, log: Log, outputs: Outputs, output: str) -> Drive:
+def write_stream(driver: Driver, log: Log, table: Writer) -> Drive:
     """Drive a trajectory and write it, block by block."""
-    from dbo_cli.channels import heading
-    from dbo_cli.logs import add_table
-
-    columns, origin = heading({"": driver}, log.clock.kind != "none")
-    table = add_table(outputs, output, columns, origin)
     for block in progress(log.blocks(), "driven"):
         rows = driver.rows(block["displacement"], block.dt, block.time)
         rows.send(table.write)
     rows, drive = driver.finish()
     rows.send(table.write)
     return drive
-
-
-def write_figures(
-    drives: dict[str, Drive],
-    logs: dict[str, Log],
-    outputs: Outputs,
-    summary: str | None,
-    state: str | None,
-    history: str | None,
-) -> None:
-    """Write what belongs to the drives of channels, and was asked for."""
-    if summary is None and state is None and history is None:
-        return
-    from dbo_cli.channels import dumps_files
-    from dbo_cli.drive.learning import dumps_history
-    from dbo_cli.model import dumps_state
-
-    summaries, states, histories = {}, {}, {}
-    for name, drive in drives.items():
-        figures, clock = drive.summary(), logs[name].clock
-        figures["trajectory"] = logs[name].name
-        if clock.kind != "none":
-            figures["move_time"] = [clock.first, clock.last]
-        assert drive.state is not None
-        summaries[name] = json.dumps(figures, indent=2) + "\n"
-        states[name] = dumps_state(drive.state, drive.model)
-        histories[name] = dumps_history(drive.history)
-    files = [
-        ("summary", summary, summaries),
-        ("state", state, states),
-        ("history", history, histories),
-    ]
-    for kind, path, texts in files:
-        if path is not None:
-            outputs.write_text(path, dumps_files(kind, texts), kind)
 
 
 def say_one(log: Log, output: str, drive: Drive) -> None:

@@ -9,7 +9,6 @@ from typing import Any, Literal
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import READING, Text, Texts, flag, option, rare
 from dbo_cli.cli.say import detail, say, say_logs, say_output, working
-from dbo_cli.units import quantity
 
 
 def structure(metavar: str | None, text: str, default: str = "auto") -> Any:
@@ -53,38 +52,23 @@ def identify(
 
     Example: dbo identify run.csv --voltage CH1 --scale displacement=10um/V -o model.json
     """
+    typed = dict(locals())
     from dbo_cli import channels
     from dbo_cli.files import Outputs, check_outputs
-    from dbo_cli.identification import Options, describe
+    from dbo_cli.identification import describe
     from dbo_cli.model import dumps_model, dumps_set
-    from dbo_cli.recordings import identified, recordings_of, typed_constants
+    from dbo_cli.recordings import identified, options_of, recordings_of, units_of
     from dbo_cli.reports.show import shown_text
 
     check_outputs(output, summary)
-    options = Options(
-        sign=sign,
-        skip=quantity("skip", skip, "s"),
-        zero=quantity("zero", zero, None, "none", "mean", "first"),
-        sensor_delay=quantity("sensor_delay", sensor_delay, "s"),
-        gears=opt.whole_number("gears", gears),
-        points=opt.whole_number("points", points),
-        relaxation=typed_constants(
-            "auto" if relaxation == "auto" else relaxation.split(",")
-        ),
-        delay=quantity("delay", delay, "s", "auto"),
-        dynamics=opt.whole_number("dynamics", dynamics),
-        slopes=slopes,
-        method=method,
-        force=force,
-    )
+    options = options_of({**typed, "prior": None})
     columns = {"time": time, "voltage": voltage, "displacement": displacement}
     columns_of = channels.columns_of(logs, reading, columns)
     priors = {} if prior is None else channels.models_of(prior, columns_of, columns)
     models, lines, read = {}, [], []
     for name, roles in columns_of.items():
-        shape, units = priors.get(name), {}
-        if shape is not None:
-            units = {"voltage": shape.input.unit, "displacement": shape.output.unit}
+        shape = priors.get(name)
+        units = units_of(shape, "displacement")
         with channels.naming(name):
             every, opened = recordings_of(
                 [*logs, *(validate or [])], roles, reading, units
@@ -108,12 +92,11 @@ def identify(
                 figures[name] = json.dumps(figure, indent=2) + "\n"
             outputs.write_text(summary, channels.dumps_files("summary", figures))
     model = next(iter(models.values()))
-    rows = sum(log["rows"] for log in model.provenance["logs"])
     if is_set:
         lines.insert(0, f"{len(models)} models")
-        say_logs(read, rows)
+        say_logs(read)
     else:
-        say_logs(read, rows, f" ({model.sign})")
+        say_logs(read, f" ({model.sign})")
         detail(*shown_text(model, "").splitlines()[1:])
     say_output(output, lines.pop(0))
     for line in lines:

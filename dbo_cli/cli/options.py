@@ -126,7 +126,7 @@ def read_as(
     typed = dict(locals(), scale=_scales(scale or []))
     from dbo_cli.logs import Reading
 
-    return Reading.typed(**typed)
+    return Reading.typed(typed)
 
 
 def _scales(texts: list[str]) -> dict[str, str | float]:
@@ -182,16 +182,6 @@ def require(partner: str, partner_value: object, options: dict[str, Any]) -> Non
     for name, value in options.items():
         if value and not partner_value:
             raise UsageError(f"`{name}` needs `{partner}`")
-
-
-def whole_number(name: str, text: str) -> Any:
-    """Return the whole number of an option, or ``auto`` (UsageError)."""
-    if text == "auto":
-        return text
-    try:
-        return int(text)
-    except ValueError:
-        raise UsageError(f"`{name}` {text}: give auto or a whole number") from None
 
 
 def span(name: str, text: str, unit: str | None) -> tuple[float, float]:

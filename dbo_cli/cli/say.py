@@ -12,8 +12,6 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, TypeVar
 
-from dbo_cli.errors import warn
-
 ERASE = "\r\x1b[K"
 PARAMETER = re.compile(r"`([a-z]\w*)`")
 UPDATE_SECONDS = 0.2  # seconds between two updates of a progress line
@@ -39,11 +37,12 @@ def say_output(output: str, text: str) -> None:
     say(f"{'stdout' if output == '-' else output}: {text}")
 
 
-def say_logs(logs: Sequence[Any], rows: int, suffix: str = "") -> None:
+def say_logs(logs: Sequence[Any], suffix: str = "") -> None:
     """Print what was read: a line a log, of more than two one line for all."""
     lines = [log.line() + suffix for log in logs]
     if len(lines) > 2:
         detail(*lines)
+        rows = sum(log.row_count for log in logs)
         lines = [f"{len(logs)} logs, {rows:,} rows{suffix}"]
     for line in lines:
         say(line)
@@ -53,9 +52,8 @@ def say_logs(logs: Sequence[Any], rows: int, suffix: str = "") -> None:
 
 def say_log(log: Any) -> None:
     """Print what was read, and warn of rows that were left out, cut or guessed."""
-    say_logs([log], 0)
-    for doubt in log.doubtful:
-        warn(f"{log.name}: {doubt}")
+    say_logs([log])
+    log.warn_of_doubts()
 
 
 def detail(*texts: str) -> None:

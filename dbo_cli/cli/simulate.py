@@ -42,7 +42,6 @@ def simulate(
     from dbo_cli.files import Outputs, check_outputs
     from dbo_cli.logs import add_table, open_log
     from dbo_cli.model import State, dumps_state
-    from dbo_cli.recordings import warn_of_assumed, warn_of_doubts
 
     columns = {"time": time, "input": input}
     check_outputs(output, state=save_state)
@@ -53,24 +52,22 @@ def simulate(
         label = f"channel {name}" if name else log
         simulators[name] = Simulator(models[name], start, outside, label)
     with Outputs() as outputs, ExitStack() as opened:
-        logs = {}
+        logs, pairs = {}, {}
         for name, roles in columns_of.items():
-            units = {"input": models[name].input.unit}
-            signal = open_log(log, roles, reading, units)
+            into, out = models[name].input, models[name].output
+            signal = open_log(log, roles, reading, {"input": into.unit})
             logs[name] = opened.enter_context(signal)
-        pairs = {}
-        for name, actuator in models.items():
-            into, out = logs[name].columns["input"].unit, actuator.output
-            pairs[name] = [(actuator.input.quantity, into), (out.quantity, out.unit)]
+            unit = signal.columns["input"].unit
+            pairs[name] = [(into.quantity, unit), (out.quantity, out.unit)]
         is_clocked = all(log.clock.kind != "none" for log in logs.values())
         header = channels.named_columns(pairs, is_clocked)
         table = add_table(outputs, output, header)
         write_rows(simulators, logs, table)
-        texts = {}
-        for name, simulator in simulators.items():
-            if isinstance(simulator.state, State):
+        if save_state is not None:
+            texts = {}
+            for name, simulator in simulators.items():
+                assert isinstance(simulator.state, State)
                 texts[name] = dumps_state(simulator.state, models[name])
-        if save_state is not None and texts:
             content = channels.dumps_files("state", texts)
             outputs.write_text(save_state, content, "state")
     text = f"{len(models)} channels, {table.rows:,} rows"
@@ -80,8 +77,8 @@ def simulate(
         text = f"{table.rows:,} rows of {quantity.quantity}{quantity.suffix}"
     else:
         for signal in logs.values():
-            warn_of_assumed(signal)
-            warn_of_doubts(signal)
+            signal.warn_of_assumed()
+            signal.warn_of_doubts()
     say_output(output, text)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dbo_cli.cli import options as opt
-from dbo_cli.cli.check import limits_in, read_drive, step_between
 from dbo_cli.cli.options import Text, Texts, flag, option
 from dbo_cli.cli.say import detail, say, say_output
 from dbo_cli.errors import InputError
@@ -39,9 +38,11 @@ def waveform(
     Example: dbo waveform drive.csv --to uint16 --gain 20 --volts 0:5 -o drive.bin
     """
     from dbo_cli import channels
+    from dbo_cli.drive import Limits
     from dbo_cli.files import Outputs
     from dbo_cli.moves import side_by_side
     from dbo_cli.moves import waveform as make
+    from dbo_cli.recordings import read_drive
     from dbo_cli.units import kind_of, multiplied, ratio
 
     columns = {"time": time, "voltage": voltage}
@@ -50,23 +51,22 @@ def waveform(
     limits = channels.values_for(ranges, columns_of)
     waveforms = {}
     for channel, roles in columns_of.items():
-        signal, log = read_drive(drive, reading, roles)
+        log, signal = read_drive(drive, roles, reading)
         unit = log.columns["voltage"].unit
         if kind_of(unit) not in (None, "voltage"):
             raise InputError(
                 f"{drive}: the drive is in {unit}, not V: add `scale` voltage=FACTORV/{unit}"
             )
         volt = None if unit is None else "V"  # a limit's unit needs one in the file
-        step = step_between(signal)
-        if step is None:
+        if signal.step is None:
             raise InputError(
                 f"{drive}: needs an even clock: add `resample` HZ, or `sample_rate` HZ if it has none"
             )
         waveforms[channel] = make(
             multiplied(signal["voltage"], ratio(unit, "V")),
-            1.0 / step,
+            1.0 / signal.step,
             to,
-            limits_in(volt, **limits[channel]),
+            Limits.in_unit(volt, **limits[channel]),
             name=f"{drive}: channel {channel}" if channel else drive,
             gain=gain,
             loop=loop,

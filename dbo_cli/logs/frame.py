@@ -65,7 +65,7 @@ def frame_table(frame: Any, time: Any = None) -> Table:
     frame : pandas or polars frame
         The table.
     time : array_like, optional
-        The time of each row (s), in the place of what the frame has.
+        The time of each row, in the place of what the frame has; see ``clock_of``.
     """
     attrs = getattr(frame, "attrs", {})
     name = str(attrs.get("name", "the frame"))
@@ -93,15 +93,45 @@ def frame_table(frame: Any, time: Any = None) -> Table:
             )
             column = replace(column, doubt=doubt)
         columns.append(column)
-    if time is not None:
+    if time is not None or not clocks:
         columns = [column for column in columns if column not in clocks]
-        columns.append(column_in_memory(name, "time", time, "s"))
-    elif not clocks and (index := time_index(frame)) is not None:
-        columns.insert(0, index_column(name, index))
+        columns += clock_of(name, {name: frame}, time)
     table = table_of(name, columns)
     table.hint = " (of a frame: rename its columns)"
+    table.titles = attrs.get("columns", {})
     table.has_found_offset = bool(attrs.get("holds_delay"))
     return table
+
+
+def clock_of(table: str, signals: Mapping[str, Any], time: Any) -> list[Column]:
+    """Return the column of the time, one or none.
+
+    Parameters
+    ----------
+    table
+        How messages call the table.
+    signals
+        Pandas objects or others, by their names; a time index that they share counts.
+    time : array_like, optional
+        The time of each row, in the place of an index: in s, or dates.
+
+    Raises
+    ------
+    InputError
+        It is in another unit, or the signals have several times.
+    """
+    if time is not None:
+        return [column_in_memory(table, "time", seconds_of(time), "s")]
+    indexes = [time_index(values) for values in signals.values()]
+    indexes = [index for index in indexes if index is not None]
+    if any(not index.equals(indexes[0]) for index in indexes):
+        raise InputError(f"{', '.join(signals)} have other times: give one `time`")
+    columns = []
+    for index in indexes[:1]:
+        title = str(index.name or "time")
+        unit = split_header(title)[1] or time_unit(title)
+        columns.append(column_in_memory(table, title, index, unit))
+    return columns
 
 
 def time_index(data: Any) -> Any:
@@ -118,13 +148,6 @@ def time_index(data: Any) -> Any:
     title = str(getattr(index, "name", None) or "")
     is_called = is_time(Column(0, title, split_header(title)[1]))
     return index if is_called or dtype_kind(index) in "fmM" else None
-
-
-def index_column(table: str, index: Any) -> Column:
-    """Return a time index as a column; it is called time where it has no name."""
-    title = str(index.name or "time")
-    unit = split_header(title)[1] or time_unit(title)
-    return column_in_memory(table, title, index, unit)
 
 
 # --- values ---
@@ -201,10 +224,8 @@ def _one_unit(title: str, stated: Any, header: str | None) -> str | None:
     return unit
 
 
-def seconds_of(time: Any) -> NDArray[Any] | None:
-    """Return times as seconds; dates count from the first. None stays None."""
-    if time is None:
-        return None
+def seconds_of(time: Any) -> NDArray[Any]:
+    """Return times as seconds; dates count from the first."""
     cells, unit = cells_of(time), stated_unit(time, "time")
     unit = unit or time_unit(str(getattr(time, "name", "")))  # an index named ms
     if dtype_kind(time) not in "mM" and unit not in (None, "s"):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.files import note_input
 from dbo_cli.logs.clock import find_clock
 from dbo_cli.logs.columns import ROLES, choose, named
@@ -52,6 +52,8 @@ class Log(AbstractContextManager["Log"]):
         The file as it was typed.
     columns
         By role, the column; its unit is that of the values, after all conversions.
+    titles
+        Of a frame that was read from a file, the names of its columns there.
     clock
         Where the times come from.
     remarks
@@ -80,7 +82,7 @@ class Log(AbstractContextManager["Log"]):
         for role, column in columns.items():
             scale = reading.scale
             columns[role] = scaled_column(source.name, role, column, scale, units)
-        self.name = source.name
+        self.name, self.titles = source.name, source.titles
         self.columns = columns
         self.remarks = source.remarks
         self.doubtful: list[str] = []
@@ -123,10 +125,22 @@ class Log(AbstractContextManager["Log"]):
         self.remarks += self.clock.remarks
 
     @property
-    def assumed(self) -> list[str]:
-        """The columns whose unit nothing states, each with the unit that is assumed."""
-        titles = [column.title for column in self.columns.values()]
-        return [title for title in titles if title.endswith(" assumed)")]
+    def row_count(self) -> int:
+        """How many rows were read so far."""
+        return self._count
+
+    def warn_of_assumed(self) -> None:
+        """Warn of columns whose unit is assumed, where no line says what was read."""
+        for column in self.columns.values():
+            if column.title.endswith(" assumed)"):
+                warn(
+                    f"{self.name}: {column.title}: state its unit in its name, or by `scale`"
+                )
+
+    def warn_of_doubts(self) -> None:
+        """Warn of rows that were left out, cut or guessed."""
+        for doubt in self.doubtful:
+            warn(f"{self.name}: {doubt}")
 
     def blocks(self) -> Iterator[Block]:
         """Return the log once, in blocks of at most ``ROWS_A_BLOCK`` rows.

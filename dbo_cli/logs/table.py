@@ -7,7 +7,7 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from typing import Any
 
@@ -129,13 +129,16 @@ class Reading:
             raise UsageError(f"`skip_lines` {self.skip_lines}: give 0 or more")
 
     @classmethod
-    def typed(cls, **options: Any) -> Reading:
-        """Return how a log is to be read, of options whose figures are numbers or texts with a unit."""
+    def typed(cls, options: Mapping[str, Any]) -> Reading:
+        """Return how a log is to be read, by the typed options that have the names of its attributes."""
+        names = [attribute.name for attribute in fields(cls)]
+        typed = [name for name in names if options.get(name) is not None]
+        values = {name: options[name] for name in typed}
         for name in ("sample_rate", "resample"):
-            options[name] = quantity(name, options.get(name), "Hz")
+            values[name] = quantity(name, options.get(name), "Hz")
         offset = options.get("clock_offset")
-        options["clock_offset"] = quantity("clock_offset", offset, "s", "auto")
-        return cls(**options)
+        values["clock_offset"] = quantity("clock_offset", offset, "s", "auto")
+        return cls(**values)
 
 
 def parse_rows(rows: str | None) -> tuple[int, int]:
@@ -184,6 +187,11 @@ class Block:
     def __getitem__(self, role: str) -> Floats:
         """Return the array of a role."""
         return self.values[role]
+
+    @property
+    def step(self) -> float | None:
+        """The seconds from row to row; None where they are uneven, or no clock is known."""
+        return self.dt if isinstance(self.dt, float) else None
 
     def part(self, start: int, stop: int) -> Block:
         """Return some of the rows."""
@@ -242,6 +250,8 @@ class Table(AbstractContextManager["Table"]):
         What is appended to a refusal about columns.
     cure
         What helps where rows hold no numbers.
+    titles
+        Of a frame that was read from a file, the names of its columns there.
     has_found_offset
         Whether a clock offset was found when it was made of two files.
     remarks
@@ -271,6 +281,7 @@ class Table(AbstractContextManager["Table"]):
         self.close = close
         self.columns: list[Column] = []
         self.settings: Settings = {}
+        self.titles: Mapping[str, str] = {}
         self.remarks: list[str] = []
         self.torn: list[int] = []
         self.find: Callable[[str], Column | None] = lambda name: None

@@ -141,7 +141,7 @@ def _text_appender(file: Output, columns: Sequence[Named], delimiter: str) -> Ap
     if file.path.lower().endswith(".gz"):
         # no name and no time: the same numbers give the same bytes
         packed = gzip.GzipFile("", "wb", _GZIP_LEVEL, target, 0)
-        file.complete = packed.close
+        file.closing.callback(packed.close)
         stream = packed  # type: ignore[assignment]
 
     def send(data: bytes | memoryview) -> None:
@@ -191,7 +191,7 @@ def _hdf5_appender(
     import h5py
 
     with telling(file.path):
-        file.stream = stream = PatientFile(file.begin(), "xb+")
+        stream = file.closing.enter_context(PatientFile(file.begin(), "xb+"))
     store = h5py.File(stream, "w")
     store.attrs.update(attributes)
     datasets: list[Any] = []
@@ -215,7 +215,7 @@ def _hdf5_appender(
         store.close()
         stream.tell_problem()
 
-    file.complete = complete
+    file.closing.callback(complete)
     return append
 
 
