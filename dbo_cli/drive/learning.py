@@ -14,6 +14,7 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from hashlib import sha256
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -108,18 +109,13 @@ def learned(
     error = desired - measured
     zero = 0.0 if absolute else float(error.mean())
     error = error - zero
-    passed = PassRecord(sha256(voltage.tobytes()).hexdigest(), rms(error))
-    drives = [record.drive_sha256 for record in history]
-    before = tuple(history)
-    if passed.drive_sha256 in drives:  # what came of learning from it is forgotten
-        before = before[: drives.index(passed.drive_sha256)]
+    digest = sha256(voltage.tobytes()).hexdigest()
+    passed = PassRecord(digest, rms(error))
+    # what came of learning from this drive before is forgotten
+    before = tuple(takewhile(lambda record: record.drive_sha256 != digest, history))
     cutoff = bandwidth
     if cutoff is None:
-        # a third of the lowest resonance: nothing grows where the model has it 25 % off
-        cutoff = model.trusted_frequency
-        if cutoff is None:
-            cutoff = _trusted_by_bands(name, desired, measured - modelled, step)
-        cutoff = min(cutoff, 0.45 / step)
+        cutoff = _trusted_frequency(name, model, desired, measured - modelled, step)
     _require_no_growth(name, [record.rmse for record in before], passed.rmse, cutoff)
     change = low_pass(modelled - desired + error, cutoff, step, periodic, ORDER)
     if not absolute:
@@ -385,15 +381,20 @@ def _require_no_growth(
     )
 
 
-def _trusted_by_bands(
-    name: str, desired: Floats, residual: Floats, step: float
+def _trusted_frequency(
+    name: str, model: Cascade, desired: Floats, residual: Floats, step: float
 ) -> float:
-    """Return the upper end (Hz) of the last third of an octave in which the residual is small.
+    """Return the frequency (Hz) to which a model is trusted in learning.
 
-    From the strongest one on: in those below, what a wrong loop makes of it exceeds the
+    It is a third of its lowest resonance: nothing grows where the model has that 25 % off.
+    Without one it is the upper end of the last third of an octave in which the residual is small,
+    from the strongest one on: in those below, what a wrong loop makes of it exceeds the
     little that was asked there. Between harmonics, where the trajectory asks for nothing,
     there is only what was learned against such a loop.
     """
+    highest = 0.45 / step
+    if model.trusted_frequency is not None:
+        return min(model.trusted_frequency, highest)
     window = np.hanning(desired.size)
     move = np.fft.rfft((desired - desired.mean()) * window)[1:]
     error = np.fft.rfft((residual - residual.mean()) * window)[1:]
@@ -401,20 +402,16 @@ def _trusted_by_bands(
     band = np.floor(3.0 * np.log2(frequency / frequency[0])).astype(int)
     energy = np.sqrt(np.bincount(band, np.abs(move) ** 2))
     error_energy = np.sqrt(np.bincount(band, np.abs(error) ** 2))
-    strongest = int(np.argmax(energy))
-    good = -1
-    for k in range(strongest, energy.size):
-        if energy[k] <= BAND_ENERGY * energy[strongest]:
-            continue
-        if error_energy[k] > TRUSTED_ERROR * energy[k]:
-            break
-        good = k
-    if good < 0:
+    counts = energy > BAND_ENERGY * energy.max()
+    counts[: np.argmax(energy)] = False
+    wrong = counts & (error_energy > TRUSTED_ERROR * energy)
+    good = np.flatnonzero(counts & (np.cumsum(wrong) == 0))
+    if not good.size:
         raise InputError(
             f"{name}: does not follow the model at any frequency: check columns, units and delay, or "
             "give `bandwidth` HZ"
         )
-    return float(frequency[0] * 2.0 ** ((good + 1) / 3.0))
+    return min(float(frequency[0] * 2.0 ** ((good[-1] + 1) / 3.0)), highest)
 
 
 # --- the history ---
