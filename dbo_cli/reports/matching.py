@@ -164,7 +164,7 @@ def _by_displacement(recording: Pair, trajectory: Pair) -> Alignment | None:
     clock, desired = trajectory.clock, trajectory.desired
     measured = Trace(recording.clock, recording.measured)
     move = clock >= 0.0
-    if not np.ptp(desired[move]) > 0.0:
+    if np.unique(desired[move]).size < 2:
         move = np.ones(len(clock), dtype=bool)
     found = align_displacements(measured, Trace(clock[move], desired[move]))
     if found is None or found.lag.rival is not None:
