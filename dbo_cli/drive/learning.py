@@ -166,16 +166,14 @@ def rows_of_loop(
     row_count = voltage.size - (stamped or 0)
     if row_count < count:
         raise _not_this_move(name, f"{row_count:,} of {count:,} rows")
-    whole = voltage.size // count * count
-    periods = voltage[-whole:].reshape(-1, count)
-    begin = len(periods) - 1
-    while begin and is_one_drive(model, periods[begin - 1], periods[-1]):
+    rows = np.array([voltage, _measured(model, recording, step)])
+    periods = rows[:, voltage.size % count :].reshape(2, -1, count)
+    begin = last = periods.shape[1] - 1
+    while begin and is_one_drive(model, periods[0, begin - 1], periods[0, last]):
         begin -= 1  # before that one, something else leads to the loop
-    if begin < len(periods) - 1:
+    if begin < last:
         begin += 1  # not settled yet
-    drive = periods[begin:].mean(axis=0)
-    measured = _measured(model, recording, step)[-whole:].reshape(-1, count)
-    measured = measured[begin:].mean(axis=0)
+    rows = periods[:, begin:].mean(axis=1)
 
     def repeated(period: Floats) -> Floats:
         start = _start(lead, float(voltage[0] if stamped else period[0]), step)
@@ -183,12 +181,12 @@ def rows_of_loop(
 
     # a recorder may begin anywhere in a loop: the period is laid where what the model
     # makes of it is closest to the trajectory
-    spectrum = np.fft.rfft(repeated(drive)) * np.fft.rfft(desired).conj()
+    spectrum = np.fft.rfft(repeated(rows[0])) * np.fft.rfft(desired).conj()
     phase = int(np.argmax(np.fft.irfft(spectrum, count)))
     by_stamps = stamped is not None and row_count % count == 0
     if by_stamps and min(phase, count - phase) * step <= ACTUATOR_LAG:
         phase = 0  # what was learned may be as early
-    drive, measured = np.roll(drive, -phase), np.roll(measured, -phase)
+    drive, measured = np.roll(rows, -phase, axis=1)
     return np.array([drive, repeated(drive), measured])
 
 

@@ -34,11 +34,7 @@ INK, MUTED, RULE = "#1b1d22", "#5d646f", "#d5d9df"
 FIRST, SECOND, FILL = "#00508f", "#e0751a", "#7fa8cc"
 
 SOLID: dict[str, Any] = {"color": FIRST, "linewidth": 1.3}
-DASHED: dict[str, Any] = {
-    "color": SECOND,
-    "linestyle": (0, (3.2, 1.4)),
-    "linewidth": 1.3,
-}
+DASHED: dict[str, Any] = {**SOLID, "color": SECOND, "linestyle": (0, (3.2, 1.4))}
 THIN: dict[str, Any] = {"color": INK, "linewidth": 0.9}
 WIDE = (5.0, 2.8)  # inches: two side by side fill a page in print, one a phone
 TALL = (5.0, 4.0)  # inches: as wide as those; for loops
