@@ -219,8 +219,7 @@ def _first_row(
     to it. A recorder may count from elsewhere than the stamps say: they count where they
     agree with that, or where it shows too little.
     """
-    move, mean = desired - desired.mean(), desired.mean()
-    misfit = sliding_misfit(rows[1] - mean, move)
+    misfit = sliding_misfit(rows[1], desired)
     row = int(np.argmin(misfit))
     led = _row_behind_lead(lead, desired.size, step, rows, row)
     best = row if led is None else led
@@ -229,7 +228,7 @@ def _first_row(
     # what was learned may be as early
     if abs(best - stamped) * step <= ACTUATOR_LAG:
         return stamped
-    square = DRIVE_RESIDUAL * float(np.sum(move**2))
+    square = DRIVE_RESIDUAL * desired.size * float(np.var(desired))
     enough = min(MUCH_CLOSER * float(misfit[stamped]), square)
     return best if led is not None or misfit[row] <= enough else stamped
 
@@ -248,7 +247,7 @@ def _row_behind_lead(
         _, led, still = lead.planned(float(modelled[row]), step, None)
         if not 0 < led.size <= voltage.size or np.ptp(led) <= close:
             return None
-        misfit = sliding_misfit(voltage - led.mean(), led - led.mean())
+        misfit = sliding_misfit(voltage, led)
         begin = int(np.argmin(misfit))
         tried, row = row, begin + led.size + still
         if row + count > voltage.size:
@@ -284,6 +283,7 @@ def _row_by_stamps(
 
 def sliding_misfit(values: Floats, template: Floats) -> Floats:
     """Return the sum of squared differences from a template at each place where it fits in; one at least."""
+    values, template = values - template.mean(), template - template.mean()
     places = max(values.size - template.size + 1, 1)
     size = values.size + template.size
     spectrum = np.fft.rfft(values, size) * np.fft.rfft(template, size).conj()

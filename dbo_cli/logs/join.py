@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from dbo_cli.alignment import (
     ACTUATOR_LAG,
-    USUAL_LAG,
     Alignment,
     Trace,
     align_displacements,
@@ -29,7 +28,6 @@ _DRIVES = ("voltage", "desired", "input")
 _EXPLAINED = 0.09  # of the displacement's variance may be left unexplained
 _KNOWN_TO = 0.5  # samples of the slower clock, two standard deviations, or
 _TOLERABLE = 0.005  # of the drive (RMS), by which it changes in that time
-_CLEARLY_APART = 5.0  # standard deviations from which on two clocks count as apart
 _GAP_STEPS = 2.5  # usual steps; in a longer one at least a row is missing
 _MOST_ROWS = 100_000_000  # of a log at an even rate: some gigabytes
 
@@ -188,9 +186,6 @@ def _warn_if_apart(
     if pair is None or pair[0].lag.residual > _EXPLAINED:
         return
     found, sensor, drive = pair
-    clearly = found.step + _CLEARLY_APART * found.lag.deviation
-    if -clearly <= found.ahead <= clearly + USUAL_LAG:
-        return
     if not are_apart(found, sensor, drive):
         return
     remedy = "try `clock_offset` auto"

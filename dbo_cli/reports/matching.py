@@ -171,4 +171,4 @@ def _by_displacement(recording: Pair, trajectory: Pair) -> Alignment | None:
         found = align_displacements(measured, Trace(clock, desired))
     if found is None:
         return None
-    return on_whole_rows(found, measured.time, clock, WHOLE_BY_DISPLACEMENT)
+    return on_whole_rows(found, WHOLE_BY_DISPLACEMENT)
