@@ -68,12 +68,15 @@ class Alignment:
         By how much the signal comes later, from first row to first row (s).
     step
         Seconds a row of the slower clock.
+    has_one_step
+        Whether both clocks are even and have this step.
     """
 
     start: float
     reference_start: float
     lag: TimeLag
     step: float
+    has_one_step: bool
 
     @property
     def ahead(self) -> float:
@@ -99,7 +102,7 @@ def align_drives(drive: Trace, reference: Trace) -> Alignment | None:
     found = aligned(drive, reference, rate=True)
     if found is None or found.lag.residual > DRIVE_RESIDUAL:
         return None
-    return on_whole_rows(found, drive.time, reference.time, WHOLE_BY_DRIVE)
+    return on_whole_rows(found, WHOLE_BY_DRIVE)
 
 
 def align_displacements(
@@ -152,6 +155,7 @@ def aligned(
     if not step > 0.0:
         return None
     signal, columns = _sampled(trace, step), _sampled(reference, step)
+    has_one_step = signal is trace.values and columns is reference.values
     begin = 0
     if loops:
         begin, columns = loop_columns(columns)
@@ -163,14 +167,17 @@ def aligned(
         if running is not None and running.residual < RATE_SHOWS * found.residual:
             found = running if abs(running.rate) <= RATE_SLACK else found
     start = float(reference.time[0]) + begin * step
-    return Alignment(float(trace.time[0]), start, found, step)
+    return Alignment(float(trace.time[0]), start, found, step, has_one_step)
 
 
 def are_apart(found: Alignment, displacement: Trace, reference: Trace) -> bool:
     """Return whether an alignment explains a displacement clearly better than the stamps do.
 
-    A loop is allowed for: of a single swing that repeats, the two do not tell.
+    A usual lag of the actuator is allowed for, and a loop: of a single swing that repeats, the
+    two do not tell.
     """
+    if -found.step <= found.ahead <= found.step + USUAL_LAG:
+        return False
     begin, columns = loop_columns(_sampled(reference, found.step))
     signal = _sampled(displacement, found.step)
     shift = begin - (found.start - float(reference.time[0])) / found.step
@@ -213,17 +220,12 @@ def _sampled(trace: Trace, step: float) -> Floats:
     return np.interp(grid, time, values)
 
 
-def on_whole_rows(
-    found: Alignment, time: Floats, reference_time: Floats, slack: float
-) -> Alignment:
+def on_whole_rows(found: Alignment, slack: float) -> Alignment:
     """Return the alignment by whole rows where one card may have played and recorded."""
-    steps = even(time), even(reference_time)
-    if steps[0] is None or steps[1] is None or found.lag.rate:
+    lag, step = found.lag, found.step
+    if lag.rate or not found.has_one_step:
         return found
-    if abs(steps[0] / steps[1] - 1.0) > SAME_STEP:
+    rows = round(lag.seconds / step)
+    if abs(lag.seconds / step - rows) > max(slack, 3.0 * lag.deviation / step):
         return found
-    rows = round(found.lag.seconds / steps[1])
-    fraction = abs(found.lag.seconds / steps[1] - rows)
-    if fraction > max(slack, 3.0 * found.lag.deviation / found.step):
-        return found
-    return replace(found, lag=replace(found.lag, seconds=rows * steps[1]))
+    return replace(found, lag=replace(lag, seconds=rows * step))

@@ -39,7 +39,7 @@ RIVAL = 0.9
 REPEATS = 1e-6
 """Part of its variance by which a reference that repeats itself may differ after a period."""
 FOLLOWS = 0.25
-"""Part of the reference's variance by which rows that follow it may differ."""
+"""Part of their variance by which rows that follow the reference may differ."""
 ITERATIONS = 20
 """Gauss-Newton steps at most."""
 LONGEST_STEP = 0.01
@@ -224,15 +224,17 @@ def lag(
         return None
     if np.ptp(signal) == 0.0 or np.ptp(columns[:, 0]) == 0.0:
         return None
-    fits = []  # in rows
     lags, strengths = _peaks(columns[:, 0], signal, inverted)
     # of lags that are alike to rounding, the one nearest to none
     height = np.round(strengths / strengths.max(), 9)
     order = np.lexsort([np.abs(lags), -height])
-    for start in lags[order[:PLACES]].tolist():
-        fit = _refined(signal, columns, start, rate, TRIED_ROWS)
-        if fit is not None:
-            fits.append(fit)
+    starts = lags[order[:PLACES]].tolist()
+    if len(signal) < FEWEST_SHARED:
+        begin, end = _rows_within(signal, columns, starts[0])
+        residual = math.exp(-float(strengths[order[0]]) / (end - begin))
+        return TimeLag(step * starts[0], residual=residual)
+    tried = [_refined(signal, columns, start, rate, TRIED_ROWS) for start in starts]
+    fits = [fit for fit in tried if fit is not None]  # in rows
     if not fits:
         return None
     best = max(fits, key=lambda fit: fit.evidence)
@@ -243,14 +245,17 @@ def lag(
     if len(signal) > TRIED_ROWS:
         most_rows = max(REFINED_ROWS // columns.shape[1], TRIED_ROWS)
         best = _refined(signal, columns, best.seconds, rate, most_rows) or best
-    rival = None
-    for fit in fits:
-        apart = abs(fit.seconds - first.seconds) > max(2.0, 5.0 * first.deviation)
-        if apart and fit.evidence >= RIVAL * first.evidence:
-            rival = step * fit.seconds
-            break
+    rivals = [step * fit.seconds for fit in fits if _is_rival(fit, first)]
     seconds, deviation = step * best.seconds, step * best.deviation
+    rival = rivals[0] if rivals else None
     return replace(best, seconds=seconds, deviation=deviation, rival=rival)
+
+
+def _is_rival(fit: TimeLag, best: TimeLag) -> bool:
+    """Return whether a lag is another one than the best, and explains the signals as well."""
+    distance = abs(fit.seconds - best.seconds)
+    is_other = distance > max(2.0, 5.0 * best.deviation)
+    return is_other and fit.evidence >= RIVAL * best.evidence
 
 
 def _evidence(count: Integers | int, unexplained: Floats | float) -> Floats:
@@ -315,30 +320,21 @@ def _period(reference: Floats, slack: float) -> float:
 def _explains_more(
     signal: Floats, reference: Floats, shift: float, other: float
 ) -> bool:
-    """Return whether a lag (rows) leaves out fewer rows than another one, and these follow the reference.
+    """Return whether a lag (rows) explains half a period that another one leaves out.
 
-    Where both leave out the same, whether it is the smaller one.
+    Where both leave out the same rows, whether it is the smaller one.
     """
     begin, end = _rows_within(signal, reference, shift)
     other_begin, other_end = _rows_within(signal, reference, other)
     if (begin, end) == (other_begin, other_end):
         return abs(shift) < abs(other)
-    common = np.arange(max(begin, other_begin), min(end, other_end))
-    gained = np.arange(other_end, end)
+    more_rows = end - begin - (other_end - other_begin)
+    if more_rows < 0.5 * abs(shift - other):
+        return False
+    gained = slice(other_end, end)
     if begin < other_begin:
-        gained = np.arange(begin, other_begin)
-    if end - begin <= other_end - other_begin or not len(common):
-        return False
-    expected = between(reference, common.astype(np.float64) - shift)
-    followed = signal[common]
-    expected, followed = expected - expected.mean(), followed - followed.mean()
-    square = float(expected @ expected)
-    if not square > 0.0:
-        return False
-    gain = float(followed @ expected) / square
-    expected = gain * between(reference, gained.astype(np.float64) - shift)
-    error = signal[gained] - expected
-    return float(np.var(error)) < FOLLOWS * float(np.var(expected))
+        gained = slice(begin, other_begin)
+    return residual_at(signal[gained], reference, shift - gained.start) < FOLLOWS
 
 
 def _rows_within(signal: Floats, reference: Floats, shift: float) -> tuple[int, int]:
@@ -360,7 +356,6 @@ def _refined(
     """Return the best lag (rows) near a first one; None where too little overlaps."""
     rows = np.arange(0, len(signal), -(-len(signal) // most_rows), dtype=np.float64)
     picked = signal[rows.astype(np.intp)]
-    fewest = min(FEWEST_SHARED, len(rows))
     moves = [np.ones(len(rows))]
     if rate:
         moves.append(rows - 0.5 * rows[-1])  # about the middle, where it is known best
@@ -371,9 +366,7 @@ def _refined(
     for _ in range(ITERATIONS):
         places = rows - sum(u * move for u, move in zip(unknown, moves, strict=True))
         inside = (places >= MARGIN) & (places <= len(columns) - 1.0 - MARGIN)
-        if np.count_nonzero(inside) < fewest:
-            if len(rows) < FEWEST_SHARED:
-                return _whole(signal, columns, int(start))
+        if np.count_nonzero(inside) < FEWEST_SHARED:
             return None
         at, target = places[inside], picked[inside]
         error = _unexplained(target, columns, at)
@@ -399,19 +392,6 @@ def _refined(
     slope_of_clocks = float(unknown[1]) if rate else 0.0
     shift = float(unknown[0]) - 0.5 * rows[-1] * slope_of_clocks
     return TimeLag(shift, deviation, slope_of_clocks, residual, evidence=evidence)
-
-
-def _whole(signal: Floats, columns: Floats, start: int) -> TimeLag:
-    """Return a lag of whole rows, of signals that are too short for more."""
-    begin = max(0, -start)
-    count = min(len(columns) - begin, len(signal) - begin - start)
-    a = columns[begin : begin + count, 0]
-    b = signal[begin + start : begin + start + count]
-    residual = 1.0
-    if np.ptp(a) > 0.0 and np.ptp(b) > 0.0:
-        residual = 1.0 - float(np.corrcoef(a, b)[0, 1]) ** 2
-    evidence = float(_evidence(count, residual))
-    return TimeLag(float(start), residual=residual, evidence=evidence)
 
 
 def _unexplained(target: Floats, columns: Floats, places: Floats) -> Floats:

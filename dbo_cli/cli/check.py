@@ -80,7 +80,7 @@ def check(
         )
         if against is not None:
             steps = meant.step, signal.step
-            check_played(result, meant["voltage"], recorded, steps, allowed)
+            check_played(result, meant["voltage"], recorded, steps, slack)
         detail(*log.doubtful)
     is_json = opt.form_of(form, output) == "json"
     if is_json:

@@ -234,7 +234,7 @@ def check_played(
     drive: Floats,
     recorded: Floats,
     steps: tuple[float | None, float | None],
-    tolerance: float | None = None,
+    tolerance: float,
 ) -> None:
     """Compare a recording with the drive that was to be played; problems and figures go to ``checked``.
 
@@ -244,10 +244,9 @@ def check_played(
         What was computed, and what was recorded (behind the amplifier's gain).
     steps : (float or None, float or None)
         Seconds a row of the two. At another rate the drive is interpolated.
-    tolerance : float, optional
+    tolerance : float
         The largest difference allowed.
     """
-    allowed = tolerance_of(drive, recorded, tolerance)
     step = steps[0] or 1.0
     recorded_step = steps[1] or step
     time = recorded_step * np.arange(float(recorded.size))
@@ -269,9 +268,9 @@ def check_played(
         "lag_rows": late / recorded_step,
         "lag_seconds": None if steps[1] is None else late,
         "gain": gain,
-        "offset": 0.0 if abs(offset) < 1e-9 * allowed else offset,
+        "offset": 0.0 if abs(offset) < 1e-9 * tolerance else offset,
         "largest_difference": largest,
-        "tolerance": allowed,
+        "tolerance": tolerance,
     }
     if found is None and np.ptp(drive) > 0.0:
         checked.problems.append("another drive was played: the two do not correlate")
@@ -279,7 +278,7 @@ def check_played(
     lost, unit = drive.size - shared, f" {checked.unit}" if checked.unit else ""
     if lost * step >= (1.0 - RATE_SLACK) * recorded_step:
         checked.problems.append(f"{lost:,} of {drive.size:,} rows were not played")
-    if largest > allowed:
+    if largest > tolerance:
         checked.problems.append(
-            f"the recording differs by up to {largest:.4g}{unit}, more than {allowed:.3g}{unit}"
+            f"the recording differs by up to {largest:.4g}{unit}, more than {tolerance:.3g}{unit}"
         )

@@ -14,6 +14,7 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from hashlib import sha256
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -108,18 +109,13 @@ def learned(
     error = desired - measured
     zero = 0.0 if absolute else float(error.mean())
     error = error - zero
-    passed = PassRecord(sha256(voltage.tobytes()).hexdigest(), rms(error))
-    drives = [record.drive_sha256 for record in history]
-    before = tuple(history)
-    if passed.drive_sha256 in drives:  # what came of learning from it is forgotten
-        before = before[: drives.index(passed.drive_sha256)]
+    digest = sha256(voltage.tobytes()).hexdigest()
+    passed = PassRecord(digest, rms(error))
+    # what came of learning from this drive before is forgotten
+    before = tuple(takewhile(lambda record: record.drive_sha256 != digest, history))
     cutoff = bandwidth
     if cutoff is None:
-        # a third of the lowest resonance: nothing grows where the model has it 25 % off
-        cutoff = model.trusted_frequency
-        if cutoff is None:
-            cutoff = _trusted_by_bands(name, desired, measured - modelled, step)
-        cutoff = min(cutoff, 0.45 / step)
+        cutoff = _trusted_frequency(name, model, desired, measured - modelled, step)
     _require_no_growth(name, [record.rmse for record in before], passed.rmse, cutoff)
     change = low_pass(modelled - desired + error, cutoff, step, periodic, ORDER)
     if not absolute:
@@ -170,16 +166,14 @@ def rows_of_loop(
     row_count = voltage.size - (stamped or 0)
     if row_count < count:
         raise _not_this_move(name, f"{row_count:,} of {count:,} rows")
-    whole = voltage.size // count * count
-    periods = voltage[-whole:].reshape(-1, count)
-    begin = len(periods) - 1
-    while begin and is_one_drive(model, periods[begin - 1], periods[-1]):
+    rows = np.array([voltage, _measured(model, recording, step)])
+    periods = rows[:, voltage.size % count :].reshape(2, -1, count)
+    begin = last = periods.shape[1] - 1
+    while begin and is_one_drive(model, periods[0, begin - 1], periods[0, last]):
         begin -= 1  # before that one, something else leads to the loop
-    if begin < len(periods) - 1:
+    if begin < last:
         begin += 1  # not settled yet
-    drive = periods[begin:].mean(axis=0)
-    measured = _measured(model, recording, step)[-whole:].reshape(-1, count)
-    measured = measured[begin:].mean(axis=0)
+    rows = periods[:, begin:].mean(axis=1)
 
     def repeated(period: Floats) -> Floats:
         start = _start(lead, float(voltage[0] if stamped else period[0]), step)
@@ -187,12 +181,12 @@ def rows_of_loop(
 
     # a recorder may begin anywhere in a loop: the period is laid where what the model
     # makes of it is closest to the trajectory
-    spectrum = np.fft.rfft(repeated(drive)) * np.fft.rfft(desired).conj()
+    spectrum = np.fft.rfft(repeated(rows[0])) * np.fft.rfft(desired).conj()
     phase = int(np.argmax(np.fft.irfft(spectrum, count)))
     by_stamps = stamped is not None and row_count % count == 0
     if by_stamps and min(phase, count - phase) * step <= ACTUATOR_LAG:
         phase = 0  # what was learned may be as early
-    drive, measured = np.roll(drive, -phase), np.roll(measured, -phase)
+    drive, measured = np.roll(rows, -phase, axis=1)
     return np.array([drive, repeated(drive), measured])
 
 
@@ -225,8 +219,7 @@ def _first_row(
     to it. A recorder may count from elsewhere than the stamps say: they count where they
     agree with that, or where it shows too little.
     """
-    move, mean = desired - desired.mean(), desired.mean()
-    misfit = sliding_misfit(rows[1] - mean, move)
+    misfit = sliding_misfit(rows[1], desired)
     row = int(np.argmin(misfit))
     led = _row_behind_lead(lead, desired.size, step, rows, row)
     best = row if led is None else led
@@ -235,7 +228,7 @@ def _first_row(
     # what was learned may be as early
     if abs(best - stamped) * step <= ACTUATOR_LAG:
         return stamped
-    square = DRIVE_RESIDUAL * float(np.sum(move**2))
+    square = DRIVE_RESIDUAL * desired.size * float(np.var(desired))
     enough = min(MUCH_CLOSER * float(misfit[stamped]), square)
     return best if led is not None or misfit[row] <= enough else stamped
 
@@ -254,7 +247,7 @@ def _row_behind_lead(
         _, led, still = lead.planned(float(modelled[row]), step, None)
         if not 0 < led.size <= voltage.size or np.ptp(led) <= close:
             return None
-        misfit = sliding_misfit(voltage - led.mean(), led - led.mean())
+        misfit = sliding_misfit(voltage, led)
         begin = int(np.argmin(misfit))
         tried, row = row, begin + led.size + still
         if row + count > voltage.size:
@@ -290,6 +283,7 @@ def _row_by_stamps(
 
 def sliding_misfit(values: Floats, template: Floats) -> Floats:
     """Return the sum of squared differences from a template at each place where it fits in; one at least."""
+    values, template = values - template.mean(), template - template.mean()
     places = max(values.size - template.size + 1, 1)
     size = values.size + template.size
     spectrum = np.fft.rfft(values, size) * np.fft.rfft(template, size).conj()
@@ -385,15 +379,20 @@ def _require_no_growth(
     )
 
 
-def _trusted_by_bands(
-    name: str, desired: Floats, residual: Floats, step: float
+def _trusted_frequency(
+    name: str, model: Cascade, desired: Floats, residual: Floats, step: float
 ) -> float:
-    """Return the upper end (Hz) of the last third of an octave in which the residual is small.
+    """Return the frequency (Hz) to which a model is trusted in learning.
 
-    From the strongest one on: in those below, what a wrong loop makes of it exceeds the
+    It is a third of its lowest resonance: nothing grows where the model has that 25 % off.
+    Without one it is the upper end of the last third of an octave in which the residual is small,
+    from the strongest one on: in those below, what a wrong loop makes of it exceeds the
     little that was asked there. Between harmonics, where the trajectory asks for nothing,
     there is only what was learned against such a loop.
     """
+    highest = 0.45 / step
+    if model.trusted_frequency is not None:
+        return min(model.trusted_frequency, highest)
     window = np.hanning(desired.size)
     move = np.fft.rfft((desired - desired.mean()) * window)[1:]
     error = np.fft.rfft((residual - residual.mean()) * window)[1:]
@@ -401,20 +400,16 @@ def _trusted_by_bands(
     band = np.floor(3.0 * np.log2(frequency / frequency[0])).astype(int)
     energy = np.sqrt(np.bincount(band, np.abs(move) ** 2))
     error_energy = np.sqrt(np.bincount(band, np.abs(error) ** 2))
-    strongest = int(np.argmax(energy))
-    good = -1
-    for k in range(strongest, energy.size):
-        if energy[k] <= BAND_ENERGY * energy[strongest]:
-            continue
-        if error_energy[k] > TRUSTED_ERROR * energy[k]:
-            break
-        good = k
-    if good < 0:
+    counts = energy > BAND_ENERGY * energy.max()
+    counts[: np.argmax(energy)] = False
+    wrong = counts & (error_energy > TRUSTED_ERROR * energy)
+    good = np.flatnonzero(counts & (np.cumsum(wrong) == 0))
+    if not good.size:
         raise InputError(
             f"{name}: does not follow the model at any frequency: check columns, units and delay, or "
             "give `bandwidth` HZ"
         )
-    return float(frequency[0] * 2.0 ** ((good + 1) / 3.0))
+    return min(float(frequency[0] * 2.0 ** ((good[-1] + 1) / 3.0)), highest)
 
 
 # --- the history ---

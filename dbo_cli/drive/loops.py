@@ -56,8 +56,8 @@ class Loop:
     ----------
     target
         One period of what the static part is to follow, with dynamics and delay undone.
-    begin
-        State before the first row.
+    begin, reached
+        States before the first row, and behind what leads to the period.
     lead_voltage, voltage
         What leads to the period, and the period.
     run, state
@@ -94,8 +94,7 @@ class Loop:
         model, dt, target, period = self.model, self.dt, self.target, self.run.y
         static = model.static
         size = max(float(np.ptp(target)), LOOP_ERROR * model.output.span)
-        state = static.run(self.lead_voltage, self.begin, dt).state
-        looped = looped_state(model, period, dt, state)
+        looped = looped_state(model, period, dt, self.reached)
         aim = static.run(period, self.state, dt).y
         residual = largest_difference(static.run(period, looped, dt).y, aim)
         if residual <= LOOP_ERROR * size:
@@ -131,8 +130,8 @@ class Loop:
             stands = float(self.voltage[0]) if begin is None else begin
             self.lead_voltage = self._before(self.voltage, stands)
             self.begin = model.start(stands, start)
-            state = model.run(self.lead_voltage, self.begin, self.dt).state
-            following = self._repeated(state)
+            self.reached = model.run(self.lead_voltage, self.begin, self.dt).state
+            following = self._repeated(self.reached)
             change = largest_difference(following[0].y, self.run.y)
             if change <= ONE_LOOP * model.input.span:
                 break

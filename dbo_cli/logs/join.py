@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from dbo_cli.alignment import (
     ACTUATOR_LAG,
-    USUAL_LAG,
     Alignment,
     Trace,
     align_displacements,
@@ -22,13 +21,13 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import InputError, warn
 from dbo_cli.logs.clock import Clock
 from dbo_cli.logs.table import Block
+from dbo_cli.signals import even
 
 SENSORS = ("displacement", "measured")  # the rows are those of their file
 _DRIVES = ("voltage", "desired", "input")
 _EXPLAINED = 0.09  # of the displacement's variance may be left unexplained
 _KNOWN_TO = 0.5  # samples of the slower clock, two standard deviations, or
 _TOLERABLE = 0.005  # of the drive (RMS), by which it changes in that time
-_CLEARLY_APART = 5.0  # standard deviations from which on two clocks count as apart
 _GAP_STEPS = 2.5  # usual steps; in a longer one at least a row is missing
 _MOST_ROWS = 100_000_000  # of a log at an even rate: some gigabytes
 
@@ -92,23 +91,15 @@ def joined(
         clock.remarks.append(
             f"{left_out:,} rows of {clock.name} left out: {guest_clock.name} has none there"
         )
-    at, dt = at[covered], _steps(rows.dt, at, covered)
+    at, dt = at[covered], rows.dt
+    if isinstance(dt, np.ndarray) or even(at, dt) is None:  # where a row is missing
+        steps = np.diff(at)
+        dt = np.concatenate([steps[:1], steps])
     values = {r: array[covered] for r, array in rows.values.items() if r not in taken}
     for role in taken:
         values[role] = np.interp(at, time, guest[role])
     clock.first, clock.last, clock.rows = float(at[0]), float(at[-1]), len(at)
     return Block(at, values, dt)
-
-
-def _steps(
-    dt: float | Floats | None, at: Floats, covered: NDArray[np.bool_]
-) -> float | Floats | None:
-    """Return the steps between the rows that are left: a number where all are even and none is missing."""
-    has_gap = np.diff(np.flatnonzero(covered)).max(initial=1) > 1
-    if not isinstance(dt, np.ndarray) and not has_gap:
-        return dt
-    steps = np.diff(at[covered])
-    return np.concatenate([steps[:1], steps])
 
 
 def _on_one_clock(
@@ -195,9 +186,6 @@ def _warn_if_apart(
     if pair is None or pair[0].lag.residual > _EXPLAINED:
         return
     found, sensor, drive = pair
-    clearly = found.step + _CLEARLY_APART * found.lag.deviation
-    if -clearly <= found.ahead <= clearly + USUAL_LAG:
-        return
     if not are_apart(found, sensor, drive):
         return
     remedy = "try `clock_offset` auto"
@@ -231,7 +219,7 @@ def resampled(rows: Block, clock: Clock, rate: float) -> tuple[Block, Clock]:
     for role, array in rows.values.items():
         values[role] = np.interp(time, rows.time, array)
     remark = f"{len(rows):,} rows are interpolated to {count:,} at {rate:g} Hz"
-    even = replace(clock, kind="rate", column=None, rate=rate, start=first, irregular=0)
-    even.step, even.remarks, even.rows = 1.0 / rate, [remark], count
-    even.first, even.last = first, float(time[-1])
-    return Block(time, values, dt=even.step), even
+    even_clock = replace(clock, kind="rate", column=None, rate=rate, irregular=0)
+    even_clock.step, even_clock.remarks, even_clock.rows = 1.0 / rate, [remark], count
+    even_clock.start, even_clock.first, even_clock.last = first, first, float(time[-1])
+    return Block(time, values, dt=even_clock.step), even_clock

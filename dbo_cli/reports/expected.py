@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -32,21 +33,25 @@ class Expected:
     move
         Least and greatest desired value of the move it is stated for; None: any move.
     move_time
-        First and last time (s) of the move in its drive; None where they are not known.
+        First and last time (s) of the move in its drive; nothing tells where it ends by default.
     sensor_delay
         Seconds by which the sensor is late, which is no error.
     """
 
     rmse: float | None
     move: Range | None = None
-    move_time: Range | None = None
+    move_time: Range = (0.0, math.inf)
     sensor_delay: float = 0.0
+
+
+UNKNOWN = Expected(None)
+"""Nothing was expected."""
 
 
 def expected_in(
     source: Mapping[str, Any] | None, unit: str | None, name: str = "the summary"
-) -> Expected | None:
-    """Return the expected error that a summary of ``compensate`` states; None of none.
+) -> Expected:
+    """Return the expected error that a summary of ``compensate`` states; unknown without one.
 
     Parameters
     ----------
@@ -65,7 +70,7 @@ def expected_in(
         It is no summary, or states no expected error.
     """
     if source is None:
-        return None
+        return UNKNOWN
     with prefixed(name):
         content = fields.contents(source, "", "dbo-summary", "a summary")
         if "expected_rmse" not in content:
@@ -79,6 +84,6 @@ def expected_in(
     return Expected(
         factor * rmse if rmse else None,
         None if move is None else (factor * move[0], factor * move[1]),
-        values["move_time"],
+        values["move_time"] or UNKNOWN.move_time,
         values["sensor_delay"] or 0.0,
     )

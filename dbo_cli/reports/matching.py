@@ -17,7 +17,7 @@ from dbo_cli.alignment import (
     on_whole_rows,
 )
 from dbo_cli.errors import InputError
-from dbo_cli.reports.pair import Pair, rows_text, stretch
+from dbo_cli.reports.pair import Pair, rows_text
 
 WHOLE_BY_DISPLACEMENT = 0.5
 """Rows: a displacement does not tell parts of one, since what is left of creep is a phase, too."""
@@ -75,10 +75,11 @@ def _by_rows(recording: Pair, trajectory: Pair) -> Pair:
                 f"{recording.name}: {1.0 / step:.5g} Hz, {trajectory.name}: {1.0 / desired_step:.5g} Hz:"
                 " rows do not correspond; type `match` time"
             )
-    rows = slice(0, min(len(recording), len(trajectory)))
-    pair = replace(recording.taken(rows), desired=trajectory.desired[rows])
+    count = min(len(recording), len(trajectory))
+    pair = recording.taken(np.arange(len(recording)) < count)
+    pair = replace(pair, desired=trajectory.desired[:count])
     if trajectory.time is not None:
-        pair = replace(pair, time=trajectory.time[rows])
+        pair = replace(pair, time=trajectory.time[:count])
     missing = len(trajectory) - len(recording)
     if missing > 0:
         pair = pair.noted(f"{rows_text(missing)} fewer than in {trajectory.name}")
@@ -88,9 +89,8 @@ def _by_rows(recording: Pair, trajectory: Pair) -> Pair:
 def _by_time(recording: Pair, trajectory: Pair) -> Pair:
     """Match by time: the desired signal is interpolated at the recording's times."""
     clock, slack = trajectory.clock, 1e-6 * (trajectory.step or 0.0)
-    begin, end = clock[0] - slack, clock[-1] + slack
     time = recording.clock
-    pair = recording.taken(stretch((time >= begin) & (time <= end)))
+    pair = recording.taken((time >= clock[0] - slack) & (time <= clock[-1] + slack))
     return replace(pair, desired=np.interp(pair.clock, clock, trajectory.desired))
 
 
@@ -113,8 +113,7 @@ def _on_one_clock(recording: Pair, trajectory: Pair) -> Pair:
     if found is None or least <= found.ahead <= ACTUATOR_LAG:
         return recording
     shifted = _shifted(recording, found, f"that of {name}")
-    before = _scatter(_by_time(recording, trajectory))
-    after = _scatter(_by_time(shifted, trajectory))
+    before, after = _scatter(recording, trajectory), _scatter(shifted, trajectory)
     if after >= before:
         return recording
     is_clear = after <= CLEARLY_BETTER * before
@@ -148,8 +147,9 @@ def _shifted(recording: Pair, found: Alignment, other: str) -> Pair:
     )
 
 
-def _scatter(pair: Pair) -> float:
-    """Return the RMS of the error without its mean; infinite for fewer than two rows."""
+def _scatter(recording: Pair, trajectory: Pair) -> float:
+    """Return the RMS of the error without its mean by the stamps; infinite for fewer than two rows."""
+    pair = _by_time(recording, trajectory)
     if len(pair) < 2:
         return np.inf
     return float(np.std(pair.measured - pair.desired))
@@ -164,11 +164,11 @@ def _by_displacement(recording: Pair, trajectory: Pair) -> Alignment | None:
     clock, desired = trajectory.clock, trajectory.desired
     measured = Trace(recording.clock, recording.measured)
     move = clock >= 0.0
-    if not np.ptp(desired[move]) > 0.0:
+    if np.unique(desired[move]).size < 2:
         move = np.ones(len(clock), dtype=bool)
     found = align_displacements(measured, Trace(clock[move], desired[move]))
     if found is None or found.lag.rival is not None:
         found = align_displacements(measured, Trace(clock, desired))
     if found is None:
         return None
-    return on_whole_rows(found, measured.time, clock, WHOLE_BY_DISPLACEMENT)
+    return on_whole_rows(found, WHOLE_BY_DISPLACEMENT)

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
-from dbo_cli.reports.expected import Expected
 from dbo_cli.reports.pair import Pair
 from dbo_cli.reports.words import digits
 from dbo_cli.signals import lag, noise, turns
@@ -87,7 +86,7 @@ def merits(pair: Pair, lag: int = 0, remove_offset: bool = False) -> dict[str, A
         "sample_period_s": step,
         "clock_offset_s": pair.clock_offset,
         "ratio_to_first": None,
-        "expected_rmse": None if pair.expected is None else pair.expected.rmse,
+        "expected_rmse": pair.expected.rmse,
     }
 
 
@@ -155,13 +154,13 @@ def lag_of(desired: Floats, measured: Floats) -> float | None:
     return shift.seconds if is_told else None
 
 
-def excess(pair: Pair, expected: Expected, figures: Mapping[str, Any]) -> str:
+def excess(pair: Pair, figures: Mapping[str, Any]) -> str:
     """Return a warning where the error is far above the expected one, or that is another move's.
 
     The sensor's noise is no error of the actuator: it is taken out first. ``figures``
     are those of ``merits``.
     """
-    low, high = figures["desired_min"], figures["desired_max"]
+    expected, low, high = pair.expected, figures["desired_min"], figures["desired_max"]
     first, last = expected.move or (low, high)
     if max(abs(first - low), abs(last - high)) > SAME_MOVE * (high - low):
         return (

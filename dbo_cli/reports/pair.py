@@ -12,11 +12,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dbo_cli.arrays import Floats
+from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.errors import InputError
-from dbo_cli.reports.expected import Expected
+from dbo_cli.reports.expected import UNKNOWN, Expected
 from dbo_cli.signals import step_of, without_delay
 
 if TYPE_CHECKING:
@@ -47,7 +46,7 @@ class Pair:
         The rows of the file that count, both ends included.
     first_row
         The number of the first row in its file, from 1.
-    expected : Expected, optional
+    expected : Expected
         The error that was to be expected.
     clock_offset : float, optional
         Seconds that the recorder's clock was found to be ahead, and that were taken off.
@@ -66,7 +65,7 @@ class Pair:
     voltage: Floats | None = None
     rows: RowRange | None = None
     first_row: int = 1
-    expected: Expected | None = None
+    expected: Expected = UNKNOWN
     clock_offset: float | None = None
     on_drive_clock: bool = False
     delay_removed: bool = False
@@ -77,15 +76,15 @@ class Pair:
         """Return the number of rows."""
         return len(self.desired)
 
-    def taken(self, rows: slice) -> Pair:
-        """Return some of the rows."""
+    def taken(self, inside: Booleans) -> Pair:
+        """Return the rows of a mask, which names a row and all behind it up to another."""
         return replace(
             self,
-            desired=self.desired[rows],
-            measured=self.measured[rows],
-            time=None if self.time is None else self.time[rows],
-            voltage=None if self.voltage is None else self.voltage[rows],
-            first_row=self.first_row + rows.start,
+            desired=self.desired[inside],
+            measured=self.measured[inside],
+            time=None if self.time is None else self.time[inside],
+            voltage=None if self.voltage is None else self.voltage[inside],
+            first_row=self.first_row + int(np.argmax(inside)),
         )
 
     def noted(self, note: str) -> Pair:
@@ -113,14 +112,6 @@ def rows_text(count: int) -> str:
     return "1 row" if count == 1 else f"{count:,} rows"
 
 
-def stretch(inside: NDArray[np.bool_]) -> slice:
-    """Return the rows from the first to the last that a mask names; none where it names none."""
-    places = np.flatnonzero(inside)
-    if not len(places):
-        return slice(0, 0)
-    return slice(int(places[0]), int(places[-1]) + 1)
-
-
 def scored(pair: Pair, lag: int) -> Pair:
     """Return the rows that count: measured ``lag`` rows later, ``rows`` alone, none beside the move.
 
@@ -129,20 +120,19 @@ def scored(pair: Pair, lag: int) -> Pair:
     InputError
         Nothing is left to compare.
     """
-    count = len(pair) - abs(lag)
-    if count < 1:
+    if len(pair) <= abs(lag):
         raise InputError(
             f"{pair.name}: {rows_text(len(pair))}, `lag` {lag}: nothing is left to compare"
         )
-    begin, measured_begin = max(-lag, 0), max(lag, 0)
-    measured = pair.measured[measured_begin : measured_begin + count]
-    shifted = replace(pair.taken(slice(begin, begin + count)), measured=measured)
+    number = np.arange(len(pair))
+    is_measured = (number + lag >= 0) & (number + lag < len(pair))
+    shifted = replace(pair, measured=np.roll(pair.measured, -lag)).taken(is_measured)
     if pair.rows is None:
         return _move_of(shifted)
     first, last = pair.rows
-    begin = max((first or 1) - shifted.first_row, 0)
-    end = count if last is None else last + 1 - shifted.first_row
-    rows = shifted.taken(slice(begin, max(end, 0)))
+    number = shifted.first_row + np.arange(len(shifted))
+    is_before_end = number <= (math.inf if last is None else last)
+    rows = shifted.taken((number >= (first or 1)) & is_before_end)
     if not len(rows):
         raise InputError(f"{pair.name}: no row from {first} on: choose other `rows`")
     return rows
@@ -150,12 +140,11 @@ def scored(pair: Pair, lag: int) -> Pair:
 
 def undelayed(pair: Pair) -> Pair:
     """Return a log as a sensor without delay would have made it; its last rows are cut off."""
-    delay = 0.0 if pair.expected is None else pair.expected.sensor_delay
+    delay = pair.expected.sensor_delay
     if not delay or pair.delay_removed or pair.time is None:
         return pair
-    values, measured = without_delay(pair.time, pair.measured, delay)
-    in_time = replace(pair, measured=values, delay_removed=True)
-    in_time = in_time.taken(stretch(measured))
+    values, is_measured = without_delay(pair.time, pair.measured, delay)
+    in_time = replace(pair, measured=values).taken(is_measured)
     return in_time.noted(f"the sensor's delay, {1e3 * delay:.3g} ms, is taken off")
 
 
@@ -163,13 +152,10 @@ def _move_of(pair: Pair) -> Pair:
     """Return the rows of the move, if rows stand before or behind it."""
     if pair.time is None:
         return pair
-    begin, end = 0.0, math.inf
-    move_time = None if pair.expected is None else pair.expected.move_time
+    begin, end, slack = 0.0, math.inf, 0.0
     if pair.on_drive_clock:
-        begin, end = move_time or (begin, end)
-        slack = 0.5 * (pair.step or 0.0)
-        begin, end = begin - slack, end + slack
-    move = pair.taken(stretch((pair.time >= begin) & (pair.time <= end)))
+        (begin, end), slack = pair.expected.move_time, 0.5 * (pair.step or 0.0)
+    move = pair.taken((pair.time >= begin - slack) & (pair.time <= end + slack))
     outside = len(pair) - len(move)
     if outside in (0, len(pair)):
         return pair

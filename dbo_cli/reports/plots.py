@@ -34,11 +34,7 @@ INK, MUTED, RULE = "#1b1d22", "#5d646f", "#d5d9df"
 FIRST, SECOND, FILL = "#00508f", "#e0751a", "#7fa8cc"
 
 SOLID: dict[str, Any] = {"color": FIRST, "linewidth": 1.3}
-DASHED: dict[str, Any] = {
-    "color": SECOND,
-    "linestyle": (0, (3.2, 1.4)),
-    "linewidth": 1.3,
-}
+DASHED: dict[str, Any] = {**SOLID, "color": SECOND, "linestyle": (0, (3.2, 1.4))}
 THIN: dict[str, Any] = {"color": INK, "linewidth": 0.9}
 WIDE = (5.0, 2.8)  # inches: two side by side fill a page in print, one a phone
 TALL = (5.0, 4.0)  # inches: as wide as those; for loops
@@ -249,23 +245,15 @@ def model_plots(model: Cascade) -> list[Plot]:
     drive, rising, falling = slow_loop(forward)
     line = np.polyval(np.polyfit(drive, 0.5 * (rising + falling), 1), drive)
     ends = f"{into.min:.4g} to {into.max:.4g} {shown_unit(into.unit)}".rstrip()
-    along, names = (
-        axis_label(into.quantity.capitalize(), into.unit),
-        ("rising", "falling"),
-    )
+    along = axis_label(into.quantity.capitalize(), into.unit)
     labels = along, axis_label(out.quantity.capitalize(), out.unit)
-    loop = both(drive, rising, falling, names)
-    deviation = both(drive, rising - line, falling - line, names)
+    names = "rising", "falling"
+    curves = both(drive, rising, falling, names)
+    loop = Plot("model-loop", f"The model's loop, {ends}", labels, curves, TALL)
     title = "Deviation from a straight line"
-    return [
-        Plot("model-loop", f"The model's loop, {ends}", labels, loop, TALL),
-        Plot(
-            "model-hysteresis",
-            title,
-            (along, axis_label("Deviation", out.unit)),
-            deviation,
-        ),
-    ]
+    labels = along, axis_label("Deviation", out.unit)
+    curves = both(drive, rising - line, falling - line, names)
+    return [loop, Plot("model-hysteresis", title, labels, curves)]
 
 
 def slow_loop(model: Cascade) -> tuple[Floats, Floats, Floats]:

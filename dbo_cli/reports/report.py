@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 from dbo_cli.errors import LimitError, UsageError
 from dbo_cli.files import write_all
 from dbo_cli.reports import page, plots
-from dbo_cli.reports.expected import Expected
+from dbo_cli.reports.expected import UNKNOWN, Expected
 from dbo_cli.reports.merits import excess, merits
 from dbo_cli.reports.pair import Pair, scored, undelayed
 from dbo_cli.reports.words import digits, json_text, text_table
@@ -87,7 +87,7 @@ class Report:
         voltage_unit: str | None = None,
         lag: int = 0,
         remove_offset: bool = False,
-        expected: Expected | None = None,
+        expected: Expected = UNKNOWN,
         max_rmse: float | None = None,
         max_nrmse_percent: float | None = None,
         model: Cascade | None = None,
@@ -104,11 +104,11 @@ class Report:
             if bound is not None and bound < 0.0:
                 raise UsageError(f"`max_{figure}` {bound:g}: give 0 or more")
         for pair in pairs:
-            if pair.expected is None:
+            if pair.expected is UNKNOWN:
                 pair = replace(pair, expected=expected)
             pair = scored(pair if lag else undelayed(pair), lag)
             figures = merits(pair, lag, remove_offset)
-            warning = pair.expected and excess(pair, pair.expected, figures)
+            warning = excess(pair, figures)
             self.pairs.append(pair.warned(warning) if warning else pair)
             self.logs.append(figures)
             if self.rmse > 0.0:

@@ -47,6 +47,14 @@ def test_match_by_rows_takes_the_trajectory_s_time():
     assert pair.time[0] == -0.2
 
 
+def test_a_trajectory_that_ends_before_time_0_is_matched():
+    """It ended in a traceback: there were no rows of a move to look at."""
+    time = np.arange(-500, -100) / 100.0
+    desired = np.sin(time)
+    pair = match("run", desired + 0.1, desired, time, time)
+    assert rmse(pair) == pytest.approx(0.1)
+
+
 @pytest.mark.parametrize("cycles", [1, 6])
 def test_a_move_that_fits_at_several_times_is_not_shifted(cycles):
     """A loop that was played longer than its trajectory fits a cycle later as well."""
