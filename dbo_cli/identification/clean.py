@@ -9,11 +9,7 @@ import numpy as np
 
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.errors import FitError, UsageError, warn
-from dbo_cli.identification.recording import (
-    FEWEST_ROWS,
-    Options,
-    Recording,
-)
+from dbo_cli.identification.recording import FEWEST_ROWS, Options, Recording
 from dbo_cli.model.expect import SWING
 from dbo_cli.signals import NORMAL_MEDIAN, turns, without_delay
 

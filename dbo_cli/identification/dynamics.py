@@ -135,9 +135,11 @@ def _earned(rows: FastRows, more: FastDynamics, best: FastDynamics) -> bool:
     for resonance in more.resonances:
         if not _is_inside(resonance, rows.band):
             return False
-    white = noise(np.concatenate(rows.residuals(best.form, best.parameters))) ** 2
+    residuals = rows.residuals(best)
+    white = noise(residuals) ** 2
     gained = best.left_out**2 - more.left_out**2
-    return gained >= max(SURE * white / rows.count, EARNED * (best.left_out**2 - white))
+    least = SURE * white / residuals.size, EARNED * (best.left_out**2 - white)
+    return gained >= max(least)
 
 
 def _is_inside(resonance: Resonance, band: Band) -> bool:

@@ -20,11 +20,7 @@ import numpy as np
 from dbo_cli.arrays import Floats, Integers
 from dbo_cli.errors import FitError, UsageError
 from dbo_cli.identification.figures import BEYOND_STATED
-from dbo_cli.identification.recording import (
-    Options,
-    Recording,
-    Swings,
-)
+from dbo_cli.identification.recording import Options, Recording, Swings
 from dbo_cli.identification.stages import with_changed_stages
 from dbo_cli.model import Cascade, Delay, Dynamics, Scale, Stage
 from dbo_cli.model.expect import expected_error
