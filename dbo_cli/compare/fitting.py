@@ -126,7 +126,7 @@ class RivalProblem:
         self.scale = Scale(top - bottom, bottom)
         if falling(logs):
             self.scale = Scale(bottom - top, top)
-        stride = -(-sum(len(log.voltage) for log in logs) // FIT_ROWS)
+        stride = -(-sum(int(log.usable.sum()) for log in logs) // FIT_ROWS)
         self.rows: list[Integers] = []
         self.longest_delay = math.inf
         outputs, drifts, folds = [], [], []
@@ -135,8 +135,6 @@ class RivalProblem:
             longest = DELAY_OF_SWING * swings.usual_rows
             self.longest_delay = min(self.longest_delay, longest)
             rows = np.flatnonzero(log.usable)[::stride]
-            if len(rows) < FOLDS:
-                raise FitError(f"{log.name}: only {len(rows)} rows left: reduce `skip`")
             self.rows.append(rows)
             outputs.append(self.scale.inverse(log.displacement[rows]))
             folds.append(np.arange(len(rows)) * FOLDS // len(rows))

@@ -117,5 +117,3 @@ def test_rows_that_are_skipped_do_not_count():
     wrong = np.where(log.time < 1.0, 90.0, log.displacement)
     spoilt = replace(log, displacement=wrong, good=log.time >= 1.0)
     assert fitted("pi", spoilt).fit_error < 1e-3
-    with pytest.raises(FitError, match="`skip`"):
-        fitting.RivalProblem([replace(log, good=log.time >= 7.995)])

@@ -163,5 +163,7 @@ def test_skip_needs_a_clock():
 def test_recordings_are_checked():
     with pytest.raises(FitError, match="too few"):
         Recording("log", DRIVE[:10], DRIVE[:10])
+    with pytest.raises(FitError, match="skip less"):
+        clean([Recording("log", DRIVE, DRIVE, TIME)], Options(skip=TIME[-10]))
     with pytest.raises(InputError, match="sample_rate"):
         Recording("log", DRIVE, DRIVE, np.floor(np.arange(len(DRIVE)) / 5.0))
