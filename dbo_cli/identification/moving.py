@@ -239,8 +239,7 @@ def _shares(
     stacked = np.vstack(tables) / abs(problem.scale)
     target = np.concatenate(targets) / abs(problem.scale)
     gains = nonnegative(stacked, target)
-    shares: Floats = gains[:count] / max(float(gains[count]), 1e-300)
-    return shares
+    return gains[:count] / max(float(gains[count]), 1e-300)
 
 
 def _lags_of(taus: Floats, shares: Floats) -> tuple[Lag, ...]:

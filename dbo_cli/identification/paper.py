@@ -121,5 +121,4 @@ def _few_heights(drive: Floats, slopes: Floats, widths: Floats) -> Floats:
     weight = np.sqrt(np.repeat(squares, rows))
     bound = weight * (target - FLATTEST_GEAR * (parts @ widths))
     unknown = nonnegative(weight[:, None] * table, bound)
-    heights: Floats = widths * (FLATTEST_GEAR + np.cumsum(unknown[:count]))
-    return heights
+    return widths * (FLATTEST_GEAR + np.cumsum(unknown[:count]))

@@ -121,8 +121,7 @@ def travelled(u: Floats, segments: int) -> Floats:
 def bending(columns: Floats) -> Floats:
     """Return the products of all pairs of columns' second differences."""
     bends = np.diff(columns, 2, axis=0)
-    matrix: Floats = bends.T @ bends
-    return matrix
+    return bends.T @ bends
 
 
 def nonnegative(table: Floats, target: Floats) -> Floats:
