@@ -103,10 +103,8 @@ def moving(
             f"`dynamics` {order}: no log has a sweep: record a drive of dbo excite with `sweep_to` HZ"
         )
     shortest = FAST_LAGS / min(sweep.band[0] for sweep in fast)
-    # a memory of milliseconds would stand for what dynamics say better
-    slower = replace(problem, taus=problem.taus[problem.taus >= shortest])
-    slow_fit = slower.equations(best.structure).solve()
-    static = model_of(slower, slow_fit, logs[0], options).static
+    slower, steeper = without_fast_memories(problem, best, shortest)
+    static = model_of(slower, steeper, logs[0], options).static
     rows = FastRows(static, fast)
     found = find(rows, order)
     if not found.form.resonances:
@@ -124,6 +122,27 @@ def moving(
     amplifier = (Amplifier(refined.amplifier),) if refined.amplifier else ()
     figures = figures_of(rows, refined)
     return Moving(problem, fits, figures, amplifier, tuple(dynamics))
+
+
+def without_fast_memories(
+    problem: Problem, fit: Solution, shortest: float
+) -> tuple[Problem, Solution]:
+    """Return problem and fit whose memories of less than ``shortest`` (s) are immediate.
+
+    A memory of milliseconds stands in a slow fit for what dynamics say better. At once,
+    it makes every gear steeper by its gain, about the middle of the range.
+    """
+    slow = problem.taus >= shortest
+    kept = np.tile(slow, len(fit.structure.memories))
+    lags = fit.gains[: len(slow)]
+    added = float(lags[~kept[: len(slow)]].sum())
+    steeper = replace(
+        fit,
+        slopes=fit.slopes + added,
+        gains=fit.gains[kept],
+        offset=fit.offset + added / 2.0,
+    )
+    return replace(problem, taus=problem.taus[slow]), steeper
 
 
 def lateness(found: FastDynamics) -> float:

@@ -1,11 +1,16 @@
 """Resonances and lags: found where a sweep shows them, and not elsewhere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import dbo_cli.model as dm
 from dbo_cli.errors import FitError
 from dbo_cli.identification import Options, dynamics, identify
+from dbo_cli.identification.basis import Structure
+from dbo_cli.identification.moving import without_fast_memories
+from dbo_cli.identification.problem import prepare
 from dbo_cli.identification.recording import Recording
 from dbo_cli.identification.sections import (
     FastDynamics,
@@ -14,6 +19,7 @@ from dbo_cli.identification.sections import (
     Sweep,
     split,
 )
+from dbo_cli.identification.stages import model_of
 from tests.drive.actuators import actuator
 
 RATE = 2_000.0
@@ -143,3 +149,21 @@ def test_resonances_without_a_sweep_are_refused():
     log = recorded(plant(), swept()[:4000])
     with pytest.raises(FitError, match="`dynamics` 1"):
         identify([log], Options(dynamics=1))
+
+
+def test_fast_memories_act_at_once_and_slow_ones_stay():
+    time = np.arange(2000) / 100.0
+    drive = 50.0 - 50.0 * np.cos(2.0 * np.pi * 0.1 * time)
+    log = Recording("log.csv", drive, 0.1 * drive, time)
+    problem = prepare([log], Options(relaxation=(1e-4, 5.0)))
+    structure = Structure(memories="tr")
+    fit = problem.equations(structure).solve()
+    fit = replace(fit, gains=np.array([0.1, 0.2, 0.3, 0.05]))
+    slower, steeper = without_fast_memories(problem, fit, 0.1)
+    assert slower.taus.tolist() == [5.0]
+    assert steeper.gains.tolist() == [0.2, 0.05]
+    first = model_of(problem, fit, log, Options())
+    second = model_of(slower, steeper, log, Options())
+    with_memory, _ = first.simulate(drive, time=time)
+    without, _ = second.simulate(drive, time=time)
+    assert np.abs(with_memory - without).max() < 1e-3
