@@ -74,11 +74,10 @@ def with_levels(
     best = weighed_fits[0].structure
     levels: dict[float | None, Solution] = {}
     for fit in sorted(fits, key=lambda fit: fit.rmse):
-        structure = fit.structure
-        same = structure.memories == best.memories and structure.past == best.past
-        same &= structure.start == best.start
-        if same and not structure.drift:
-            levels.setdefault(structure.level, fit)
+        kind = fit.structure
+        same = kind.memories == best.memories and kind.past == best.past
+        if same and kind.start == best.start and not kind.drift:
+            levels.setdefault(kind.level, fit)
     if len(levels) < 2:
         return list(weighed_fits)
     smallest = min(fit.rmse for fit in levels.values())
