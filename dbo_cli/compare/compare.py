@@ -11,16 +11,10 @@ from typing import Any
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.compare.fitting import (
-    RIVALS,
-    Design,
-    Rival,
-    RivalProblem,
-    counted,
-    fit,
-)
+from dbo_cli.compare.fitting import RIVALS, Design, Rival, RivalProblem, fit
 from dbo_cli.errors import DboError
 from dbo_cli.identification import Options, Recording, identify
+from dbo_cli.identification.clean import without_late_and_skipped_rows
 from dbo_cli.model import Cascade, Points
 from dbo_cli.reports.words import digits, text_table
 
@@ -104,8 +98,13 @@ def compare_operators(
     ------
     FitError
         Nothing can be fitted to such logs.
+    UsageError
+        Seconds are to be skipped, and a log has no clock.
     """
-    problem = RivalProblem(logs, skip)
+    options = Options(skip=skip, force=True)  # the DBO also where a line is as good
+    logs = [without_late_and_skipped_rows(log, options) for log in logs]
+    validation = [without_late_and_skipped_rows(log, options) for log in validation]
+    problem = RivalProblem(logs)
     rows = []
     for design in (Design("dbo", "Discrete Backlash Operator"), *RIVALS):
         row: dict[str, Any] = dict.fromkeys(KEYS)
@@ -113,8 +112,8 @@ def compare_operators(
         rows.append(row)
         model: Rival | DboModel
         try:
-            if design.name == "dbo":  # also where it is no better than a line
-                model = DboModel(identify(logs, Options(skip=skip, force=True)))
+            if design.name == "dbo":
+                model = DboModel(identify(logs, options))
             else:
                 model = fit(design, problem)
             rmse = fitted_error(model, problem)
@@ -122,7 +121,7 @@ def compare_operators(
             row |= {
                 "rmse": rmse,
                 "expected_rmse": model.expected(rmse),
-                "validation_rmse": validation_error(model, validation, skip),
+                "validation_rmse": validation_error(model, validation),
                 "parameters": model.parameters,
                 "forward_ns": forward,
                 "inverse_ns": inverse,
@@ -171,12 +170,12 @@ def fitted_error(model: Rival | DboModel, problem: RivalProblem) -> float:
 
 
 def validation_error(
-    model: Rival | DboModel, logs: Sequence[Recording], skip: float
+    model: Rival | DboModel, logs: Sequence[Recording]
 ) -> float | None:
     """Return the error on other logs, each one's mean taken off; None without any."""
     errors = []
     for log in logs:
-        error = (log.displacement - model.predict(log))[counted(log, skip)]
+        error = (log.displacement - model.predict(log))[log.usable]
         errors.append(error - np.mean(error))
     if not errors:
         return None

@@ -94,8 +94,7 @@ class RivalProblem:
     Parameters
     ----------
     logs : sequence of Recording
-    skip : float
-        Seconds at the beginning of each that are not fitted.
+        Of which the usable rows are fitted.
 
     Attributes
     ----------
@@ -118,7 +117,7 @@ class RivalProblem:
         clock.
     """
 
-    def __init__(self, logs: Sequence[Recording], skip: float = 0.0) -> None:
+    def __init__(self, logs: Sequence[Recording]) -> None:
         self.logs = logs
         self.low = min(float(log.voltage.min()) for log in logs)
         self.high = max(float(log.voltage.max()) for log in logs)
@@ -127,7 +126,7 @@ class RivalProblem:
         self.scale = Scale(top - bottom, bottom)
         if falling(logs):
             self.scale = Scale(bottom - top, top)
-        stride = -(-sum(len(log.voltage) for log in logs) // FIT_ROWS)
+        stride = -(-sum(int(log.usable.sum()) for log in logs) // FIT_ROWS)
         self.rows: list[Integers] = []
         self.longest_delay = math.inf
         outputs, drifts, folds = [], [], []
@@ -135,9 +134,7 @@ class RivalProblem:
             swings = Swings.of(log.voltage)
             longest = DELAY_OF_SWING * swings.usual_rows
             self.longest_delay = min(self.longest_delay, longest)
-            rows = np.flatnonzero(counted(log, skip))[::stride]
-            if len(rows) < FOLDS:
-                raise FitError(f"{log.name}: only {len(rows)} rows left: reduce `skip`")
+            rows = np.flatnonzero(log.usable)[::stride]
             self.rows.append(rows)
             outputs.append(self.scale.inverse(log.displacement[rows]))
             folds.append(np.arange(len(rows)) * FOLDS // len(rows))
@@ -149,13 +146,8 @@ class RivalProblem:
         self.output: Floats = np.concatenate(outputs)
         self.drift: Floats = block_diag(*drifts)
         self.fold: Integers = np.concatenate(folds)
-        span, rates = self.high - self.low, [np.zeros(1)]
-        for log in logs:
-            if log.time is not None:
-                rates.append(rates_of(log.voltage, log.time) / span)
-        self.fastest = 0.0
-        if len(rates) > len(logs):
-            self.fastest = float(np.quantile(np.concatenate(rates), FASTEST_SHARE))
+        rates = [rates_of(self.scaled(log.voltage), log.time) for log in logs]
+        self.fastest = float(np.quantile(np.concatenate(rates), FASTEST_SHARE))
 
     def scaled(self, voltage: Floats) -> Floats:
         """Return a drive, scaled to 0..1."""
@@ -168,16 +160,10 @@ def late(signal: Floats, delay: float) -> Floats:
     return np.interp(row - delay, row, signal)
 
 
-def counted(log: Recording, skip: float) -> Booleans:
-    """Return which rows of a recording count: ``skip`` seconds of each do not."""
-    usable = log.usable.copy()
-    if skip and log.time is not None:
-        usable &= log.time - log.time[0] >= skip
-    return usable
-
-
-def rates_of(drive: Floats, time: Floats) -> Floats:
-    """Return |change of the drive| a second since the sample before; 0 first."""
+def rates_of(drive: Floats, time: Floats | None) -> Floats:
+    """Return |change of the drive| a second since the sample before; 0 first, and without a clock."""
+    if time is None:
+        return np.zeros(len(drive))
     steps = np.diff(time)
     shortest = 0.01 * usual_step(steps)
     rates: Floats = np.abs(np.diff(drive)) / np.maximum(steps, shortest)
@@ -208,7 +194,7 @@ class Rival:
             if design.falling:
                 z[:, 1:] = z[:, :1] - z[:, 1:]
             if design.by_rate:
-                share = shares(design, problem, drive, log.time)[rows, None]
+                share = self.shares(drive, log.time)[rows, None]
                 z = np.hstack([(1.0 - share) * z, share * z])
             tables.append(z)
         self.columns: Floats = np.concatenate(tables)
@@ -236,13 +222,10 @@ class Rival:
         if self.design.one_sided:
             lower[1] = SLOPE_FLOOR
         lower = np.append(lower, np.full(segments, 1.0 / STEEPEST))
-        bounded, free = bounded_minimum(matrix, drift, right, lower)
+        bounded, offsets = bounded_minimum(matrix, drift, right, lower)
         weights, slopes = np.split(bounded, [columns.shape[1]])
-        return (
-            weights,
-            Points(slopes / segments, np.full(segments, 1.0 / segments)),
-            free,
-        )
+        curve = Points(slopes / segments, np.full(segments, 1.0 / segments))
+        return weights, curve, offsets
 
     def errors(self, rows: Booleans | slice = slice(None)) -> Floats:
         """Return the error of the output in each row, of the solution for some of them."""
@@ -273,11 +256,19 @@ class Rival:
             curves = Curves([curve, *curves])
         return plays_of(self.design, weights), float(drift[0]), curves
 
+    def shares(self, drive: Floats, time: Floats | None) -> Floats:
+        """Return how much of the second set of weights counts in each row; of [7] alone."""
+        if not self.design.by_rate:
+            return EMPTY
+        if time is None or not self.problem.fastest > 0.0:
+            raise FitError("the rate needs a clock: give `time` or `sample_rate`")
+        return np.minimum(rates_of(drive, time) / self.problem.fastest, 1.0)
+
     def simulate(self, voltage: Floats, time: Floats | None = None) -> Floats:
         """Return the displacement for a voltage, without the delay."""
         plays, offset, curves = self.operator
         x = self.problem.scaled(voltage)
-        return curves(plays.run(x, shares(self.design, self.problem, x, time)) + offset)
+        return curves(plays.run(x, self.shares(x, time)) + offset)
 
     def invert(
         self, desired: Floats, first: float, time: Floats | None = None
@@ -291,7 +282,7 @@ class Rival:
         begin = float(problem.scaled(np.array([first]))[0])
         u = curves.inverse(desired) - offset
         if design.by_rate or design.free_first or design.one_sided:
-            x = plays.solve(u, begin, shares(design, problem, u, time))
+            x = plays.solve(u, begin, self.shares(u, time))
         else:
             x = plays.closed_inverse(u, begin)
         return problem.low + (problem.high - problem.low) * x
@@ -310,18 +301,6 @@ class Rival:
         design = self.design
         weights = design.plays * (1 + design.by_rate) + design.one_sided
         return weights + design.segments - 1 + 1 + (design.delay > 0.0)
-
-
-def shares(
-    design: Design, problem: RivalProblem, drive: Floats, time: Floats | None
-) -> Floats:
-    """Return how much of the second set of weights counts in each row; of [7] alone."""
-    if not design.by_rate:
-        return EMPTY
-    if time is None or not problem.fastest > 0.0:
-        raise FitError("the rate needs a clock: give `time` or `sample_rate`")
-    share: Floats = np.minimum(rates_of(drive, time) / problem.fastest, 1.0)
-    return share
 
 
 def bounded_minimum(

@@ -82,16 +82,14 @@ class Plays:
 
     def run(self, x: Floats, share: Floats = EMPTY) -> Floats:
         """Return the output for a scaled drive from its start; ``share`` of ``by_rate`` a sample."""
-        z, y = self.start(float(x[0])), np.empty_like(x)
-        extension = kernel.extension
-        extension.plays_run(self.radii.size, self.table, self.curve, z, x, y, share)
+        z, y, n = self.start(float(x[0])), np.empty_like(x), self.radii.size
+        kernel.extension.plays_run(n, self.table, self.curve, z, x, y, share)
         return y
 
     def solve(self, y: Floats, first: float, share: Floats = EMPTY) -> Floats:
         """Return the scaled drive whose output is ``y``; it stands at ``first`` before."""
-        z, x = self.start(first), np.empty_like(y)
-        extension = kernel.extension
-        extension.plays_solve(self.radii.size, self.table, self.curve, z, y, x, share)
+        z, x, n = self.start(first), np.empty_like(y), self.radii.size
+        kernel.extension.plays_solve(n, self.table, self.curve, z, y, x, share)
         return x
 
     def closed_inverse(self, y: Floats, first: float) -> Floats:
@@ -105,9 +103,8 @@ class Plays:
         reach = sums * radii - np.cumsum(w * radii)
         outer = np.append(np.cumsum((w * z)[:0:-1])[::-1], 0.0)
         table, state = np.stack([reach, reach, weights]), sums * z + outer
-        x = np.empty_like(y)
-        extension = kernel.extension
-        extension.plays_run(self.radii.size, table, EMPTY, state, y, x, EMPTY)
+        x, n = np.empty_like(y), self.radii.size
+        kernel.extension.plays_run(n, table, EMPTY, state, y, x, EMPTY)
         return x
 
 
@@ -115,12 +112,11 @@ def places(radii: Floats, one_sided: bool, x: Floats, rows: Integers) -> Floats:
     """Return plays under a scaled drive in some rows (increasing), shape (rows, n)."""
     plays = Plays(radii, np.ones_like(radii), one_sided)
     z = plays.start(float(x[0]))
-    extension = kernel.extension
     tables = []
     for begin in range(0, len(x), PLAY_ROWS):
         block = x[begin : begin + PLAY_ROWS]
         table = np.empty((len(block), radii.size))
-        extension.plays_rows(radii.size, plays.table, z, block, table)
+        kernel.extension.plays_rows(radii.size, plays.table, z, block, table)
         inside = rows[(rows >= begin) & (rows < begin + len(block))]
         tables.append(table[inside - begin])
     return np.concatenate(tables)

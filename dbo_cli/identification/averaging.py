@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,48 +24,39 @@ SWING_ROWS = 40  # of the invented drive
 SMOOTH_SLOPES = 1e-8  # of a mean prediction, which has no noise
 
 
-@dataclass(frozen=True)
-class Average:
-    """Fits and their weights, which have the sum 1."""
+def weighed(fits: Sequence[Solution]) -> list[Solution]:
+    """Return the fits that begin as the best one does, weighed by their scores, the heaviest first.
 
-    fits: tuple[Solution, ...]
-    weights: Floats
+    The weights have the sum 1.
+    """
+    start = min(fits, key=lambda fit: fit.score).structure.start
+    fits = [fit for fit in fits if fit.structure.start == start]
+    scores = np.asarray([fit.score for fit in fits])
+    weights = np.exp(-(scores - scores.min()) / WIDTH)
+    weights /= weights.sum()
+    order = np.argsort(-weights, kind="stable")
+    order = order[weights[order] > LEAST_WEIGHT]
+    weights /= weights[order].sum()
+    return [replace(fits[index], weight=float(weights[index])) for index in order]
 
-    @staticmethod
-    def of(fits: Sequence[Solution]) -> Average:
-        """Weigh fits that begin as the best one does by their scores."""
-        start = min(fits, key=lambda fit: fit.score).structure.start
-        fits = [fit for fit in fits if fit.structure.start == start]
-        scores = np.asarray([fit.score for fit in fits])
-        weights = np.exp(-(scores - scores.min()) / WIDTH)
-        weights /= weights.sum()
-        order = np.argsort(-weights, kind="stable")
-        order = order[weights[order] > LEAST_WEIGHT]
-        some = weights[order] / weights[order].sum()
-        return Average(tuple(fits[index] for index in order), some)
 
-    @property
-    def residuals(self) -> list[Floats]:
-        """What the mean prediction leaves of each part that was left out."""
-        residuals = []
-        for parts in zip(*(fit.residuals for fit in self.fits), strict=True):
-            residuals.append(np.einsum("k,kr->r", self.weights, np.stack(parts)))
-        return residuals
+def mean_of(fits: Sequence[Solution], values: Floats) -> Floats:
+    """Return the mean of what fits predict or leave, by their weights; ``values`` (fits, rows)."""
+    weights = np.asarray([fit.weight for fit in fits])
+    mean: Floats = np.einsum("k,kr->r", weights, values)
+    return mean
 
-    @property
-    def frame(self) -> tuple[float, float]:
-        """Delay (s) and bend that have most of the weight."""
-        total: dict[tuple[float, float], float] = {}
-        for fit, weight in zip(self.fits, self.weights.tolist(), strict=True):
-            frame = fit.structure.delay, fit.structure.bend
-            total[frame] = total.get(frame, 0.0) + weight
-        return max(total, key=lambda frame: total[frame])
+
+def averaged_residuals(fits: Sequence[Solution]) -> list[Floats]:
+    """Return what the mean prediction leaves of each part that was left out."""
+    parts = zip(*(fit.residuals for fit in fits), strict=True)
+    return [mean_of(fits, np.stack(residuals)) for residuals in parts]
 
 
 def with_levels(
-    average: Average, fits: Sequence[Solution], swings: int
-) -> list[tuple[float, Solution]]:
-    """Return the fits of an average and, as heavy together, where memories may have stood before the logs.
+    weighed_fits: Sequence[Solution], fits: Sequence[Solution], swings: int
+) -> list[Solution]:
+    """Return weighed fits and, as heavy together, where memories may have stood before the logs.
 
     The level moves the zero. It shows in the first part, which the others do not predict
     when it is left out; so levels are weighed by how all rows are followed: the likelihood
@@ -73,40 +64,41 @@ def with_levels(
 
     Parameters
     ----------
-    average
-        The best one's kind is taken at all levels.
+    weighed_fits
+        The first one's kind is taken at all levels.
     fits
         All there are.
     swings
         How many differ.
     """
-    weighted = list(zip(average.weights.tolist(), average.fits, strict=True))
-    best = average.fits[0].structure
+    best = weighed_fits[0].structure
     levels: dict[float | None, Solution] = {}
     for fit in sorted(fits, key=lambda fit: fit.rmse):
-        structure = fit.structure
-        same = structure.memories == best.memories and structure.past == best.past
-        same &= structure.start == best.start
-        if same and not structure.drift:
-            levels.setdefault(structure.level, fit)
+        kind = fit.structure
+        same = kind.memories == best.memories and kind.past == best.past
+        if same and kind.start == best.start and not kind.drift:
+            levels.setdefault(kind.level, fit)
     if len(levels) < 2:
-        return weighted
+        return list(weighed_fits)
     smallest = min(fit.rmse for fit in levels.values())
-    likely = [(likelihood(fit, smallest, swings), fit) for fit in levels.values()]
-    total = sum(weight for weight, _ in likely)
-    return [*weighted, *((weight / total, fit) for weight, fit in likely)]
+    weights = [likelihood(fit, smallest, swings) for fit in levels.values()]
+    total = sum(weights)
+    pairs = zip(levels.values(), weights, strict=True)
+    return [
+        *weighed_fits,
+        *(replace(fit, weight=weight / total) for fit, weight in pairs),
+    ]
 
 
 def candidates(
-    problem: Problem, invented: Problem, weighted: Sequence[tuple[float, Solution]]
-) -> list[tuple[float, Solution]]:
+    problem: Problem, invented: Problem, fits: Sequence[Solution]
+) -> list[Solution]:
     """Return the fits that travel with a model: the heaviest, and those that add most to the spread.
 
     The heaviest has the weight of all that stay behind; the weights add up to 1. The
     spread is that of an invented move and of the logs.
     """
-    fits = [fit for _, fit in weighted]
-    weights = np.asarray([weight for weight, _ in weighted])
+    weights = np.asarray([fit.weight for fit in fits])
     weights /= weights.sum()
     predicted = _predictions(problem, invented, fits)
     mean = np.einsum("k,kr->r", weights, predicted)
@@ -115,23 +107,24 @@ def candidates(
     adds[heaviest] = 0.0
     order = np.argsort(-adds, kind="stable")[: MOST_CANDIDATES - 1]
     added = [index for index in order.tolist() if adds[index] > 0.0]
-    remaining = 1.0 - float(weights[added].sum())
+    weights[heaviest] = 1.0 - weights[added].sum()
     return [
-        (remaining, fits[heaviest]),
-        *((float(weights[index]), fits[index]) for index in added),
+        replace(fits[index], weight=float(weights[index]))
+        for index in (heaviest, *added)
     ]
 
 
-def average_model(problem: Problem, invented: Problem, average: Average) -> Solution:
+def average_model(
+    problem: Problem, invented: Problem, fits: Sequence[Solution]
+) -> Solution:
     """Return the fit nearest to the mean prediction on the logs' drives and on an invented one."""
-    if len(average.fits) == 1:
-        return average.fits[0]
-    predicted = _predictions(problem, invented, average.fits)
-    mean = np.einsum("k,kr->r", average.weights, predicted)
+    if len(fits) == 1:
+        return fits[0]
+    mean = mean_of(fits, _predictions(problem, invented, fits))
     weights = np.full(len(mean), INVENTED_WEIGHT)
     weights[: len(problem.output)] = 1.0
     weights /= weights.sum()
-    structure = _widest(average)
+    structure = _widest(fits)
     table = np.vstack((problem.columns(structure), invented.columns(structure)))
     free = np.zeros((len(mean), 0))
     rows = FittedRows(table, mean, weights, free, problem.cells.shares)
@@ -155,18 +148,21 @@ def _predictions(
     return np.stack(predicted)
 
 
-def _widest(average: Average) -> Structure:
+def _widest(fits: Sequence[Solution]) -> Structure:
     """Return a structure that holds all fits but for their delays and bends: those of most weight."""
-    slopes = {fit.structure.slopes for fit in average.fits}
-    memories = [fit.structure.memories for fit in average.fits]
-    delay, bend = average.frame
+    weights: dict[tuple[float, float], float] = {}
+    for fit in fits:
+        frame = fit.structure.delay, fit.structure.bend
+        weights[frame] = weights.get(frame, 0.0) + fit.weight
+    delay, bend = max(weights, key=lambda frame: weights[frame])
+    slopes = {fit.structure.slopes for fit in fits}
     return Structure(
         slopes=slopes.pop() if len(slopes) == 1 else "free",
-        memories=max(memories, key=len),
+        memories=max((fit.structure.memories for fit in fits), key=len),
         smooth_slopes=SMOOTH_SLOPES,
         delay=delay,
         bend=bend,
-        segments=average.fits[0].structure.segments,
+        segments=fits[0].structure.segments,
     )
 
 

@@ -144,8 +144,7 @@ class Cells:
     @property
     def widths(self) -> Floats:
         """Width of each cell inside the range, in its units; shape (cells,)."""
-        widths: Floats = self.gears / float(self.inside)
-        return widths
+        return self.gears / float(self.inside)
 
     @property
     def counts(self) -> Integers:
@@ -157,8 +156,7 @@ class Cells:
     @property
     def shares(self) -> Floats:
         """Width of each cell as a share of all gears; shape (cells,)."""
-        shares: Floats = self.counts / float(self.counts.sum())
-        return shares
+        return self.counts / float(self.counts.sum())
 
     @property
     def reach(self) -> Floats:

@@ -9,11 +9,7 @@ import numpy as np
 
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.errors import FitError, UsageError, warn
-from dbo_cli.identification.recording import (
-    FEWEST_ROWS,
-    Options,
-    Recording,
-)
+from dbo_cli.identification.recording import Options, Recording
 from dbo_cli.model.expect import SWING
 from dbo_cli.signals import NORMAL_MEDIAN, turns, without_delay
 
@@ -57,10 +53,6 @@ def clean(
                 )
                 warn(notes[-1])
             good = good & ~faulty
-        if int(good.sum()) < FEWEST_ROWS:
-            raise FitError(
-                f"{log.name}: {int(good.sum())} usable rows are too few; record longer, or skip less"
-            )
         logs.append(replace(log, good=good))
     if not any(
         len(turns(log.voltage, TURNS_BACK * np.ptp(log.voltage))) > 2 for log in logs

@@ -45,19 +45,19 @@ def cross_validate(problem: Problem, fit: Solution, equations: Equations) -> Sol
         remaining = total - np.add.reduce(grams[groups[:, number]])
         share = float(rows.weights[mask].sum())
         error = equations.fit_of(equations.step(remaining / (1.0 - share))).error
-        residuals.append(without_lost_offsets(error, mask, problem)[mask])
+        residuals.append(left_out(error, mask, problem))
     return replace(
         fit, residuals=tuple(residuals), score=score(problem, fit, residuals)
     )
 
 
-def without_lost_offsets(error: Floats, mask: Booleans, problem: Problem) -> Floats:
-    """Return errors less their mean over each log that was left out as a whole."""
-    owner, error = problem.owner, error.copy()
-    for index in range(len(problem.logs)):
-        mine = owner == index
-        if len(problem.logs) > 1 and not (mine & ~mask).any():
-            error[mine] -= error[mine].mean()
+def left_out(error: Floats, mask: Booleans, problem: Problem) -> Floats:
+    """Return the errors of a part, less their mean over each log that it holds as a whole."""
+    owner, error = problem.owner[mask], error[mask]
+    for index, log in enumerate(problem.logs):
+        rows = owner == index
+        if np.count_nonzero(rows) == len(log.rows):
+            error[rows] -= error[rows].mean()
     return error
 
 
@@ -105,7 +105,7 @@ def line_left_out(problem: Problem, straight: bool) -> float:
             kept = ~mask
             weights = np.linalg.lstsq(table[kept], problem.output[kept], rcond=None)[0]
             error = problem.output - table @ weights
-            residuals.append(without_lost_offsets(error, mask, problem)[mask])
+            residuals.append(left_out(error, mask, problem))
         errors.append(error_left_out(residuals))
     return min(errors)
 

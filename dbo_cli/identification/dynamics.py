@@ -53,8 +53,7 @@ def find(rows: FastRows, order: str | int) -> FastDynamics:
     phase_lag = phase_delay(rows)
     if phase_lag * rows.band[1] < SEEN_DELAY:
         return best
-    delayed = _chosen(rows, order, phase_lag)
-    return delayed if _earned(rows, delayed, best) else best
+    return _preferred(rows, _chosen(rows, order, phase_lag), best)
 
 
 def refine(
@@ -74,9 +73,9 @@ def refine(
     if lag > shortest:
         start = np.array([*best.modes, lag, *delay, shortest])
         before = fitted(rows, [start], replace(best.form, amplifier=True))
-        best = best if _earned(rows, best, before) else before
+        best = _preferred(rows, best, before)
     if order == "auto" and found.form.resonances < MOST_RESONANCES:
-        best = _one_more(rows, best) or best
+        best = _preferred(rows, _one_more(rows, best), best)
     return best
 
 
@@ -92,19 +91,17 @@ def _chosen(rows: FastRows, order: str | int, delay: float) -> FastDynamics:
     best = fitted(rows, starts, Form(0, delay=delay > 0.0))
     limit = MOST_RESONANCES if order == "auto" else int(order)
     while best.form.resonances < limit:
-        more = _one_more(rows, best, always=order != "auto")
-        if more is None:
+        more = _one_more(rows, best)
+        if order == "auto" and _preferred(rows, more, best) is best:
             break
         best = more
     return best
 
 
-def _one_more(
-    rows: FastRows, best: FastDynamics, always: bool = False
-) -> FastDynamics | None:
-    """Return dynamics with one more resonance, or None where it does not earn its place.
+def _one_more(rows: FastRows, best: FastDynamics) -> FastDynamics:
+    """Return dynamics with one more resonance.
 
-    It comes with an antiresonance where that earns its own, as two modes that add up
+    It comes with an antiresonance where that earns its place, as two modes that add up
     have one.
     """
     count = best.form.resonances
@@ -125,19 +122,18 @@ def _one_more(
         notch = more.modes[-2:] + np.array([side, 0.0])
         notched.append(np.concatenate((more.modes, notch, more.times)))
     with_notch = fitted(rows, notched, replace(form, antiresonance=True))
-    if _earned(rows, with_notch, more):
-        more = with_notch
-    return more if always or _earned(rows, more, best) else None
+    return _preferred(rows, with_notch, more)
 
 
-def _earned(rows: FastRows, more: FastDynamics, best: FastDynamics) -> bool:
-    """Return whether the error left out asks for more, all of it inside the swept band."""
-    for resonance in more.resonances:
-        if not _is_inside(resonance, rows.band):
-            return False
-    white = noise(np.concatenate(rows.residuals(best.form, best.parameters))) ** 2
+def _preferred(rows: FastRows, more: FastDynamics, best: FastDynamics) -> FastDynamics:
+    """Return ``more`` where the error left out asks for it, and all of it is inside the swept band."""
+    if not all(_is_inside(resonance, rows.band) for resonance in more.resonances):
+        return best
+    residuals = rows.residuals(best)
+    white = noise(residuals) ** 2
     gained = best.left_out**2 - more.left_out**2
-    return gained >= max(SURE * white / rows.count, EARNED * (best.left_out**2 - white))
+    least = SURE * white / residuals.size, EARNED * (best.left_out**2 - white)
+    return more if gained >= max(least) else best
 
 
 def _is_inside(resonance: Resonance, band: Band) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError, LimitError
-from dbo_cli.identification.averaging import Average
+from dbo_cli.identification.averaging import averaged_residuals
 from dbo_cli.identification.basis import PreparedLog
 from dbo_cli.identification.clean import spiked_rows
 from dbo_cli.identification.cross_validation import (
@@ -31,6 +31,7 @@ from dbo_cli.identification.recording import (
     falling,
 )
 from dbo_cli.identification.search import FEWEST_SWINGS
+from dbo_cli.identification.solve import Solution
 from dbo_cli.model import Cascade
 from dbo_cli.model.expect import (
     expected_error,
@@ -71,7 +72,7 @@ def stated(
     model: Cascade,
     problem: Problem,
     invented: PreparedLog,
-    average: Average,
+    fits: Sequence[Solution],
     logs: Sequence[Recording],
     options: Options,
 ) -> Cascade:
@@ -87,9 +88,9 @@ def stated(
         The parts are predicted no better than by a line or an offset, or not at all
         within swings.
     """
-    residuals, size = average.residuals, abs(problem.scale)
+    residuals, size = averaged_residuals(fits), abs(problem.scale)
     left_out = size * error_left_out(residuals)
-    line = size * line_left_out(problem, average.fits[0].structure.drift)
+    line = size * line_left_out(problem, fits[0].structure.drift)
     unexplained = unexplained_share(problem, residuals)
     if not options.force:
         refuse_useless(logs, left_out, line, unexplained)

@@ -7,19 +7,14 @@ from dataclasses import replace
 
 from dbo_cli.errors import warn
 from dbo_cli.identification.averaging import (
-    Average,
     average_model,
     candidates,
     invented_problem,
+    weighed,
     with_levels,
 )
 from dbo_cli.identification.clean import clean
-from dbo_cli.identification.figures import (
-    judged,
-    measured,
-    refuse_other_sign,
-    stated,
-)
+from dbo_cli.identification.figures import judged, measured, refuse_other_sign, stated
 from dbo_cli.identification.moving import moving
 from dbo_cli.identification.problem import prepare
 from dbo_cli.identification.recording import Options, Recording
@@ -85,21 +80,16 @@ def _searched(logs: Sequence[Recording], options: Options) -> Cascade:
     slow, fast = split(logs)
     problem, choices = choices_for(prepare(slow, options), options)
     search = Search(problem, choices)
-    fits = search.run()
-    dynamic = None
-    if options.dynamics != 0 and (fast or options.dynamics != "auto"):
-        dynamic = moving(problem, fits, slow, fast, options)
-        problem, fits = dynamic.problem, dynamic.fits
-    average = Average.of(fits)
+    found = moving(problem, search.run(), slow, fast, options)
+    problem, fits = found.problem, weighed(found.fits)
     invented = invented_problem(problem)
-    fit = average_model(problem, invented, average)
-    others = with_levels(average, fits, problem.different_swings)
+    mean = average_model(problem, invented, fits)
     few = problem.one_amplitude or problem.different_swings < FEWEST_SWINGS
-    if few and dynamic is None:
-        others = search.unjudged(average.fits[0])
+    if few and found.figures is None:
+        others = search.unjudged(fits[0])
+    else:
+        others = with_levels(fits, found.fits, problem.different_swings)
     others = candidates(problem, invented, others)
-    model = model_of(problem, fit, slow[0], options, others)
-    if dynamic is not None:
-        model = dynamic.applied(model)
-    model = replace(model, auto_start=average.fits[0].structure.start)
-    return stated(model, problem, invented.logs[0], average, logs, options)
+    model = found.applied(model_of(problem, mean, slow[0], options, others))
+    model = replace(model, auto_start=fits[0].structure.start)
+    return stated(model, problem, invented.logs[0], fits, logs, options)

@@ -19,30 +19,14 @@ import numpy as np
 from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import Structure
-from dbo_cli.identification.dynamics import (
-    figures_of,
-    find,
-    refine,
-)
+from dbo_cli.identification.dynamics import figures_of, find, refine
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.identification.search import CURVES, Choices, Search
-from dbo_cli.identification.sections import (
-    FastDynamics,
-    FastRows,
-    Sweep,
-)
-from dbo_cli.identification.solve import Equations, Solution, nonnegative
+from dbo_cli.identification.search import CURVES, Choices, Search, with_curves
+from dbo_cli.identification.sections import FastDynamics, FastRows, Sweep
+from dbo_cli.identification.solve import Solution, nonnegative
 from dbo_cli.identification.stages import model_of, with_changed_stages
-from dbo_cli.model import (
-    Amplifier,
-    Cascade,
-    Delay,
-    Dynamics,
-    Lag,
-    Relaxation,
-    Stage,
-)
+from dbo_cli.model import Amplifier, Cascade, Delay, Dynamics, Lag, Relaxation, Stage
 from dbo_cli.model.dynamics import Inverter
 
 FAST_LAGS = 2.0  # periods of the lowest frequency: shorter relaxation is dynamics
@@ -65,18 +49,19 @@ class Moving:
     dynamics
         Behind them, creep first, and a delay; nothing where the fast rows ask for nothing.
     figures
-        For ``fit["dynamics"]`` of the model.
+        For ``fit["dynamics"]`` of the model; None where no dynamics were looked for.
     """
 
     problem: Problem
     fits: list[Solution]
-    figures: dict[str, Any]
+    figures: dict[str, Any] | None = None
     amplifier: tuple[Stage, ...] = ()
     dynamics: tuple[Stage, ...] = ()
 
     def applied(self, model: Cascade) -> Cascade:
         """Return a model of the slow rows with these stages, in its candidates, too."""
-        model = replace(model, fit={"dynamics": self.figures})
+        if self.figures is not None:
+            model = replace(model, fit={"dynamics": self.figures})
         if not self.dynamics:
             return model
 
@@ -111,6 +96,8 @@ def moving(
         Resonances are asked for, and no log has fast rows.
     """
     best, order = fits[0], options.dynamics
+    if order == 0 or (order == "auto" and not fast):
+        return Moving(problem, fits)
     if not fast:
         raise FitError(
             f"`dynamics` {order}: no log has a sweep: record a drive of dbo excite with `sweep_to` HZ"
@@ -232,13 +219,13 @@ def _with_creep(
     freed = problem
     creep: tuple[Lag, ...] = ()
     for _ in range(CREEP_ROUNDS):
-        fit = Equations(freed.rows(bare), bare).solve()
+        fit = freed.equations(bare).solve()
         creep = _lags_of(taus, _shares(problem, logs, fit, taus))
         if not creep:
             return problem, [], ()
         freed = _freed(problem, creep)
     search = Search(freed, Choices())
-    search.path(bare, CURVES)
+    search.fit(with_curves(bare, CURVES))
     return freed, search.fits, creep
 
 
@@ -271,8 +258,7 @@ def _shares(
     stacked = np.vstack(tables) / abs(problem.scale)
     target = np.concatenate(targets) / abs(problem.scale)
     gains = nonnegative(stacked, target)
-    shares: Floats = gains[:count] / max(float(gains[count]), 1e-300)
-    return shares
+    return gains[:count] / max(float(gains[count]), 1e-300)
 
 
 def _lags_of(taus: Floats, shares: Floats) -> tuple[Lag, ...]:

@@ -17,12 +17,7 @@ from dbo_cli.arrays import Floats
 from dbo_cli.errors import FitError
 from dbo_cli.identification.basis import Structure
 from dbo_cli.identification.recording import Options, Recording
-from dbo_cli.identification.solve import (
-    Equations,
-    FittedRows,
-    Solution,
-    nonnegative,
-)
+from dbo_cli.identification.solve import Equations, FittedRows, Solution, nonnegative
 from dbo_cli.identification.stages import with_reach, zero_of
 from dbo_cli.model import Cascade, Gears, Points, Quantity, Scale
 
@@ -103,8 +98,7 @@ def _fine_fit(drive: Floats, output: Floats, segments: int) -> Solution:
 
 def _engaged(widths: Floats, drive: Floats, group: int) -> Floats:
     """Return the engaged part of each group of gears of slope 1."""
-    engaged = Gears(widths, widths, 0.0, 0.0).engagement(drive, group)
-    return np.asarray(engaged, dtype=np.float64)
+    return Gears(widths, widths, 0.0, 0.0).engagement(drive, group)
 
 
 def _few_heights(drive: Floats, slopes: Floats, widths: Floats) -> Floats:
@@ -127,5 +121,4 @@ def _few_heights(drive: Floats, slopes: Floats, widths: Floats) -> Floats:
     weight = np.sqrt(np.repeat(squares, rows))
     bound = weight * (target - FLATTEST_GEAR * (parts @ widths))
     unknown = nonnegative(weight[:, None] * table, bound)
-    heights: Floats = widths * (FLATTEST_GEAR + np.cumsum(unknown[:count]))
-    return heights
+    return widths * (FLATTEST_GEAR + np.cumsum(unknown[:count]))

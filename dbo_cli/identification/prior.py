@@ -20,11 +20,7 @@ import numpy as np
 from dbo_cli.arrays import Floats, Integers
 from dbo_cli.errors import FitError, UsageError
 from dbo_cli.identification.figures import BEYOND_STATED
-from dbo_cli.identification.recording import (
-    Options,
-    Recording,
-    Swings,
-)
+from dbo_cli.identification.recording import Options, Recording, Swings
 from dbo_cli.identification.stages import with_changed_stages
 from dbo_cli.model import Cascade, Delay, Dynamics, Scale, Stage
 from dbo_cli.model.expect import expected_error
@@ -90,11 +86,10 @@ def _predicted(prior: Cascade, log: Recording) -> Floats:
 
     Shape (n, 2). Before the log the drive has rested for long at that end of the range.
     """
-    dt = None if log.time is not None else 1.0
     ends = []
     for voltage, name in ((prior.input.min, "empty"), (prior.input.max, "full")):
         _, rested = prior.simulate(np.asarray([voltage]), dt=1.0, state=name)
-        output, _ = prior.simulate(log.voltage, time=log.time, dt=dt, state=rested)
+        output, _ = prior.simulate(log.voltage, time=log.time, state=rested)
         ends.append(output)
     empty, full = ends
     return np.column_stack((0.5 * (empty + full), 0.5 * (full - empty)))

@@ -28,7 +28,7 @@ from dbo_cli.identification.recording import (
     falling,
     runs_of,
 )
-from dbo_cli.identification.solve import FittedRows
+from dbo_cli.identification.solve import Equations, FittedRows
 from dbo_cli.signals import noise
 
 SEARCH_ROWS = 900  # of all logs: means of more
@@ -201,11 +201,11 @@ class Problem:
             tables.append(table[:, int(index == 0) : 1 + straight])
         return np.asarray(block_diag(*tables))
 
-    def rows(self, structure: Structure) -> FittedRows:
-        """Return the rows that a structure is fitted to."""
+    def equations(self, structure: Structure) -> Equations:
+        """Return the least-squares problem of a structure."""
         drift = self.drift(structure.drift)
         past = self.past if structure.past else np.zeros((len(drift), 0))
-        return FittedRows(
+        rows = FittedRows(
             self.columns(structure),
             self.output,
             np.full(len(self.output), 1.0 / len(self.output)),
@@ -213,6 +213,7 @@ class Problem:
             self.cells.shares,
             past.shape[1],
         )
+        return Equations(rows, structure)
 
 
 def prepare(recordings: Sequence[Recording], options: Options) -> Problem:

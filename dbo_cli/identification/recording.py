@@ -44,10 +44,10 @@ class Recording:
 
     def __post_init__(self) -> None:
         """Refuse (InputError, FitError) arrays that hold no recording."""
-        rows = len(self.voltage)
+        rows = int(self.usable.sum())
         if rows < FEWEST_ROWS:
             raise FitError(
-                f"{self.name}: {rows} rows are too few; record at least {FEWEST_ROWS}"
+                f"{self.name}: {rows} usable rows are too few; record at least {FEWEST_ROWS}, or skip less"
             )
         if float(np.ptp(self.voltage)) == 0.0:
             raise FitError(

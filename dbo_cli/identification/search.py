@@ -10,12 +10,7 @@ from itertools import product
 import numpy as np
 
 from dbo_cli.errors import FitError
-from dbo_cli.identification.basis import (
-    SPARE_BEYOND,
-    Cells,
-    Structure,
-    plays_at_start,
-)
+from dbo_cli.identification.basis import SPARE_BEYOND, Cells, Structure, plays_at_start
 from dbo_cli.identification.cross_validation import (
     DRIFT_PRICE,
     cross_validate,
@@ -23,7 +18,7 @@ from dbo_cli.identification.cross_validation import (
 )
 from dbo_cli.identification.problem import Problem
 from dbo_cli.identification.recording import Options
-from dbo_cli.identification.solve import Equations, Solution
+from dbo_cli.identification.solve import Solution
 
 RULES = ("growing", "falling")  # for the slopes
 CURVES = (np.inf, 1e1, 1e-1, 1e-4)
@@ -114,7 +109,7 @@ def _begun(problem: Problem, choices: Choices) -> Structure:
         base = replace(choices.base, start=start, level=level)
         rough = replace(ROUGHEST, start=start, level=level)
         trials = [replace(rough, slopes=rule) for rule in RULES]
-        fits = [Equations(problem.rows(trial), trial).solve() for trial in trials]
+        fits = [problem.equations(trial).solve() for trial in trials]
         price = math.exp(DRIFT_PRICE * (level is not None))
         bases.append(base)
         errors.append(price * min(fit.rmse for fit in fits))
@@ -142,7 +137,7 @@ def _take_one_amplitude(problem: Problem, choices: Choices) -> None:
 def _error_of(problem: Problem, rule: str, smooth: float) -> float:
     """Return what slopes of a smoothness leave of the logs beside a smooth curve."""
     structure = Structure(rule, "", smooth, ONE_AMPLITUDE_CURVE)
-    return Equations(problem.rows(structure), structure).solve().rmse
+    return problem.equations(structure).solve().rmse
 
 
 def _take_options(choices: Choices, options: Options) -> None:
@@ -167,6 +162,11 @@ def likelihood(fit: Solution, smallest: float, swings: int) -> float:
     return float(min(smallest / max(fit.rmse, 1e-300), 1.0) ** swings)
 
 
+def with_curves(structure: Structure, curves: Iterable[float]) -> list[Structure]:
+    """Return a structure with curves of some smoothness."""
+    return [replace(structure, smooth_curve=smooth) for smooth in curves]
+
+
 class Search:
     """The fits of one identification, all judged."""
 
@@ -174,7 +174,6 @@ class Search:
         self.problem, self.choices = problem, choices
         self.fits: list[Solution] = []
         self.tried: set[Structure] = set()
-        self.best = np.inf
 
     def run(self) -> list[Solution]:
         """Return all fits, the best first.
@@ -185,45 +184,41 @@ class Search:
             No structure can be fitted.
         """
         choices = self.choices
-        for memories in choices.memories:
-            for slopes in choices.slopes:
-                for smooth in choices.smoothness:
-                    kind = replace(choices.base, slopes=slopes, memories=memories)
-                    kind = replace(kind, smooth_slopes=smooth)
-                    self.path(kind, choices.curves)
+        kinds = product(choices.memories, choices.slopes, choices.smoothness)
+        for memories, slopes, smooth in kinds:
+            kind = replace(choices.base, memories=memories, slopes=slopes)
+            kind = replace(kind, smooth_slopes=smooth)
+            self.fit(with_curves(kind, choices.curves))
         if not self.fits:
             raise FitError("no model can be fitted to the logs; leave out bad rows")
         for count in ROUNDS:
             for fit in self._best_kinds()[:count]:
-                self._neighbours(fit)
-            for factor in REFINED:
-                self._finer_delay(factor)
-            for step in (-FINER_LEVEL, FINER_LEVEL):
-                self._finer_level(step)
+                for neighbour in self._neighbours(fit.structure):
+                    self.fit([neighbour])
+            self._refine()
         return sorted(self.fits, key=lambda fit: fit.score)
 
-    def path(self, base: Structure, curves: Iterable[float]) -> None:
-        """Fit a structure with rougher and rougher curves, each begun at the one before."""
+    def fit(self, structures: Iterable[Structure]) -> None:
+        """Fit and judge those of some structures that were not tried, each begun at the one before."""
         first = None
-        for smooth in curves:
-            structure = replace(base, smooth_curve=smooth)
+        for structure in structures:
             if structure in self.tried:
                 continue
             self.tried.add(structure)
-            equations = Equations(self.problem.rows(structure), structure)
+            equations = self.problem.equations(structure)
+            best = min((fit.score for fit in self.fits), default=np.inf)
             try:
                 first = equations.solve(first)
-                if least_score(self.problem, first) > self.best + HOPELESS:
+                if least_score(self.problem, first) > best + HOPELESS:
                     continue
                 judged = cross_validate(self.problem, first, equations)
             except FitError:
                 continue
             if np.isfinite(judged.score):
-                self.best = min(self.best, judged.score)
                 self.fits.append(judged)
 
-    def unjudged(self, best: Solution) -> list[tuple[float, Solution]]:
-        """Return weight and fit of structures that the logs cannot tell from the best one.
+    def unjudged(self, best: Solution) -> list[Solution]:
+        """Return weighed fits of structures that the logs cannot tell from the best one.
 
         They explain the logs nearly alike, and differ where these show nothing: in smaller
         loops, for one. The weight is the likelihood.
@@ -243,12 +238,12 @@ class Search:
             trials.append(replace(structure, memories=other))
         if problem.past.size:
             trials.append(replace(structure, past=not structure.past))
-        weighted = []
+        fits = []
         for trial in dict.fromkeys(trials):
-            fit = Equations(problem.rows(trial), trial).solve()
+            fit = problem.equations(trial).solve()
             weight = likelihood(fit, best.rmse, problem.different_swings)
-            weighted.append((weight, fit))
-        return weighted
+            fits.append(replace(fit, weight=weight))
+        return fits
 
     def _best_kinds(self) -> list[Solution]:
         """Return the best fit of each of the best kinds of slopes and memories."""
@@ -258,11 +253,11 @@ class Search:
             best.setdefault((kind.slopes, kind.memories, kind.past), fit)
         return list(best.values())
 
-    def _neighbours(self, fit: Solution) -> None:
-        """Fit what differs from a good fit in one thing."""
-        structure, choices = fit.structure, self.choices
+    def _neighbours(self, structure: Structure) -> list[Structure]:
+        """Return what differs from a structure in one thing."""
+        choices = self.choices
         trials = [replace(structure, bend=bend) for bend in (0.0, *choices.bends)]
-        trials += [replace(structure, smooth_curve=curve) for curve in choices.curves]
+        trials += with_curves(structure, choices.curves)
         if choices.drift:
             trials.append(replace(structure, drift=not structure.drift))
         trials += self._pasts(structure)
@@ -271,9 +266,7 @@ class Search:
             for fraction in choices.delays:
                 steps = max(round(swing * fraction / dt), 1)
                 trials.append(replace(structure, delay=steps * dt))
-        for trial in trials:
-            if trial != structure:
-                self.path(trial, [trial.smooth_curve])
+        return trials
 
     def _pasts(self, structure: Structure) -> list[Structure]:
         """Return a structure with each past of the gears, known or not, and of memories at each level."""
@@ -281,22 +274,19 @@ class Search:
         if self.problem.past.size:
             pasts += [(True, SETTLED_START), (False, self.choices.base.start)]
         levels = LEVELS if structure.memories and self.problem.clock else LEVELS[:1]
-        trials = []
-        for (past, start), level in product(dict.fromkeys(pasts), levels):
-            trials.append(replace(structure, past=past, start=start, level=level))
-        return trials
+        return [
+            replace(structure, past=past, start=start, level=level)
+            for (past, start), level in product(pasts, levels)
+        ]
 
-    def _finer_delay(self, factor: float) -> None:
-        """Try a delay beside the best one."""
-        delayed = [fit for fit in self.fits if fit.structure.delay > 0.0]
-        if delayed and self.choices.delays:
-            best = min(delayed, key=lambda fit: fit.score).structure
-            trial = replace(best, delay=best.delay * factor)
-            self.path(trial, [best.smooth_curve])
-
-    def _finer_level(self, step: float) -> None:
-        """Try a level beside the best fit's."""
-        best = min(self.fits, key=lambda fit: fit.score).structure
-        if best.level is not None:
-            trial = replace(best, level=best.level + step)
-            self.path(trial, [best.smooth_curve])
+    def _refine(self) -> None:
+        """Fit delays beside the best one, and levels beside the best fit's."""
+        for factor in REFINED if self.choices.delays else ():
+            delayed = [fit for fit in self.fits if fit.structure.delay > 0.0]
+            if delayed:
+                best = min(delayed, key=lambda fit: fit.score).structure
+                self.fit([replace(best, delay=best.delay * factor)])
+        for step in (-FINER_LEVEL, FINER_LEVEL):
+            best = min(self.fits, key=lambda fit: fit.score).structure
+            if best.level is not None:
+                self.fit([replace(best, level=best.level + step)])

@@ -30,10 +30,9 @@ from dbo_cli.model import (
 )
 from dbo_cli.signals import turns
 
-FEWEST_SLOW_ROWS = 40  # of a slow part
 NOTICEABLE = 3e-4  # of the range: a smaller reversal of the drive is no turn
 SMALL_SWING = 0.35  # of the range: a sweep's largest swing
-FEWEST_IN_SWEEP = 40  # in a sweep
+FEWEST_IN_PART = 40  # rows of a sweep, and of what is left of its log
 SWEPT = 5.0  # highest over lowest frequency of a sweep, at least
 SMOOTH = 0.7  # of the logarithms of neighbouring half periods: a sweep is gradual
 FEWEST_A_PERIOD = 6  # samples of the highest frequency
@@ -103,7 +102,7 @@ def _sweep_of(log: Recording, span: float) -> Sweep | None:
     quick = np.minimum(halves[1:], halves[:-1]) <= FEWEST_A_PERIOD
     runs = runs_of(small[1:] & small[:-1] & (gradual | quick)).tolist()
     first, last = max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
-    if last - first < FEWEST_IN_SWEEP:
+    if last - first < FEWEST_IN_PART:
         return None
     periods = 2.0 * step * halves[first : last + 1]
     fastest, slowest = np.quantile(periods, (0.05, 0.98)).tolist()
@@ -112,7 +111,7 @@ def _sweep_of(log: Recording, span: float) -> Sweep | None:
     wider = round(WIDER * slowest / step)
     begin = max(int(rows[first]) - wider, 0)
     end = min(int(rows[last + 1]) + wider, len(log.voltage))
-    if begin + len(log.voltage) - end < FEWEST_SLOW_ROWS:
+    if begin + len(log.voltage) - end < FEWEST_IN_PART:
         return None  # nothing else is left to tell the gears from
     band = 1.0 / slowest, 1.0 / float(periods.min())
     return Sweep(log, slice(begin, end), step, band)
@@ -209,9 +208,7 @@ class Signals:
             _, self._before = static.simulate(before, dt=self.dt)
         self.predicted = self._simulated(static)
         self.sweep, self.measured = sweep, log.displacement[rows]
-        size = self.measured.size
-        self.block = np.arange(size) * FAST_BLOCKS // size
-        self.time: Floats = sweep.dt * np.arange(float(size))
+        self.time: Floats = sweep.dt * np.arange(float(self.measured.size))
 
     def _simulated(self, model: Cascade) -> Floats:
         """Return what a model without dynamics predicts; an amplifier rests at the first row."""
@@ -246,7 +243,6 @@ class FastRows:
     signals : of each part
     band : lowest and highest frequency swept (Hz)
     step : the shortest time step (s)
-    count : how many rows there are
     """
 
     def __init__(self, static: Cascade, fast: Sequence[Sweep]) -> None:
@@ -254,17 +250,15 @@ class FastRows:
         lows, highs = zip(*(sweep.band for sweep in fast), strict=True)
         self.band: Band = min(lows), max(highs)
         self.step = min(sweep.dt for sweep in fast)
-        self.count = sum(signals.measured.size for signals in self.signals)
 
     @property
     def longest(self) -> Signals:
         """The part with the most rows."""
         return max(self.signals, key=lambda signals: signals.measured.size)
 
-    def residuals(self, form: Form, parameters: Floats) -> list[Floats]:
-        """Return what dynamics leave of each sweep."""
-        trial = FastDynamics(form, parameters)
-        return [signals.residuals(trial) for signals in self.signals]
+    def residuals(self, trial: FastDynamics) -> Floats:
+        """Return what dynamics leave of all sweeps, one after another."""
+        return np.concatenate([signals.residuals(trial) for signals in self.signals])
 
     def sections(self, best: FastDynamics) -> tuple[Section, ...]:
         """Return the sections, a lag first where there is one."""
@@ -278,7 +272,7 @@ def fitted(rows: FastRows, starts: Sequence[Floats], form: Form) -> FastDynamics
     low, high = _bounds(rows, form)
 
     def error(parameters: Floats) -> Floats:
-        return np.concatenate(rows.residuals(form, parameters))
+        return rows.residuals(FastDynamics(form, parameters))
 
     def refined(start: Floats, steps: int) -> Any:
         # no bound on the gradient: it has the displacement's unit
@@ -309,7 +303,9 @@ def _bounds(rows: FastRows, form: Form) -> tuple[Floats, Floats]:
 
 def _left_out(rows: FastRows, residuals: Floats, derivatives: Floats) -> float:
     """Return the error (RMS) on blocks left out, each one step from the whole fit."""
-    block = np.concatenate([signals.block for signals in rows.signals])
+    sizes = [signals.measured.size for signals in rows.signals]
+    blocks = [np.arange(size) * FAST_BLOCKS // size for size in sizes]
+    block = np.concatenate(blocks)
     squares = 0.0
     for fold in range(FOLDS):
         out = block % FOLDS == fold

@@ -73,6 +73,7 @@ class Solution:
     penalised : what was minimised
     residuals : what each part leaves where it was left out (``cross_validate``)
     score : logarithm of the mean of that, and the price of the terms (``score``)
+    weight : in a mean of fits
     """
 
     structure: Structure
@@ -85,6 +86,7 @@ class Solution:
     penalised: float = np.inf
     residuals: tuple[Floats, ...] = ()
     score: float = np.inf
+    weight: float = 1.0
 
     @property
     def rmse(self) -> float:
@@ -119,8 +121,7 @@ def travelled(u: Floats, segments: int) -> Floats:
 def bending(columns: Floats) -> Floats:
     """Return the products of all pairs of columns' second differences."""
     bends = np.diff(columns, 2, axis=0)
-    matrix: Floats = bends.T @ bends
-    return matrix
+    return bends.T @ bends
 
 
 def nonnegative(table: Floats, target: Floats) -> Floats:

@@ -91,13 +91,13 @@ def model_of(
     fit: Solution,
     log: Recording,
     options: Options,
-    others: Sequence[tuple[float, Solution]] = (),
+    others: Sequence[Solution] = (),
 ) -> Cascade:
-    """Return the forward model of a fit, with ``others`` (weight and fit) as candidates."""
+    """Return the forward model of a fit, with ``others`` as candidates."""
     zero = zero_of(log, options)
     candidates = []
-    for weight, other in others:
-        candidates.append(Candidate(float(weight), stages_of(problem, other, zero)))
+    for other in others:
+        candidates.append(Candidate(other.weight, stages_of(problem, other, zero)))
     model = Cascade(
         "forward",
         Quantity(*log.input, problem.low, problem.high),

@@ -19,7 +19,6 @@ from dbo_cli.identification.sections import (
     Sweep,
     split,
 )
-from dbo_cli.identification.solve import Equations
 from dbo_cli.identification.stages import model_of
 from tests.drive.actuators import actuator
 
@@ -158,7 +157,7 @@ def test_fast_memories_act_at_once_and_slow_ones_stay():
     log = Recording("log.csv", drive, 0.1 * drive, time)
     problem = prepare([log], Options(relaxation=(1e-4, 5.0)))
     structure = Structure(memories="tr")
-    fit = Equations(problem.rows(structure), structure).solve()
+    fit = problem.equations(structure).solve()
     fit = replace(fit, gains=np.array([0.1, 0.2, 0.3, 0.05]))
     slower, steeper = without_fast_memories(problem, fit, 0.1)
     assert slower.taus.tolist() == [5.0]

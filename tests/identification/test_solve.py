@@ -8,7 +8,7 @@ from contract.program import plays_of
 
 from dbo_cli.errors import DboWarning, FitError, InputError, UsageError
 from dbo_cli.identification import search
-from dbo_cli.identification.averaging import Average
+from dbo_cli.identification.averaging import weighed
 from dbo_cli.identification.basis import (
     Cells,
     PreparedLog,
@@ -84,10 +84,9 @@ def test_a_fit_without_a_score_is_left_out(monkeypatch):
     found = search.Search(problem, choices)
     with pytest.raises(FitError):
         found.run()
-    base = Structure(bend=0.25, memories="")
-    found.path(base, [np.inf])
+    found.fit([Structure(bend=0.25, memories="")])
     assert len(found.fits) == 1
-    assert np.isfinite(Average.of(found.fits).weights).all()
+    assert np.isfinite(weighed(found.fits)[0].weight)
 
 
 @pytest.mark.parametrize("slopes", ["growing", "falling", "free"])
@@ -98,7 +97,7 @@ def test_model_is_what_was_fitted(slopes, memories):
     problem = prepare([log], Options())
     for curve in (np.inf, 1e-3):
         structure = Structure(slopes, memories, 2e-3, curve, delay=0.01, bend=0.1)
-        fit = Equations(problem.rows(structure), structure).solve()
+        fit = problem.equations(structure).solve()
         model = model_of(problem, fit, log, Options())
         every = np.arange(len(TIME))
         whole = replace(problem.logs[0], rows=every, ends=every + 1)
@@ -116,7 +115,7 @@ def test_a_drive_beyond_the_range_goes_on_as_the_last_gears_do(direction):
     log = Recording("log", DRIVE, hysteresis(DRIVE), TIME)
     problem = prepare([log], Options())
     structure = Structure(memories="")
-    fit = Equations(problem.rows(structure), structure).solve()
+    fit = problem.equations(structure).solve()
     low, high = problem.low, problem.high
     end = high if direction > 0.0 else low
     drive = np.array([low + high - end, end, end + 0.1 * direction * (high - low)])
@@ -133,7 +132,7 @@ def test_slopes_keep_their_floor():
     log = Recording("log", DRIVE, 100.0 - hysteresis(DRIVE)[::-1], TIME)
     problem = prepare([log], Options())
     structure = Structure("free", "tr", 1e-6, 1e-5)
-    fit = Equations(problem.rows(structure), structure).solve()
+    fit = problem.equations(structure).solve()
     rests = float(fit.gains[len(problem.taus) :].sum())
     mean = float(fit.slopes @ problem.cells.shares) + rests
     assert fit.slopes.min() >= 0.03 * mean
@@ -164,5 +163,7 @@ def test_skip_needs_a_clock():
 def test_recordings_are_checked():
     with pytest.raises(FitError, match="too few"):
         Recording("log", DRIVE[:10], DRIVE[:10])
+    with pytest.raises(FitError, match="skip less"):
+        clean([Recording("log", DRIVE, DRIVE, TIME)], Options(skip=TIME[-10]))
     with pytest.raises(InputError, match="sample_rate"):
         Recording("log", DRIVE, DRIVE, np.floor(np.arange(len(DRIVE)) / 5.0))
