@@ -85,9 +85,8 @@ class Log(AbstractContextManager["Log"]):
         self.remarks = source.remarks
         self.doubtful: list[str] = []
         self._source = source
-        self._typed_rows = reading.rows or ":"
+        self._reading = reading
         self._first, self._last = parse_rows(reading.rows)
-        self._skip_bad = reading.skip_bad
         self.left_out: list[int] = []
         self._first_dropped = ""
         self._lost: tuple[int, str] | None = None
@@ -208,8 +207,8 @@ class Log(AbstractContextManager["Log"]):
             self.doubtful.append(text)
         if not self._count:
             raise InputError(
-                f"{self.name}: `rows` {self._typed_rows}: none of its {rows:,} rows is inside and holds only "
-                "numbers"
+                f"{self.name}: `rows` {self._reading.rows or ':'}: none of its {rows:,} rows is inside and "
+                "holds only numbers"
             )
         self.clock.close()
         self.remarks += self.clock.remarks
@@ -232,7 +231,7 @@ class Log(AbstractContextManager["Log"]):
         index = int(np.argmax(bad[:, at]))
         where = self._source.where(int(numbers[at]), columns[index], arrays[index][at])
         count = int(is_bad.sum())
-        if not self._skip_bad:
+        if not self._reading.skip_bad:
             more = f", and {count - 1:,} more such rows near it" if count > 1 else ""
             raise InputError(f"{where}{more} ({self._source.cure})")
         self._first_dropped = self._first_dropped or where

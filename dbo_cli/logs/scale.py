@@ -39,11 +39,9 @@ def scaled_column(
     factor, unit = Fraction(1), column.unit
     if role in scale:
         factor, unit = _typed_scale(name, role, column, str(scale[role]))
-    elif column.doubt:
-        doubt = column.doubt.replace("ROLE", role)
+    elif doubt := column.doubt or _doubt_of_unit(column):
+        doubt = doubt.replace("ROLE", role)
         raise InputError(f"{name}: {column.label} {doubt}")
-    else:
-        _refuse_unclear_unit(name, role, column)
     target = units.get(role)
     if role in units and target is None and unit is not None:
         warn(
@@ -88,14 +86,12 @@ def _typed_scale(
         ) from None
 
 
-def _refuse_unclear_unit(name: str, role: str, column: Column) -> None:
-    """Refuse a column of whose unit several may be meant (InputError)."""
+def _doubt_of_unit(column: Column) -> str:
+    """Return why a column's unit is not clear; empty where it is."""
     units = _units_of(column)
-    if len(units) > 1:
-        raise InputError(
-            f"{name}: {column.label} may be in {' or '.join(units)}: add `scale` {role}=1UNIT/"
-            f"{column.unit or units[0]}"
-        )
+    if len(units) < 2:
+        return ""
+    return f"may be in {' or '.join(units)}: type `scale` ROLE=1UNIT/{column.unit or units[0]}"
 
 
 def _units_of(column: Column) -> list[str]:
