@@ -7,6 +7,7 @@ which ``\n`` ends a line.
 from __future__ import annotations
 
 import codecs
+import contextlib
 import gzip
 import io
 import os
@@ -56,12 +57,10 @@ class TextStream:
         self._ends_in_cr = False
         self._file = io.BytesIO(content) if content is not None else _opened(path)
         self._descriptor = -1
-        try:
+        with contextlib.suppress(OSError, ValueError):  # text in memory
             descriptor = self._file.fileno()
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 self._descriptor = descriptor
-        except (OSError, ValueError):
-            pass  # text in memory
         self.is_pipe = self._descriptor >= 0
 
     def heads(self) -> Iterator[bytes]:
