@@ -112,8 +112,6 @@ class Layout:
         What each column holds, as ``Column.kind`` and ``Column.sample`` say it.
     first
         The index of the line of the first row.
-    first_line
-        That line.
     names, units, settings
         What the lines above the rows say.
     is_headed
@@ -124,7 +122,6 @@ class Layout:
     decimal: str
     kinds: list[tuple[str, str]] = field(default_factory=list)
     first: int = 0
-    first_line: str = ""
     names: list[str] = field(default_factory=list)
     units: list[str] = field(default_factory=list)
     settings: Settings = field(default_factory=dict)

@@ -171,18 +171,17 @@ class Clock:
         """Refuse figures without a unit that can hardly be seconds, or contradict a stated rate."""
         if self.kind != "column" or not self.assumption:
             return
-        is_epoch = _EPOCH[0] < self.first < _EPOCH[1]
-        samples = self.usual_step * (self.rate_beside or 0.0)
-        is_days = abs(86400.0 * self.usual_step - 1.0) < _SAME  # rows a second apart
-        is_likely = self.usual_step < _LONG_STEP and not is_days
-        if self.usual_step:
-            is_likely = is_likely and self.usual_step >= _SHORT_STEP
-        if samples:
-            is_likely = is_likely and abs(samples - 1.0) <= _SAME
-        if is_likely and (reach <= _LATEST or is_epoch):
-            return
-        problem = f"has no unit, and in seconds its steps would be {self.usual_step:.4g}, its end {reach:.6g}"
-        raise _unclear(self.name, self.column, problem)
+        step, is_epoch = self.usual_step, _EPOCH[0] < self.first < _EPOCH[1]
+        samples = step * (self.rate_beside or 0.0)
+        doubts = (
+            step >= _LONG_STEP or 0.0 < step < _SHORT_STEP,
+            abs(86400.0 * step - 1.0) < _SAME,  # days, at rows a second apart
+            samples and abs(samples - 1.0) > _SAME,
+            reach > _LATEST and not is_epoch,
+        )
+        if any(doubts):
+            problem = f"has no unit, and in seconds its steps would be {step:.4g}, its end {reach:.6g}"
+            raise _unclear(self.name, self.column, problem)
 
     def close(self) -> None:
         """Warn of what is doubtful once all rows are read; refuse a time that mostly stands still."""

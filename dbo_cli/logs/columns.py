@@ -1,7 +1,8 @@
 """Which column has which role: the one that the user names, else by its name, else by its unit.
 
 Where none or several may be meant, all columns are listed with the complete option to
-type.
+type. The figures of a column with a role are multiplied so that they are in the unit that
+is wanted.
 """
 
 from __future__ import annotations
@@ -9,10 +10,23 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.logs.table import Column, Table
-from dbo_cli.units import DRIVING_KINDS, MOVED_KINDS, kind_of, time_unit
+from dbo_cli.units import (
+    DRIVING_KINDS,
+    MOVED_KINDS,
+    kind_of,
+    parse_unit,
+    ratio,
+    spell,
+    split_header,
+    split_quantity,
+    time_unit,
+    units_in,
+    value_units_like,
+)
 
 _LISTED = 20  # names of columns that a message holds at most
 _BESIDE = (
@@ -199,7 +213,8 @@ def _by_name(columns: Sequence[Column], selector: str) -> list[Column]:
 
 def choose(
     table: Table,
-    selectors: Mapping[str, str | None],
+    roles: Sequence[str],
+    picks: dict[str, Column],
     clock_columns: Sequence[Column],
     units: Mapping[str, str | None],
     optional: Sequence[str],
@@ -210,8 +225,10 @@ def choose(
     ----------
     table
         The columns.
-    selectors
-        What the user typed for each role, or None.
+    roles
+        What columns are wanted for.
+    picks
+        Those that the user named; receives the others.
     clock_columns
         The columns of the clock.
     units
@@ -224,13 +241,9 @@ def choose(
     InputError
         Several columns may be meant for a role, or none; or two roles share one.
     """
-    picks: dict[str, Column] = {}
-    for role, selector in selectors.items():
-        if selector is not None:
-            picks[role] = named(table, selector, role)
     used = [*clock_columns, *picks.values()]
     unclear: list[str] = []
-    untyped = [role for role in selectors if role not in picks]
+    untyped = [role for role in roles if role not in picks]
     for role in sorted(untyped, key=lambda role: role in optional):
         if role in optional:
             used = [*used, *picks.values()]
@@ -245,7 +258,7 @@ def choose(
     if shared or unclear:
         problem = f"which column is {' and which '.join(shared or unclear)}?"
         raise _question(table, problem, shared or unclear)
-    return {role: picks[role] for role in selectors if role in picks}
+    return {role: picks[role] for role in roles if role in picks}
 
 
 def _question(table: Table, problem: str, roles: Sequence[str]) -> InputError:
@@ -294,3 +307,101 @@ def _candidates(columns: Sequence[Column], role: Role) -> list[Column]:
     if any(words(c.quantity) & role.names for c in free):
         return []  # the column of that name is in a unit that cannot be meant
     return proved or [c for c in free if kind_of(c.unit) in role.more]
+
+
+# --- the unit that is wanted ---
+
+
+def scaled_column(
+    name: str,
+    role: str,
+    column: Column,
+    scale: Mapping[str, str | float],
+    units: Mapping[str, str | None],
+) -> Column:
+    """Scale a column of a file by what the user types for its role, then to the unit that is wanted.
+
+    Raises
+    ------
+    InputError
+        A unit is not clear, or cannot be converted.
+    UsageError
+        The scale is malformed.
+    """
+    factor, unit = Fraction(1), column.unit
+    if role in scale:
+        factor, unit = _typed_scale(name, role, column, str(scale[role]))
+    elif doubt := column.doubt or _doubt_of_unit(column):
+        doubt = doubt.replace("ROLE", role)
+        raise InputError(f"{name}: {column.label} {doubt}")
+    target = units.get(role)
+    if role in units and target is None and unit is not None:
+        warn(
+            f"{name}: {column.label} is in {unit}, model or trajectory states no unit: its numbers are taken "
+            "as they are"
+        )
+    if target is not None:
+        try:
+            factor *= ratio(unit, target)
+        except InputError:
+            raise InputError(
+                f"{name}: {column.label} is in {unit}, not {target}: add `scale` "
+                f"{role}=FACTOR{target}/{unit}"
+            ) from None
+        unit = spell(target)
+    title = column.name or f"column {column.number} ({role})"
+    if column.unit and split_header(title)[1] is None:
+        title += f" ({column.unit})"
+    elif unit and column.unit is None and role not in scale:
+        title += f" ({unit} assumed)"
+    return replace(column, unit=unit, factor=factor, title=title)
+
+
+def _typed_scale(
+    name: str, role: str, column: Column, text: str
+) -> tuple[Fraction, str | None]:
+    """Return the factor that the user types, and the unit behind it: ``20``, or ``10um/V``."""
+    number, unit = split_quantity(text, "scale")
+    after, stroke, before = (unit or "").partition("/")
+    if not 0.0 < abs(number) < 1e250 or (unit and not (after and before)):
+        raise UsageError(
+            f"`scale` {role}={text}: give a factor other than 0, such as 20 or 10um/V"
+        )
+    factor = Fraction(repr(number))
+    if not stroke:
+        return factor, column.unit
+    try:
+        return factor * ratio(column.unit, before), spell(after)
+    except InputError:
+        raise InputError(
+            f"{name}: {column.label} is in {column.unit}, `scale` {role}={text} expects {before}"
+        ) from None
+
+
+def _doubt_of_unit(column: Column) -> str:
+    """Return why a column's unit is not clear; empty where it is."""
+    units = _units_of(column)
+    if len(units) < 2:
+        return ""
+    return f"may be in {' or '.join(units)}: type `scale` ROLE=1UNIT/{column.unit or units[0]}"
+
+
+def _units_of(column: Column) -> list[str]:
+    """Return the units that a column may be in: one or none where that is clear.
+
+    Several where an amount of its unit stands in its name (``at 100 V``, ``in 1/10 V``,
+    ``kV x 1000``), where its capitals are those of the name (``VOLTAGE (MV)``,
+    ``DISPLACEMENT_MM``, ``VoltageMv``), and where the name holds several.
+    """
+    unit, title = column.unit, column.name
+    if unit and split_header(title)[1] == unit and not re.search(r"[\[(]", title):
+        for amount in re.findall(r"(?<![^\s/*])\d[\d.,]*(?:\s+(\S+)|$)", title):
+            if spell(amount) in (unit, None):
+                return [unit, "another unit"]
+    capitals = unit if unit in ("MV", "Mv", "MM", "Mm") else None
+    if not unit:  # PV is a process value
+        written = re.search(r"[\s_/](?!PV$)([A-Z]{2,4})$|[a-z]([KMN][mv]|Uv)$", title)
+        capitals = written and (written[1] or written[2])
+    if capitals:
+        return [*value_units_like(capitals), "another unit"]
+    return sorted(units_in(title)) if parse_unit(unit) is None else []

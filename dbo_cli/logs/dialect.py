@@ -83,12 +83,9 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
         )
     table = [split_cells(lines[n], layout.delimiter) for n in rows[-_JUDGED:]]
     layout.first = _first_row(layout, lines, rows)
-    layout.first_line = lines[layout.first]
     above, below = lines[skipped : layout.first], lines[layout.first :]
     read_header(above, below, layout)
-    unclear = _two_readings(layout, sample, table, reading)
-    if unclear is not None:
-        text, how = unclear
+    for text, how in _two_readings(layout, sample, table, reading):
         raise InputError(f"{name}: '{text}' may be read in two ways: type {how}")
     above_rows = [n for n in rows if n < layout.first]
     for n, skip in _unclear_starts(layout, lines, above_rows):
@@ -106,8 +103,8 @@ def _two_readings(
     sample: Sequence[str],
     table: Sequence[Sequence[str]],
     reading: Reading,
-) -> tuple[str, str] | None:
-    """Return a text that may be read in two ways, and what the user can type; None where all is clear.
+) -> Iterator[tuple[str, str]]:
+    """Return texts that may be read in two ways, and what the user can type.
 
     ``500;1`` holds another delimiter; commas may all stand between thousands; ``0,5`` may
     be two columns where nothing is called by a name.
@@ -117,21 +114,18 @@ def _two_readings(
             found = _DELIMITED.search(text) if kind == "text" else None
             if found is not None:
                 marks = found[0].strip("0123456789"), layout.delimiter
-                return text, " or ".join(
-                    f"`delimiter` {_NAMES[mark]}" for mark in marks
-                )
+                yield text, " or ".join(f"`delimiter` {_NAMES[mark]}" for mark in marks)
     if reading.decimal is None and layout.decimal == ",":
         cells = [cell for row in table for cell in row]
         commas = [cell for cell in cells if "," in cell and is_number(cell, ",")]
         if commas and all(map(_THOUSANDS.fullmatch, commas)):
             how = "`decimal` comma, or write numbers without marks between thousands"
-            return commas[0], how
+            yield commas[0], how
     is_told = reading.delimiter or reading.decimal or any(layout.names)
     is_short = max(map(len, sample)) <= LONGEST_CELL
     if not is_told and is_short and all(map(_TWO_READINGS.fullmatch, sample)):
         how = "`delimiter` comma for two columns, or `decimal` comma for one"
-        return sample[-1].strip(), how
-    return None
+        yield sample[-1].strip(), how
 
 
 def _unclear_starts(
@@ -139,8 +133,9 @@ def _unclear_starts(
 ) -> Iterator[tuple[int, int]]:
     """Return lines that make it unclear where the rows begin, and how many lines to skip for that.
 
-    Numbers of another width above the rows; names for another number of columns; a first
-    row 0, 1, 2 where nothing is called by a name; names below the first rows.
+    Numbers of another width above the rows; names for another number of columns, or a torn
+    row, right above them; a first row 0, 1, 2 where nothing is called by a name; names below
+    the first rows.
     """
     first, width = layout.first, layout.width
     for n in reversed(above):
@@ -148,7 +143,11 @@ def _unclear_starts(
         if cells and all(is_number(cell, layout.decimal) for cell in cells):
             yield n, n + 1
     for n in above[-1:]:
-        if not layout.is_headed and _may_be_names(lines[n:first], layout):
+        cells = split_cells(lines[n].rstrip(f" {layout.delimiter}"), layout.delimiter)
+        has_numbers = any(map(is_number, cells))
+        is_unclear = n + 1 == first if has_numbers else len(cells) != width
+        is_stated = layout.is_headed or is_setting(cells[0])
+        if len(cells) > 1 and is_unclear and not is_stated:
             yield n, first
     cells = [cell for cell in split_cells(lines[first], layout.delimiter) if cell]
     counted = [[str(start + k) for k in range(len(cells))] for start in (0, 1)]
@@ -160,17 +159,6 @@ def _unclear_starts(
         cells = split_cells(lines[n], layout.delimiter)
         if len(cells) == width > 1 and are_names(cells) and cells != layout.names:
             yield n, n
-
-
-def _may_be_names(lines: Sequence[str], layout: Layout) -> bool:
-    """Return whether the first of the lines above the rows may be names for other columns, or a torn row."""
-    cells = split_cells(lines[0].rstrip(f" {layout.delimiter}"), layout.delimiter)
-    is_last = not any(line.strip() for line in lines[1:])
-    if len(cells) < 2 or is_setting(cells[0]) or not is_last:
-        return False
-    if any(is_number(cell) for cell in cells):
-        return len(lines) == 1
-    return len(cells) != layout.width
 
 
 def delimiter_of(text: str) -> str:
@@ -236,7 +224,8 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
     for n in range(width):
         cells = [table[k][n] for k in rows]
         weighted = [(table[k][n], weights[k]) for k in rows]
-        if n == 0 and _is_mostly_one_kind(cells, sign):  # the last rows may have labels
+        count = sum(is_number(cell, sign) for cell in cells)
+        if n == 0 and 2 * count > len(cells):  # the last rows may have labels
             weighted = [(cell, 1.0) for cell in cells]
         layout.kinds.append(_kind_of(weighted, sign))
     share = shares[width] / sum(weights)
@@ -259,13 +248,6 @@ def _kind_of(cells: Sequence[tuple[str, float]], sign: str) -> tuple[str, str]:
     if 2 * len(dates) > len(texts):
         texts = dates
     return "text", texts[-1][: len(TOO_LONG)]
-
-
-def _is_mostly_one_kind(cells: Sequence[str], sign: str) -> bool:
-    """Return whether more than half of the cells are numbers, or stamps of one format."""
-    numbers = sum(is_number(cell, sign) for cell in cells)
-    is_stamped = stamp_format([(cell, 1.0) for cell in cells]) is not None
-    return 2 * numbers > len(cells) or is_stamped
 
 
 def _is_row(line: str, layout: Layout) -> bool:

@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.files import note_input
 from dbo_cli.logs.clock import find_clock
-from dbo_cli.logs.columns import ROLES, choose, named
+from dbo_cli.logs.columns import ROLES, choose, named, scaled_column
 from dbo_cli.logs.fence import closed_on_error, refuse_part
 from dbo_cli.logs.formats import reader_of
 from dbo_cli.logs.join import SENSORS, joined, resampled
-from dbo_cli.logs.scale import scaled_column
 from dbo_cli.logs.stream import TextStream
 from dbo_cli.logs.table import (
     ROWS_A_BLOCK,
@@ -73,12 +72,15 @@ class Log(AbstractContextManager["Log"]):
         optional: Sequence[str],
     ) -> None:
         """Choose a clock and a column for every role, see ``open_log`` (InputError, UsageError)."""
-        typed = {role: text for role, text in roles.items() if role != "time"}
-        used = [named(source, text, role) for role, text in typed.items() if text]
-        self.clock = find_clock(source, reading, roles.get("time"), used)
+        wanted = [role for role in roles if role != "time"]
+        picks = {}
+        for role in wanted:
+            if (selector := roles[role]) is not None:
+                picks[role] = named(source, selector, role)
+        self.clock = find_clock(source, reading, roles.get("time"), [*picks.values()])
         self.clock.holds_delay = source.has_found_offset
         clock_columns = [] if self.clock.column is None else [self.clock.column]
-        columns = choose(source, typed, clock_columns, units, optional)
+        columns = choose(source, wanted, picks, clock_columns, units, optional)
         for role, column in columns.items():
             scale = reading.scale
             columns[role] = scaled_column(source.name, role, column, scale, units)
@@ -87,9 +89,8 @@ class Log(AbstractContextManager["Log"]):
         self.remarks = source.remarks
         self.doubtful: list[str] = []
         self._source = source
-        self._typed_rows = reading.rows or ":"
+        self._reading = reading
         self._first, self._last = parse_rows(reading.rows)
-        self._skip_bad = reading.skip_bad
         self.left_out: list[int] = []
         self._first_dropped = ""
         self._lost: tuple[int, str] | None = None
@@ -222,8 +223,8 @@ class Log(AbstractContextManager["Log"]):
             self.doubtful.append(text)
         if not self._count:
             raise InputError(
-                f"{self.name}: `rows` {self._typed_rows}: none of its {rows:,} rows is inside and holds only "
-                "numbers"
+                f"{self.name}: `rows` {self._reading.rows or ':'}: none of its {rows:,} rows is inside and "
+                "holds only numbers"
             )
         self.clock.close()
         self.remarks += self.clock.remarks
@@ -246,7 +247,7 @@ class Log(AbstractContextManager["Log"]):
         index = int(np.argmax(bad[:, at]))
         where = self._source.where(int(numbers[at]), columns[index], arrays[index][at])
         count = int(is_bad.sum())
-        if not self._skip_bad:
+        if not self._reading.skip_bad:
             more = f", and {count - 1:,} more such rows near it" if count > 1 else ""
             raise InputError(f"{where}{more} ({self._source.cure})")
         self._first_dropped = self._first_dropped or where

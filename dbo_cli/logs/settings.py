@@ -35,6 +35,7 @@ UNIT_KEYS = frozenset(
 TIME_UNIT_KEYS = frozenset("hunit horizontalunits horizontalunit xunits xunit".split())
 _IN_TIME_UNIT = ("xinc", "hresolution", "xincrement")
 _BARE = {"rate": "rate", "sampling": "rate", "interval": "step"}  # with a unit only
+_KINDS = {**dict.fromkeys(_RATES, "rate"), **dict.fromkeys(_STEPS, "step"), **_BARE}
 _DIVIDERS = frozenset(
     "decimation decimationfactor downsampling downsamplingfactor downsample".split()
 )
@@ -86,11 +87,7 @@ def _kind_of(key: str) -> tuple[str, str]:
     plain = plain_key(name)
     if plain.endswith("hz") and plain.removesuffix("hz") in _RATES:
         return "rate", unit or "Hz"
-    if plain in _RATES:
-        return "rate", unit or ""
-    if plain in _STEPS:
-        return "step", unit or ""
-    return _BARE.get(plain, ""), unit or ""
+    return _KINDS.get(plain, ""), unit or ""
 
 
 # --- the rate ---

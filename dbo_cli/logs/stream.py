@@ -7,6 +7,7 @@ which ``\n`` ends a line.
 from __future__ import annotations
 
 import codecs
+import contextlib
 import gzip
 import io
 import os
@@ -14,7 +15,7 @@ import select
 import stat
 import sys
 import zlib
-from collections.abc import Callable
+from collections.abc import Iterator
 from typing import IO, Any, cast
 
 from dbo_cli.errors import InputError, UsageError
@@ -56,21 +57,14 @@ class TextStream:
         self._ends_in_cr = False
         self._file = io.BytesIO(content) if content is not None else _opened(path)
         self._descriptor = -1
-        try:
+        with contextlib.suppress(OSError, ValueError):  # text in memory
             descriptor = self._file.fileno()
             if not stat.S_ISREG(os.fstat(descriptor).st_mode):
                 self._descriptor = descriptor
-        except (OSError, ValueError):
-            pass  # text in memory
         self.is_pipe = self._descriptor >= 0
 
-    def head(self, is_enough: Callable[[list[str]], bool]) -> bytes:
-        """Return the first text; from a pipe what has arrived once that is enough.
-
-        Parameters
-        ----------
-        is_enough
-            Whether these lines, the first ones of a pipe that pauses, hold a row.
+    def heads(self) -> Iterator[bytes]:
+        """Return the first text; from a pipe that pauses what has arrived so far, and more and more of it.
 
         Raises
         ------
@@ -84,11 +78,12 @@ class TextStream:
             start += data
             if self.ended:
                 break
-            is_pause = self.is_pipe and start.endswith(b"\n") and not self._has_more()
-            if is_pause:
-                self._encoding = _find_encoding(self.name, start, self._typed_encoding)
-                if is_enough(self.lines(start)):
-                    break
+            if self.is_pipe and start.endswith(b"\n") and not self._has_more():
+                yield self._first_text(start)
+        yield self._first_text(start)
+
+    def _first_text(self, start: bytes) -> bytes:
+        """Find out how the first bytes are written, and make them plain."""
         self._ends_in_cr = b"\r" in start[:-1] and b"\n" not in start  # Igor's do
         self._encoding = _find_encoding(self.name, start, self._typed_encoding)
         if self._encoding not in _ASCII:

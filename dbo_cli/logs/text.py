@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.errors import InputError
-from dbo_cli.logs.cells import DATE, Marks, split_cells, to_number
+from dbo_cli.logs.cells import DATE, Layout, Marks, split_cells, to_number
 from dbo_cli.logs.dialect import find_layout, is_no_row
 from dbo_cli.logs.fence import closed_on_error
 from dbo_cli.logs.names import are_names, begins_run
@@ -40,13 +40,8 @@ class TextTable(Table):
         self._marks: dict[int, Marks] = {}
         self._size = 0  # bytes of rows
         self._first_row = 1  # of the last block
-        self._block_lines = 0  # that it was read from
         with closed_on_error(stream.close):
-            start = stream.head(self._has_layout)
-            lines = stream.lines(start)
-            if not stream.ended and len(lines) > 2:
-                lines.pop()  # perhaps not whole
-            self.layout = find_layout(self.name, lines, reading)
+            self.layout, start = self._find_layout()
         columns = zip(
             self.layout.names, self.layout.units, self.layout.kinds, strict=True
         )
@@ -61,13 +56,17 @@ class TextTable(Table):
         self._line = self.layout.first + 1  # of the first row in the text
         self._text = start.split(b"\n", self.layout.first)[-1]
 
-    def _has_layout(self, lines: Sequence[str]) -> bool:
-        """Return whether the first lines of a pipe hold a row."""
-        try:
-            find_layout(self.name, lines, self._reading)
-        except InputError:
-            return False
-        return True
+    def _find_layout(self) -> tuple[Layout, bytes]:
+        """Find the layout on the first text, or (InputError) on all that a pipe brings before it ends."""
+        for start in self._stream.heads():
+            lines = self._stream.lines(start)
+            if not self._stream.ended and len(lines) > 2:
+                lines.pop()  # perhaps not whole
+            try:
+                return find_layout(self.name, lines, self._reading), start
+            except InputError as error:
+                problem = error
+        raise problem
 
     def blocks(self, columns: Sequence[Column]) -> Iterator[list[NDArray[Any]]]:
         """Return all rows of some columns; see ``Table``."""
@@ -77,11 +76,11 @@ class TextTable(Table):
                 self._marks[column.number] = Marks(label)
         for text in self._texts():
             self._text = text
+            line_below = self._line + text.count(b"\n")
             last = self._stream.lines(text[text.rfind(b"\n") + 1 :])[0]
             if not is_no_row(last):
-                number = self._line + text.count(b"\n")
                 self.remarks.append(
-                    f"line {number}, the last one, has no line end: was the record cut there?"
+                    f"line {line_below}, the last one, has no line end: was the record cut there?"
                 )
             arrays = self._read_block(text, columns)
             for marks in self._marks.values():
@@ -89,7 +88,7 @@ class TextTable(Table):
             if len(arrays[0]):
                 yield arrays
             self._first_row += len(arrays[0])
-            self._line += self._block_lines
+            self._line = line_below
         for marks in self._marks.values():
             marks.require_clear(self._first_row, limit=0)
 
@@ -124,9 +123,8 @@ class TextTable(Table):
             unclear = [n for n, marks in self._marks.items() if not marks.is_clear]
             frame = read_frame(text, self.layout, columns, unclear)
         if frame is not None:
-            self._block_lines = len(frame)
             return [self._array_of(c, frame[str(c.number)]) for c in columns]
-        rows, self._block_lines = self._rows_of(text), text.count(b"\n")
+        rows = self._rows_of(text)
         return [self._array_of(c, [row[c.number - 1] for row in rows]) for c in columns]
 
     def _array_of(self, column: Column, cells: Any) -> NDArray[Any]:
