@@ -135,7 +135,10 @@ def table_in_memory(
     columns: dict[str, str | None] = dict.fromkeys(("time", *signals))
     if is_frame(first):
         if any(value is not None for value in (*others, *unit_options.values())):
-            raise UsageError("a frame has its own columns and units: leave out `unit`")
+            raise UsageError(
+                "a frame has its own columns and units: leave out other arrays, and `unit`, "
+                "`voltage_unit`, `displacement_unit`"
+            )
         return frame_table(first, time), columns
     if first is None:
         raise InputError(f"{next(iter(signals))}: give an array, a Series or a frame")
