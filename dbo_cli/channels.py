@@ -20,14 +20,7 @@ from typing import Any
 from dbo_cli import errors
 from dbo_cli.drive import Drive, Driver, voltage_in
 from dbo_cli.drive.drive import PassRecord
-from dbo_cli.errors import (
-    DboWarning,
-    InputError,
-    LimitError,
-    ModelError,
-    UsageError,
-    warn,
-)
+from dbo_cli.errors import InputError, LimitError, ModelError, UsageError, warn
 from dbo_cli.files import Outputs
 from dbo_cli.logs import Log, Reading, add_table, open_table
 from dbo_cli.logs.columns import fitting, listing_of
@@ -191,7 +184,7 @@ def together(
     holds = dict.fromkeys(channels, 0)
     after = 0
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DboWarning)
+        warnings.simplefilter("ignore", errors.DboWarning)
         for _ in range(MOST_TRIES):
             for name, hold in holds.items():
                 if name not in drives:

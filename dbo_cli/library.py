@@ -9,16 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import (
-    TYPE_CHECKING,
-    Any,
-    Final,
-    Literal,
-    TypedDict,
-    Unpack,
-    cast,
-    overload,
-)
+from typing import TYPE_CHECKING, Any, Final, Literal, TypedDict, Unpack, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,7 +25,7 @@ from dbo_cli.drive.live import Controller
 from dbo_cli.drive.simulate import Simulator
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.files import write_text
-from dbo_cli.logs import Reading, is_frame, open_log
+from dbo_cli.logs import Reading, is_frame, open_log, table_in_memory
 from dbo_cli.recordings import (
     RECORDING_COLUMNS,
     RECORDING_ROLES,
@@ -45,7 +36,6 @@ from dbo_cli.recordings import (
     pairs_of,
     recordings_of,
     signal_of,
-    table_in_memory,
     tracked_of,
     units_of,
 )

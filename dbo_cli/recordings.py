@@ -16,26 +16,10 @@ from dbo_cli.arrays import Floats
 from dbo_cli.drive.simulate import Rows
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
 from dbo_cli.logs import Block, Log, Reading, Table, open_log, open_table
-from dbo_cli.logs.frame import (
-    clock_of,
-    column_in_memory,
-    frame_table,
-    is_frame,
-    stated_unit,
-    table_of,
-)
+from dbo_cli.logs.frame import frame_table, is_frame, table_in_memory
 from dbo_cli.model import Cascade, Quantity, State, Steps
 from dbo_cli.reports import Pair, match, predict
-from dbo_cli.units import (
-    Typed,
-    multiplied,
-    parse_quantity,
-    quantity,
-    quantity_name,
-    ratio,
-    split_header,
-    unit_of_array,
-)
+from dbo_cli.units import Typed, multiplied, quantity, quantity_name, ratio
 from dbo_cli.version import __version__
 
 if TYPE_CHECKING:
@@ -153,61 +137,6 @@ def _refuse_other_units(first: Log, other: Log) -> None:
                 f"{other.name}: {role} is in {unit}, {first.name} states no unit: name its "
                 f"column {role}_UNIT"
             )
-
-
-def table_in_memory(
-    signals: Mapping[str, Any],
-    unit_options: Units,
-    units: Units,
-    time: Any,
-    reading: Reading,
-) -> tuple[Table, dict[str, str | None]]:
-    """Return arrays, or a frame in the place of all, as a table, and which of its columns has which role.
-
-    Parameters
-    ----------
-    signals : mapping
-        By role, the values, None for none; the name of a Series is that of its column.
-    unit_options : mapping
-        By role, the unit that the user gives.
-    units : mapping
-        By role, the unit of a model that they are for.
-    time, reading
-        Time in s, or how the table will be read: with a rate, or without. The time index of
-        a pandas object counts where neither is given, judged as the time column of a file is.
-
-    Raises
-    ------
-    UsageError
-        There are other arrays or units beside a frame, or a unit cannot be converted.
-    InputError
-        Arrays are in another unit than the model, or are no rows of numbers.
-    """
-    first, *others = signals.values()
-    columns: dict[str, str | None] = dict.fromkeys(("time", *signals))
-    if is_frame(first):
-        if any(value is not None for value in (*others, *unit_options.values())):
-            raise UsageError("a frame has its own columns and units: leave out `unit`")
-        return frame_table(first, time), columns
-    if first is None:
-        raise InputError(f"{next(iter(signals))}: give an array, a Series or a frame")
-    table = table_of("the arrays", [])
-    for role, values in signals.items():
-        if values is None:
-            del columns[role]
-            continue
-        label = "voltage" if role == "voltage" else "displacement"
-        stated, given = stated_unit(values, label), unit_options[role]
-        unit = unit_of_array(label, stated, given, units.get(role, given))
-        name = str(getattr(values, "name", None) or role)
-        if given:  # goes before that of the name
-            name = split_header(name)[0]
-        column = table.add(column_in_memory(table.name, name, values, unit))
-        columns[role] = f"number={column.number}"
-    if time is not None or reading.sample_rate is None:
-        for clock in clock_of(table.name, signals, time):
-            columns["time"] = f"number={table.add(clock).number}"
-    return table, columns
 
 
 def pairs_of(
@@ -413,7 +342,7 @@ def _time_constants(typed: Sequence[Typed] | str) -> Any:
     if typed == "auto":
         return typed
     texts = typed.split(",") if isinstance(typed, str) else typed
-    constants = [parse_quantity(text, "s", "relaxation") for text in texts]
+    constants = [quantity("relaxation", text, "s") for text in texts]
     if len(constants) > 1 and 0.0 in constants:
         raise UsageError("`relaxation`: give times above 0 s, or 0 alone")
     return tuple(constants)

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError
+from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.columns import is_time
-from dbo_cli.logs.table import Column, Table, columns_in
-from dbo_cli.units import spell, split_header, time_unit
+from dbo_cli.logs.table import Column, Reading, Table, columns_in
+from dbo_cli.units import spell, split_header, time_unit, unit_of_array
 
 
 def table_of(name: str, columns: Iterable[Column]) -> Table:
@@ -101,6 +101,64 @@ def frame_table(frame: Any, time: Any = None) -> Table:
     table.titles = attrs.get("columns", {})
     table.has_found_offset = bool(attrs.get("holds_delay"))
     return table
+
+
+def table_in_memory(
+    signals: Mapping[str, Any],
+    unit_options: Mapping[str, str | None],
+    units: Mapping[str, str | None],
+    time: Any,
+    reading: Reading,
+) -> tuple[Table, dict[str, str | None]]:
+    """Return arrays, or a frame in the place of all, as a table, and which of its columns has which role.
+
+    Parameters
+    ----------
+    signals : mapping
+        By role, the values, None for none; the name of a Series is that of its column.
+    unit_options : mapping
+        By role, the unit that the user gives.
+    units : mapping
+        By role, the unit of a model that they are for.
+    time, reading
+        Time in s, or how the table will be read: with a rate, or without. The time index of
+        a pandas object counts where neither is given, judged as the time column of a file is.
+
+    Raises
+    ------
+    UsageError
+        There are other arrays or units beside a frame, or a unit cannot be converted.
+    InputError
+        Arrays are in another unit than the model, or are no rows of numbers.
+    """
+    first, *others = signals.values()
+    columns: dict[str, str | None] = dict.fromkeys(("time", *signals))
+    if is_frame(first):
+        if any(value is not None for value in (*others, *unit_options.values())):
+            raise UsageError(
+                "a frame has its own columns and units: leave out other arrays, and `unit`, "
+                "`voltage_unit`, `displacement_unit`"
+            )
+        return frame_table(first, time), columns
+    if first is None:
+        raise InputError(f"{next(iter(signals))}: give an array, a Series or a frame")
+    table = table_of("the arrays", [])
+    for role, values in signals.items():
+        if values is None:
+            del columns[role]
+            continue
+        label = "voltage" if role == "voltage" else "displacement"
+        stated, given = stated_unit(values, label), unit_options[role]
+        unit = unit_of_array(label, stated, given, units.get(role, given))
+        name = str(getattr(values, "name", None) or role)
+        if given:  # goes before that of the name
+            name = split_header(name)[0]
+        column = table.add(column_in_memory(table.name, name, values, unit))
+        columns[role] = f"number={column.number}"
+    if time is not None or reading.sample_rate is None:
+        for clock in clock_of(table.name, signals, time):
+            columns["time"] = f"number={table.add(clock).number}"
+    return table, columns
 
 
 def clock_of(table: str, signals: Mapping[str, Any], time: Any) -> list[Column]:
