@@ -41,6 +41,8 @@ APART_SHOWS = 5e-4
 On 36 logs, right ones leave at most 3.4e-4 beside a loop, and 30 ms off at least 5.4e-4
 where no swing repeats.
 """
+CLEARLY_APART = 5.0
+"""Standard deviations of a lag from which on two clocks count as apart."""
 USUAL_LAG = 0.01
 """Seconds that most actuators with amplifier and sensor stay below; what is later is told of."""
 ACTUATOR_LAG = 0.05
@@ -68,15 +70,15 @@ class Alignment:
         By how much the signal comes later, from first row to first row (s).
     step
         Seconds a row of the slower clock.
-    has_one_step
-        Whether both clocks are even and have this step.
+    row_step
+        Seconds a row of two even clocks that have one step; None of others.
     """
 
     start: float
     reference_start: float
     lag: TimeLag
     step: float
-    has_one_step: bool
+    row_step: float | None
 
     @property
     def ahead(self) -> float:
@@ -155,7 +157,9 @@ def aligned(
     if not step > 0.0:
         return None
     signal, columns = _sampled(trace, step), _sampled(reference, step)
-    has_one_step = signal is trace.values and columns is reference.values
+    row_step = None
+    if signal is trace.values and columns is reference.values:
+        row_step = step_of(reference.time)
     begin = 0
     if loops:
         begin, columns = loop_columns(columns)
@@ -167,7 +171,7 @@ def aligned(
         if running is not None and running.residual < RATE_SHOWS * found.residual:
             found = running if abs(running.rate) <= RATE_SLACK else found
     start = float(reference.time[0]) + begin * step
-    return Alignment(float(trace.time[0]), start, found, step, has_one_step)
+    return Alignment(float(trace.time[0]), start, found, step, row_step)
 
 
 def are_apart(found: Alignment, displacement: Trace, reference: Trace) -> bool:
@@ -176,7 +180,8 @@ def are_apart(found: Alignment, displacement: Trace, reference: Trace) -> bool:
     A usual lag of the actuator is allowed for, and a loop: of a single swing that repeats, the
     two do not tell.
     """
-    if -found.step <= found.ahead <= found.step + USUAL_LAG:
+    clearly = found.step + CLEARLY_APART * found.lag.deviation
+    if -clearly <= found.ahead <= clearly + USUAL_LAG:
         return False
     begin, columns = loop_columns(_sampled(reference, found.step))
     signal = _sampled(displacement, found.step)
@@ -222,10 +227,10 @@ def _sampled(trace: Trace, step: float) -> Floats:
 
 def on_whole_rows(found: Alignment, slack: float) -> Alignment:
     """Return the alignment by whole rows where one card may have played and recorded."""
-    lag, step = found.lag, found.step
-    if lag.rate or not found.has_one_step:
+    lag, step = found.lag, found.row_step
+    if lag.rate or step is None:
         return found
     rows = round(lag.seconds / step)
-    if abs(lag.seconds / step - rows) > max(slack, 3.0 * lag.deviation / step):
+    if abs(lag.seconds / step - rows) > max(slack, 3.0 * lag.deviation / found.step):
         return found
     return replace(found, lag=replace(lag, seconds=rows * step))

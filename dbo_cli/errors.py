@@ -11,7 +11,7 @@ from __future__ import annotations
 import inspect
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
 
@@ -48,6 +48,13 @@ class LimitError(DboError):
     """Something lies outside a limit that was set, or the move cannot be driven."""
 
     exit_code = 3
+
+
+def require_none(problems: Sequence[str]) -> None:
+    """Refuse what has problems: the first of them, and how many more there are (LimitError)."""
+    if problems:
+        more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+        raise LimitError(problems[0] + more)
 
 
 class DboWarning(UserWarning):

@@ -226,7 +226,7 @@ def lag(
         return None
     lags, strengths = _peaks(columns[:, 0], signal, inverted)
     # of lags that are alike to rounding, the one nearest to none
-    height = np.round(strengths / strengths.max(), 9)
+    height = np.round(strengths / max(strengths.max(), 1e-300), 9)
     order = np.lexsort([np.abs(lags), -height])
     starts = lags[order[:PLACES]].tolist()
     if len(signal) < FEWEST_SHARED:

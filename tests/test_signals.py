@@ -71,6 +71,12 @@ def test_a_signal_that_repeats_has_a_rival_and_one_that_rests_has_no_lag():
     assert lag(sine, np.ones(100)) is None
 
 
+def test_a_ramp_against_its_mirror_image_divides_by_no_zero():
+    ramp = np.linspace(0.0, 1.0, 50)
+    with np.errstate(invalid="raise"):
+        lag(ramp, -ramp)
+
+
 def test_short_signals_are_laid_over_by_whole_rows():
     found = lag(np.array([0.0, 1.0, 2.0]), np.array([0.0, 0.0, 1.0, 2.0]))
     assert found.seconds == -1.0 and np.isinf(found.deviation)

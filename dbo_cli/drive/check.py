@@ -14,7 +14,7 @@ from dbo_cli.alignment import RATE_SLACK, Trace, align_drives
 from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.smooth import open_seam
-from dbo_cli.errors import LimitError, UsageError, prefixed
+from dbo_cli.errors import UsageError, prefixed, require_none
 from dbo_cli.signals import between, noise
 
 TOLERANCE = 1e-3
@@ -92,12 +92,7 @@ class Checked:
 
     def require_passed(self) -> None:
         """Raise LimitError where there is a problem, naming the first."""
-        if not self.problems:
-            return
-        more = ""
-        if len(self.problems) > 1:
-            more = f" (and {len(self.problems) - 1} more)"
-        raise LimitError(f"{self.name}: {self.problems[0]}{more}")
+        require_none([f"{self.name}: {problem}" for problem in self.problems])
 
 
 def check_drive(

@@ -14,7 +14,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dbo_cli.errors import LimitError, UsageError
+from dbo_cli.errors import UsageError, require_none
 from dbo_cli.files import write_all
 from dbo_cli.reports import page, plots
 from dbo_cli.reports.expected import UNKNOWN, Expected
@@ -142,9 +142,7 @@ class Report:
     def require_passed(self) -> None:
         """Raise LimitError where a limit is missed."""
         missed = [limit for limit in self.limits if not limit["passed"]]
-        if missed:
-            more = f" (and {len(missed) - 1} more)" if len(missed) > 1 else ""
-            raise LimitError(self._verdict(missed[0]) + more)
+        require_none([self._verdict(limit) for limit in missed])
 
     def line(self) -> str:
         """Return the least error and, of several logs, what it is beside the first."""
