@@ -103,18 +103,17 @@ def _begun(problem: Problem, choices: Choices) -> Structure:
         plays = [plays_at_start(float(first), reach, start) for first in firsts]
         starts.setdefault(np.concatenate(plays).tobytes(), start)
     levels = BEGUN_LEVELS if choices.drift and len(problem.taus) else LEVELS[:1]
-    bases: list[Structure] = []
-    errors: list[float] = []
+    errors: dict[Structure, float] = {}
     for start, level in product(starts.values(), levels):
         base = replace(choices.base, start=start, level=level)
         rough = replace(ROUGHEST, start=start, level=level)
         trials = [replace(rough, slopes=rule) for rule in RULES]
         fits = [problem.equations(trial).solve() for trial in trials]
         price = math.exp(DRIFT_PRICE * (level is not None))
-        bases.append(base)
-        errors.append(price * min(fit.rmse for fit in fits))
-    best = int(np.argmin(errors))
-    return bases[best if errors[best] < BETTER_START * errors[0] else 0]
+        errors[base] = price * min(fit.rmse for fit in fits)
+    best = min(errors, key=lambda base: errors[base])
+    is_better = errors[best] < BETTER_START * errors[choices.base]
+    return best if is_better else choices.base
 
 
 def _take_one_amplitude(problem: Problem, choices: Choices) -> None:
