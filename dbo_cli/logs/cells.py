@@ -158,10 +158,8 @@ class Layout:
 
 # --- thousands or decimals ---
 
-WHOLE_CELL = r"[-+]?(?:0|[1-9]\d{0,2})"
-GROUPED_CELL = r"[-+]?[1-9]\d{0,2}[.,]\d{3}"
-_WHOLE = re.compile(WHOLE_CELL, re.ASCII)
-_GROUPED = re.compile(GROUPED_CELL, re.ASCII)
+_WHOLE = re.compile(r"[-+]?(?:0|[1-9]\d{0,2})", re.ASCII)
+GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
 _MOST_DOUBTFUL = 400  # rows; written by decimals, other numbers of them come sooner
 
 
@@ -198,7 +196,7 @@ class Marks:
             cell, row = cells[index], first_row + index
             if _WHOLE.fullmatch(cell):
                 self.plain = self.plain or cell
-            elif _GROUPED.fullmatch(cell):
+            elif GROUPED.fullmatch(cell):
                 self.grouped = self.grouped or cell
             elif is_number(cell):
                 self.is_clear = row - self.doubtful_from <= _MOST_DOUBTFUL

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import (
     DATE,
+    GROUPED,
     MISSING,
     Layout,
     is_number,
@@ -40,7 +41,6 @@ _DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
 _TWO_READINGS = re.compile(r"\s*[-+]?\d+,\d+\s*", re.ASCII)
 _DIGITS = frozenset("0123456789")
 _DELIMITED = re.compile(r"\d[;\t|]|[;\t|]\d")
-_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}", re.ASCII)
 ERROR = r"#[A-Z][A-Z/0]*[!?]?[;,\t|]"  # how a row begins that a spreadsheet could not compute
 
 
@@ -75,17 +75,16 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     if all(_DIGITS.isdisjoint(lines[n]) for n in rows):
         where = f" below `skip_lines` {skipped}" if skipped else ": is the log empty?"
         raise InputError(f"{name}: no line holds a number{where}")
-    sample = [lines[n] for n in rows[-_SAMPLE:]]
-    layout = _best_layout(sample, reading)
+    last_rows = [lines[n] for n in rows[-_JUDGED:]]
+    layout = _best_layout(last_rows[-_SAMPLE:], reading)
     if layout is None:
         raise InputError(
             f"{name}: no line holds numbers only: try `delimiter`, `decimal` or `skip_lines`, or {_PLAINLY}"
         )
-    table = [split_cells(lines[n], layout.delimiter) for n in rows[-_JUDGED:]]
     layout.first = _first_row(layout, lines, rows)
     above, below = lines[skipped : layout.first], lines[layout.first :]
     read_header(above, below, layout)
-    for text, how in _two_readings(layout, sample, table, reading):
+    for text, how in _two_readings(layout, last_rows, reading):
         raise InputError(f"{name}: '{text}' may be read in two ways: type {how}")
     above_rows = [n for n in rows if n < layout.first]
     for n, skip in _unclear_starts(layout, lines, above_rows):
@@ -99,10 +98,7 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
 
 
 def _two_readings(
-    layout: Layout,
-    sample: Sequence[str],
-    table: Sequence[Sequence[str]],
-    reading: Reading,
+    layout: Layout, rows: Sequence[str], reading: Reading
 ) -> Iterator[tuple[str, str]]:
     """Return texts that may be read in two ways, and what the user can type.
 
@@ -116,12 +112,13 @@ def _two_readings(
                 marks = found[0].strip("0123456789"), layout.delimiter
                 yield text, " or ".join(f"`delimiter` {_NAMES[mark]}" for mark in marks)
     if reading.decimal is None and layout.decimal == ",":
-        cells = [cell for row in table for cell in row]
+        cells = [cell for row in rows for cell in split_cells(row, layout.delimiter)]
         commas = [cell for cell in cells if "," in cell and is_number(cell, ",")]
-        if commas and all(map(_THOUSANDS.fullmatch, commas)):
+        if commas and all(map(GROUPED.fullmatch, commas)):
             how = "`decimal` comma, or write numbers without marks between thousands"
             yield commas[0], how
     is_told = reading.delimiter or reading.decimal or any(layout.names)
+    sample = rows[-_SAMPLE:]
     is_short = max(map(len, sample)) <= LONGEST_CELL
     if not is_told and is_short and all(map(_TWO_READINGS.fullmatch, sample)):
         how = "`delimiter` comma for two columns, or `decimal` comma for one"

@@ -72,15 +72,15 @@ class Log(AbstractContextManager["Log"]):
         optional: Sequence[str],
     ) -> None:
         """Choose a clock and a column for every role, see ``open_log`` (InputError, UsageError)."""
-        wanted = [role for role in roles if role != "time"]
+        others = [role for role in roles if role != "time"]
         picks = {}
-        for role in wanted:
-            if (selector := roles[role]) is not None:
-                picks[role] = named(source, selector, role)
+        for role, text in roles.items():
+            if role != "time" and text is not None:
+                picks[role] = named(source, text, role)
         self.clock = find_clock(source, reading, roles.get("time"), [*picks.values()])
         self.clock.holds_delay = source.has_found_offset
         clock_columns = [] if self.clock.column is None else [self.clock.column]
-        columns = choose(source, wanted, picks, clock_columns, units, optional)
+        columns = choose(source, others, picks, clock_columns, units, optional)
         for role, column in columns.items():
             scale = reading.scale
             columns[role] = scaled_column(source.name, role, column, scale, units)

@@ -159,6 +159,18 @@ def test_a_torn_line_is_refused_where_the_time_is_counted(block, tmp_path, monke
             read(path, sample_rate=1000.0, skip_bad=True)
 
 
+def test_a_pipe_of_utf_16_may_pause_within_a_line_end(tmp_path, monkeypatch):
+    path, content = tmp_path / "run.csv", "# bench\n" + HEAD + "0,0.5,1.5\n"
+    cut = len(content.encode("utf-16")) - 1
+    data = (content + "0.001,1.5,2.5\n").encode("utf-16")
+    path.write_bytes(data)
+    chunks = [data[:cut], data[cut:], b""]
+    monkeypatch.setattr(stream.stat, "S_ISREG", lambda mode: False)
+    monkeypatch.setattr(stream.TextStream, "_has_more", lambda self: False)
+    monkeypatch.setattr(stream.TextStream, "_read", lambda self, size: chunks.pop(0))
+    assert read(path)[0]["voltage"].tolist() == [0.5, 1.5]
+
+
 def test_a_record_that_may_be_cut_is_told(tmp_path):
     path = tmp_path / "run.csv"
     lines = [f"{n / 100:.2f},{n}.5,{n}.25" for n in range(20)]
