@@ -558,7 +558,7 @@ def identify(
     sensor_delay: Typed = 0.0,
     gears: int | Literal["auto"] = "auto",
     points: int | Literal["auto"] = "auto",
-    relaxation: Sequence[Typed] | Literal["auto"] = "auto",
+    relaxation: Sequence[Typed] | Typed = "auto",
     delay: Typed = "auto",
     dynamics: Literal["auto", 0, 1, 2] = "auto",
     slopes: Literal["auto", "growing", "falling", "free"] = "auto",
@@ -590,7 +590,7 @@ def identify(
         The displacement to call 0, in its unit.
     gears, points, dynamics
         How many, or ``auto``.
-    relaxation : sequence of float, or "auto"
+    relaxation : float, str, a sequence of them, or "auto"
         Time constants of the creep in s; empty for none.
     slopes, method, force
         As of the command.
@@ -634,10 +634,13 @@ def identify(
 
 
 def _listed(data: Logs | None) -> list[Any]:
-    """Return one source or several as a list; None as none."""
+    """Return one source or several as a list; None as none; an empty list is refused (UsageError)."""
     if data is None:
         return []
-    return list(data) if isinstance(data, (list, tuple)) else [data]
+    sources = list(data) if isinstance(data, (list, tuple)) else [data]
+    if not sources:
+        raise UsageError("an empty list of logs: give a log, or None")
+    return sources
 
 
 def report(

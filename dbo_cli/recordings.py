@@ -337,12 +337,15 @@ def _whole_number(name: str, typed: int | str) -> Any:
         raise UsageError(f"`{name}` {typed}: give auto or a whole number") from None
 
 
-def _time_constants(typed: Sequence[Typed] | str) -> Any:
+def _time_constants(typed: Sequence[Typed] | Typed) -> Any:
     """Return typed time constants in s, 0 alone for none, or ``auto`` (UsageError)."""
     if typed == "auto":
         return typed
-    texts = typed.split(",") if isinstance(typed, str) else typed
-    constants = [quantity("relaxation", text, "s") for text in texts]
+    if isinstance(typed, str):
+        typed = typed.split(",")
+    elif isinstance(typed, (int, float)):
+        typed = [typed]
+    constants = [quantity("relaxation", text, "s") for text in typed]
     if len(constants) > 1 and 0.0 in constants:
         raise UsageError("`relaxation`: give times above 0 s, or 0 alone")
     return tuple(constants)

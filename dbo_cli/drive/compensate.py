@@ -178,7 +178,7 @@ class Driver:
                 "`periodic` excludes `condition`, `lead` and `return_`: use `passes` N"
             )
         loop = loops.Loop(lead, target, dt, passes, self.name)
-        self._judge.clip(desired, loop.target, loop.run, loop.state, dt)
+        self._judge.clip(desired, loop.target, loop.run, loop.state, dt, loop=True)
         self._judge.require_reached(math.inf)
         self._judge.warned = loop.require_settled(self.on_limit)
         leading, period = loop.lead_voltage, loop.voltage

@@ -15,6 +15,7 @@ from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.limits import Limits, in_full, rounded_down, rounded_up
 from dbo_cli.errors import InputError, LimitError, warn
 from dbo_cli.model import Cascade, Run, State, Steps, expect
+from dbo_cli.model.state import SectionStates
 
 ALLOWED_PART = 0.01
 """Of the move: so much of it (RMS) may be cut off unasked; the order of a good model's error; chosen."""
@@ -66,6 +67,9 @@ class Judge:
         # of the move: what limits cut off, and what no voltage reaches
         self._clipped = self._first_clipped = self._unreachable = 0
         self._squares = self._largest = 0.0
+        self._lost_sections: SectionStates | None = (
+            None  # the dynamics, on what is cut off
+        )
         # least and greatest voltage, and slew, of limits that let the cut rows pass
         self._needed = (math.inf, -math.inf, 0.0)
         # the first rows, which judgements play again: voltages and steps, part by part
@@ -91,9 +95,15 @@ class Judge:
         self.off_at_first = max(abs(float(target - y)) for y in reached)
 
     def clip(
-        self, desired: Floats, target: Floats, run: Run, state: State, dt: Steps
+        self,
+        desired: Floats,
+        target: Floats,
+        run: Run,
+        state: State,
+        dt: Steps,
+        loop: bool = False,
     ) -> None:
-        """Count rows of the move and what the limits cut off them.
+        """Count rows of the move and what the limits cut off them, as the displacement misses it.
 
         Parameters
         ----------
@@ -101,6 +111,8 @@ class Judge:
             The rows, and what the static part was to reach for them.
         run, state
             The drive of them, and the state before it.
+        loop
+            Whether the rows are all of a move that is repeated for ever.
 
         Raises
         ------
@@ -121,6 +133,7 @@ class Judge:
         lost = target - model.static.run(run.y, state, dt).y
         # a settled start may step over the first value: no limit does that
         lost[: max(self._first_clipped - 1 - before, 0)] = 0.0
+        lost = self._behind_dynamics(lost, dt, loop)
         self._squares += float(np.square(lost).sum())
         self._largest = max(self._largest, float(np.abs(lost).max()))
         is_early = run.clipped == self._clipped or before < expect.FIRST_ROWS
@@ -128,6 +141,20 @@ class Judge:
             self._need(target, state, dt)
         if self.on_limit == "error":
             raise self._refusal()
+
+    def _behind_dynamics(self, lost: Floats, dt: Steps, loop: bool) -> Floats:
+        """Return what a lost part of the static target is of the displacement: sections are linear."""
+        dynamics = self.model.dynamics
+        if dynamics is None or dt is None:
+            return lost
+        if loop and not isinstance(dt, np.ndarray):
+            return dynamics.loop(lost, dt)
+        sections = self._lost_sections
+        if sections is None and self._rows["move"] > lost.size:  # nothing was, so far
+            sections = ((0.0, 0.0, 0.0),) * len(dynamics.sections)
+        run = dynamics.run(lost, State(sections=sections), dt)
+        self._lost_sections = run.state.sections
+        return run.y
 
     def admit(self, voltage: Floats, dt: Steps, phase: str) -> None:
         """Let rows of a part pass the gate: ``lead``, ``move``, which ``clip`` has counted, or ``return``.

@@ -51,7 +51,8 @@ def swing_rows(
     rows = max(math.ceil(seconds / dt - ROUNDED), 1)
     if rows > MOST_SIGNAL_ROWS:
         raise UsageError(
-            f"a swing of {rows:.4g} rows, at most {MOST_SIGNAL_ROWS:,}: raise `max_slew` or lower the rate"
+            f"a way of {rows:.4g} rows, at most {MOST_SIGNAL_ROWS:,}: lower `approach`, `lead` or the rate,"
+            " or raise `max_slew`"
         )
     return rows
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import numbers
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from dbo_cli.signals import even, turns, usual_step
 
 FEWEST_ROWS = 20  # fewer tell nothing of a loop
 AT_REST, SLOWER = 0.01, 3.0
-"""A drive that needs three times as long as usual for a hundredth of its range begins at rest."""
+"""A drive at rest takes three times as long for a hundredth of its range as in its first swing."""
 SAME_LEVEL = 0.1  # of the range: turns that are nearer are alike
 
 
@@ -83,12 +84,14 @@ class Recording:
 def _at_least(smallest: float, *values: Any) -> bool:
     """Return whether all values are numbers that are large enough, or "auto"."""
     for value in values:
-        if isinstance(value, bool) or (value != "auto" and not value >= smallest):
+        is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        if value != "auto" and not (is_number and value >= smallest):
             return False
     return True
 
 
 Slopes = Literal["auto", "growing", "falling", "free"]
+Method = Literal["least-squares", "paper"]
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,7 @@ class Options:
     delay: float | Literal["auto"] = "auto"
     dynamics: int | Literal["auto"] = "auto"
     slopes: Slopes = "auto"
-    method: Literal["least-squares", "paper"] = "least-squares"
+    method: Method = "least-squares"
     force: bool = False
 
     def __post_init__(self) -> None:
@@ -121,6 +124,12 @@ class Options:
             "relaxation": (_at_least(0.0, *taus), "seconds, 0 or more, or auto"),
             "delay": (_at_least(0.0, self.delay), "seconds, 0 or more, or auto"),
             "dynamics": (self.dynamics in ("auto", 0, 1, 2), "auto, 0, 1 or 2"),
+            "sign": (self.sign in (None, "rising", "falling"), "rising or falling"),
+            "slopes": (
+                self.slopes in get_args(Slopes),
+                "auto, growing, falling or free",
+            ),
+            "method": (self.method in get_args(Method), "least-squares or paper"),
         }
         for name, (is_right, needed) in rules.items():
             if not is_right:
@@ -158,9 +167,9 @@ def falling(logs: Sequence[Recording]) -> bool:
 
 
 def begins_in_motion(voltage: Floats, time: Floats) -> bool:
-    """Whether the drive moves in the first rows as fast as it does on the whole."""
-    way, span = Swings.of(voltage).sizes.sum(), float(np.ptp(voltage))
-    speed = float(way) / float(time[-1] - time[0])
+    """Whether the drive moves in the first rows as fast as it does in its first swing."""
+    swings, span = Swings.of(voltage), float(np.ptp(voltage))
+    speed = float(swings.sizes[0]) / float(time[swings.turns[1]] - time[0])
     row = int(np.argmax(np.abs(voltage - voltage[0]) > AT_REST * span))
     return float(time[row] - time[0]) * speed < SLOWER * AT_REST * span
 

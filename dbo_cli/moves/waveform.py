@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from dbo_cli.arrays import Floats, Range
 from dbo_cli.drive.check import check_drive
 from dbo_cli.drive.limits import Limits
+from dbo_cli.drive.smooth import MOST_SIGNAL_ROWS
 from dbo_cli.errors import LimitError, UsageError, prefixed, require_positive
 
 Codes = NDArray[np.int64]
@@ -316,6 +317,10 @@ def _at_points(
     if points is None:
         assert rate is not None
         points = math.ceil(seconds * rate * (1.0 - 1e-9)) + more
+    if points > MOST_SIGNAL_ROWS:
+        raise UsageError(
+            f"{points:,} points, at most {MOST_SIGNAL_ROWS:,}: lower `points` or `rate`"
+        )
     if loop or rate is None:
         rate = (points - more) / seconds
     time, new = np.arange(drive.size) / drive_rate, np.arange(points) / rate

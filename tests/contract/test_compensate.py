@@ -61,6 +61,25 @@ def test_what_costs_little_is_clipped_and_said_unless_error_was_typed():
     refused(3, *SMALL, "--on-limit", "error", "-o", "x.csv")
 
 
+@pytest.mark.parametrize("loop", [[], ["--periodic"]])
+def test_what_limits_cost_behind_a_resonance_is_what_the_displacement_misses(loop):
+    """It was taken before the resonance is undone, where it rings: seven times too much."""
+    time = np.arange(600) / 2000.0
+    wanted = 3.0 + 1.5 * np.sign(np.sin(2.0 * np.pi * 10.0 * time + 1e-6))
+    write("wish.csv", MOVE, time, wanted)
+    limits = ("--max-slew", 6000, "--on-limit", "clip", "--from", 50)
+    told = summary_of(*limits, "--approach", "auto", *loop, name="moving")
+    drive = table("drive.csv")
+    begin = int(np.sum(drive["time_s"] < -1e-9))
+    assert len(drive["time_s"]) == begin + 600
+    voltage = drive["voltage_V"]
+    repeated = np.concatenate([voltage, *[voltage[begin:]] * 5 * len(loop)])
+    moved = dbo_cli.read_model(model("moving")).simulate(repeated, sample_rate=2000.0)
+    missed = moved[-600:] - wanted
+    assert told["lost_rms"] == pytest.approx(rms(missed), rel=0.05)
+    assert told["lost_most"] == pytest.approx(np.abs(missed).max(), rel=0.05)
+
+
 def test_what_costs_much_is_refused_unless_asked_for():
     wish = move(sine(11.0)).read_bytes()
     error = refused(3, *SMALL, "-o", "drive.csv", "--summary", "s.json")

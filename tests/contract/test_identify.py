@@ -571,6 +571,12 @@ def test_a_zero_that_creep_from_before_a_log_may_shift_is_told():
         model = dbo_cli.identify(drive[first:], moved[first:], sample_rate=200.0)
         texts.append([text for text in model.fit["warnings"] if "in motion" in text])
     assert not texts[0]
+    rested = np.concatenate([drive, np.full(4 * len(drive), drive[-1])])
+    moved_rested = piezo(rested, np.zeros(1)) + np.random.default_rng(3).normal(
+        0.0, 0.002, len(rested)
+    )
+    rested_model = dbo_cli.identify(rested, moved_rested, sample_rate=200.0)
+    assert not [text for text in rested_model.fit["warnings"] if "in motion" in text]
     error = (model.simulate(drive, sample_rate=200.0) - moved)[1000:]
     shift = float(re.search(r"zero by (\d+\.\d+)", texts[1][0])[1])
     assert model.fit["expected_rmse"] < abs(np.mean(error)) < shift

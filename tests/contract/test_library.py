@@ -216,6 +216,36 @@ def test_what_is_wrong_is_an_error_of_a_class(small, creep):
         creep.save("no/where.json")
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"slopes": "Growing"}, {"method": "Paper"}, {"sign": "up"}, {"zero": "first row"},
+        {"gears": "12x"}, {"points": "x"}, {"relaxation": "0.1s,x"}, {"relaxation": ["a"]},
+        {"delay": "soon"}, {"dynamics": "two"},
+    ],
+)  # fmt: skip
+def test_a_wrong_value_of_identify_is_named_and_not_taken_for_another(wrong):
+    with pytest.raises(dbo.UsageError, match=next(iter(wrong))):
+        dbo.identify(SLOW, WANTED, time=TIME, **wrong)
+
+
+def test_a_list_that_holds_no_log_is_refused(small):
+    """A pattern that matches no file was no learning, and no validation."""
+    with pytest.raises(dbo.UsageError, match="empty"):
+        dbo.identify(SLOW, WANTED, time=TIME, **QUICK, validate=[])
+    with pytest.raises(dbo.UsageError, match="empty"):
+        small.compensate(WANTED, time=TIME, tracked=[])
+
+
+def test_a_time_constant_is_typed_as_in_the_shell(creep):
+    moved = creep.simulate(RISING, time=TIME)
+    models = []
+    for typed in (0, "0", [0.0]):
+        options = {**QUICK, "relaxation": typed}
+        models.append(dbo.identify(RISING, moved, time=TIME, **options))
+    assert len({model.digest for model in models}) == 1
+
+
 def test_plot_and_html(creep):
     axes = creep.plot().axes[0]
     label = axes.get_ylabel().replace("\N{GREEK SMALL LETTER MU}", "u")
