@@ -221,8 +221,7 @@ def _judged(sample: Sequence[str], mark: str, sign: str) -> tuple[float, Layout]
     for n in range(width):
         cells = [table[k][n] for k in rows]
         weighted = [(table[k][n], weights[k]) for k in rows]
-        count = sum(is_number(cell, sign) for cell in cells)
-        if n == 0 and 2 * count > len(cells):  # the last rows may have labels
+        if n == 0 and _is_mostly_one_kind(cells, sign):  # the last rows may have labels
             weighted = [(cell, 1.0) for cell in cells]
         layout.kinds.append(_kind_of(weighted, sign))
     share = shares[width] / sum(weights)
@@ -245,6 +244,13 @@ def _kind_of(cells: Sequence[tuple[str, float]], sign: str) -> tuple[str, str]:
     if 2 * len(dates) > len(texts):
         texts = dates
     return "text", texts[-1][: len(TOO_LONG)]
+
+
+def _is_mostly_one_kind(cells: Sequence[str], sign: str) -> bool:
+    """Return whether more than half of the cells are numbers, or stamps of one format."""
+    numbers = sum(is_number(cell, sign) for cell in cells)
+    is_stamped = stamp_format([(cell, 1.0) for cell in cells]) is not None
+    return 2 * numbers > len(cells) or is_stamped
 
 
 def _is_row(line: str, layout: Layout) -> bool:
