@@ -39,7 +39,7 @@ RIVAL = 0.9
 REPEATS = 1e-6
 """Part of its variance by which a reference that repeats itself may differ after a period."""
 FOLLOWS = 0.25
-"""Part of their variance by which rows that follow the reference may differ."""
+"""Part of the reference's variance by which rows that follow it may differ."""
 ITERATIONS = 20
 """Gauss-Newton steps at most."""
 LONGEST_STEP = 0.01
@@ -320,21 +320,30 @@ def _period(reference: Floats, slack: float) -> float:
 def _explains_more(
     signal: Floats, reference: Floats, shift: float, other: float
 ) -> bool:
-    """Return whether a lag (rows) explains half a period that another one leaves out.
+    """Return whether a lag (rows) leaves out fewer rows than another one, and these follow the reference.
 
-    Where both leave out the same rows, whether it is the smaller one.
+    Where both leave out the same, whether it is the smaller one.
     """
     begin, end = _rows_within(signal, reference, shift)
     other_begin, other_end = _rows_within(signal, reference, other)
     if (begin, end) == (other_begin, other_end):
         return abs(shift) < abs(other)
-    more_rows = end - begin - (other_end - other_begin)
-    if more_rows < 0.5 * abs(shift - other):
-        return False
-    gained = slice(other_end, end)
+    common = np.arange(max(begin, other_begin), min(end, other_end))
+    gained = np.arange(other_end, end)
     if begin < other_begin:
-        gained = slice(begin, other_begin)
-    return residual_at(signal[gained], reference, shift - gained.start) < FOLLOWS
+        gained = np.arange(begin, other_begin)
+    if end - begin <= other_end - other_begin or not len(common):
+        return False
+    expected = between(reference, common.astype(np.float64) - shift)
+    followed = signal[common]
+    expected, followed = expected - expected.mean(), followed - followed.mean()
+    square = float(expected @ expected)
+    if not square > 0.0:
+        return False
+    gain = float(followed @ expected) / square
+    expected = gain * between(reference, gained.astype(np.float64) - shift)
+    error = signal[gained] - expected
+    return float(np.var(error)) < FOLLOWS * float(np.var(expected))
 
 
 def _rows_within(signal: Floats, reference: Floats, shift: float) -> tuple[int, int]:
