@@ -11,6 +11,7 @@ from dbo_cli.errors import UsageError
 from dbo_cli.units import quantity
 
 UNIT = "um"  # without a model
+TWO_AXES = ("raster", "spiral")  # whose models may be those of a set
 
 
 def trajectory(
@@ -45,16 +46,18 @@ def trajectory(
     Example: dbo trajectory raster --rate 10kHz --range 2:9 --lines 64 --frequency 5
     """
     from dbo_cli.logs import create
-    from dbo_cli.model import read_cascades
+    from dbo_cli.model import read_cascade, read_cascades
     from dbo_cli.moves import check_reach
     from dbo_cli.moves import trajectory as make
     from dbo_cli.units import kind_of, parse_unit, spell
 
-    models = []
-    for path in model or []:
-        for actuator in read_cascades(path).values():
-            actuator.require("forward", path)
-            models.append(actuator)
+    paths = model or []
+    if shape in TWO_AXES and len(paths) == 1:
+        models = list(read_cascades(paths[0]).values())
+    else:
+        models = [read_cascade(path) for path in paths]
+    for actuator in models:
+        actuator.require("forward", " ".join(paths))
     typed_unit = spell(opt.unit_behind(range_.rpartition(":")[2]))
     if parse_unit(typed_unit or UNIT) is None:
         raise UsageError(f"`range` {range_}: that is no unit: type LOW:HIGHum")
