@@ -197,10 +197,13 @@ def predict(
         steps = np.diff(time, prepend=2.0 * time[0] - time[1])
     slack = SLACK * model.input.span
     low, high = float(voltage.min()), float(voltage.max())
-    error = None
+    error = rmse = None
     if model.input.min - slack <= low and high <= model.input.max + slack:
         error = expected_error(model, voltage, steps)
-    rmse = None
+    else:
+        recording = recording.noted(
+            "the drive leaves the model's range, where no error is stated"
+        )
     if error is not None:
         rmse = math.hypot(*error) if state == "auto" else error.known
     expected = Expected(rmse, sensor_delay=model.sensor_delay)

@@ -199,6 +199,8 @@ def test_a_model_s_prediction_runs_from_the_first_row():
     assert some == pytest.approx(rms(error[400:500]), rel=1e-9)
     done("invert", model("small"), "-o", "inverse.json")
     assert "inver" in refused(1, "report", "log.csv", "--model", "inverse.json")
+    write("wide.csv", LOG, TIME, 1.1 * drive, moved)
+    assert "no error is stated" in done("report", "wide.csv", *words[1:]).out
     columns = ("log.csv", "--desired", "displacement", "--measured", "voltage")
     assert "log.csv" in refused(1, "report", *columns)  # V beside um
     for option, value in (("--state", "full"), ("--match", "rows")):
