@@ -13,6 +13,10 @@ for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS"):
     os.environ.setdefault(name, "1")
 os.environ.setdefault("MPLBACKEND", "agg")
 
+# Compiled once: where bytecode is not kept, each of some hundred processes compiles the package again.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 ROOT = Path(__file__).resolve().parent.parent
 sys.path += [str(ROOT / "sample_data"), str(ROOT / "benchmarks")]
 
