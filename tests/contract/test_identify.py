@@ -449,7 +449,7 @@ def test_the_start_of_logs_that_come_from_beyond_their_range_is_kept():
     moves = 20.0 * np.linspace(1.0, 0.3, 2400) * np.cos(np.pi * time)
     noise = np.random.default_rng(3).normal(0.0, 0.003, len(moves))
     for beyond, drive, start, typed in (
-        (250.0, 50.0 + moves, "above", ()),
+        (250.0, 50.0 + moves, "above", ("--delay", 0)),
         (-150.0, 50.0 - moves, "below", ("--relaxation", 0)),
     ):
         way = np.linspace(beyond, drive[0], 400)
@@ -560,15 +560,15 @@ def test_the_number_holds_a_zero_that_a_log_begun_in_motion_does_not_show():
     assert rms(moved - wanted) < 2.5 * plan.expected_error
 
 
-@pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 def test_a_zero_that_creep_from_before_a_log_may_shift_is_told():
     """Begun on a way, a log stated .009 um, and .022 came, most of it the zero."""
     drive = table(done("excite", "--v-max", 100, "--sample-rate", 200))["voltage_V"]
     noise = np.random.default_rng(3).normal(0.0, 0.002, len(drive))
     moved = piezo(drive, np.zeros(1)) + noise
+    plain = {"sample_rate": 200.0, "points": 0, "delay": 0.0}
     texts = []
     for first in (0, 250):
-        model = dbo_cli.identify(drive[first:], moved[first:], sample_rate=200.0)
+        model = dbo_cli.identify(drive[first:], moved[first:], **plain)
         texts.append([text for text in model.fit["warnings"] if "in motion" in text])
     assert not texts[0]
     error = (model.simulate(drive, sample_rate=200.0) - moved)[1000:]
