@@ -5,6 +5,7 @@ import os
 import sys
 from pathlib import Path
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 # As the program itself does: threads only wait for each other in the many small
@@ -37,3 +38,9 @@ settings.load_profile("suite")
 def pytest_collection_finish():
     """Leave the libraries and what was collected out of every later search for garbage."""
     gc.freeze()
+
+
+@pytest.fixture
+def unpainted(monkeypatch):
+    """Leave figures without paint where their files count and not their looks."""
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda *_, **__: None)

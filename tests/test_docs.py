@@ -237,7 +237,7 @@ def record(name, gain):
     write(name, ",".join(["time_s", *columns]), time, *columns.values())
 
 
-@pytest.mark.usefixtures("logs")
+@pytest.mark.usefixtures("logs", "unpainted")
 def test_the_commands_of_the_pages_run():
     seen = set()
     pages = [DOCS / f"{name}.md" for name in WITH_COMMANDS]

@@ -132,7 +132,7 @@ def test_figures_follow_no_link_and_replace_no_input(files):
     assert Path("precious").read_text() == "precious\n"
 
 
-def test_no_figure_takes_the_name_of_another_output(files):
+def test_no_figure_takes_the_name_of_another_output(files, unpainted):
     """Nor by another path to it."""
     Path("figures").mkdir()
     words = ("-o", "sub/../figures/pair-loop.svg", "--figures", "figures")
@@ -141,7 +141,7 @@ def test_no_figure_takes_the_name_of_another_output(files):
     assert "two outputs" in refused(1, "show", "mm.json", *words)
 
 
-def test_figures_of_channels_stand_in_folders_of_their_own(files):
+def test_figures_of_channels_stand_in_folders_of_their_own(files, unpainted):
     done("show", model("set"), "--figures", "figures")
     drawn = sorted(os.listdir("figures"))
     assert len(drawn) == 2

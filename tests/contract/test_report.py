@@ -59,7 +59,7 @@ def test_text_is_aligned_and_csv_is_a_line_a_log():
     assert repr(merits("bad.csv")["rmse"]) in bad.values()
 
 
-def test_the_form_follows_the_name():
+def test_the_form_follows_the_name(unpainted):
     starts = {"r.json": "{", "r.html": "<!", "r.csv": "", "r.txt": ""}
     for name, start in starts.items():
         done("report", "good.csv", "-o", name)
@@ -267,7 +267,7 @@ def test_the_column_of_a_trajectory_is_asked_for_by_the_option_to_type():
 
 
 @pytest.mark.parametrize("ending", ["txt", "html"])
-def test_the_shell_s_pages_name_options_as_they_are_typed(ending):
+def test_the_shell_s_pages_name_options_as_they_are_typed(ending, unpainted):
     write("off.csv", PAIR, TIME, WANTED, WANTED + 3.0)
     store("expected.json", SUMMARY)
     words = ("report", "off.csv", "--expected", "expected.json")

@@ -351,7 +351,7 @@ SIGNS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e]")
 
 
 @pytest.mark.parametrize("name", [EVIL, os.fsdecode(b"b\xff\x1b.csv")])
-def test_no_name_of_a_file_reaches_a_terminal_as_it_is(log, name):
+def test_no_name_of_a_file_reaches_a_terminal_as_it_is(log, name, unpainted):
     try:
         shutil.copy(log, name)
     except OSError:
