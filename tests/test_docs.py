@@ -154,6 +154,7 @@ def blocks_with_output(path, language):
     return found
 
 
+@pytest.mark.usefixtures("unpainted")
 def test_the_tutorial_runs_as_it_stands_and_shows_what_comes(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shutil.copytree(SAMPLES, "sample_data")

@@ -181,7 +181,7 @@ def test_a_set_is_a_mapping_of_models(tmp_path):
 # --- reports ---
 
 
-def test_report(creep):
+def test_report(creep, unpainted):
     error = np.random.default_rng(1).normal(0.0, 0.05, 400)
     found = dbo.report(WANTED, WANTED + error, time=TIME)
     assert found.rmse == pytest.approx(rms(error), rel=1e-12)
