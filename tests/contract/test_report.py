@@ -119,6 +119,11 @@ def test_a_late_sensor_is_late_in_samples_and_seconds(late):
         assert found["lag_left_s"] == pytest.approx(0.004, abs=5e-4)
 
 
+def test_units_of_the_two_are_brought_together():
+    write("nm.csv", "time_s,desired_um,measured_nm", TIME, WANTED, 1000.0 * WANTED)
+    assert merits("nm.csv")["rmse"] < 1e-9
+
+
 def test_a_row_without_a_number_is_refused():
     lines = Path("good.csv").read_text().splitlines()
     lines[100] = ",".join([*lines[100].split(",")[:2], "nan"])

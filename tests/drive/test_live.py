@@ -54,3 +54,13 @@ def test_lookahead_undoes_what_needs_the_future(parts):
         if live.lookahead:
             with pytest.raises(UsageError):
                 Controller(model, RATE, limits, lookahead=short)
+
+
+def test_a_limit_is_kept_to_the_last_digit_behind_points():
+    """What comes back through the points is off by a last digit, on either side of the limit."""
+    model = actuator(bend=(1.0, 1.3))
+    for high in np.linspace(40.0, 60.0, 200):
+        limits = Limits.within(model.input, 0.5 * float(high), float(high))
+        live = Controller(model, RATE, limits)
+        for wanted in (5.0, 20.0, -20.0):
+            assert limits.move[0] <= live.step(wanted) <= limits.move[1]
