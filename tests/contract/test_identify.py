@@ -429,7 +429,7 @@ def test_the_start_of_logs_that_come_from_beyond_their_range_is_kept():
     moves = 20.0 * np.linspace(1.0, 0.3, 2400) * np.cos(np.pi * time)
     noise = np.random.default_rng(3).normal(0.0, 0.003, len(moves))
     for beyond, drive, start, typed in (
-        (250.0, 50.0 + moves, "above", ("--delay", 0)),
+        (250.0, 50.0 + moves, "above", ()),
         (-150.0, 50.0 - moves, "below", ("--relaxation", 0)),
     ):
         way = np.linspace(beyond, drive[0], 400)
