@@ -5,6 +5,7 @@ import os
 import sys
 from pathlib import Path
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 # As the program itself does: threads only wait for each other in the many small
@@ -12,6 +13,10 @@ from hypothesis import HealthCheck, settings
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "POLARS_MAX_THREADS"):
     os.environ.setdefault(name, "1")
 os.environ.setdefault("MPLBACKEND", "agg")
+
+# Compiled once: where bytecode is not kept, each of some hundred processes compiles the package again.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path += [str(ROOT / "sample_data"), str(ROOT / "benchmarks")]
@@ -33,3 +38,9 @@ settings.load_profile("suite")
 def pytest_collection_finish():
     """Leave the libraries and what was collected out of every later search for garbage."""
     gc.freeze()
+
+
+@pytest.fixture
+def unpainted(monkeypatch):
+    """Leave figures without paint where their files count and not their looks."""
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda *_, **__: None)

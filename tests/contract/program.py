@@ -1,6 +1,7 @@
 """The program as a user meets it: a command line in, exit code and both streams out."""
 
 import contextlib
+import functools
 import io
 import json
 import os
@@ -15,6 +16,8 @@ from unittest import mock
 
 import numpy as np
 import polars as pl
+
+from dbo_cli.cli import app
 
 HERE = Path(__file__).resolve().parent
 MODELS = HERE / "models"
@@ -58,8 +61,6 @@ class Outcome(NamedTuple):
 
 def dbo(*words, stdin=b""):
     """Run one command line inside this process."""
-    from dbo_cli.cli.app import main
-
     given = stdin.encode() if isinstance(stdin, str) else stdin
     typed = [str(word) for word in words]
     out, err = _stream(), _stream()
@@ -72,15 +73,31 @@ def dbo(*words, stdin=b""):
             "stdout": out,
             "stderr": err,
         }
-        with mock.patch.multiple(sys, **streams):
+        kept = mock.patch.object(app.Commands, "get_command", _command)
+        with kept, mock.patch.multiple(sys, **streams):
             try:
-                code = main(typed)
+                code = app.main(typed)
             except SystemExit as end:
                 code = int(end.code or 0)
         out.flush()
         err.flush()
         raw, said = out.buffer.getvalue(), err.buffer.getvalue()
     return Outcome(code, raw, said.decode())
+
+
+BUILD = app.Commands.get_command
+
+
+def _command(group, context, name):
+    """Return a command; those of the program are built once, which takes as long as a short log."""
+    if name in app.COMMANDS:
+        return _built(name, "--help-all" in sys.argv)
+    return BUILD(group, context, name)
+
+
+@functools.cache
+def _built(name, _is_whole_page):
+    return BUILD(None, None, name)
 
 
 def _stream():

@@ -386,7 +386,7 @@ def test_waveforms_of_all_channels(scanner):
     refused(3, *words, "npy", "--v-max", "y=5", "-o", "e.npy")
 
 
-def test_report_of_every_channel(scanner):
+def test_report_of_every_channel(scanner, unpainted):
     desired = drives_of("--summary", "sum.json")
     played({f"m{axis}_um": desired[f"desired_{axis}_um"] + 0.01 for axis in "xy"})
     words = ("report", "track.csv", "--measured", "m{}", "--voltage", "v{}")

@@ -18,7 +18,7 @@ def compared(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         log, other = creep_log("log.csv"), creep_log("other.csv", seed=2)
-        part = ("--rows", "1:1000")
+        part = ("--rows", "1:600")
         done("compare", log, "--validate", other, *part, "-o", "table.json", "-q")
         _, *columns = table(log).values()
         header = "voltage_V,displacement_um"

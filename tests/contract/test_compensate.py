@@ -94,23 +94,6 @@ def test_what_costs_much_is_refused_unless_asked_for():
         assert any("clip" in line for line in outcome.warnings)
 
 
-@pytest.mark.parametrize(
-    "limits", [("--v-max", 60), ("--v-max", 100, "--max-slew", 300)]
-)
-@pytest.mark.parametrize("name", ["creep", "bent"])
-def test_a_refusal_says_which_limits_let_the_move_pass(limits, name):
-    """Limits a little beyond those pass, also where a curve before the gears needs more slew."""
-    move(sine(5.0))
-    words = ("compensate", model(name), "wish.csv", "-o", "drive.csv")
-    told = refused(3, *words, *limits)
-    numbers = told.split("; it needs ")[1].split(":")[0]
-    high = float(numbers.split(" to ")[1].split()[0])
-    wider = ["--v-max", 1.001 * high]
-    if "V/s" in numbers:
-        wider += ["--max-slew", 1.01 * float(numbers.split(", ")[1].split()[0])]
-    done(*words, *wider, "--on-limit", "error")
-
-
 def test_what_a_late_row_needs_is_said_too():
     rows = np.append(np.full(140_000, 3.0), sine(9.5))
     write("wish.csv", MOVE, np.arange(len(rows)) / 1e3, rows)

@@ -22,7 +22,7 @@ from dbo_cli.model.expect import expected_error
 
 from .conftest import creep_log
 from .program import (
-    DRIVE, LOG, QUICK, SAMPLES, dbo, done, load, model, plays_of, refused, rms, simulated, store,
+    LOG, MODELS, QUICK, SAMPLES, dbo, done, load, plays_of, refused, rms, simulated, store,
     table, values_of, write,
 )  # fmt: skip
 
@@ -168,16 +168,6 @@ def test_a_library_of_many_threads_writes_the_file_of_the_shell():
     assert Path("library.json").read_bytes() == Path("shell.json").read_bytes()
 
 
-def test_a_model_with_memory_is_better_where_there_is_creep():
-    log, other = creep_log("log.csv"), creep_log("other.csv", seed=2)
-    plain = identified(log, *QUICK, "--force")["fit"]["rmse"]
-    words = (*QUICK[:6], "--relaxation", "0.01,0.3", "--validate", other)
-    fit = identified(log, *words)["fit"]
-    assert fit["rmse"] < 0.8 * plain
-    [judged] = fit["validation"]
-    assert judged["name"] == "other.csv" and 0.001 < judged["rmse"] < 0.1
-
-
 def test_several_logs_are_fitted_together():
     """Their error is that of all rows, the sample period the shortest."""
     first = table(creep_log("a.csv"))
@@ -228,16 +218,6 @@ def test_spikes_do_not_spoil_a_model():
     assert identified("log.csv", *QUICK)["fit"]["rmse"] < 1.3 * clean
     told = done("identify", "log.csv", "-o", FITTED, *QUICK).err
     assert "warning: log.csv: 3 rows left out (first: row 301)" in told
-
-
-def test_a_prior_is_rescaled_from_a_short_log():
-    """The shape is kept; gain and offset come from a second."""
-    time, volts, moved = table(creep_log("log.csv")).values()
-    scaled = 1.2 * moved - 0.5
-    write("short.csv", LOG, time[:500], volts[:500], scaled[:500])
-    written = identified("short.csv", "--prior", model("creep"))
-    assert "candidates" not in written
-    assert rms(simulated(FITTED, write("all.csv", DRIVE, time, volts)) - scaled) < 0.06
 
 
 def test_the_method_of_the_paper():
@@ -296,7 +276,7 @@ def test_logs_of_different_units_are_not_mixed_and_a_model_is_no_log():
     words = ("--displacement", "3", *QUICK)
     error = refused(1, "identify", first, "b.csv", *words, "-o", FITTED)
     assert "um" in error and "mrad" in error
-    assert "small.json" in refused(1, "identify", model("small"), "-o", FITTED)
+    assert "small.json" in refused(1, "identify", MODELS / "small.json", "-o", FITTED)
 
 
 # --- what is said and written ---
@@ -560,15 +540,15 @@ def test_the_number_holds_a_zero_that_a_log_begun_in_motion_does_not_show():
     assert rms(moved - wanted) < 2.5 * plan.expected_error
 
 
-@pytest.mark.filterwarnings("ignore::dbo_cli.errors.DboWarning")
 def test_a_zero_that_creep_from_before_a_log_may_shift_is_told():
     """Begun on a way, a log stated .009 um, and .022 came, most of it the zero."""
     drive = table(done("excite", "--v-max", 100, "--sample-rate", 200))["voltage_V"]
     noise = np.random.default_rng(3).normal(0.0, 0.002, len(drive))
     moved = piezo(drive, np.zeros(1)) + noise
+    plain = {"sample_rate": 200.0, "points": 0, "delay": 0.0}
     texts = []
     for first in (0, 250):
-        model = dbo_cli.identify(drive[first:], moved[first:], sample_rate=200.0)
+        model = dbo_cli.identify(drive[first:], moved[first:], **plain)
         texts.append([text for text in model.fit["warnings"] if "in motion" in text])
     assert not texts[0]
     rested = np.concatenate([drive, np.full(4 * len(drive), drive[-1])])

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from mypy import api
 
 import dbo_cli as dbo
 from dbo_cli.library import Move
@@ -42,64 +41,7 @@ def test_every_public_name_is_there(creep):
             owner.colour  # noqa: B018
 
 
-# --- types, as a user's type checker sees them: never Any ---
-
-ROOT = Path(__file__).parents[2]
-USE = """\
-import numpy as np
-import dbo_cli as dbo
-
-model = dbo.read_model("model.json")
-time = np.linspace(0.0, 1.0, 500)
-wanted = 5.0 - 3.0 * np.cos(2.0 * np.pi * time)
-"""
-ARRAY = "numpy.ndarray[tuple[Any, ...], numpy.dtype[numpy.float64]]"
-REVEALED = {
-    "model": "dbo_cli.library.Model",
-    "model.input": "dbo_cli.model.state.Quantity",
-    "model.output.unit": "str | None",
-    "model.fit['rmse']": "float",
-    "model.fit['expected_rmse']": "float | None",
-    "model.sign": "Literal['rising'] | Literal['falling']",
-    "model.digest": "str",
-    "model.inverse()": "dbo_cli.library.Model",
-    "dbo.read_models('set.json')['x']": "dbo_cli.library.Model",
-    "dbo.identify('log.csv', delay=0.0)": "dbo_cli.library.Model",
-    "model.simulate(wanted, time=time)": ARRAY,
-    "model.simulate(wanted, return_state=True)": f"tuple[{ARRAY}, dbo_cli.model.state.State]",
-    "model.compensate(wanted, time=time, v_max='100V')": ARRAY,
-    "model.compensate(wanted, details=True)": "dbo_cli.drive.drive.Drive",
-    "model.compensate(wanted, details=True).expected_error": "float | None",
-    "model.controller(5000, lookahead='auto').plan(1.0)": "float",
-    "dbo.report(wanted, wanted, time=time)": "dbo_cli.reports.report.Report",
-    "dbo.report(wanted, wanted).rmse": "float",
-}
-WRONG = {
-    "model.colour": "attr-defined",
-    "model.compensate(wanted, vmax=100)": "call-overload",
-    "model.simulate(wanted, outside='drop')": "call-overload",
-    "dbo.identify('log.csv', delays=0.0)": "call-arg",
-    "dbo.report(wanted, wanted, model='model.json')": "arg-type",
-}
-
-
-def test_a_type_checker_knows_what_comes_out(tmp_path):
-    lines = [f"reveal_type({expression})" for expression in REVEALED]
-    script = tmp_path / "use.py"
-    script.write_text(USE + "\n".join([*lines, *WRONG]) + "\n")
-    # the package's own configuration: what ``mypy`` found out before, it need not again
-    cache = f"--cache-dir={ROOT / '.mypy_cache'}"
-    options = [f"--config-file={ROOT / 'pyproject.toml'}", cache, "--strict"]
-    said = api.run([*options, "--no-error-summary", str(script)])[0]
-    first = USE.count("\n") + 1
-    for number, (expression, kind) in enumerate(REVEALED.items(), first):
-        line = f'use.py:{number}: note: Revealed type is "{kind}"'
-        assert line in said, (expression, said)
-    for number, (expression, code) in enumerate(WRONG.items(), first + len(REVEALED)):
-        where = f"use.py:{number}: error"
-        found = [line for line in said.splitlines() if where in line]
-        assert found and all(f"[{code}]" in line for line in found), (expression, said)
-
+# --- signatures; what a type checker knows of them: ``tests/use_of_the_library.py`` ---
 
 CALLS = [
     dbo.read_log, dbo.read_model, dbo.read_models, dbo.identify, dbo.report, dbo.Model.simulate,
@@ -269,7 +211,7 @@ def test_a_set_is_a_mapping_of_models(tmp_path):
 # --- reports ---
 
 
-def test_report(creep):
+def test_report(creep, unpainted):
     error = np.random.default_rng(1).normal(0.0, 0.05, 400)
     found = dbo.report(WANTED, WANTED + error, time=TIME)
     assert found.rmse == pytest.approx(rms(error), rel=1e-12)

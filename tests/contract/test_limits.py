@@ -157,11 +157,20 @@ def test_the_line_says_which_limits_were_kept_and_where_a_drive_starts():
 
 
 @pytest.mark.parametrize("rows_a_second", [400, 1000, 3000])
-@pytest.mark.parametrize("low, high", [(0.9, 5.9), (0.1, 6.3), (-0.3, 5.0)])
-def test_the_limits_that_a_refusal_names_do(rows_a_second, low, high):
+@pytest.mark.parametrize(
+    ("name", "low", "high"),
+    [
+        ("creep", 0.9, 5.9),
+        ("creep", 0.1, 6.3),
+        ("creep", -0.3, 5.0),
+        ("bent", 2.0, 5.0),
+    ],
+)
+def test_the_limits_that_a_refusal_names_do(name, low, high, rows_a_second):
+    """Where a curve before the gears needs more slew, too."""
     wave = low + (high - low) * np.sin(np.pi * np.arange(400) / 400) ** 2
     write("fast.csv", MOVE, np.arange(400) / rows_a_second, wave)
-    words = ("compensate", model("creep"), "fast.csv", "--on-limit", "error")
+    words = ("compensate", model(name), "fast.csv", "--on-limit", "error")
     words = (*words, "--state", "empty", "-o", "drive.csv")
     error = refused(3, *words, "--v-max", 50, "--max-slew", 10)
     number = r"(-?[\d.e+]+)"

@@ -84,14 +84,6 @@ def test_a_set_of_models_holds_those_of_the_axes():
     assert "MODEL::CHANNEL" in refused(2, *words, "2:3", *more)
 
 
-def test_bandwidth_rounds_corners():
-    words = ("triangle", "--rate", 5000, *WORDS[2:])
-    moves = [shape(*words)["displacement_um"]]
-    moves.append(shape(*words, "--bandwidth", 50)["displacement_um"])
-    bends = [np.abs(np.diff(moved, 2)).max() for moved in moves]
-    assert bends[1] < 0.5 * bends[0]
-
-
 def test_what_the_model_reaches_is_compensated_as_it_is_and_more_is_refused():
     done("trajectory", "sine", *WORDS, *SMALL, "-o", "move.csv", "-q")
     assert compensated("small", wish="move.csv")["voltage_V"].max() <= 10.0

@@ -332,7 +332,7 @@ def test_a_recorder_that_began_a_little_late_is_told_of_where_it_shows(offset, s
     """Up to 50 ms were taken in silence; one swing that repeats is as well a wider loop."""
     done("excite", "--v-max", 100, "--sample-rate", 500, "-o", "drive.csv")
     if swings == "one":
-        time = np.arange(0.0, 40.0, 2e-3)
+        time = np.arange(0.0, 20.0, 2e-3)
         write("drive.csv", DRIVE, time, 100.0 * abs(0.2 * time % 2 - 1))
     moved = simulated("creep", "drive.csv")
     moved += 1e-3 * np.random.default_rng(0).standard_normal(len(moved))

@@ -1,6 +1,5 @@
 """Everyday logs, and what is asked where a log is not clear: nothing is read wrong in silence."""
 
-import gzip
 import re
 import subprocess
 import sys
@@ -41,31 +40,6 @@ def text(name, head, line, *columns):
     return name
 
 
-def zipped():
-    Path("log.csv.gz").write_bytes(gzip.compress(Path(pair()).read_bytes()))
-    return "log.csv.gz"
-
-
-def stamped():
-    stamps = pd.Timestamp("2026-03-04T05:06:07") + pd.to_timedelta(TIME, unit="s")
-    rows = [f"{s.isoformat()},{v:.4f}" for s, v in zip(stamps, VOLTS, strict=True)]
-    Path("log.csv").write_text("timestamp,voltage_V\n" + "\n".join(rows) + "\n")
-    return "log.csv"
-
-
-def hdf5():
-    with h5py.File("log.h5", "w") as file:
-        for name, values, unit in (("time", TIME, "s"), ("voltage", VOLTS, "V")):
-            file[f"run/{name}"] = values
-            file[f"run/{name}"].attrs["units"] = unit
-    return "log.h5::/run"
-
-
-def numpy_array():
-    np.save("log.npy", np.column_stack([TIME, VOLTS]))
-    return "log.npy --time 1 --input 2"
-
-
 def told():
     text("log.txt", "", "{:.4f}|{:.4f}", TIME, VOLTS)
     rows = Path("log.txt").read_text().replace(".", ",")
@@ -74,14 +48,9 @@ def told():
     return f"log.txt {words}"
 
 
-LOGS = [told, zipped, stamped, hdf5, numpy_array]
-"""Dialects of text are data: ``tests/shapes``, ``tests/logs/test_shapes.py``."""
-
-
-@pytest.mark.parametrize("make", LOGS, ids=lambda make: make.__name__)
-def test_an_everyday_log_is_read(make):
-    words = make().split()
-    outcome = done("simulate", model("creep"), *words, "-o", "out.csv")
+def test_an_everyday_log_is_read():
+    """Dialects and formats: ``tests/shapes``, ``tests/logs``."""
+    outcome = done("simulate", model("creep"), *told().split(), "-o", "out.csv")
     time, volts, _ = table("out.csv").values()
     np.testing.assert_allclose(volts, VOLTS, atol=1e-9)
     np.testing.assert_allclose(time - time[0], TIME, atol=1e-6)
@@ -103,17 +72,6 @@ def test_no_column_or_several_fit_and_the_option_is_said():
     assert "--input" in error and "voltage1_V" in error and "voltage2_V" in error
     done("simulate", model("small"), "log.csv", "--input", "voltage2_V")
     np.testing.assert_allclose(driven(plain("time_s,CH1_V,CH2_um")), VOLTS)
-
-
-def test_a_column_by_name_or_number():
-    for chosen in ("b", "2"):
-        words = ("--input", chosen, "--time", "a", "--time-unit", "s")
-        np.testing.assert_allclose(driven(plain(), *words), VOLTS)
-    for chosen, code in (("d", 1), ("4", 1), ("0", 2)):
-        words = ("simulate", model("small"), plain(), "--input", chosen)
-        outcome = dbo(*words)
-        assert outcome.code in (1, code) and outcome.raw == b""
-        assert chosen in outcome.lines[-1]
 
 
 def test_a_time_column_of_unknown_unit_is_asked_about():
@@ -192,36 +150,6 @@ def test_an_offset_of_recordings_is_none_of_the_trajectory():
     assert "FILE::COLUMN" in refused(2, *words, "--clock-offset", "0")
 
 
-def test_rows():
-    kept = {"11:20": slice(10, 20), "51:": slice(50, 60), ":5": slice(0, 5)}
-    for rows, part in kept.items():
-        np.testing.assert_array_equal(driven(pair(), "--rows", rows), VOLTS[part])
-    assert "100" in asked(pair(), "--rows", "100:200")
-
-
-def test_scale():
-    for factor in ("2", "0.5", "20V/V", "1000mV/V"):
-        expected = 1.0 if "mV" in factor else float(factor.removesuffix("V/V"))
-        found = driven(pair(), "--scale", f"input={factor}")
-        np.testing.assert_allclose(found, expected * VOLTS, rtol=1e-12)
-    sensor = text("log.csv", "desired_um,CH2_V\n", "{:.4f},{:.5f}", VOLTS, VOLTS / 10.0)
-    words = ("--measured", "CH2_V", "--scale", "measured=10um/V", "--format", "json")
-    told = done("report", sensor, *words).json
-    assert told["unit"] == "um" and told["logs"][0]["rmse"] < 1e-4
-
-
-def test_a_bad_row_is_named_or_dropped_on_request():
-    lines = Path(pair()).read_text().splitlines()
-    lines[30] = lines[30].split(",")[0] + ",OVLD"
-    Path("log.csv").write_text("\n".join(lines) + "\n")
-    error = asked("log.csv")
-    assert "log.csv" in error and ("31" in error or "row 30" in error)
-    assert "--skip-bad" in error
-    outcome = done("simulate", model("small"), "log.csv", "--skip-bad", "--verbose")
-    np.testing.assert_array_equal(table(outcome)["voltage_V"], np.delete(VOLTS, 29))
-    assert any("1 row" in line for line in outcome.lines)
-
-
 def test_resample_makes_an_even_clock():
     jittered = TIME + 0.0002 * np.sin(np.arange(ROWS))
     write("log.csv", DRIVE, jittered, 100.0 * jittered)
@@ -250,15 +178,6 @@ def test_a_column_of_another_file_is_joined_by_time(offset):
 
 
 # --- what is no log, and files of other libraries ---
-
-
-@pytest.mark.parametrize(
-    "content",
-    [b"time_s,voltage_V\n", b"\x00\x01\x02\x03" * 100, b"PK\x03\x04" + b"\x00" * 100],
-)  # fmt: skip
-def test_what_is_no_log_is_refused(content):
-    Path("log.csv").write_bytes(content)
-    assert "log.csv" in asked("log.csv")
 
 
 @pytest.mark.parametrize("content", ["", "\n\n", "# nothing\n", "time_s,voltage_V\n"])

@@ -59,7 +59,7 @@ def test_text_is_aligned_and_csv_is_a_line_a_log():
     assert repr(merits("bad.csv")["rmse"]) in bad.values()
 
 
-def test_the_form_follows_the_name():
+def test_the_form_follows_the_name(unpainted):
     starts = {"r.json": "{", "r.html": "<!", "r.csv": "", "r.txt": ""}
     for name, start in starts.items():
         done("report", "good.csv", "-o", name)
@@ -160,7 +160,7 @@ def test_the_first_row_of_the_move_counts_by_any_clock():
     write("wish.csv", MOVE, TIME, 0.5 * WANTED)
     done("compensate", model("creep"), "wish.csv", *words)
     drive, moved = table("d.csv"), simulated("creep", "d.csv")
-    for ahead in np.arange(40) * 0.138:
+    for ahead in np.arange(8) * 0.69:
         time = np.round(drive["time_s"] + ahead, 4)
         write("log.csv", LOG, time, drive["voltage_V"], moved)
         words = ("log.csv", "--measured", "displacement_um", "--trajectory", "d.csv")
@@ -269,7 +269,7 @@ def test_the_column_of_a_trajectory_is_asked_for_by_the_option_to_type():
 
 
 @pytest.mark.parametrize("ending", ["txt", "html"])
-def test_the_shell_s_pages_name_options_as_they_are_typed(ending):
+def test_the_shell_s_pages_name_options_as_they_are_typed(ending, unpainted):
     write("off.csv", PAIR, TIME, WANTED, WANTED + 3.0)
     store("expected.json", SUMMARY)
     words = ("report", "off.csv", "--expected", "expected.json")

@@ -368,13 +368,6 @@ def test_two_times_of_an_index_are_asked_about(names, creep):
     creep.simulate(drive, time=TIME)
 
 
-@pytest.mark.parametrize("verb", ["compensate", "simulate", "identify", "report"])
-def test_a_wrong_word_is_named(verb, creep):
-    call = getattr(creep, verb, None) or getattr(dbo, verb)
-    with pytest.raises(TypeError, match="vmax"):
-        call([1.0, 2.0, 3.0], vmax=1.0)
-
-
 # --- the property: library and shell are one ---
 
 UNITS = {

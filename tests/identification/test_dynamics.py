@@ -79,13 +79,12 @@ def test_the_sweep_is_told_from_the_loops():
 
 
 @pytest.mark.parametrize(
-    ("frequency", "damping", "lag"),
-    [(60.0, 0.02, 5e-4), (110.0, 0.005, 2e-3), (35.0, 0.3, 1e-3)],
+    ("frequency", "damping", "lag", "wanted"),
+    [(60.0, 0.02, 5e-4, "auto"), (110.0, 0.005, 2e-3, 1), (35.0, 0.3, 1e-3, 1)],
 )
-def test_a_resonance_and_a_lag_come_back(frequency, damping, lag):
-    sections, delay, left_out = found(
-        plant(dm.Lag(lag), dm.Resonance(frequency, damping))
-    )
+def test_a_resonance_and_a_lag_come_back(frequency, damping, lag, wanted):
+    model = plant(dm.Lag(lag), dm.Resonance(frequency, damping))
+    sections, delay, left_out = found(model, wanted)
     *lags, resonance = sections
     assert isinstance(resonance, dm.Resonance)
     assert resonance.frequency == pytest.approx(frequency, rel=0.005)
@@ -112,7 +111,7 @@ def test_no_resonance_is_found_where_there_is_none():
 
 
 def test_a_late_sensor_hides_no_resonance():
-    sections, delay, _ = found(plant(dm.Resonance(60.0, 0.02), delay=0.02))
+    sections, delay, _ = found(plant(dm.Resonance(60.0, 0.02), delay=0.02), 1)
     resonance = sections[-1]
     assert isinstance(resonance, dm.Resonance)
     assert resonance.frequency == pytest.approx(60.0, rel=0.005)
@@ -140,7 +139,7 @@ def test_a_lag_stands_before_the_gears_unless_a_large_sweep_shows_it_behind(
     if not is_behind:
         model = model.with_stages((dm.Amplifier(2e-3), *model.stages))
     begun = FastDynamics(Form(1), np.log([61.0, 0.05, 2e-3]))
-    refined = dynamics.refine(rows_of(model, crest), begun)
+    refined = dynamics.refine(rows_of(model, crest), begun, 1)
     assert (refined.amplifier > 0.0) == is_found_before
     assert refined.amplifier + refined.lag == pytest.approx(2e-3, rel=0.1)
 

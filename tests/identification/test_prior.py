@@ -119,12 +119,14 @@ def test_errors_are_those_of_the_stated_size_and_a_past_between_the_ends():
 
 
 def test_chance_in_the_noise_of_a_short_log_is_no_change_of_the_shape():
-    """The prior states a tenth of the sensor's noise, whose variance a short log shows to a few per cent."""
+    """The prior states a tenth of the sensor's noise, whose variance a short log shows to a few per cent.
+
+    Of sixty seeds those whose noise is most like a change.
+    """
     prior = actuator()
-    prior = prior.with_stages(prior.stages)
     prior.fit.update(expected_rmse=0.0005, rmse=0.0005)
     drive = waves(0.0, 100.0, 1)
-    for seed in range(60):
+    for seed in (21, 32, 50, 55):
         rescale(prior, [recorded(actuator(), drive, seed)], Options())
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from contract.program import write
 
 from dbo_cli.errors import DboWarning, InputError, UsageError
 from dbo_cli.logs.log import open_log
@@ -12,11 +13,6 @@ TONES = ((0.7, 25.0, 0.3), (0.96, 13.0, 1.0), (1.9, 7.0, 2.0))
 DRIVE = 50.0 + sum(
     size * np.sin(2.0 * np.pi * hertz * TIME + phase) for hertz, size, phase in TONES
 )
-
-
-def write(path, header, *columns):
-    np.savetxt(path, np.column_stack(columns), "%.17g", ",", header=header, comments="")
-    return path
 
 
 def read(displacement, voltage, reading=None):

@@ -60,33 +60,6 @@ def test_the_inverse_is_exact_on_any_clock(seed):
     assert back_after.amplifier == pytest.approx(after.amplifier, abs=rounding)
 
 
-def in_blocks(rng, x):
-    """A signal cut at random."""
-    edges = np.sort(rng.integers(0, x.size, 12))
-    return np.split(x, edges)
-
-
-@pytest.mark.parametrize("seed", range(30))
-def test_blocks_change_nothing(seed):
-    rng = np.random.default_rng(seed)
-    sections = (
-        dm.Resonance(80.0, 0.03, dm.Mode(95.0, 0.05)),
-        dm.Lag(4e-3, 1e-3),
-        dm.Resonance(150.0, 0.1),
-    )
-    delay = dm.Delay(float(rng.choice([0.0, 3e-3, 0.4e-3, 2.3e-3, 17.7e-3])))
-    model = plant(dm.Dynamics(sections), delay)
-    drive = random_drive(rng, 0.0, 10.0, 600)
-    whole, after = model.simulate(drive, dt=DT)
-    state, parts = model.start(float(drive[0])), []
-    for block in in_blocks(rng, drive):
-        done = model.run(block, state, DT)
-        state = done.state
-        parts.append(done.y)
-    assert np.array_equal(np.concatenate(parts), whole)
-    assert state == after
-
-
 def smooth_move(model, rows):
     """A sine that grows out of a rest at the lower end, where the start is known."""
     lowest = model.simulate([0.0], dt=DT)[0][0]
