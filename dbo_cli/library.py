@@ -634,12 +634,12 @@ def identify(
 
 
 def _listed(data: Logs | None) -> list[Any]:
-    """Return one source or several as a list; None as none; an empty list is refused (UsageError)."""
+    """Return one source or several as a list; None as none; an empty list is refused (InputError)."""
     if data is None:
         return []
     sources = list(data) if isinstance(data, (list, tuple)) else [data]
     if not sources:
-        raise UsageError("an empty list of logs: give a log, or None")
+        raise InputError("an empty list holds no log: give one, or None")
     return sources
 
 
