@@ -39,12 +39,13 @@ from dbo_cli.recordings import (
     tracked_of,
     units_of,
 )
-from dbo_cli.reports import Report, expected_in
 from dbo_cli.units import Typed, quantity
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
+
+    from dbo_cli.reports import Report
 
 Signal = ArrayLike
 """An array, a Series of pandas or polars, or one of their frames, which is read as a file is."""
@@ -701,6 +702,8 @@ def report(
     InputError
         Lengths or units differ, or there is nothing to compare.
     """
+    from dbo_cli.reports import Report, expected_in
+
     reading = Reading.typed({"sample_rate": sample_rate})
     if model is None and state != "auto":
         raise UsageError("`state` needs `model`")
