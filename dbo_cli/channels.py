@@ -323,7 +323,7 @@ def named_columns(
     return columns
 
 
-def table_of(
+def drive_table(
     outputs: Outputs,
     output: str,
     drives: Mapping[str, Drive] | Mapping[str, Driver],
@@ -348,7 +348,7 @@ def write_drives(outputs: Outputs, output: str, drives: Mapping[str, Drive]) -> 
     values = [] if time is None else [time]
     for drive in drives.values():
         values += [drive.desired, drive.voltage]
-    table_of(outputs, output, drives, time is not None).write(*values)
+    drive_table(outputs, output, drives, time is not None).write(*values)
 
 
 def write_beside(

@@ -395,7 +395,7 @@ class Model:
             Seconds by which what is passed is wanted later.
         """
         self.actuator.require("forward")
-        reading = Reading.typed({"sample_rate": sample_rate})
+        reading = Reading.of_options({"sample_rate": sample_rate})
         return Controller(
             self.actuator,
             cast(float, reading.sample_rate),
@@ -516,15 +516,15 @@ def read_log(
     InputError
         The log cannot be read, or it is not clear which column is which.
     """
-    typed = dict(locals())
+    arguments = dict(locals())
     import pandas as pd
 
     roles = {}
     for role in RECORDING_COLUMNS:
-        name = typed[role]
+        name = arguments[role]
         roles[role] = None if name is None else str(name)
     absent = tuple(role for role, name in roles.items() if name is None)
-    with open_log(str(path), roles, Reading.typed(typed), None, absent) as log:
+    with open_log(str(path), roles, Reading.of_options(arguments), None, absent) as log:
         present = [role for role in RECORDING_ROLES if role in log.columns]
         if not present:
             raise InputError(
@@ -607,13 +607,13 @@ def identify(
     FitError
         No trustworthy model can be identified.
     """
-    typed = dict(locals())
+    arguments = dict(locals())
     if isinstance(prior, (str, Path)):
         prior = read_model(prior)
     shape = None if prior is None else prior.actuator
     units = units_of(shape, "displacement")
     given = {"voltage": voltage_unit, "displacement": displacement_unit}
-    reading = Reading.typed(typed)
+    reading = Reading.of_options(arguments)
     columns: Mapping[str, str | None] = RECORDING_COLUMNS
     sources = _listed(data)
     if displacement is not None or is_frame(data):
@@ -628,7 +628,7 @@ def identify(
     if not sources:
         raise InputError("no log: give a file, a frame, or two arrays")
     recordings, logs = recordings_of(sources, columns, reading, units)
-    options = options_of({**typed, "prior": shape})
+    options = options_of({**arguments, "prior": shape})
     units = {"voltage": recordings[0].input[1], "displacement": recordings[0].output[1]}
     tests, _ = recordings_of(_listed(validate), RECORDING_COLUMNS, Reading(), units)
     return Model(identified(recordings, logs, options, tests))
@@ -704,7 +704,7 @@ def report(
     """
     from dbo_cli.reports import Report, expected_in
 
-    reading = Reading.typed({"sample_rate": sample_rate})
+    reading = Reading.of_options({"sample_rate": sample_rate})
     if model is None and state != "auto":
         raise UsageError("`state` needs `model`")
     if model is not None and voltage is not None:
@@ -721,10 +721,10 @@ def report(
     if measured is None and not is_frame(desired):
         raise UsageError("report: give `desired` and `measured`, or a frame")
     table, columns = table_in_memory(signals, options, units, time, reading)
-    stated = [column.unit or "no unit" for column in table.columns[:2]]
-    if measured is not None and actuator is None and stated[0] != stated[1]:
+    names = [column.unit or "no unit" for column in table.columns[:2]]
+    if measured is not None and actuator is None and names[0] != names[1]:
         raise InputError(
-            f"desired is in {stated[0]}, measured in {stated[1]}: convert one, and pass `unit` of both"
+            f"desired is in {names[0]}, measured in {names[1]}: convert one, and pass `unit` of both"
         )
     pairs, units, _ = pairs_of([table], columns, reading, actuator, start)
     unit = units.get("measured")

@@ -115,9 +115,11 @@ def recordings_of(
         log, table = read_table(source, columns, reading, units)
         if logs:
             _refuse_other_units(logs[0], log)
-        stated = {role: log.columns[role].unit for role in RECORDING_ROLES}
-        units = {role: unit for role, unit in stated.items() if unit}
-        into, out = [(quantity_name(role, unit), unit) for role, unit in stated.items()]
+        log_units = {role: log.columns[role].unit for role in RECORDING_ROLES}
+        units = {role: unit for role, unit in log_units.items() if unit}
+        into, out = [
+            (quantity_name(role, unit), unit) for role, unit in log_units.items()
+        ]
         # a model does not depend on where its logs were
         file, mark, inside = log.name.partition("::")
         name = os.path.basename(file) + mark + inside
@@ -178,11 +180,11 @@ def pairs_of(
         log.warn_of_assumed()
         measured = table["measured"]
         desired = table.values.get("desired", measured)
-        stated = {role: column.unit for role, column in log.columns.items()}
+        log_units = {role: column.unit for role, column in log.columns.items()}
         if "desired" in columns:
-            measured = _in_desired_unit(measured, log, stated)
-            stated["measured"] = stated["desired"] or stated["measured"]
-        for role, unit in stated.items():
+            measured = _in_desired_unit(measured, log, log_units)
+            log_units["measured"] = log_units["desired"] or log_units["measured"]
+        for role, unit in log_units.items():
             if unit is not None:
                 common[role] = common.get(role) or unit
         pair = Pair(
@@ -306,8 +308,8 @@ def identified(
     return replace(model, provenance=provenance)
 
 
-def options_of(typed: Mapping[str, Any]) -> Options:
-    """Return what the user fixes of an identification, by the typed options of these names.
+def options_of(arguments: Mapping[str, Any]) -> Options:
+    """Return what the user fixes of an identification, by the arguments of these names.
 
     Raises
     ------
@@ -316,7 +318,7 @@ def options_of(typed: Mapping[str, Any]) -> Options:
     """
     from dbo_cli.identification import Options
 
-    values = {attribute.name: typed[attribute.name] for attribute in fields(Options)}
+    values = {option.name: arguments[option.name] for option in fields(Options)}
     for name in ("skip", "sensor_delay"):
         values[name] = quantity(name, values[name], "s")
     values["delay"] = quantity("delay", values["delay"], "s", "auto")
@@ -327,25 +329,25 @@ def options_of(typed: Mapping[str, Any]) -> Options:
     return Options(**values)
 
 
-def _whole_number(name: str, typed: int | str) -> Any:
+def _whole_number(name: str, value: int | str) -> Any:
     """Return a typed whole number, or ``auto`` (UsageError)."""
-    if typed == "auto" or not isinstance(typed, str):
-        return typed
+    if value == "auto" or not isinstance(value, str):
+        return value
     try:
-        return int(typed)
+        return int(value)
     except ValueError:
-        raise UsageError(f"`{name}` {typed}: give auto or a whole number") from None
+        raise UsageError(f"`{name}` {value}: give auto or a whole number") from None
 
 
-def _time_constants(typed: Sequence[Typed] | Typed) -> Any:
+def _time_constants(values: Sequence[Typed] | Typed) -> Any:
     """Return typed time constants in s, 0 alone for none, or ``auto`` (UsageError)."""
-    if typed == "auto":
-        return typed
-    if isinstance(typed, str):
-        typed = typed.split(",")
-    elif isinstance(typed, (int, float)):
-        typed = [typed]
-    constants = [quantity("relaxation", text, "s") for text in typed]
+    if values == "auto":
+        return values
+    if isinstance(values, str):
+        values = values.split(",")
+    elif isinstance(values, (int, float)):
+        values = [values]
+    constants = [quantity("relaxation", value, "s") for value in values]
     if len(constants) > 1 and 0.0 in constants:
         raise UsageError("`relaxation`: give times above 0 s, or 0 alone")
     return tuple(constants)
@@ -372,7 +374,7 @@ def signal_of(
     time, sample_rate, unit
         As of ``Model.simulate``.
     """
-    reading = Reading.typed({"sample_rate": sample_rate})
+    reading = Reading.of_options({"sample_rate": sample_rate})
     role = roles[1] if is_frame(data) else roles[0]
     signals, units = {role: data}, {role: of_model.unit}
     source, columns = table_in_memory(signals, {role: unit}, units, time, reading)

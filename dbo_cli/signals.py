@@ -308,11 +308,11 @@ def _without_periods(best: TimeLag, signal: Floats, reference: Floats) -> float:
 def _period(reference: Floats, slack: float) -> float:
     """Return the rows after which a signal repeats itself, but for a part of its variance; 0: it does not."""
     lags, evidence = _peaks(reference, reference, False)
-    for place in lags[(lags > 0) & (evidence > 0.0)][:PLACES].tolist():
-        repeat = _refined(reference, reference[:, None], place, False, TRIED_ROWS)
+    for row in lags[(lags > 0) & (evidence > 0.0)][:PLACES].tolist():
+        repeat = _refined(reference, reference[:, None], row, False, TRIED_ROWS)
         if repeat is None or repeat.residual > slack:
             continue
-        if repeat.seconds > 0.5 * place:  # and has not come back to none
+        if repeat.seconds > 0.5 * row:  # and has not come back to none
             return repeat.seconds
     return 0.0
 
@@ -463,10 +463,10 @@ def without_delay(
     """
     step = even(time)
     if step is None:
-        moved = np.interp(time + delay, time, values)
+        shifted = np.interp(time + delay, time, values)
     else:
-        moved = between(values, np.arange(float(len(values))) + delay / step)
-    return moved, time <= time[-1] - delay
+        shifted = between(values, np.arange(float(len(values))) + delay / step)
+    return shifted, time <= time[-1] - delay
 
 
 def _deviation(error: Floats, slopes: Floats, size: Floats) -> float:

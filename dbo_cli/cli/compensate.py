@@ -67,7 +67,7 @@ def compensate(
     recorded = {"voltage": voltage, "measured": measured}
     opt.require("tracked", tracked, learning | recorded)
     opt.require("periodic", periodic, {"passes": passes})
-    beside = {"summary": summary, "state": save_state, "history": history}
+    files = {"summary": summary, "state": save_state, "history": history}
     check_outputs(output, summary, state=save_state, history=history)
     columns = {"time": time, "displacement": displacement}
     columns_of = channels.columns_of([trajectory], reading, columns)
@@ -103,9 +103,9 @@ def compensate(
         units = {"displacement": models[""].output.unit}
         with open_log(trajectory, columns, reading, units) as log, Outputs() as outputs:
             driving, has_time = driver(""), log.clock.kind != "none"
-            table = channels.table_of(outputs, output, {"": driving}, has_time)
+            table = channels.drive_table(outputs, output, {"": driving}, has_time)
             drive = write_stream(driving, log, table)
-            channels.write_beside(outputs, {"": drive}, {"": log}, beside)
+            channels.write_beside(outputs, {"": drive}, {"": log}, files)
         say_one(log, output, drive)
         return
     from dbo_cli.recordings import read_table, tracked_of
@@ -149,7 +149,7 @@ def compensate(
     drives = channels.together(drive_of, models)
     with Outputs() as outputs:
         channels.write_drives(outputs, output, drives)
-        channels.write_beside(outputs, drives, logs, beside)
+        channels.write_beside(outputs, drives, logs, files)
     if is_one:
         say_one(logs[""], output, drives[""])
     else:

@@ -126,7 +126,7 @@ def read_as(
     typed = dict(locals(), scale=_scales(scale or []))
     from dbo_cli.logs import Reading
 
-    return Reading.typed(typed)
+    return Reading.of_options(typed)
 
 
 def _scales(texts: list[str]) -> dict[str, str | float]:

@@ -247,9 +247,9 @@ def check_played(
     time = recorded_step * np.arange(float(recorded.size))
     meant_time = step * np.arange(float(drive.size))
     found = align_drives(Trace(time, recorded), Trace(meant_time, drive))
-    late, row = 0.0, time / step
+    lag, row = 0.0, time / step
     if found is not None:
-        late, row = found.lag.seconds, np.round(found.reference_time(time) / step, 6)
+        lag, row = found.lag.seconds, np.round(found.reference_time(time) / step, 6)
     inside = (row >= -SAME_ROW) & (row <= drive.size - 1 + SAME_ROW)
     row, played = np.clip(row[inside], 0.0, drive.size - 1.0), recorded[inside]
     meant = between(drive, row)
@@ -260,8 +260,8 @@ def check_played(
     shared = math.ceil(row[-1]) - math.floor(row[0]) + 1
     checked.played = {
         "rows": shared,
-        "lag_rows": late / recorded_step,
-        "lag_seconds": None if steps[1] is None else late,
+        "lag_rows": lag / recorded_step,
+        "lag_seconds": None if steps[1] is None else lag,
         "gain": gain,
         "offset": 0.0 if abs(offset) < 1e-9 * tolerance else offset,
         "largest_difference": largest,

@@ -192,12 +192,12 @@ class Lead:
         ``voltage`` is a row of where the amplifier stands, or none; ``added`` are seconds
         of the rest before the move that nobody typed.
         """
-        seconds = typed = self.approach if isinstance(self.approach, float) else None
+        seconds = total = self.approach if isinstance(self.approach, float) else None
         if self.condition:
-            swept = self._conditioning(first, dt, typed)
+            swept = self._conditioning(first, dt, total)
             voltage = np.concatenate([voltage, swept])
-            if typed is not None:
-                seconds = max(typed - swept.size * dt, dt)
+            if total is not None:
+                seconds = max(total - swept.size * dt, dt)
         stands = voltage[0] if voltage.size else self.standing
         voltage = np.concatenate([np.full(self.hold, stands), voltage])
         if not isinstance(state, State):
@@ -208,7 +208,7 @@ class Lead:
             require_time(seconds, (path.size - quiet) * dt, dt)
         swing = (voltage.size - self.hold - quiet) * dt
         added += quiet * dt
-        if typed is None:
+        if total is None:
             added += swing
         _require_short(added, "approach", swing)
         return state, voltage

@@ -80,9 +80,9 @@ class Limits:
             raise UsageError(f"`max_slew` {self.slew:g}: give a number above 0")
 
     @classmethod
-    def in_unit(cls, unit: str | None, **typed: Any) -> Limits:
+    def in_unit(cls, unit: str | None, **options: Any) -> Limits:
         """Return the limits of a drive whose identified range is not known; infinite where none was typed."""
-        return cls.within(Quantity("voltage", unit, -math.inf, math.inf), **typed)
+        return cls.within(Quantity("voltage", unit, -math.inf, math.inf), **options)
 
     @classmethod
     def within(

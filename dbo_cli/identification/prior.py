@@ -102,12 +102,12 @@ def _delay_of(
     best, deviation = 0.0, np.inf
     for log, columns in zip(logs, predicted, strict=True):
         step = log.even_step
-        late = None if step is None else lag(log.displacement, columns, step)
-        if step is None or late is None or late.deviation >= deviation:
+        shift = None if step is None else lag(log.displacement, columns, step)
+        if step is None or shift is None or shift.deviation >= deviation:
             continue
         longest = LONGEST_DELAY * step * Swings.of(log.voltage).usual_rows
-        if -prior.delay_seconds <= late.seconds <= longest:
-            best, deviation = late.seconds, late.deviation
+        if -prior.delay_seconds <= shift.seconds <= longest:
+            best, deviation = shift.seconds, shift.deviation
     return float(_shrunk(np.asarray([best]), np.asarray([deviation]))[0])
 
 

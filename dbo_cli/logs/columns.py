@@ -253,8 +253,8 @@ def choose(
             picks[role] = matches[0]
         elif role not in optional:
             unclear.append(role)
-    taken = list(picks.values())
-    shared = [role for role, column in picks.items() if taken.count(column) > 1]
+    columns = list(picks.values())
+    shared = [role for role, column in picks.items() if columns.count(column) > 1]
     if shared or unclear:
         problem = f"which column is {' and which '.join(shared or unclear)}?"
         raise _question(table, problem, shared or unclear)

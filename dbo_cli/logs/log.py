@@ -325,8 +325,8 @@ def open_log(
         here = {**dict.fromkeys(drives), **here}
         log = Log(source, here, reading, units, (*optional, *elsewhere))
         if second:
-            typed = {role: text.rpartition("::")[2] for role, text in elsewhere.items()}
-            there = {**dict.fromkeys(drives), **typed}
+            names = {role: text.rpartition("::")[2] for role, text in elsewhere.items()}
+            there = {**dict.fromkeys(drives), **names}
             whole = replace(reading, rows=None)
             with open_table(second, whole) as table:
                 guest = Log(table, there, whole, units, drives)

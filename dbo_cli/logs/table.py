@@ -129,11 +129,13 @@ class Reading:
             raise UsageError(f"`skip_lines` {self.skip_lines}: give 0 or more")
 
     @classmethod
-    def typed(cls, options: Mapping[str, Any]) -> Reading:
+    def of_options(cls, options: Mapping[str, Any]) -> Reading:
         """Return how a log is to be read, by the typed options that have the names of its attributes."""
         names = [attribute.name for attribute in fields(cls)]
-        typed = [name for name in names if options.get(name) is not None]
-        values = {name: options[name] for name in typed}
+        values = {}
+        for name in names:
+            if options.get(name) is not None:
+                values[name] = options[name]
         for name in ("sample_rate", "resample"):
             values[name] = quantity(name, options.get(name), "Hz")
         offset = options.get("clock_offset")

@@ -139,13 +139,14 @@ class Gears(Keyed):
         for every time step, and well conditioned.
         """
         negative = math.fsum(self.gain[self.gain < 0.0].tolist())
-        slopes, least = heights / widths, LEAST_SLOPE_LEFT * (self.height / self.width)
+        slopes = heights / widths
+        smallest = LEAST_SLOPE_LEFT * (self.height / self.width)
         gear = int(np.argmin(slopes))
         slope = float(slopes[gear]) + negative
-        if negative < 0.0 and slope < least:
+        if negative < 0.0 and slope < smallest:
             raise ModelError(
                 f"relaxation.gain: negative gains leave gear {gear} a slope of {slope:.6g}, less than 3 % "
-                f"of the mean, {least:.6g}"
+                f"of the mean, {smallest:.6g}"
             )
         scale_x = max(abs(self.x0), abs(self.x0 + self.width), self.width)
         scale_y = max(abs(self.y0), abs(self.y0 + self.height), self.height)

@@ -116,10 +116,10 @@ def _columns_of(path: str, dataset: Any) -> list[Column]:
 def _units_of(dataset: Any, count: int) -> tuple[list[str], str]:
     """Return the units of so many columns of a dataset, and what is doubtful in these or in its values."""
     keys = [key for key in dataset.attrs if key.lower() in ("units", "unit")]
-    stated = [texts for texts in (_texts(dataset, key) for key in keys) if texts]
-    units = stated[0] if stated else [""]
-    if any(texts != units for texts in stated) or len(units) not in (1, count):
-        listing = ", ".join(text for texts in stated for text in texts)
+    unit_texts = [texts for texts in (_texts(dataset, key) for key in keys) if texts]
+    units = unit_texts[0] if unit_texts else [""]
+    if any(texts != units for texts in unit_texts) or len(units) not in (1, count):
+        listing = ", ".join(text for texts in unit_texts for text in texts)
         doubt = f"has one of the units {listing}: type `scale` ROLE=1UNIT/UNIT"
         return [""] * count, doubt
     return units * (count // len(units)), _not_applied(dataset)
@@ -161,8 +161,8 @@ def _shallowest(by_group: Mapping[str, Sequence[Column]]) -> list[str]:
 
 def _with_missing(dataset: Any, fetch: Fetch) -> Fetch:
     """Return what fetches rows with NaN in the place of what stands for a missing number."""
-    stated = _attribute(dataset, "_FillValue") + _attribute(dataset, "missing_value")
-    missing = [value for value in stated if not isinstance(value, str)]
+    missing = _attribute(dataset, "_FillValue") + _attribute(dataset, "missing_value")
+    missing = [value for value in missing if not isinstance(value, str)]
     missing += np.array(missing, np.float32).tolist()  # as a dataset may round it
 
     def fetch_numbers(start: int, stop: int) -> Any:
@@ -176,17 +176,17 @@ def _not_applied(dataset: Any) -> str:
     """Say which factor or offset in or beside a dataset may belong to its values (Keysight, NeXus)."""
     factors = {key: _attribute(dataset, key) for key in dataset.attrs}
     factors["YInc"] = _attribute(dataset.parent, "YInc")
-    stated = ""
+    reason = ""
     for key, values in factors.items():
         neutral = _NOT_APPLIED.get(plain_key(key))
         if neutral is not None and any(value != neutral for value in values):
-            stated = f"{key} {' '.join(map(str, values))}"
+            reason = f"{key} {' '.join(map(str, values))}"
     for sibling in (f"{dataset.name}_scaling_factor", f"{dataset.name}_offset"):
         if sibling in dataset.file:
-            stated = sibling
-    if not stated:
+            reason = sibling
+    if not reason:
         return ""
-    return f"has {stated} beside it, which is not applied: type `scale` ROLE=FACTOR"
+    return f"has {reason} beside it, which is not applied: type `scale` ROLE=FACTOR"
 
 
 # --- what a node says ---
