@@ -244,7 +244,8 @@ class Controller:
         assert last is not None
         low, high = max(low, last - self._step), min(high, last + self._step)
         reach = Reach(model.head, self._output, self._share, low, high)
-        stepper.limit(*reach.window, model.gears.slack(*reach.window))
+        low, high = reach.window
+        stepper.limit(low, high, model.gears.slack(low, high))
         voltage, output = reach.drive(stepper.plan(at_gears))
         return voltage, bool(stepper.clipped), output
 

@@ -207,10 +207,9 @@ class Reach(NamedTuple):
     @property
     def window(self) -> Range:
         """The range of the voltage at the gears."""
-        ends = (self.low, self.high)
-        return self.head.ends(
-            *(output_behind(self.before, self.share, end) for end in ends)
-        )
+        low = output_behind(self.before, self.share, self.low)
+        high = output_behind(self.before, self.share, self.high)
+        return self.head.ends(low, high)
 
     def drive(self, voltage: float) -> tuple[float, float]:
         """Return the row's drive for a voltage at the gears, and the amplifier's output."""

@@ -144,8 +144,10 @@ class Points(_Curve):
         return y
 
     def value(self, x: float) -> float:
-        """Return the output for one number."""
-        return float(self(x)[0])
+        """Return the output for one number; live control asks for it in every row."""
+        y = np.array([x])
+        kernel.extension.point_run(self.segments, self.x0, self.y0, y, y)
+        return float(y[0])
 
     def identity(self) -> list[object]:
         """Return what a state of the stage refers to."""

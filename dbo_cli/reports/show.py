@@ -17,7 +17,7 @@ FIT_FORMS = {
     "line_rmse": "a straight line leaves {:.3g}{unit}",
 }
 RANGE_FORMS = {
-    "fastest": "drives to {:.3g}{drive}/s",
+    "fastest": "drives to {:.5g}{drive}/s",
     "longest_rest": "rests to {:.3g} s",
     "one_amplitude": "one amplitude",
 }
