@@ -19,7 +19,7 @@ from dbo_cli.drive.lead import Lead
 from dbo_cli.drive.limits import STEP_ROUNDING, GateError, Limits
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.model import Cascade, State, Undoing
-from dbo_cli.model.lags import Reach
+from dbo_cli.model.amplifier import Reach
 from dbo_cli.units import Typed
 
 WANTED_SPANS = 1e12

@@ -1,5 +1,6 @@
 """The model of an actuator: its stages, their cascade, its files and states."""
 
+from dbo_cli.model.amplifier import Amplifier as Amplifier
 from dbo_cli.model.cascade import Candidate as Candidate
 from dbo_cli.model.cascade import Cascade as Cascade
 from dbo_cli.model.cascade import Outside as Outside
@@ -20,10 +21,9 @@ from dbo_cli.model.file import read_cascades as read_cascades
 from dbo_cli.model.file import read_state as read_state
 from dbo_cli.model.file import state_of as state_of
 from dbo_cli.model.gears import Gears as Gears
-from dbo_cli.model.lags import Amplifier as Amplifier
-from dbo_cli.model.lags import Relaxation as Relaxation
 from dbo_cli.model.points import Points as Points
 from dbo_cli.model.points import Scale as Scale
+from dbo_cli.model.relaxation import Relaxation as Relaxation
 from dbo_cli.model.state import Quantity as Quantity
 from dbo_cli.model.state import Run as Run
 from dbo_cli.model.state import State as State

@@ -22,11 +22,12 @@ from numpy.typing import ArrayLike
 
 from dbo_cli.arrays import Booleans, Floats, Range
 from dbo_cli.errors import InputError, ModelError
+from dbo_cli.model.amplifier import Amplifier, Reach, allowed_drive, output_behind
 from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics, Inverter, Mode
-from dbo_cli.model.gears import NEGLIGIBLE, Gears, Starts, largest_step
-from dbo_cli.model.lags import Amplifier, Reach, allowed_drive, output_behind
+from dbo_cli.model.gears import NEGLIGIBLE, Gears, largest_step
 from dbo_cli.model.points import Curve, Curves, Points, Scale
+from dbo_cli.model.start import Starts
 from dbo_cli.model.state import Quantity, Run, State, Steps, steps_of
 
 Stage = Amplifier | Gears | Curve | Dynamics | Delay

@@ -39,7 +39,7 @@ from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model import kernel
 from dbo_cli.model.delay import BEFORE, Delay
 from dbo_cli.model.fields import Keyed, above_0, listed, magnitude, notes, number
-from dbo_cli.model.lags import checked_steps
+from dbo_cli.model.relaxation import checked_steps
 from dbo_cli.model.state import Run, SectionStates, State, Undoing
 
 LAG_ZERO = 0.4

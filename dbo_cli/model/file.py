@@ -17,6 +17,7 @@ from typing import Any
 
 from dbo_cli.errors import ModelError, prefixed
 from dbo_cli.model import fields
+from dbo_cli.model.amplifier import Amplifier
 from dbo_cli.model.cascade import (
     MOST_CANDIDATES,
     Candidate,
@@ -28,7 +29,6 @@ from dbo_cli.model.delay import Delay
 from dbo_cli.model.dynamics import Dynamics
 from dbo_cli.model.fields import VERSION, Json, Reader, build, number, number_list
 from dbo_cli.model.gears import Gears
-from dbo_cli.model.lags import Amplifier
 from dbo_cli.model.points import TABLE, Points, Scale
 from dbo_cli.model.state import KEPT_STARTS, START_NAMES, Held, Quantity, State
 
