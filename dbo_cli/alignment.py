@@ -157,9 +157,9 @@ def aligned(
     if not step > 0.0:
         return None
     signal, columns = _sampled(trace, step), _sampled(reference, step)
-    row_step = None
-    if signal is trace.values and columns is reference.values:
-        row_step = step_of(reference.time)
+    row_step, even_step = even(reference.time), even(trace.time)
+    if row_step is None or even_step is None or not _alike(even_step, row_step):
+        row_step = None
     begin = 0
     if loops:
         begin, columns = loop_columns(columns)
@@ -219,10 +219,15 @@ def _sampled(trace: Trace, step: float) -> Floats:
     """Return a signal on an even grid of a step (s) from its first stamp on."""
     time, values = trace
     even_step = even(time)
-    if even_step is not None and abs(even_step / step - 1.0) < SAME_STEP:
+    if even_step is not None and _alike(even_step, step):
         return values
     grid = np.arange(time[0], time[-1] + 1e-6 * step, step)
     return np.interp(grid, time, values)
+
+
+def _alike(step: float, other: float) -> bool:
+    """Return whether two steps (s) are those of one clock."""
+    return abs(step / other - 1.0) <= SAME_STEP
 
 
 def on_whole_rows(found: Alignment, slack: float) -> Alignment:

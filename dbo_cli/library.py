@@ -362,7 +362,7 @@ class Model:
             periodic=periodic,
             passes=passes,
             tracked=tracked_of(
-                _listed(tracked), TRACKED_COLUMNS, Reading(), self.actuator
+                _listed("tracked", tracked), TRACKED_COLUMNS, Reading(), self.actuator
             ),
             history=history,
             absolute=absolute,
@@ -615,32 +615,34 @@ def identify(
     given = {"voltage": voltage_unit, "displacement": displacement_unit}
     reading = Reading.of_options(arguments)
     columns: Mapping[str, str | None] = RECORDING_COLUMNS
-    sources = _listed(data)
+    sources = _listed("data", data)
     if displacement is not None or is_frame(data):
         signals = {"voltage": data, "displacement": displacement}
         source, columns = table_in_memory(signals, given, units, time, reading)
         sources = [source]
     elif time is not None or voltage_unit or displacement_unit:
         raise UsageError(
-            "`time`, `voltage_unit`, `displacement_unit` are of arrays: files and lists have "
-            "their own"
+            "`time`, `voltage_unit`, `displacement_unit` are of two arrays or a frame: give each frame of "
+            "a list a time column, or `sample_rate`; a file has its own"
         )
     if not sources:
         raise InputError("no log: give a file, a frame, or two arrays")
     recordings, logs = recordings_of(sources, columns, reading, units)
     options = options_of({**arguments, "prior": shape})
     units = {"voltage": recordings[0].input[1], "displacement": recordings[0].output[1]}
-    tests, _ = recordings_of(_listed(validate), RECORDING_COLUMNS, Reading(), units)
+    tests, _ = recordings_of(
+        _listed("validate", validate), RECORDING_COLUMNS, Reading(), units
+    )
     return Model(identified(recordings, logs, options, tests))
 
 
-def _listed(data: Logs | None) -> list[Any]:
+def _listed(name: str, data: Logs | None) -> list[Any]:
     """Return one source or several as a list; None as none; an empty list is refused (InputError)."""
     if data is None:
         return []
     sources = list(data) if isinstance(data, (list, tuple)) else [data]
     if not sources:
-        raise InputError("an empty list holds no log: give one, or None")
+        raise InputError(f"`{name}`: an empty list holds no log: give one, or None")
     return sources
 
 

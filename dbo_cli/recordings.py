@@ -18,12 +18,12 @@ from dbo_cli.errors import InputError, LimitError, UsageError, warn
 from dbo_cli.logs import Block, Log, Reading, Table, open_log, open_table
 from dbo_cli.logs.frame import frame_table, is_frame, table_in_memory
 from dbo_cli.model import Cascade, Quantity, State, Steps
-from dbo_cli.reports import Pair, match, predict
 from dbo_cli.units import Typed, multiplied, quantity, quantity_name, ratio
 from dbo_cli.version import __version__
 
 if TYPE_CHECKING:
     from dbo_cli.identification import Options, Recording
+    from dbo_cli.reports import Pair
 
 RECORDING_ROLES = ("voltage", "displacement")
 """The columns of a recording, beside its time; files, frames and arrays bring these."""
@@ -167,6 +167,8 @@ def pairs_of(
     InputError
         A log cannot be read, or its two columns measure different things.
     """
+    from dbo_cli.reports import Pair, predict
+
     common = dict(units or {})
     optional = ["time"]
     if model is None:
@@ -226,6 +228,8 @@ def matched(
     ``desired`` is the column of that file; its drive is looked for beside it. Without a
     summary, nothing tells where the move of a drive ends.
     """
+    from dbo_cli.reports import Pair, match
+
     roles = {"time": None, "trajectory": desired}
     roles["voltage"] = _drive_beside(trajectory, desired)
     optional = ("time", "voltage")

@@ -229,10 +229,6 @@ def lag(
     height = np.round(strengths / max(strengths.max(), 1e-300), 9)
     order = np.lexsort([np.abs(lags), -height])
     starts = lags[order[:PLACES]].tolist()
-    if len(signal) < FEWEST_SHARED:
-        begin, end = _rows_within(signal, columns, starts[0])
-        residual = math.exp(-float(strengths[order[0]]) / (end - begin))
-        return TimeLag(step * starts[0], residual=residual)
     tried = [_refined(signal, columns, start, rate, TRIED_ROWS) for start in starts]
     fits = [fit for fit in tried if fit is not None]  # in rows
     if not fits:
@@ -365,6 +361,7 @@ def _refined(
     """Return the best lag (rows) near a first one; None where too little overlaps."""
     rows = np.arange(0, len(signal), -(-len(signal) // most_rows), dtype=np.float64)
     picked = signal[rows.astype(np.intp)]
+    fewest = min(FEWEST_SHARED, len(rows))
     moves = [np.ones(len(rows))]
     if rate:
         moves.append(rows - 0.5 * rows[-1])  # about the middle, where it is known best
@@ -375,7 +372,9 @@ def _refined(
     for _ in range(ITERATIONS):
         places = rows - sum(u * move for u, move in zip(unknown, moves, strict=True))
         inside = (places >= MARGIN) & (places <= len(columns) - 1.0 - MARGIN)
-        if np.count_nonzero(inside) < FEWEST_SHARED:
+        if np.count_nonzero(inside) < fewest:
+            if len(rows) < FEWEST_SHARED:
+                return _whole(signal, columns, int(start))
             return None
         at, target = places[inside], picked[inside]
         error = _unexplained(target, columns, at)
@@ -401,6 +400,19 @@ def _refined(
     slope_of_clocks = float(unknown[1]) if rate else 0.0
     shift = float(unknown[0]) - 0.5 * rows[-1] * slope_of_clocks
     return TimeLag(shift, deviation, slope_of_clocks, residual, evidence=evidence)
+
+
+def _whole(signal: Floats, columns: Floats, start: int) -> TimeLag:
+    """Return a lag of whole rows, of signals that are too short for more."""
+    begin = max(0, -start)
+    count = min(len(columns) - begin, len(signal) - begin - start)
+    a = columns[begin : begin + count, 0]
+    b = signal[begin + start : begin + start + count]
+    residual = 1.0
+    if np.ptp(a) > 0.0 and np.ptp(b) > 0.0:
+        residual = 1.0 - float(np.corrcoef(a, b)[0, 1]) ** 2
+    evidence = float(_evidence(count, residual))
+    return TimeLag(float(start), residual=residual, evidence=evidence)
 
 
 def _unexplained(target: Floats, columns: Floats, places: Floats) -> Floats:

@@ -163,9 +163,9 @@ def _outcome(words: list[str]) -> tuple[int, str]:
     except SystemExit:
         raise
     except BaseException as problem:  # a panic of polars is no Exception
-        if Level.debug:
-            traceback.print_exc()
         code, text = _explained(problem, words)
+        if Level.debug and code:
+            traceback.print_exc()
         return code, f"error: {text}" if code else ""
     return 0, ""
 

@@ -135,6 +135,10 @@ class RivalProblem:
             longest = DELAY_OF_SWING * swings.usual_rows
             self.longest_delay = min(self.longest_delay, longest)
             rows = np.flatnonzero(log.usable)[::stride]
+            if len(rows) < FOLDS:
+                raise FitError(
+                    f"{log.name}: only {len(rows)} rows to fit: leave it out"
+                )
             self.rows.append(rows)
             outputs.append(self.scale.inverse(log.displacement[rows]))
             folds.append(np.arange(len(rows)) * FOLDS // len(rows))

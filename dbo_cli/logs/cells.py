@@ -112,6 +112,8 @@ class Layout:
         What each column holds, as ``Column.kind`` and ``Column.sample`` say it.
     first
         The index of the line of the first row.
+    first_line
+        That line.
     names, units, settings
         What the lines above the rows say.
     is_headed
@@ -122,6 +124,7 @@ class Layout:
     decimal: str
     kinds: list[tuple[str, str]] = field(default_factory=list)
     first: int = 0
+    first_line: str = ""
     names: list[str] = field(default_factory=list)
     units: list[str] = field(default_factory=list)
     settings: Settings = field(default_factory=dict)
@@ -158,8 +161,10 @@ class Layout:
 
 # --- thousands or decimals ---
 
-_WHOLE = re.compile(r"[-+]?(?:0|[1-9]\d{0,2})", re.ASCII)
-GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}", re.ASCII)
+WHOLE_CELL = r"[-+]?(?:0|[1-9]\d{0,2})"
+GROUPED_CELL = r"[-+]?[1-9]\d{0,2}[.,]\d{3}"
+_WHOLE = re.compile(WHOLE_CELL, re.ASCII)
+_GROUPED = re.compile(GROUPED_CELL, re.ASCII)
 _MOST_DOUBTFUL = 400  # rows; written by decimals, other numbers of them come sooner
 
 
@@ -196,7 +201,7 @@ class Marks:
             cell, row = cells[index], first_row + index
             if _WHOLE.fullmatch(cell):
                 self.plain = self.plain or cell
-            elif GROUPED.fullmatch(cell):
+            elif _GROUPED.fullmatch(cell):
                 self.grouped = self.grouped or cell
             elif is_number(cell):
                 self.is_clear = row - self.doubtful_from <= _MOST_DOUBTFUL

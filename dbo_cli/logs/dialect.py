@@ -13,7 +13,6 @@ from collections.abc import Iterator, Sequence
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.logs.cells import (
     DATE,
-    GROUPED,
     MISSING,
     Layout,
     is_number,
@@ -41,6 +40,7 @@ _DECIMALS = {"point": ".", "comma": ",", ".": ".", ",": ","}
 _TWO_READINGS = re.compile(r"\s*[-+]?\d+,\d+\s*", re.ASCII)
 _DIGITS = frozenset("0123456789")
 _DELIMITED = re.compile(r"\d[;\t|]|[;\t|]\d")
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2},\d{3}", re.ASCII)
 ERROR = r"#[A-Z][A-Z/0]*[!?]?[;,\t|]"  # how a row begins that a spreadsheet could not compute
 
 
@@ -75,16 +75,20 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
     if all(_DIGITS.isdisjoint(lines[n]) for n in rows):
         where = f" below `skip_lines` {skipped}" if skipped else ": is the log empty?"
         raise InputError(f"{name}: no line holds a number{where}")
-    last_rows = [lines[n] for n in rows[-_JUDGED:]]
-    layout = _best_layout(last_rows[-_SAMPLE:], reading)
+    sample = [lines[n] for n in rows[-_SAMPLE:]]
+    layout = _best_layout(sample, reading)
     if layout is None:
         raise InputError(
             f"{name}: no line holds numbers only: try `delimiter`, `decimal` or `skip_lines`, or {_PLAINLY}"
         )
+    table = [split_cells(lines[n], layout.delimiter) for n in rows[-_JUDGED:]]
     layout.first = _first_row(layout, lines, rows)
+    layout.first_line = lines[layout.first]
     above, below = lines[skipped : layout.first], lines[layout.first :]
     read_header(above, below, layout)
-    for text, how in _two_readings(layout, last_rows, reading):
+    unclear = _two_readings(layout, sample, table, reading)
+    if unclear is not None:
+        text, how = unclear
         raise InputError(f"{name}: '{text}' may be read in two ways: type {how}")
     above_rows = [n for n in rows if n < layout.first]
     for n, skip in _unclear_starts(layout, lines, above_rows):
@@ -98,9 +102,12 @@ def find_layout(name: str, lines: Sequence[str], reading: Reading) -> Layout:
 
 
 def _two_readings(
-    layout: Layout, rows: Sequence[str], reading: Reading
-) -> Iterator[tuple[str, str]]:
-    """Return texts that may be read in two ways, and what the user can type.
+    layout: Layout,
+    sample: Sequence[str],
+    table: Sequence[Sequence[str]],
+    reading: Reading,
+) -> tuple[str, str] | None:
+    """Return a text that may be read in two ways, and what the user can type; None where all is clear.
 
     ``500;1`` holds another delimiter; commas may all stand between thousands; ``0,5`` may
     be two columns where nothing is called by a name.
@@ -110,19 +117,21 @@ def _two_readings(
             found = _DELIMITED.search(text) if kind == "text" else None
             if found is not None:
                 marks = found[0].strip("0123456789"), layout.delimiter
-                yield text, " or ".join(f"`delimiter` {_NAMES[mark]}" for mark in marks)
+                return text, " or ".join(
+                    f"`delimiter` {_NAMES[mark]}" for mark in marks
+                )
     if reading.decimal is None and layout.decimal == ",":
-        cells = [cell for row in rows for cell in split_cells(row, layout.delimiter)]
+        cells = [cell for row in table for cell in row]
         commas = [cell for cell in cells if "," in cell and is_number(cell, ",")]
-        if commas and all(map(GROUPED.fullmatch, commas)):
+        if commas and all(map(_THOUSANDS.fullmatch, commas)):
             how = "`decimal` comma, or write numbers without marks between thousands"
-            yield commas[0], how
+            return commas[0], how
     is_told = reading.delimiter or reading.decimal or any(layout.names)
-    sample = rows[-_SAMPLE:]
     is_short = max(map(len, sample)) <= LONGEST_CELL
     if not is_told and is_short and all(map(_TWO_READINGS.fullmatch, sample)):
         how = "`delimiter` comma for two columns, or `decimal` comma for one"
-        yield sample[-1].strip(), how
+        return sample[-1].strip(), how
+    return None
 
 
 def _unclear_starts(
@@ -130,9 +139,8 @@ def _unclear_starts(
 ) -> Iterator[tuple[int, int]]:
     """Return lines that make it unclear where the rows begin, and how many lines to skip for that.
 
-    Numbers of another width above the rows; names for another number of columns, or a torn
-    row, right above them; a first row 0, 1, 2 where nothing is called by a name; names below
-    the first rows.
+    Numbers of another width above the rows; names for another number of columns; a first
+    row 0, 1, 2 where nothing is called by a name; names below the first rows.
     """
     first, width = layout.first, layout.width
     for n in reversed(above):
@@ -140,11 +148,7 @@ def _unclear_starts(
         if cells and all(is_number(cell, layout.decimal) for cell in cells):
             yield n, n + 1
     for n in above[-1:]:
-        cells = split_cells(lines[n].rstrip(f" {layout.delimiter}"), layout.delimiter)
-        has_numbers = any(map(is_number, cells))
-        is_unclear = n + 1 == first if has_numbers else len(cells) != width
-        is_stated = layout.is_headed or is_setting(cells[0])
-        if len(cells) > 1 and is_unclear and not is_stated:
+        if not layout.is_headed and _may_be_names(lines[n:first], layout):
             yield n, first
     cells = [cell for cell in split_cells(lines[first], layout.delimiter) if cell]
     counted = [[str(start + k) for k in range(len(cells))] for start in (0, 1)]
@@ -156,6 +160,17 @@ def _unclear_starts(
         cells = split_cells(lines[n], layout.delimiter)
         if len(cells) == width > 1 and are_names(cells) and cells != layout.names:
             yield n, n
+
+
+def _may_be_names(lines: Sequence[str], layout: Layout) -> bool:
+    """Return whether the first of the lines above the rows may be names for other columns, or a torn row."""
+    cells = split_cells(lines[0].rstrip(f" {layout.delimiter}"), layout.delimiter)
+    is_last = not any(line.strip() for line in lines[1:])
+    if len(cells) < 2 or is_setting(cells[0]) or not is_last:
+        return False
+    if any(is_number(cell) for cell in cells):
+        return len(lines) == 1
+    return len(cells) != layout.width
 
 
 def delimiter_of(text: str) -> str:

@@ -95,7 +95,8 @@ def frame_table(frame: Any, time: Any = None) -> Table:
         columns.append(column)
     if time is not None or not clocks:
         columns = [column for column in columns if column not in clocks]
-        columns += clock_of(name, {name: frame}, time)
+        clock = clock_of(name, {name: frame}, time)
+        columns += [] if clock is None else [clock]
     table = table_of(name, columns)
     table.hint = " (of a frame: rename its columns)"
     table.titles = attrs.get("columns", {})
@@ -156,13 +157,14 @@ def table_in_memory(
         column = table.add(column_in_memory(table.name, name, values, unit))
         columns[role] = f"number={column.number}"
     if time is not None or reading.sample_rate is None:
-        for clock in clock_of(table.name, signals, time):
+        clock = clock_of(table.name, signals, time)
+        if clock is not None:
             columns["time"] = f"number={table.add(clock).number}"
     return table, columns
 
 
-def clock_of(table: str, signals: Mapping[str, Any], time: Any) -> list[Column]:
-    """Return the column of the time, one or none.
+def clock_of(table: str, signals: Mapping[str, Any], time: Any) -> Column | None:
+    """Return the column of the time; None where nothing has it.
 
     Parameters
     ----------
@@ -179,17 +181,16 @@ def clock_of(table: str, signals: Mapping[str, Any], time: Any) -> list[Column]:
         It is in another unit, or the signals have several times.
     """
     if time is not None:
-        return [column_in_memory(table, "time", seconds_of(time), "s")]
+        return column_in_memory(table, "time", seconds_of(time), "s")
     indexes = [time_index(values) for values in signals.values()]
     indexes = [index for index in indexes if index is not None]
     if any(not index.equals(indexes[0]) for index in indexes):
         raise InputError(f"{', '.join(signals)} have other times: give one `time`")
-    columns = []
-    for index in indexes[:1]:
-        title = str(index.name or "time")
-        unit = split_header(title)[1] or time_unit(title)
-        columns.append(column_in_memory(table, title, index, unit))
-    return columns
+    if not indexes:
+        return None
+    title = str(indexes[0].name or "time")
+    unit = split_header(title)[1] or time_unit(title)
+    return column_in_memory(table, title, indexes[0], unit)
 
 
 def time_index(data: Any) -> Any:

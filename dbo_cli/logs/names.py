@@ -174,7 +174,8 @@ def _fitted(cells: list[str], layout: Layout) -> list[str]:
         if not (is_remark or is_value):
             break
         cells.pop()
-    if len(cells) == layout.width - 1 and layout.kinds[-1][0] == "empty":
+    last = split_cells(layout.first_line, layout.delimiter)[-1]
+    if len(cells) == layout.width - 1 > 0 and not last:
         return [*cells, ""]  # the rows end in a delimiter
     return cells
 

@@ -310,6 +310,9 @@ def read_state(path: str, model: Cascade) -> State:
     return parse_state(values, model, name)
 
 
+_OTHER = "the state belongs to another model: save it again with this one"
+
+
 def parse_state(values: object, model: Cascade, name: str = "the state") -> State:
     """Return the state that JSON values describe (ModelError: they do not, or it is another model's)."""
     number_or_null = fields.unless_null(number)
@@ -328,6 +331,8 @@ def parse_state(values: object, model: Cascade, name: str = "the state") -> Stat
         readers["amplifier"] = number_or_null
     with prefixed(name):
         content = fields.contents(values, "", STATE_FORMAT, "a state")
+        if content.get("model", model.digest) != model.digest:
+            raise ModelError(f"model: {_OTHER}")
         keys = build(dict, content, "", **readers)
         _require_own(keys, model)
     flat = keys["sections"]
@@ -343,7 +348,6 @@ def _require_own(keys: Json, model: Cascade) -> None:
     sections = () if model.dynamics is None else model.dynamics.sections
     sizes = {"memory": gears.gain.size, "sections": 3 * len(sections)}
     fitting = {
-        "model": keys["model"] == model.digest,
         "gears": keys["gears"] == gears.n,
         "bits": 0 <= keys["bits"] < 1 << gears.n,
     }
@@ -356,9 +360,7 @@ def _require_own(keys: Json, model: Cascade) -> None:
         fitting["delay"] = model.delay is not None and is_even and in_order
     for key, fits in fitting.items():
         if not fits:
-            raise ModelError(
-                f"{key}: the state belongs to another model: save it again with this one"
-            )
+            raise ModelError(f"{key}: {_OTHER}")
 
 
 def _bits(value: Any, path: str) -> int:

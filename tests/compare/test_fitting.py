@@ -117,3 +117,10 @@ def test_rows_that_are_skipped_do_not_count():
     wrong = np.where(log.time < 1.0, 90.0, log.displacement)
     spoilt = replace(log, displacement=wrong, good=log.time >= 1.0)
     assert fitted("pi", spoilt).fit_error < 1e-3
+
+
+def test_a_short_log_beside_a_long_one_is_refused(monkeypatch):
+    monkeypatch.setattr(fitting, "FIT_ROWS", 50)
+    log = recording()
+    with pytest.raises(FitError, match="rows to fit"):
+        fitting.RivalProblem([log, replace(log, good=log.time >= log.time[-25])])

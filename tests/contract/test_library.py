@@ -173,9 +173,9 @@ def test_a_wrong_value_of_identify_is_named_and_not_taken_for_another(wrong):
 
 def test_a_list_that_holds_no_log_is_refused(small):
     """A pattern that matches no file was no learning, and no validation."""
-    with pytest.raises(dbo.InputError, match="empty"):
+    with pytest.raises(dbo.InputError, match=r"validate.*empty"):
         dbo.identify(SLOW, WANTED, time=TIME, **QUICK, validate=[])
-    with pytest.raises(dbo.InputError, match="empty"):
+    with pytest.raises(dbo.InputError, match=r"tracked.*empty"):
         small.compensate(WANTED, time=TIME, tracked=[])
 
 

@@ -120,6 +120,18 @@ def test_a_drive_of_a_few_rows_is_known_again():
     done("check", "pass.csv", "--against", "drive.csv", "--v-max", 120)
 
 
+def test_a_long_recording_is_laid_over_by_whole_rows():
+    """Both are looked at by fewer rows; .641 V of a staircase were found to differ, and .048 do."""
+    rng = np.random.default_rng(2)
+    volts = np.repeat(rng.uniform(5.0, 95.0, 4000), 50)
+    late = np.concatenate([np.full(777, volts[0]), volts])
+    noise = rng.normal(0.0, 0.01, len(late))
+    for name, values in (("drive.csv", volts), ("played.csv", late + noise)):
+        write(name, "time_s,voltage_V", 1e-4 * np.arange(len(values)), values)
+    outcome = done("check", "played.csv", "--against", "drive.csv", "--tolerance", 0.1)
+    assert "777 rows late" in outcome.out
+
+
 @pytest.mark.parametrize("late", [0.0, 17.0, 2.37])
 def test_what_was_played_is_late_by_rows(late):
     drive, _ = recorded(3)

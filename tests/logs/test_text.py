@@ -194,3 +194,12 @@ def test_a_numbered_name_names_no_other_column(tmp_path):
     path.write_text(f"#SAMPLE_TIME = 0.001\n#NAME0 = Voltage\n#END_HEADER\n{rows}\n")
     with open_log(str(path), {"voltage": "1", "displacement": "2"}) as log:
         assert log.columns["displacement"].name == ""
+
+
+def test_a_column_that_ends_early_is_no_delimiter_behind_the_rows(tmp_path):
+    """Two names above three columns were taken for those of the first two."""
+    path = tmp_path / "run.csv"
+    rows = [f"{n},{0.001 * n},{n + 0.5 if n < 20 else ''}" for n in range(1, 421)]
+    path.write_text("\n".join(["time_s,voltage_V", *rows]) + "\n")
+    with pytest.raises(InputError, match="row or names"):
+        open_log(str(path), {"voltage": None}, Reading())

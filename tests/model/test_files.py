@@ -179,6 +179,7 @@ def test_a_state_comes_back_and_serves_the_inverse(tmp_path):
     ("change", "place"),
     [
         (lambda s: s.update(model="0" * 64), "model: the state belongs to another"),
+        (lambda s: s.update(model="0", amplifier=1.0), "model: the state belongs to"),
         (lambda s: s.update(bits="xyz"), "bits: "),
         (lambda s: s.update(bits="f" * 99), "bits: "),
         (lambda s: s.update(gears=49), "gears: "),
