@@ -108,14 +108,3 @@ def test_a_controller_goes_on_from_the_state_of_another():
     np.testing.assert_allclose(
         followed(later, hold), followed(live, hold), rtol=0, atol=1e-9
     )
-
-
-def test_what_cannot_be_is_refused():
-    with pytest.raises(dbo.DboError, match="lookahead"):
-        actuator("moving").controller(sample_rate=RATE)
-    with pytest.raises(dbo.DboError):  # a commit needs a plan
-        actuator("small").controller(sample_rate=RATE).commit()
-    settings = [{"v_min": 5, "v_max": 5}, {"max_slew": -1.0}, {"v_max": "8um"}]
-    for options in settings:
-        with pytest.raises(dbo.DboError):
-            actuator("small").controller(sample_rate=RATE, **options)

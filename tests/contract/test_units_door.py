@@ -214,6 +214,8 @@ def test_truth_is_no_rate_and_no_limit(creep):
     for wrong in (True, False, np.True_, float("nan"), "5 5"):
         with pytest.raises(dbo.UsageError, match="v_max"):
             creep.compensate([2.0, 2.1, 2.2], sample_rate=1000.0, v_max=wrong)
+    with pytest.raises(dbo.UsageError, match="max_slew"):
+        creep.controller(sample_rate=1000.0, max_slew=-1.0)
     write("log.csv", "voltage_V,displacement_um", TIME, MOVE)
     for wrong in (True, np.True_, 0, -5.0, float("nan"), "5V"):
         for call in (

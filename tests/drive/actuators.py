@@ -88,7 +88,7 @@ def gentle(model, rows, part=0.3):
 
 
 def blocks_of(values, dt, rows):
-    """Return a trajectory in blocks of so many rows, as ``in_blocks`` takes it."""
+    """Return a trajectory in blocks of so many rows, as ``driven_in_blocks`` takes it."""
     time = dt * np.arange(values.size)
     places = range(0, values.size, rows)
     return [(time[k : k + rows], dt, values[k : k + rows]) for k in places]
@@ -148,13 +148,6 @@ def plan(model, desired, clock, limits, *, on_limit="auto", return_to=None, **op
         time = np.asarray(clock, dtype=np.float64)
         dt = dm.steps_of(time)
     return driver.whole(np.asarray(desired, dtype=np.float64), dt, time, **options)
-
-
-def in_blocks(driver, blocks):
-    """Yield the rows of a drive as they are ready, what was held back at the end."""
-    for time, dt, desired in blocks:
-        yield driver.rows(desired, dt, time)
-    yield driver.finish()[0]
 
 
 def driven_in_blocks(driver, blocks):

@@ -149,8 +149,6 @@ def test_a_row_that_is_no_displacement_is_named(value):
     for options in ({}, {"bandwidth": 50.0}, {"periodic": True}):
         with pytest.raises(InputError, match="row 42"):
             rig.plan(model, wanted, DT, limits_of(model), **options)
-    rows = rig.in_blocks(
-        Driver(Lead(model, limits_of(model))), rig.blocks_of(wanted, DT, 30)
-    )
+    driver = Driver(Lead(model, limits_of(model)))
     with pytest.raises(InputError, match="row 42"):
-        list(rows)
+        rig.driven_in_blocks(driver, rig.blocks_of(wanted, DT, 30))
