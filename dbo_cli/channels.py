@@ -335,10 +335,9 @@ def drive_table(
         into, out = drive.model.input, drive.model.output
         pairs[name] = [("desired", out.unit), (into.quantity, into.unit)]
         digests[name], limits[name] = drive.model.digest, drive.limits.as_dict()
-    origin: Attributes = {
-        "model": digests.get("") or json.dumps(digests),
-        "limits": json.dumps(limits.get("") or limits),
-    }
+    origin: Attributes = {"model": json.dumps(digests), "limits": json.dumps(limits)}
+    if tuple(drives) == ALONE:
+        origin = {"model": digests[""], "limits": json.dumps(limits[""])}
     return add_table(outputs, output, named_columns(pairs, is_clocked), origin)
 
 
@@ -351,7 +350,7 @@ def write_drives(outputs: Outputs, output: str, drives: Mapping[str, Drive]) -> 
     drive_table(outputs, output, drives, time is not None).write(*values)
 
 
-def write_beside(
+def write_summaries(
     outputs: Outputs,
     drives: Mapping[str, Drive],
     logs: Mapping[str, Log],

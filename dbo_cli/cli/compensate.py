@@ -102,10 +102,11 @@ def compensate(
     if streams:
         units = {"displacement": models[""].output.unit}
         with open_log(trajectory, columns, reading, units) as log, Outputs() as outputs:
-            driving, has_time = driver(""), log.clock.kind != "none"
+            driving = driver("")
+            has_time = log.clock.kind != "none"
             table = channels.drive_table(outputs, output, {"": driving}, has_time)
             drive = write_stream(driving, log, table)
-            channels.write_beside(outputs, {"": drive}, {"": log}, files)
+            channels.write_summaries(outputs, {"": drive}, {"": log}, files)
         say_one(log, output, drive)
         return
     from dbo_cli.recordings import read_table, tracked_of
@@ -149,7 +150,7 @@ def compensate(
     drives = channels.together(drive_of, models)
     with Outputs() as outputs:
         channels.write_drives(outputs, output, drives)
-        channels.write_beside(outputs, drives, logs, files)
+        channels.write_summaries(outputs, drives, logs, files)
     if is_one:
         say_one(logs[""], output, drives[""])
     else:

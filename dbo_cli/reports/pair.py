@@ -124,9 +124,10 @@ def scored(pair: Pair, lag: int) -> Pair:
         raise InputError(
             f"{pair.name}: {rows_text(len(pair))}, `lag` {lag}: nothing is left to compare"
         )
+    begin, end = max(-lag, 0), len(pair) - max(lag, 0)
     number = np.arange(len(pair))
-    is_measured = (number + lag >= 0) & (number + lag < len(pair))
-    shifted = replace(pair, measured=np.roll(pair.measured, -lag)).taken(is_measured)
+    shifted = pair.taken((number >= begin) & (number < end))
+    shifted = replace(shifted, measured=pair.measured[begin + lag : end + lag])
     if pair.rows is None:
         return _move_of(shifted)
     first, last = pair.rows
@@ -144,7 +145,7 @@ def undelayed(pair: Pair) -> Pair:
     if not delay or pair.delay_removed or pair.time is None:
         return pair
     values, is_measured = without_delay(pair.time, pair.measured, delay)
-    in_time = replace(pair, measured=values).taken(is_measured)
+    in_time = replace(pair, measured=values, delay_removed=True).taken(is_measured)
     return in_time.noted(f"the sensor's delay, {1e3 * delay:.3g} ms, is taken off")
 
 
@@ -154,7 +155,8 @@ def _move_of(pair: Pair) -> Pair:
         return pair
     begin, end, slack = 0.0, math.inf, 0.0
     if pair.on_drive_clock:
-        (begin, end), slack = pair.expected.move_time, 0.5 * (pair.step or 0.0)
+        begin, end = pair.expected.move_time
+        slack = 0.5 * (pair.step or 0.0)
     move = pair.taken((pair.time >= begin - slack) & (pair.time <= end + slack))
     outside = len(pair) - len(move)
     if outside in (0, len(pair)):
