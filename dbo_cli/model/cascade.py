@@ -211,6 +211,13 @@ class Cascade:
         """Return a model of the same quantities with other stages, without candidates."""
         return replace(self, stages=stages, candidates=())
 
+    @functools.cached_property
+    def candidate_models(self) -> list[tuple[float, Cascade]]:
+        """Weight and model of every candidate of a forward model."""
+        models = [self.with_stages(candidate.stages) for candidate in self.candidates]
+        weights = [candidate.weight for candidate in self.candidates]
+        return list(zip(weights, models, strict=True))
+
     # ---- starts ----
 
     @functools.cached_property

@@ -70,9 +70,8 @@ def expected_error(
 
     expected = simulated(model)
     squares = float(left_out) ** 2
-    for candidate in model.candidates:
-        other = simulated(model.with_stages(candidate.stages))
-        squares += candidate.weight * _mean_square(other - expected)
+    for weight, candidate in model.candidate_models:
+        squares += weight * _mean_square(simulated(candidate) - expected)
     past = 0.0
     for start in STARTS:
         past += _mean_square(simulated(model, start) - expected) / len(STARTS)
