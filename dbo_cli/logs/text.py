@@ -40,6 +40,7 @@ class TextTable(Table):
         self._marks: dict[int, Marks] = {}
         self._size = 0  # bytes of rows
         self._first_row = 1  # of the last block
+        self._block_lines = 0  # that it was read from
         with closed_on_error(stream.close):
             self.layout, start = self._find_layout()
         columns = zip(
@@ -76,11 +77,11 @@ class TextTable(Table):
                 self._marks[column.number] = Marks(label)
         for text in self._texts():
             self._text = text
-            line_below = self._line + text.count(b"\n")
             last = self._stream.lines(text[text.rfind(b"\n") + 1 :])[0]
             if not is_no_row(last):
+                number = self._line + text.count(b"\n")
                 self.remarks.append(
-                    f"line {line_below}, the last one, has no line end: was the record cut there?"
+                    f"line {number}, the last one, has no line end: was the record cut there?"
                 )
             arrays = self._read_block(text, columns)
             for marks in self._marks.values():
@@ -88,7 +89,7 @@ class TextTable(Table):
             if len(arrays[0]):
                 yield arrays
             self._first_row += len(arrays[0])
-            self._line = line_below
+            self._line += self._block_lines
         for marks in self._marks.values():
             marks.require_clear(self._first_row, limit=0)
 
@@ -123,8 +124,9 @@ class TextTable(Table):
             unclear = [n for n, marks in self._marks.items() if not marks.is_clear]
             frame = read_frame(text, self.layout, columns, unclear)
         if frame is not None:
+            self._block_lines = len(frame)
             return [self._array_of(c, frame[str(c.number)]) for c in columns]
-        rows = self._rows_of(text)
+        rows, self._block_lines = self._rows_of(text), text.count(b"\n")
         return [self._array_of(c, [row[c.number - 1] for row in rows]) for c in columns]
 
     def _array_of(self, column: Column, cells: Any) -> NDArray[Any]:
