@@ -59,6 +59,7 @@ class TextTable(Table):
 
     def _find_layout(self) -> tuple[Layout, bytes]:
         """Find the layout on the first text, or (InputError) on all that a pipe brings before it ends."""
+        problem = InputError(f"{self.name}: is empty")
         for start in self._stream.heads():
             lines = self._stream.lines(start)
             if not self._stream.ended and len(lines) > 2:

@@ -391,5 +391,8 @@ def state_of(state: State | str | Path, model: Cascade) -> State | str:
         raise ModelError(
             "`state`: it belongs to another model: take one that this model returned"
         )
+    if not isinstance(state, (str, Path)):
+        starts = ", ".join(START_NAMES)
+        raise ModelError(f"`state` {state!r}: give {starts}, a state or its file")
     name = str(state)
     return name if name in START_NAMES else read_state(name, model)

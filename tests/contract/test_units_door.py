@@ -350,6 +350,8 @@ def test_a_state_is_of_its_model(creep):
     assert [by_file.step(x) for x in MOVE] == [by_value.step(x) for x in MOVE]
     with pytest.raises(dbo.InputError, match=r"no\.json"):
         creep.controller(sample_rate=1000.0, state="no.json")
+    with pytest.raises(dbo.ModelError, match="give auto"):
+        creep.simulate(MOVE, time=TIME, state=None)
 
 
 def test_nothing_is_no_signal(creep):
