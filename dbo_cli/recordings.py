@@ -12,6 +12,8 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+import numpy as np
+
 from dbo_cli.arrays import Floats
 from dbo_cli.drive.simulate import Rows
 from dbo_cli.errors import InputError, LimitError, UsageError, warn
@@ -345,13 +347,12 @@ def _whole_number(name: str, value: int | str) -> Any:
 
 def _time_constants(values: Sequence[Typed] | Typed) -> Any:
     """Return typed time constants in s, 0 alone for none, or ``auto`` (UsageError)."""
-    if values == "auto":
-        return values
     if isinstance(values, str):
+        if values == "auto":
+            return values
         values = values.split(",")
-    elif isinstance(values, (int, float)):
-        values = [values]
-    constants = [quantity("relaxation", value, "s") for value in values]
+    typed = np.atleast_1d(values).tolist()
+    constants = [quantity("relaxation", value, "s") for value in typed]
     if len(constants) > 1 and 0.0 in constants:
         raise UsageError("`relaxation`: give times above 0 s, or 0 alone")
     return tuple(constants)
@@ -417,5 +418,5 @@ def read_meant(path: str, column: str | None, unit: str | None) -> Block:
         return read_drive(path, columns, Reading(), units if unit else None)[1]
     except InputError as problem:
         raise InputError(
-            f"`against` takes the only drive of its file: call its column voltage_V there ({problem})"
+            f"`against`: {problem} (of several columns it takes voltage_V)"
         ) from None

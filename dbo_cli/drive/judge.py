@@ -67,9 +67,8 @@ class Judge:
         # of the move: what limits cut off, and what no voltage reaches
         self._clipped = self._first_clipped = self._unreachable = 0
         self._squares = self._largest = 0.0
-        self._lost_sections: SectionStates | None = (
-            None  # the dynamics, on what is cut off
-        )
+        # the dynamics' sections, behind what was cut off
+        self._lost_sections: SectionStates | None = None
         # least and greatest voltage, and slew, of limits that let the cut rows pass
         self._needed = (math.inf, -math.inf, 0.0)
         # the first rows, which judgements play again: voltages and steps, part by part

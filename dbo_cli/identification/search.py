@@ -280,9 +280,9 @@ class Search:
 
     def _refine(self) -> None:
         """Fit delays beside the best one, and levels beside the best fit's."""
-        for factor in REFINED if self.choices.delays else ():
+        for factor in REFINED:
             delayed = [fit for fit in self.fits if fit.structure.delay > 0.0]
-            if delayed:
+            if delayed and self.choices.delays:
                 best = min(delayed, key=lambda fit: fit.score).structure
                 self.fit([replace(best, delay=best.delay * factor)])
         for step in (-FINER_LEVEL, FINER_LEVEL):

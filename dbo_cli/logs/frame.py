@@ -96,7 +96,8 @@ def frame_table(frame: Any, time: Any = None) -> Table:
     if time is not None or not clocks:
         columns = [column for column in columns if column not in clocks]
         clock = clock_of(name, {name: frame}, time)
-        columns += [] if clock is None else [clock]
+        if clock is not None:
+            columns.append(clock)
     table = table_of(name, columns)
     table.hint = " (of a frame: rename its columns)"
     table.titles = attrs.get("columns", {})

@@ -24,7 +24,7 @@ from dbo_cli.arrays import Booleans, Floats, Range
 from dbo_cli.errors import InputError, ModelError
 from dbo_cli.model.amplifier import Amplifier, Reach, allowed_drive, output_behind
 from dbo_cli.model.delay import Delay
-from dbo_cli.model.dynamics import Dynamics, Inverter, Mode
+from dbo_cli.model.dynamics import Dynamics, Inverter, Resonance
 from dbo_cli.model.gears import NEGLIGIBLE, Gears, largest_step
 from dbo_cli.model.points import Curve, Curves, Points, Scale
 from dbo_cli.model.start import Starts
@@ -155,7 +155,9 @@ class Cascade:
     def trusted_frequency(self) -> float | None:
         """The frequency (Hz) up to which the model can be trusted; None where it has no resonance."""
         sections = () if self.dynamics is None else self.dynamics.sections
-        frequencies = [each.frequency for each in sections if isinstance(each, Mode)]
+        frequencies = [
+            each.frequency for each in sections if isinstance(each, Resonance)
+        ]
         return min(frequencies) / RESONANCE_SHARE if frequencies else None
 
     @property

@@ -253,7 +253,9 @@ def section_inverse(section: Section, dt: float) -> SectionInverse:
     if root > 0.0:
         outer = half + math.copysign(math.sqrt(root), half)
         inner, outer = sorted([det / outer, outer], key=abs)
-    highest = max(section.frequency, (section.antiresonance or section).frequency)
+    highest = section.frequency
+    if section.antiresonance is not None:
+        highest = max(highest, section.antiresonance.frequency)
     refusal = InputError(
         f"the model's resonance at {section.frequency:.6g} Hz is too fast to be undone at {1.0 / dt:.6g} Hz "
         f"(`resample` {6.0 * highest:.6g} or more)"

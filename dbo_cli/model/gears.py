@@ -1,4 +1,4 @@
-"""The Discrete Backlash Operator: gears, their states, their inverse, and what they have been through before.
+"""The Discrete Backlash Operator: gears, their states, and their inverse.
 
 Gears are a value: they hold no state and are never changed. A state goes in and a new
 one comes out, and the output does not depend on how a signal is cut into blocks.
@@ -197,6 +197,26 @@ class Gears(Keyed):
         size = (self.n + _WORD - 1) // _WORD
         content = bits.to_bytes(8 * size, "little")
         return np.frombuffer(content, dtype="<u8").astype(np.uint64)
+
+    def settled(self, voltage: float, covered: int, spare: int) -> int:
+        """Return the bits after an oscillation that decays from the whole range to ``voltage``.
+
+        The range is that of the first ``covered`` gears; others stay as they are in the
+        bits ``spare``.
+
+        The oscillation turns at ``voltage + A`` and ``voltage - A``, both cut off at
+        the ends of the range; A falls arbitrarily slowly to 0 and the first turn is the
+        upper one. The gears stop flipping from the highest to the lowest. With the
+        gears up to k spanning [low, high], gear k stops when A no longer reaches high
+        (it stays 0) or low (it stays 1), whichever comes first: the end that is farther
+        from ``voltage``. A tie, as with even gears halfway, stays 1; a tolerance
+        decides that, not rounding.
+        """
+        words = self.words(spare)
+        kernel.extension.backlash_settled(
+            self.operator(True, is_inverse=True), words, covered, float(voltage),
+        )  # fmt: skip
+        return bits_of(words)
 
     def run(
         self,

@@ -104,6 +104,3 @@ def _decay(tau: tuple[float, ...], dt: float | ArrayLike) -> Floats:
 
 # of one time step; every block of a stream asks for it
 _even_decay = lru_cache(maxsize=32)(_decay)
-
-
-# --- the amplifier ---

@@ -11,7 +11,7 @@ import numpy as np
 from dbo_cli.arrays import Range
 from dbo_cli.errors import ModelError
 from dbo_cli.model import kernel
-from dbo_cli.model.gears import CROSSING_TOLERANCE, Gears, bits_of
+from dbo_cli.model.gears import CROSSING_TOLERANCE, Gears
 from dbo_cli.model.points import on_binary_grid
 from dbo_cli.model.state import START_NAMES, State
 
@@ -70,14 +70,6 @@ class Starts:
         below the lower end, else settled (a model may keep another one:
         ``Cascade.auto_start``).
 
-        The oscillation turns at ``voltage + A`` and ``voltage - A``, both cut off at
-        the ends of the range; A falls arbitrarily slowly to 0 and the first turn is the
-        upper one. The gears stop flipping from the highest to the lowest. With the
-        gears up to k spanning [low, high], gear k stops when A no longer reaches high
-        (it stays 0) or low (it stays 1), whichever comes first: the end that is farther
-        from ``voltage``. A tie, as with even gears halfway, stays 1; a tolerance
-        decides that, not rounding.
-
         Raises
         ------
         ModelError
@@ -89,11 +81,7 @@ class Starts:
             return fixed[name]
         if name not in START_NAMES:
             raise ModelError(f"`state` {name}: give {', '.join(START_NAMES)} or a file")
-        words = self.gears.words(self.empty)
-        kernel.extension.backlash_settled(
-            self.gears.operator(True, is_inverse=True), words, self.covered, float(voltage),
-        )  # fmt: skip
-        return bits_of(words)
+        return self.gears.settled(voltage, self.covered, self.empty)
 
     def voltage_settled_at(self, output: float, low: float, high: float) -> float:
         """Return the voltage in [low, high] whose own settled state leads to ``output``.

@@ -182,7 +182,7 @@ def test_a_list_that_holds_no_log_is_refused(small):
 def test_a_time_constant_is_typed_as_in_the_shell(creep):
     moved = creep.simulate(RISING, time=TIME)
     models = []
-    for typed in (0, "0", [0.0]):
+    for typed in (0, "0", [0.0], np.array([0]), np.int64(0)):
         options = {**QUICK, "relaxation": typed}
         models.append(dbo.identify(RISING, moved, time=TIME, **options))
     assert len({model.digest for model in models}) == 1
