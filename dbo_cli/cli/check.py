@@ -79,8 +79,8 @@ def check(
             doubts=log.doubtful,
         )
         if against is not None:
-            steps = meant.step, signal.step
-            check_played(result, meant["voltage"], recorded, steps, slack)
+            times = meant.time, signal.time
+            check_played(result, meant["voltage"], recorded, times, slack)
         detail(*log.doubtful)
     is_json = opt.form_of(form, output) == "json"
     if is_json:

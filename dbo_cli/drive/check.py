@@ -15,7 +15,7 @@ from dbo_cli.arrays import Booleans, Floats
 from dbo_cli.drive.limits import Limits
 from dbo_cli.drive.smooth import open_seam
 from dbo_cli.errors import UsageError, prefixed, require_none
-from dbo_cli.signals import between, noise
+from dbo_cli.signals import between, even, noise, step_of
 
 TOLERANCE = 1e-3
 """Of the drive's range, by which a recording may differ: a converter of 10 bits rounds to half of it."""
@@ -228,7 +228,7 @@ def check_played(
     checked: Checked,
     drive: Floats,
     recorded: Floats,
-    steps: tuple[float | None, float | None],
+    times: tuple[Floats | None, Floats | None],
     tolerance: float,
 ) -> None:
     """Compare a recording with the drive that was to be played; problems and figures go to ``checked``.
@@ -237,21 +237,24 @@ def check_played(
     ----------
     drive, recorded : array
         What was computed, and what was recorded (behind the amplifier's gain).
-    steps : (float or None, float or None)
-        Seconds a row of the two. At another rate the drive is interpolated.
+    times : (array or None, array or None)
+        Seconds of each row of the two. At other times the drive is interpolated; without
+        a clock the recording has the drive's rate.
     tolerance : float
         The largest difference allowed.
     """
-    step = steps[0] or 1.0
-    recorded_step = steps[1] or step
-    time = recorded_step * np.arange(float(recorded.size))
-    meant_time = step * np.arange(float(drive.size))
-    found = align_drives(Trace(time, recorded), Trace(meant_time, drive))
-    lag, row = 0.0, time / step
+    planned = _on_its_clock(drive, times[0], 1.0)
+    step = step_of(planned.time) or 1.0
+    trace = _on_its_clock(recorded, times[1], step)
+    recorded_step = step_of(trace.time) or step
+    found = align_drives(trace, planned)
+    lag, time = 0.0, trace.time
     if found is not None:
-        lag, row = found.lag.seconds, np.round(found.reference_time(time) / step, 6)
-    inside = (row >= -SAME_ROW) & (row <= drive.size - 1 + SAME_ROW)
-    row, played = np.clip(row[inside], 0.0, drive.size - 1.0), recorded[inside]
+        lag, time = found.lag.seconds, found.reference_time(time)
+    slack = SAME_ROW * step
+    inside = (time >= -slack) & (time <= planned.time[-1] + slack)
+    row = np.interp(time[inside], planned.time, np.arange(float(drive.size)))
+    row, played = np.round(row, 6), recorded[inside]
     meant = between(drive, row)
     gain, offset = 1.0, float(np.mean(played - meant))
     if np.ptp(meant) > 0.0:
@@ -261,7 +264,7 @@ def check_played(
     checked.played = {
         "rows": shared,
         "lag_rows": lag / recorded_step,
-        "lag_seconds": None if steps[1] is None else lag,
+        "lag_seconds": None if times[1] is None else lag,
         "gain": gain,
         "offset": 0.0 if abs(offset) < 1e-9 * tolerance else offset,
         "largest_difference": largest,
@@ -274,6 +277,18 @@ def check_played(
     if lost * step >= (1.0 - RATE_SLACK) * recorded_step:
         checked.problems.append(f"{lost:,} of {drive.size:,} rows were not played")
     if largest > tolerance:
+        uneven = times[1] is not None and even(times[1]) is None
+        hint = " by its uneven stamps (`sample_rate` HZ goes by rows)" if uneven else ""
         checked.problems.append(
-            f"the recording differs by up to {largest:.4g}{unit}, more than {tolerance:.3g}{unit}"
+            f"the recording differs by up to {largest:.4g}{unit}, more than {tolerance:.3g}{unit}{hint}"
         )
+
+
+def _on_its_clock(values: Floats, time: Floats | None, step: float) -> Trace:
+    """Return a signal with its seconds from the first row on; without a clock a row takes ``step`` (s)."""
+    if time is not None:
+        even_step = even(time)
+        if even_step is None:
+            return Trace(time - time[0], values)
+        step = even_step
+    return Trace(step * np.arange(float(values.size)), values)

@@ -142,6 +142,23 @@ def test_what_was_played_is_late_by_rows(late):
     assert f"{late:g} rows late" in outcome.out, outcome.out
 
 
+@pytest.mark.parametrize("uneven", ["drive.csv", "played.csv", "both"])
+def test_what_was_played_on_an_uneven_clock_is_compared_by_its_stamps(uneven):
+    """It was taken for a row a second: "another drive was played", 0 rows late, a gain of .07."""
+    drive, _ = recorded(3)
+    time = drive["time_s"] - drive["time_s"][0]
+    stamps = time + 0.3 * STEP * np.random.default_rng(1).uniform(-1, 1, len(time))
+    for name, late in (("drive.csv", 0.0), ("played.csv", 0.02)):
+        clock = stamps if uneven in (name, "both") else time
+        volts = np.interp(clock - late, time, drive["voltage_V"])
+        write(name, "time_s,voltage_V", clock, volts)
+    line = ("check", "played.csv", "--against", "drive.csv", "--tolerance", 0.5)
+    played = dbo(*line, "--format", "json").json["played"]
+    assert played["lag_seconds"] == pytest.approx(0.02, abs=0.05 * STEP)
+    assert played["largest_difference"] < 0.05
+    assert played["gain"] == pytest.approx(1.0, abs=1e-3)
+
+
 # --- the next pass ---
 
 
