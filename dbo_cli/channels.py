@@ -13,8 +13,8 @@ import json
 import os
 import re
 import warnings
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from dbo_cli import errors
@@ -209,9 +209,21 @@ def together(
     return {name: drives[name] for name in holds}
 
 
-def naming(channel: str) -> AbstractContextManager[None]:
-    """Name the channel in an error, if it has a name."""
-    return errors.prefixed(f"channel {channel}" if channel else "")
+@contextmanager
+def naming(channel: str) -> Iterator[None]:
+    """Name the channel, if it has a name, in an error and in warnings."""
+    if not channel:
+        yield
+        return
+    name, caught = f"channel {channel}", []
+    try:
+        with warnings.catch_warnings(record=True) as caught, errors.prefixed(name):
+            warnings.simplefilter("always", errors.DboWarning)
+            yield
+    finally:
+        for entry in caught:
+            if entry.category is errors.DboWarning:
+                warn(f"{name}: {entry.message}")
 
 
 # --- files of all channels ---

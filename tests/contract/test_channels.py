@@ -123,6 +123,17 @@ def test_identify_says_what_was_read_of_each_channel(channels):
         assert any("500 Hz" in line and f"V{name}_V" in line for line in said)
 
 
+def test_identify_warns_of_the_channel_whose_log_is_doubtful(channels):
+    """Two channels of one log: nobody could tell which one it was."""
+    log = table(channels)
+    volts, moved, drift = log["Va_V"], log["Da_um"], 50.0 * log["time_s"]
+    columns = (log["time_s"], volts, moved, volts, moved + drift)
+    write("two.csv", "time_s,Va_V,Da_um,Vb_V,Db_um", *columns)
+    words = ("identify", "two.csv", *SIDES, *FORCED, "-o", "models.json")
+    [drifting] = [text for text in done(*words).warnings if "drift" in text]
+    assert "warning: channel b: two.csv: " in drifting
+
+
 def test_a_unit_that_is_assumed_is_told_of_a_channel_and_of_what_was_to_be_played():
     time = np.arange(200) / 100.0
     volts = 5.0 + 2.0 * np.sin(time)
