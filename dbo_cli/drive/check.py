@@ -238,8 +238,8 @@ def check_played(
     drive, recorded : array
         What was computed, and what was recorded (behind the amplifier's gain).
     times : (array or None, array or None)
-        Seconds of each row of the two. At other times the drive is interpolated; without
-        a clock the recording has the drive's rate.
+        Seconds of each row of the two. Between two rows of the drive, whatever lies between
+        these is right; without a clock the recording has the drive's rate.
     tolerance : float
         The largest difference allowed.
     """
@@ -256,10 +256,15 @@ def check_played(
     row = np.interp(time[inside], planned.time, np.arange(float(drive.size)))
     row, played = np.round(row, 6), recorded[inside]
     meant = between(drive, row)
+    around = drive[np.floor(row).astype(int)], drive[np.ceil(row).astype(int)], meant
     gain, offset = 1.0, float(np.mean(played - meant))
     if np.ptp(meant) > 0.0:
         gain, offset = np.polyfit(meant, played, 1).tolist()
-    largest = float(np.abs(played - meant).max())
+    # a converter may hold a row until the next one
+    beyond = np.maximum(
+        played - np.max(around, axis=0), np.min(around, axis=0) - played
+    )
+    largest = max(float(beyond.max()), 0.0)
     shared = math.ceil(row[-1]) - math.floor(row[0]) + 1
     checked.played = {
         "rows": shared,
@@ -275,7 +280,8 @@ def check_played(
         return
     lost, unit = drive.size - shared, f" {checked.unit}" if checked.unit else ""
     if lost * step >= (1.0 - RATE_SLACK) * recorded_step:
-        checked.problems.append(f"{lost:,} of {drive.size:,} rows were not played")
+        problem = f"{lost:,} of {drive.size:,} rows are not in the recording"
+        checked.problems.append(problem)
     if largest > tolerance:
         uneven = times[1] is not None and even(times[1]) is None
         hint = " by its uneven stamps (`sample_rate` HZ goes by rows)" if uneven else ""
