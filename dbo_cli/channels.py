@@ -375,10 +375,7 @@ def write_summaries(
 
     texts: dict[str, dict[str, str]] = {kind: {} for kind in paths}
     for name, drive in drives.items():
-        figures, clock = drive.summary(), logs[name].clock
-        figures["trajectory"] = logs[name].name
-        if clock.kind != "none":
-            figures["move_time"] = [clock.first, clock.last]
+        figures = {**drive.summary(), "trajectory": logs[name].name}
         assert drive.state is not None
         texts["summary"][name] = json.dumps(figures, indent=2) + "\n"
         texts["state"][name] = dumps_state(drive.state, drive.model)

@@ -25,7 +25,7 @@ from dbo_cli.drive.live import Controller
 from dbo_cli.drive.simulate import Simulator
 from dbo_cli.errors import InputError, UsageError
 from dbo_cli.files import write_text
-from dbo_cli.logs import Reading, is_frame, open_log, table_in_memory
+from dbo_cli.logs import Reading, is_frame, open_log, parse_rows, table_in_memory
 from dbo_cli.recordings import (
     RECORDING_COLUMNS,
     RECORDING_ROLES,
@@ -654,7 +654,7 @@ def report(
     sample_rate: Typed | None = None,
     model: Model | None = None,
     state: StateLike = "auto",
-    rows: tuple[int | None, int | None] | None = None,
+    rows: str | tuple[int | None, int | None] | None = None,
     voltage: Signal | None = None,
     expected: Mapping[str, object] | None = None,
     unit: str | None = None,
@@ -676,8 +676,8 @@ def report(
         Time in s, or a rate in Hz; the time index of a Series counts.
     model, state
         A forward model, and what was before the first row.
-    rows : (first, last), optional
-        The rows that count, from 1, both ends included.
+    rows : str or (first, last), optional
+        The rows that count, from 1, both ends included: ``"100:2000"``.
     voltage : array_like, optional
         The drive, for the figures.
     expected : mapping, optional
@@ -707,6 +707,8 @@ def report(
     from dbo_cli.reports import Report, expected_in
 
     reading = Reading.of_options({"sample_rate": sample_rate})
+    if isinstance(rows, str):
+        rows = parse_rows(rows)
     if model is None and state != "auto":
         raise UsageError("`state` needs `model`")
     if model is not None and voltage is not None:
@@ -730,8 +732,12 @@ def report(
         )
     pairs, units, _ = pairs_of([table], columns, reading, actuator, start)
     unit = units.get("measured")
+    is_drive = expected is not None  # rows beside its move do not count
     return Report(
-        [dataclasses.replace(pair, rows=rows, name=name) for pair in pairs],
+        [
+            dataclasses.replace(pair, rows=rows, name=name, on_drive_clock=is_drive)
+            for pair in pairs
+        ],
         unit=unit,
         voltage_unit=units.get("voltage"),
         lag=lag,

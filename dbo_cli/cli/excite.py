@@ -45,5 +45,5 @@ def excite(
     columns = [("time", "s"), (quantity_name("voltage", unit), unit)]
     with create(output, columns) as table:
         table.write(time, voltage)
-    ends = f"{low:g} to {high:g} {unit}"
+    ends = f"{low:g} to {high:g} {unit}; begins and ends at {low:g} {unit}"
     say_output(output, f"{len(voltage):,} rows, {time[-1]:.4g} s, {ends}")

@@ -70,6 +70,7 @@ class Driver:
         self._state: State | str = lead.state
         self._row_count = 0
         self._step = self._first = 0.0  # seconds a row, and the first value asked for
+        self._began: float | None = None  # stamp of the first row of the move
         self._ahead: Ahead | None = None  # undoing dynamics and delay
 
     # --- rows ---
@@ -133,6 +134,8 @@ class Driver:
         stamps = (begin or 0.0) + self._step * np.arange(1.0, voltage.size + 1.0)
         back = self._played(stamps, voltage, "return")
         drive = self._judge.concluded(self._last_state, self._step)
+        if self._began is not None and begin is not None:
+            drive = replace(drive, move_time=[self._began, begin])
         return stacked([rows, back]), drive
 
     @property
@@ -192,6 +195,7 @@ class Driver:
         unsettled = first_pass.x - loops.settled_run(model, period, dt, loop.state)
         self._judge.unsettled = float(np.sqrt(np.mean(unsettled**2)))
         drive = self._judge.concluded(self._state, dt)
+        drive = replace(drive, move_time=time[[0, -1]].tolist())
         return drive.with_rows(stacked([before, first_pass._replace(x=desired)]))
 
     # --- a whole trajectory ---
@@ -293,7 +297,7 @@ class Driver:
         self._step = step
         if isinstance(dt, np.ndarray):
             dt = np.concatenate([[step], dt[1:]])
-        begin = None if time is None else float(time[0])
+        begin = self._began = None if time is None else float(time[0])
         self._state, voltage, still_rows = self.lead.planned(first, step, begin)
         count = voltage.size + still_rows
         stamps = (begin or 0.0) - step * np.arange(count, 0.0, -1.0)

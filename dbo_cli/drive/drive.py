@@ -42,6 +42,8 @@ class Drive:
         Least and greatest voltage, of the whole drive and before the move.
     move_range : list of float, or None
         Least and greatest displacement of the move.
+    move_time : list of float, or None
+        Stamps (s) of its first and its last row.
     lead_seconds : float
         How long the rows before the move take.
     clipped, first_clipped : int
@@ -80,6 +82,7 @@ class Drive:
     voltage_range: list[float] | None = None
     lead_range: list[float] | None = None
     move_range: list[float] | None = None
+    move_time: list[float] | None = None
     lead_seconds: float = 0.0
     clipped: int = 0
     first_clipped: int = 0
@@ -152,6 +155,7 @@ class Drive:
             "rows": self.rows,
             "voltage_range": self.voltage_range,
             "move_range": self.move_range,
+            "move_time": self.move_time,
             "limits": self.limits.as_dict(),
             "lead": {
                 "rows": self.lead_rows,

@@ -10,12 +10,12 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 
 from dbo_cli.arrays import Floats
-from dbo_cli.errors import InputError, LimitError, warn
+from dbo_cli.errors import InputError, LimitError, UsageError, warn
 from dbo_cli.model import Cascade, Outside, State, Steps, steps_behind
 
 
@@ -138,6 +138,11 @@ class Simulator:
     outside_count, first_outside : int
         Rows whose voltage leaves the range (or was held there), and the first of them,
         from 1; 0: none.
+
+    Raises
+    ------
+    UsageError
+        ``outside`` is unknown.
     """
 
     def __init__(
@@ -147,6 +152,8 @@ class Simulator:
         outside: Outside = "extend",
         name: str = "input",
     ) -> None:
+        if outside not in get_args(Outside):
+            raise UsageError(f"`outside` {outside}: give extend, hold or error")
         self.model, self.state = model, state
         self.outside, self.name = outside, name
         self.row_count = self.outside_count = self.first_outside = 0

@@ -78,7 +78,8 @@ def rescale(
     gain, offset = _shrunk(numbers, errors)[:2].tolist()
     scale = Scale(1.0 + gain, offset - gain * middle)
     rmse = float(np.sqrt(np.mean(residual**2)))
-    return _refreshed(prior, scale, delay, rmse, warnings)
+    unsure = float(np.hypot(errors[0] * table[:, 0].std(), errors[1]))
+    return _refreshed(prior, scale, delay, (rmse, unsure), warnings)
 
 
 def _predicted(prior: Cascade, log: Recording) -> Floats:
@@ -190,9 +191,16 @@ def _shrunk(numbers: Floats, errors: Floats) -> Floats:
 
 
 def _refreshed(
-    prior: Cascade, change: Scale, delay: float, rmse: float, warnings: list[str]
+    prior: Cascade,
+    change: Scale,
+    delay: float,
+    errors: tuple[float, float],
+    warnings: list[str],
 ) -> Cascade:
-    """Return the prior's model, candidates and figures behind another scale and a delay (s)."""
+    """Return the prior's model, candidates and figures behind another scale and a delay (s).
+
+    ``errors`` (RMS) are what is left of the logs, and what gain and offset are unsure by.
+    """
 
     def changed(stages: Sequence[Stage]) -> tuple[Stage, ...]:
         moving = [stage for stage in stages if isinstance(stage, Dynamics)]
@@ -210,7 +218,9 @@ def _refreshed(
     fit: dict[str, Any] = dict(prior.fit)
     for key in ("expected_rmse", "left_out_rmse"):
         if isinstance(fit.get(key), float):
-            fit[key] = max(change.gain * fit[key], rmse)
+            fit[key] = float(
+                np.hypot(max(change.gain * fit[key], errors[0]), errors[1])
+            )
     fit |= {
         "method": "prior",
         "validation": [],

@@ -251,10 +251,10 @@ def drive_range(voltage: Floats) -> tuple[float, float]:
 
     The greatest of n values of noise is expected at sqrt(2 ln n) standard deviations; at
     most four are taken off. Noise below the resolution is rounding, and motion that is as
-    fast as the samples is no noise.
+    fast as the samples is no noise; nor are the steps of a drive that is held for some rows.
     """
     low, high = float(voltage.min()), float(voltage.max())
-    deviation = noise(voltage)
+    deviation = noise(voltage[np.append(True, np.diff(voltage) != 0.0)])
     steps = np.diff(np.unique(voltage))
     resolution = max(float(steps.min()), ROUNDING * (high - low))
     if deviation <= resolution or Swings.of(voltage).usual_rows < ROWS_WITH_NOISE:

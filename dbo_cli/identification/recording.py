@@ -14,12 +14,14 @@ from dbo_cli.arrays import Booleans, Floats, Integers
 from dbo_cli.errors import FitError, InputError, UsageError
 from dbo_cli.model import Cascade
 from dbo_cli.model.expect import SWING
+from dbo_cli.model.fields import MOST_WIDTHS
 from dbo_cli.signals import even, turns, usual_step
 
 FEWEST_ROWS = 20  # fewer tell nothing of a loop
 AT_REST, SLOWER = 0.01, 3.0
 """A drive at rest takes three times as long for a hundredth of its range as in its first swing."""
 SAME_LEVEL = 0.1  # of the range: turns that are nearer are alike
+MOST_POINTS = 1000  # that are fitted: more than rows of the search tell nothing
 
 
 @dataclass(frozen=True)
@@ -81,13 +83,19 @@ class Recording:
         return self.good
 
 
-def _at_least(smallest: float, *values: Any) -> bool:
-    """Return whether all values are numbers that are large enough, or "auto"."""
+def _are_seconds(*values: Any) -> bool:
+    """Return whether all values are numbers of 0 or more, or "auto"."""
     for value in values:
         is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-        if value != "auto" and not (is_number and value >= smallest):
+        if value != "auto" and not (is_number and value >= 0.0):
             return False
     return True
+
+
+def _is_count(value: Any, least: int, most: int) -> bool:
+    """Return whether a value is a whole number within bounds, or "auto"."""
+    is_whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    return value == "auto" or (is_whole and least <= int(value) <= most)
 
 
 Slopes = Literal["auto", "growing", "falling", "free"]
@@ -117,12 +125,18 @@ class Options:
         taus = () if self.relaxation == "auto" else self.relaxation
         rules = {
             "zero": (not isinstance(self.zero, bool), "none, mean, first or a number"),
-            "skip": (_at_least(0.0, self.skip), "seconds, 0 or more"),
-            "sensor_delay": (_at_least(0.0, self.sensor_delay), "seconds, 0 or more"),
-            "gears": (_at_least(1, self.gears), "1 or more, or auto"),
-            "points": (_at_least(0, self.points), "0 or more, or auto"),
-            "relaxation": (_at_least(0.0, *taus), "seconds, 0 or more, or auto"),
-            "delay": (_at_least(0.0, self.delay), "seconds, 0 or more, or auto"),
+            "skip": (_are_seconds(self.skip), "seconds, 0 or more"),
+            "sensor_delay": (_are_seconds(self.sensor_delay), "seconds, 0 or more"),
+            "gears": (
+                _is_count(self.gears, 1, MOST_WIDTHS),
+                f"a whole number from 1 to {MOST_WIDTHS:,}, or auto",
+            ),
+            "points": (
+                _is_count(self.points, 0, MOST_POINTS),
+                f"a whole number from 0 to {MOST_POINTS:,}, or auto",
+            ),
+            "relaxation": (_are_seconds(*taus), "seconds, 0 or more, or auto"),
+            "delay": (_are_seconds(self.delay), "seconds, 0 or more, or auto"),
             "dynamics": (self.dynamics in ("auto", 0, 1, 2), "auto, 0, 1 or 2"),
             "sign": (self.sign in (None, "rising", "falling"), "rising or falling"),
             "slopes": (
@@ -224,9 +238,10 @@ class Swings:
 
     @property
     def loops(self) -> Floats:
-        """Sizes of the swings; a last one that the log breaks off has at least that of the one before."""
+        """Sizes of the swings; the first and the last, which a log may cut, are no smaller than the next."""
         sizes = self.sizes.copy()
         if len(sizes) > 1:
+            sizes[0] = max(sizes[0], sizes[1])
             sizes[-1] = max(sizes[-1], sizes[-2])
         return sizes
 

@@ -11,6 +11,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from html import escape
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,7 +77,7 @@ class Report:
     InputError
         There is nothing to compare.
     UsageError
-        A limit is below 0.
+        A limit is below 0, or ``lag`` is no whole number.
     """
 
     def __init__(
@@ -99,6 +100,8 @@ class Report:
         self.pairs: list[Pair] = []
         self.logs: list[dict[str, Any]] = []
         self.limits: list[dict[str, Any]] = []
+        if not isinstance(lag, Integral):
+            raise UsageError(f"`lag` {lag}: give a whole number of rows")
         bounds = {"rmse": max_rmse, "nrmse_percent": max_nrmse_percent}
         for figure, bound in bounds.items():
             if bound is not None and bound < 0.0:

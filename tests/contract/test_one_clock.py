@@ -159,6 +159,18 @@ def test_what_was_played_on_an_uneven_clock_is_compared_by_its_stamps(uneven):
     assert played["gain"] == pytest.approx(1.0, abs=1e-3)
 
 
+def test_a_drive_that_a_converter_holds_is_what_was_played():
+    """Recorded ten times as fast it differed by up to a step of the drive, 3.5 V."""
+    drive, _ = recorded(3)
+    rows = np.arange(10 * len(drive["time_s"]))
+    volts = drive["voltage_V"][rows // 10]
+    for name, values in (("held.csv", volts), ("off.csv", volts + (rows == 40_003))):
+        write(name, "time_s,voltage_V", 0.1 * STEP * rows, values)
+    done("check", "held.csv", "--against", "drive.csv")
+    outcome = dbo("check", "off.csv", "--against", "drive.csv")
+    assert outcome.code == 3 and "differs by up to 1 V" in outcome.out
+
+
 # --- the next pass ---
 
 

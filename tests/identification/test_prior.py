@@ -61,7 +61,7 @@ def test_gain_offset_and_delay_come_back():
     assert moved["offset"] == pytest.approx(1.3, abs=0.02)
     assert moved["delay_seconds"] == pytest.approx(0.007, abs=0.0015)
     assert error(refreshed, truth) < 0.2 * error(actuator(), truth)
-    assert refreshed.fit["expected_rmse"] == pytest.approx(0.0107, rel=0.1)
+    assert 0.0107 < refreshed.fit["expected_rmse"] < 0.016
     assert refreshed.output.span == pytest.approx(10.7, rel=0.005)
 
 
@@ -75,6 +75,17 @@ def test_an_unchanged_actuator_keeps_its_numbers(ends, shape, seed):
     log = recorded(prior, drive, seed, skip=way.size)
     refreshed = rescale(prior, [log], Options())
     assert error(refreshed, prior) < 0.002
+
+
+@pytest.mark.parametrize("offset", [0.05, 0.2, 0.4])
+@pytest.mark.parametrize("ends", [(0.0, 100.0), (40.0, 60.0)])
+def test_a_zero_that_an_unknown_past_may_explain_is_in_the_stated_error(ends, offset):
+    """It was taken for the past, and .01 um stated where .4 came."""
+    truth = actuator(1.0, offset)
+    way = np.concatenate([waves(0.0, 90.0, 2), np.linspace(0.0, ends[0], 200)])
+    drive = np.concatenate([way, waves(*ends, 3)])
+    refreshed = rescale(actuator(), [recorded(truth, drive, skip=way.size)], Options())
+    assert error(refreshed, truth) < 1.5 * refreshed.fit["expected_rmse"]
 
 
 def test_a_changed_shape_is_refused_and_kept_by_force():
