@@ -23,7 +23,7 @@ from dbo_cli.drive.drive import PassRecord
 from dbo_cli.drive.learning import dumps_history
 from dbo_cli.drive.live import Controller
 from dbo_cli.drive.simulate import Simulator
-from dbo_cli.errors import InputError, UsageError
+from dbo_cli.errors import InputError, UsageError, warn
 from dbo_cli.files import write_text
 from dbo_cli.logs import Reading, is_frame, open_log, parse_rows, table_in_memory
 from dbo_cli.recordings import (
@@ -733,7 +733,7 @@ def report(
     pairs, units, _ = pairs_of([table], columns, reading, actuator, start)
     unit = units.get("measured")
     is_drive = expected is not None  # rows beside its move do not count
-    return Report(
+    made = Report(
         [
             dataclasses.replace(pair, rows=rows, name=name, on_drive_clock=is_drive)
             for pair in pairs
@@ -747,3 +747,6 @@ def report(
         max_nrmse_percent=quantity("max_nrmse_percent", max_nrmse_percent, "%"),
         model=actuator,
     )
+    for text in made.warnings:
+        warn(text)
+    return made

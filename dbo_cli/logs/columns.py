@@ -137,9 +137,7 @@ def role_of(role: str, unit: str | None) -> Role:
         role = "trajectory" if kind in ("length", "angle", *MOVED_KINDS) else "voltage"
     definition = ROLES.get(role)
     if definition is None:
-        raise UsageError(
-            f"`{role}`: no such role; give voltage, displacement, desired or measured"
-        )
+        raise UsageError(f"`{role}`: no such role; give one of {', '.join(ROLES)}")
     if kind is None or kind in definition.allowed:
         return definition
     return replace(

@@ -13,7 +13,9 @@ import pytest
 import dbo_cli as dbo
 from dbo_cli.library import Move
 
-from .program import LOG, MOVE, SAMPLES, compensated, model, rms, table, write
+from .program import (
+    LOG, MOVE, SAMPLES, compensated, done, model, rms, store, table, write,
+)  # fmt: skip
 
 TIME = np.arange(400) / 1000.0
 WANTED = 5.0 - 3.0 * np.cos(2.0 * np.pi * 5.0 * TIME)
@@ -149,6 +151,11 @@ def test_what_is_wrong_is_an_error_of_a_class(small, creep):
         small.compensate(WANTED, time=TIME, v_max="8um")
     with pytest.raises(dbo.DboError):
         small.compensate(np.array([5.0, np.nan, 6.0]))
+    with pytest.raises(dbo.UsageError, match=r"outside.*extend"):
+        small.simulate(WANTED, outside="Error")
+    for wrong in ({"lag": 0.5}, {"rows": "12"}, {"rows": "0:4"}):
+        with pytest.raises(dbo.UsageError, match=next(iter(wrong))):
+            dbo.report(WANTED, WANTED, time=TIME, **wrong)
     with pytest.raises(dbo.DboError, match="sample_rate"):
         creep.simulate(WANTED)
     for time in (TIME[::-1], TIME[:-1]):
@@ -163,7 +170,8 @@ def test_what_is_wrong_is_an_error_of_a_class(small, creep):
     [
         {"slopes": "Growing"}, {"method": "Paper"}, {"sign": "up"}, {"zero": "first row"},
         {"gears": "12x"}, {"points": "x"}, {"relaxation": "0.1s,x"}, {"relaxation": ["a"]},
-        {"delay": "soon"}, {"dynamics": "two"},
+        {"delay": "soon"}, {"dynamics": "two"}, {"gears": 1.5}, {"gears": 2**40},
+        {"points": 2.5}, {"points": 2**20},
     ],
 )  # fmt: skip
 def test_a_wrong_value_of_identify_is_named_and_not_taken_for_another(wrong):
@@ -227,6 +235,22 @@ def test_report(creep, unpainted):
     by_rate = dbo.report(RISING, moved, sample_rate=1000.0, model=creep)
     assert by_time.rmse == pytest.approx(0.25)
     assert by_rate.rmse == pytest.approx(0.25)
+
+
+def test_a_report_of_a_drive_is_the_shell_s(creep):
+    """Rows of the way back counted in the library, whose summary did not say when the move ends."""
+    options = {"from_": 0.0, "approach": 0.5, "return_": 0.0, "v_max": 100}
+    drive = creep.compensate(SLOW, time=TIME, details=True, **options)
+    time, wanted, volts = drive.time, drive.desired, drive.voltage
+    measured = creep.simulate(volts, time=time) + 0.01 * time
+    write("drive.csv", "time_s,desired_um,voltage_V", time, wanted, volts)
+    write("seen.csv", "time_s,voltage_V,measured_um", time, volts, measured)
+    store("summary.json", drive.summary())
+    line = ("report", "seen.csv", "--trajectory", "drive.csv", "--format", "json")
+    shell = done(*line, "--expected", "summary.json").json["logs"][0]
+    library = dbo.report(wanted, measured, time=time, expected=drive.summary())
+    assert library.logs[0]["samples"] == shell["samples"] == len(SLOW)
+    assert library.rmse == pytest.approx(shell["rmse"], rel=1e-9)
 
 
 def test_a_report_leaves_the_process_alone():
