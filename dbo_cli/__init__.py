@@ -4,8 +4,6 @@ The public names are loaded when they are asked for, so that importing the packa
 costs nothing.
 """
 
-from __future__ import annotations
-
 from typing import TYPE_CHECKING
 
 from dbo_cli.version import __version__

@@ -4,8 +4,6 @@ What cannot be heard is Ctrl-C while the interpreter itself starts, before the f
 line of this package: it says so in its own way (a traceback, or nothing).
 """
 
-from __future__ import annotations
-
 import os
 
 try:

@@ -5,8 +5,6 @@ Otherwise by the displacement against what is expected of it: then a delay of ac
 and sensor is part of the shift, and a loop makes it uncertain.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The types of the arrays that every room hands to the next."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -7,8 +7,6 @@ and what belongs to a channel (state, summary, history) in one file of all. A lo
 without patterns is one channel whose name is empty: it has the plain files.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -6,8 +6,6 @@ parameter of the library stands in backticks, and the command line shows it as i
 option (`` `skip_bad` `` becomes ``--skip-bad``).
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 import warnings

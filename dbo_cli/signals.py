@@ -3,8 +3,6 @@
 Everything here knows arrays only: no unit, no file, no actuator.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -4,8 +4,6 @@ A unit is carried, never guessed. SI prefixes of one unit are converted, unlike 
 are not. Units are shown in ASCII (``um``).
 """
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

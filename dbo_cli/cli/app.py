@@ -1,7 +1,5 @@
 """The entry of the program: commands by name, an exception as one line and an exit code."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """``dbo check``."""
 
-from __future__ import annotations
-
 import math
 
 from dbo_cli.cli import options as opt

@@ -1,7 +1,5 @@
 """``dbo compare``."""
 
-from __future__ import annotations
-
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, Texts, option
 from dbo_cli.cli.say import say_logs, working

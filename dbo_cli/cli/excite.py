@@ -1,7 +1,5 @@
 """``dbo excite``."""
 
-from __future__ import annotations
-
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import LIMITS, Text, option
 from dbo_cli.cli.say import say_output

@@ -1,7 +1,5 @@
 """``dbo export``."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from dbo_cli.cli import options as opt

@@ -1,7 +1,5 @@
 """``dbo invert``."""
 
-from __future__ import annotations
-
 from dbo_cli.cli import options as opt
 
 

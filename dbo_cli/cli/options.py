@@ -5,8 +5,6 @@ much is printed; a parameter ``reading`` stands for the options that say how a l
 read.
 """
 
-from __future__ import annotations
-
 import functools
 import inspect
 import os

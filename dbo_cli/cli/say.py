@@ -4,8 +4,6 @@ Data alone goes to standard output. A command says at most three lines by defaul
 what was read, what came out, what to expect. Warnings follow (``cli/app.py``).
 """
 
-from __future__ import annotations
-
 import re
 import sys
 import time

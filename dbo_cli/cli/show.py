@@ -1,7 +1,5 @@
 """``dbo show``."""
 
-from __future__ import annotations
-
 import os
 
 from dbo_cli.cli import options as opt

@@ -1,7 +1,5 @@
 """``dbo trajectory``."""
 
-from __future__ import annotations
-
 from typer import Argument
 
 from dbo_cli.cli import options as opt

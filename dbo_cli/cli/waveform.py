@@ -1,7 +1,5 @@
 """``dbo waveform``."""
 
-from __future__ import annotations
-
 from dbo_cli.cli import options as opt
 from dbo_cli.cli.options import Text, Texts, flag, option
 from dbo_cli.cli.say import detail, say, say_output

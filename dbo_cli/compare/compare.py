@@ -1,7 +1,5 @@
 """The DBO beside its relatives: each fitted to the same logs, forward and inverse, in one table."""
 
-from __future__ import annotations
-
 import time
 import timeit
 from collections.abc import Callable, Mapping, Sequence

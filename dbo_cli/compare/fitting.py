@@ -6,8 +6,6 @@ parts of the time that are left out. The measured side holds the dead zones, as 
 G(v) - S^-1(y) = 0, which is linear in all unknowns.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Sequence

@@ -17,8 +17,6 @@ against it:
   *In their place Gu et al. (2014): y = a x^3 + b x + sum p_i F_i, F_i one-sided plays.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from functools import cached_property
 

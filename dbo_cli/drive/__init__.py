@@ -1,7 +1,5 @@
 """Drives: what an amplifier may do, the drive of a move, and the gate that every row passes."""
 
-from __future__ import annotations
-
 from dbo_cli.drive.compensate import Driver
 from dbo_cli.drive.drive import Drive
 from dbo_cli.drive.lead import Lead

@@ -1,7 +1,5 @@
 """Any program's drive against limits, by the gate of this program's own; and what was played."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ and ``Driver.whole`` an array, in blocks. What stands before the move and the mo
 are one signal through one inverse in one state, and every row passes the gate.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

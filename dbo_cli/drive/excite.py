@@ -13,8 +13,6 @@ some turns are held: lag, creep and loop width come apart. (4) It returns and re
 where it began, so that the sensor's drift shows as a difference between equal voltages.
 """
 
-from __future__ import annotations
-
 import math
 import random
 

@@ -1,7 +1,5 @@
 """What is judged of a drive: what limits cut off, what to expect, and what to warn of."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from dataclasses import replace

@@ -6,8 +6,6 @@ there until resonances have died away. These rows are played as they are. Rows a
 first displacement may follow, in which the inverse reads ahead to the move.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 

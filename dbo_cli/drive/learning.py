@@ -7,8 +7,6 @@ learned is multiplied by Q(1 - M) a pass. Q is steep, so that this stays below 1
 resonance that is 25 % off, while what is left below the cut-off is small.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ calls ``commit`` once the hardware has acknowledged it. A plan that is never com
 leaves no trace. The values are those of ``compensate``.
 """
 
-from __future__ import annotations
-
 import contextlib
 import dataclasses
 import math

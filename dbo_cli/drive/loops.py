@@ -9,8 +9,6 @@ What stands before the period is made of the settled drive itself: a ramp to its
 first pass in which it grows from where the amplifier stands, then whole passes of it.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

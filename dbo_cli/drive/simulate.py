@@ -5,8 +5,6 @@ into a drive, which is judged against the voltages that the model was identified
 undo dynamics and delay, rows wait until those after them are known.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace

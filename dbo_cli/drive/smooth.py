@@ -1,7 +1,5 @@
 """Signals that are smooth: half-cosine swings of a voltage, a soft rise, a low-pass without phase."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -4,8 +4,6 @@ Undoing dynamics and delay takes samples of the future: they are held back in wi
 so that an output belongs to the input of so many samples ago.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

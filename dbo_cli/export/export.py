@@ -3,8 +3,6 @@
 The files of a folder appear together or not at all, and only ever replace an export.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

@@ -16,8 +16,6 @@ a disturbance r of the input gives V_k+1 <= V_k + r e - s e^2 - sum c_j ((b_j/2)
 and sum c_j a_j e_j <= r A by Cauchy-Schwarz. That takes c_j >= 0.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

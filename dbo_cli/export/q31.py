@@ -1,7 +1,5 @@
 """The model in q31, whole numbers of 32 bits, as C: tables, steps, and a self-test within the bound."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Text of exported files: templates, and numbers, arrays and names as C."""
 
-from __future__ import annotations
-
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Mapping

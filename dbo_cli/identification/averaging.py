@@ -1,7 +1,5 @@
 """Model averaging: one model of the class, nearest to the weighted mean of the fits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Faults of sensors and loggers, mended or left out before anything is fitted."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

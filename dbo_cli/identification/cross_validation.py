@@ -1,7 +1,5 @@
 """Cross-validation: how well a fit predicts parts of the logs that it was made without."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

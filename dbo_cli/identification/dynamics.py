@@ -8,8 +8,6 @@ fit. ``find`` does this beside a static model that knows no dynamics; the slow r
 then identified again with the sections known, and ``refine`` fits the sections again.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 from typing import Any

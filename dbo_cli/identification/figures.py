@@ -1,7 +1,5 @@
 """What a model file says of its fit: errors on the logs, on parts left out and on new moves; warnings."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Identification of a model from recordings: the whole story on one screen."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

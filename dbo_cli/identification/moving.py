@@ -7,8 +7,6 @@ instead. The sections are then fitted again to the better reading, with a lag be
 gears, where an amplifier has it: to slow moves it is only late, wherever it stands.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

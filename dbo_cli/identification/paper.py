@@ -9,8 +9,6 @@ badly. Hence a fine operator is fitted to the cycle first, and the few gears to 
 does on the cycle and on the cycle shrunk about its middle.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from dbo_cli.arrays import Floats

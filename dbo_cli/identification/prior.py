@@ -9,8 +9,6 @@ no noise: it is alike within a swing and may feign a change. So each number is s
 its own uncertainty, and an actuator that did not change keeps the prior's numbers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Logs made ready for the fit: normalised, some of their rows, and parts of these to leave out."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

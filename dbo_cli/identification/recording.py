@@ -238,10 +238,9 @@ class Swings:
 
     @property
     def loops(self) -> Floats:
-        """Sizes of the swings; the first and the last, which a log may cut, are no smaller than the next."""
+        """Sizes of the swings; a last one that the log breaks off has at least that of the one before."""
         sizes = self.sizes.copy()
         if len(sizes) > 1:
-            sizes[0] = max(sizes[0], sizes[1])
             sizes[-1] = max(sizes[-1], sizes[-2])
         return sizes
 

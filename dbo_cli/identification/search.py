@@ -1,7 +1,5 @@
 """A short list of structures, then neighbours of the best."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace

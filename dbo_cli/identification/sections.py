@@ -5,8 +5,6 @@ a fit without resonances would take for hysteresis. Of a fit: output error, its 
 blocks left out, and spectra for starts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -5,8 +5,6 @@ S goes from 0 at 0 with slopes s over equal segments of [0, 1], whose mean is 1,
 beyond. Bounds: p by the rule for the slopes, c and d >= 0, floors of p and s.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

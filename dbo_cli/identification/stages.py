@@ -1,7 +1,5 @@
 """The stages of a model from a fit in normalised units."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """One thread of linear algebra while a log is identified."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Logs: tables with units, a clock and roles, read from files and written to them."""
 
-from __future__ import annotations
-
 from dbo_cli.logs.frame import frame_table, is_frame, table_in_memory
 from dbo_cli.logs.log import Log, open_log, open_table
 from dbo_cli.logs.table import Block, Column, Reading, Table, parse_rows

@@ -1,7 +1,5 @@
 """Cells of a text log: how lines are split, what is a number, how time stamps look, how rows are laid out."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import math

@@ -5,8 +5,6 @@ repeated stamps are warned of. Time that goes back is refused, and so are figure
 a unit that can hardly be seconds.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 from collections.abc import Sequence

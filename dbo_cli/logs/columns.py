@@ -5,8 +5,6 @@ type. The figures of a column with a role are multiplied so that they are in the
 is wanted.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ first line that is written as they are is the first row; names and units stand r
 above it. What is not clear is refused with the option that says it.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 

@@ -5,8 +5,6 @@ decimal comma, passes long rows where it reads some columns only, and panics at 
 quote. So it reads all columns, and nothing is believed that it does not check.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Sequence
 from typing import Any

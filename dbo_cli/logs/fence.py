@@ -1,7 +1,5 @@
 """A fence around the libraries that read files: what they raise, what they print, whether they are there."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import os

@@ -5,8 +5,6 @@ frame of ``read_log`` states its units in ``attrs["units"]``, by column. A maske
 a missing row.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import replace

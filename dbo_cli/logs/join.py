@@ -1,7 +1,5 @@
 """Rows on other times: beside those of a second recorder, or at an even rate; by linear interpolation."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import replace

@@ -5,8 +5,6 @@ units may stand below or in the place of it. Where there is none, makers' settin
 channel are asked.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Sequence
 

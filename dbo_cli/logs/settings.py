@@ -3,8 +3,6 @@
 One table of keys serves oscilloscopes, LabVIEW, PI and whoever writes ``key: value``.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Sequence

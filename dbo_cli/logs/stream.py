@@ -4,8 +4,6 @@ Whatever the encoding and the line ends are, what is handed on is a superset of 
 which ``\n`` ends a line.
 """
 
-from __future__ import annotations
-
 import codecs
 import contextlib
 import gzip

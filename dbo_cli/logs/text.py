@@ -5,8 +5,6 @@ How they are written is found by ``dialect.py``. polars reads a block at once
 file, which does without polars.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator, Sequence
 from typing import Any

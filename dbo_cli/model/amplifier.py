@@ -6,8 +6,6 @@ ahead: v_k = u_k-1 + (u_k - u_k-1)/(1 - a). Limits of v are a window of u that m
 u_k-1. At rest at the first sample, u is v.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple

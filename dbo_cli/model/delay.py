@@ -9,8 +9,6 @@ of a sine, the error (RMS, in percent of peak to peak) is 1.3 with 5 samples a p
 0.05 with 10 and 0.002 with 20; linearly it is 6.8, 1.7 and 0.44.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import ClassVar

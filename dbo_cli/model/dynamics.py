@@ -23,8 +23,6 @@ alone, so that the inverse of a rest is the same rest. The zeros of an antireson
 both inside, and run forward.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable

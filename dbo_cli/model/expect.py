@@ -8,8 +8,6 @@ are one, and a start that a model keeps may be another), and what memories may h
 came to rest at any voltage of the range, equally likely.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

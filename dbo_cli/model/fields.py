@@ -7,8 +7,6 @@ A reader is a function of a JSON value and the path of its key. It returns what 
 stands for, or raises ModelError with the path.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import sys

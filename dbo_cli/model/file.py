@@ -5,8 +5,6 @@ gives the same float64. ``docs/model-file.md`` is the contract. A state file say
 an actuator was left, so that the next run goes on from there.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping

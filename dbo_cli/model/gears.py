@@ -8,8 +8,6 @@ and Compensation of Hysteresis and Non-linearity for Piezoelectric Actuator"; eq
 numbers are the paper's.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

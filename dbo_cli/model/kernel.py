@@ -1,7 +1,5 @@
 """The recursions of the model in C: the extension ``_kernel``, which every installation has."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from dbo_cli.errors import DboError

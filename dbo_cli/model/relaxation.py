@@ -3,8 +3,6 @@
 Negative gains must leave enough of the slopes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial

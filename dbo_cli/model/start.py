@@ -1,7 +1,5 @@
 """Starts: what the gears have been through before the first sample, by name."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Moves to be followed, and drives as the files that generators take."""
 
-from __future__ import annotations
-
 from dbo_cli.moves.shapes import check_reach, trajectory
 from dbo_cli.moves.waveform import side_by_side, waveform
 

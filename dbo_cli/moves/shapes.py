@@ -6,8 +6,6 @@ zero, so that nothing jumps but what no rounding was asked for; each turn and ea
 takes one period of the bandwidth.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 ``npy`` and ``pi-gcs`` hold volts, the others codes, whose ends stand for two voltages.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import wave

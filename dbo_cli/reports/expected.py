@@ -1,7 +1,5 @@
 """What error was to be expected of a log: from a summary of ``compensate``."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A recording and a trajectory that lie in two files: which rows belong together."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ The error is *measured - desired* throughout, in the unit of the two signals. A 
 ``loop_width`` lags behind; ``p95_abs`` is the magnitude that 95 % of the errors stay below.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping

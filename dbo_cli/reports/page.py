@@ -1,7 +1,5 @@
 """The parts of a page without script and without network: its style and its figures are inside it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from html import escape
 from importlib import resources

@@ -1,7 +1,5 @@
 """Numbers, units, names and tables as people read them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -5,8 +5,6 @@ is opened, and so is its library. A reader of another package joins as an entry 
 the group ``dbo_cli.readers``, named by the suffix of its files (``.xyz``).
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Parquet and Feather files, read by polars in stretches of rows."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Workbooks: a sheet becomes text with tabs, which is read as any text."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -4,8 +4,6 @@ A log is one file: what leads elsewhere (links, virtual datasets, external stora
 passed over, and refused where it is typed. MATLAB's files of version 7.3 and netCDF-4 are HDF5, too.
 """
 
-from __future__ import annotations
-
 import posixpath
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

@@ -5,8 +5,6 @@ tags are walked here, for scipy ends the process at a damaged one; what they say
 matrix of numbers is all that is needed to read it.
 """
 
-from __future__ import annotations
-
 import zlib
 from collections.abc import Iterator
 from typing import Any

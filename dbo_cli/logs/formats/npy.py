@@ -1,7 +1,5 @@
 """Arrays of NumPy by name: records, and matrices whose columns have numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Zip archives: of NumPy's arrays by name, and workbooks."""
 
-from __future__ import annotations
-
 import zipfile
 
 import numpy as np

@@ -1,7 +1,5 @@
 """TDMS files of LabVIEW: channels of numbers, read in blocks by nptdms."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
