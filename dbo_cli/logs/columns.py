@@ -394,7 +394,7 @@ def _units_of(column: Column) -> list[str]:
         for amount in re.findall(r"(?<![^\s/*])\d[\d.,]*(?:\s+(\S+)|$)", title):
             if spell(amount) in (unit, None):
                 return [unit, "another unit"]
-    capitals = unit if unit in ("MV", "Mv", "MM", "Mm") else None
+    capitals = unit if unit and re.fullmatch("M[VvMmAaNn]", unit) else None
     if not unit:  # PV is a process value
         written = re.search(r"[\s_/](?!PV$)([A-Z]{2,4})$|[a-z]([KMN][mv]|Uv)$", title)
         capitals = written and (written[1] or written[2])
