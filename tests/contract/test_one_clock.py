@@ -342,9 +342,10 @@ def test_clocks_of_two_recorders_are_found(both):
 )
 def test_a_recorder_that_began_a_little_late_is_told_of_where_it_shows(offset, swings):
     """Up to 50 ms were taken in silence; one swing that repeats is as well a wider loop."""
-    done("excite", "--v-max", 100, "--sample-rate", 500, "-o", "drive.csv")
+    words = ("--v-max", 100, "--sample-rate", 200, "--duration", 10)
+    done("excite", *words, "-o", "drive.csv")
     if swings == "one":
-        time = np.arange(0.0, 20.0, 2e-3)
+        time = np.arange(0.0, 20.0, 5e-3)
         write("drive.csv", DRIVE, time, 100.0 * abs(0.2 * time % 2 - 1))
     moved = simulated("creep", "drive.csv")
     moved += 1e-3 * np.random.default_rng(0).standard_normal(len(moved))
@@ -374,7 +375,7 @@ def test_what_a_report_cannot_tell_from_a_late_actuator_is_an_error(offset):
 def test_a_late_sensor_is_no_error():
     """It stands in the model and in a summary; reports and learning take it off."""
     late = 8e-3
-    done("excite", "--v-max", 100, "-o", "drive.csv")
+    done("excite", "--v-max", 100, "--duration", 10, "-o", "drive.csv")
     time, volts = (table("drive.csv")[key] for key in ("time_s", "voltage_V"))
     moved = simulated("creep", "drive.csv")
     write("log.csv", LOG, time, volts, np.interp(time - late, time, moved))

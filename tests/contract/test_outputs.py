@@ -117,7 +117,7 @@ def test_an_exported_model_is_not_replaced_by_its_export(files):
 # --- figures ---
 
 
-def test_figures_follow_no_link_and_replace_no_input(files):
+def test_figures_follow_no_link_and_replace_no_input(files, unpainted):
     Path("figures").mkdir()
     Path("precious").write_text("precious\n")
     shutil.copy("mm.json", "figures/model-loop.png")
