@@ -191,7 +191,8 @@ def store_set(path, **models):
     return store(path, {"format": "dbo-model-set", "version": 1, "models": models})
 
 
-QUICK = "--gears 20 --points 0 --delay 0 --relaxation 0 --dynamics 0".split()
+QUICK = "--gears 20 --points 0 --delay 0 --relaxation 0 --dynamics 0 --slopes growing"
+QUICK = QUICK.split()
 """A structure that is identified in a moment."""
 DRIVE = "time_s,voltage_V"
 MOVE = "time_s,displacement_um"
