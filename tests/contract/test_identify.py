@@ -161,8 +161,9 @@ def test_a_structure_that_is_typed_is_taken():
 def test_a_library_of_many_threads_writes_the_file_of_the_shell():
     """The same numbers from both, however many threads linear algebra has in a process."""
     moved_log()
-    done("identify", "log.csv", "--points", 0, "--delay", 0, "-o", "shell.json")
-    call = "identify('log.csv', points=0, delay=0.0)"
+    words = ("--points", 0, "--delay", 0, "--slopes", "growing")
+    done("identify", "log.csv", *words, "-o", "shell.json")
+    call = "identify('log.csv', points=0, delay=0.0, slopes='growing')"
     script = f"import dbo_cli; dbo_cli.{call}.save('library.json')"
     many = {**os.environ, "OPENBLAS_NUM_THREADS": "2"}
     subprocess.run([sys.executable, "-c", script], env=many, check=True)
@@ -489,7 +490,7 @@ def test_a_log_that_begins_in_motion_keeps_its_zero(first):
     time = np.arange(len(drive)) / 200.0
     rows = slice(first, None)
     write("log.csv", LOG, time[rows], drive[rows], (moved + noise)[rows])
-    plain = ("--points", 0, "--delay", 0)
+    plain = ("--points", 0, "--delay", 0, "--slopes", "growing")
     stated = identified("log.csv", *plain)["fit"]["expected_rmse"]
     followed = dbo_cli.read_model(FITTED).simulate(drive, time=time)
     error = rms((followed - moved)[rows])
@@ -515,7 +516,7 @@ def test_a_decay_that_begins_on_a_way_from_rest_tells_new_moves():
     drive = 50.0 + 50.0 * np.sin(np.pi * time) * np.exp(-time / 18.0)
     noise = np.random.default_rng(3).normal(0.0, 0.005, len(drive))
     moved = piezo(drive, np.linspace(0.0, 50.0, 100))
-    plain = {"points": 0, "delay": 0.0}
+    plain = {"points": 0, "delay": 0.0, "slopes": "growing"}
     model = dbo_cli.identify(drive, moved + noise, time=time, **plain)
     turns = np.random.default_rng(5).uniform(0.0, 100.0, 21)
     new = np.interp(time, np.arange(21.0), turns)
@@ -530,7 +531,7 @@ def test_the_number_holds_a_zero_that_a_log_begun_in_motion_does_not_show():
     before = np.interp(np.arange(600), [0, 200, 400, 600], [0, 90, 10, drive[0]])
     noise = np.random.default_rng(5).normal(0.0, 0.005, len(drive))
     moved = piezo(drive, before) + noise
-    plain = {"points": 0, "delay": 0.0}
+    plain = {"points": 0, "delay": 0.0, "slopes": "growing"}
     model = dbo_cli.identify(drive, moved, sample_rate=200.0, **plain)
     wanted = 5.5 - 3.0 * np.cos(2.0 * np.pi * np.arange(800) / 200.0)
     amplifier = {"from_": 0.0, "v_min": 0.0, "v_max": 100.0, "max_slew": 2000.0}
@@ -546,7 +547,7 @@ def test_a_zero_that_creep_from_before_a_log_may_shift_is_told():
     drive = table(done("excite", "--v-max", 100, "--sample-rate", 200))["voltage_V"]
     noise = np.random.default_rng(3).normal(0.0, 0.002, len(drive))
     moved = piezo(drive, np.zeros(1)) + noise
-    plain = {"sample_rate": 200.0, "points": 0, "delay": 0.0}
+    plain = {"points": 0, "delay": 0.0, "slopes": "growing", "sample_rate": 200.0}
     texts = []
     for first in (0, 250):
         model = dbo_cli.identify(drive[first:], moved[first:], **plain)

@@ -379,8 +379,9 @@ def test_a_late_sensor_is_no_error():
     time, volts = (table("drive.csv")[key] for key in ("time_s", "voltage_V"))
     moved = simulated("creep", "drive.csv")
     write("log.csv", LOG, time, volts, np.interp(time - late, time, moved))
-    plain = ("--relaxation", "0.01,0.3", "--points", 8, "--delay", 0, "--dynamics", 0)
-    done("identify", "log.csv", "--sensor-delay", "8ms", *plain, "-o", "m.json")
+    words = "--relaxation 0.01,0.3 --points 8 --delay 0 --dynamics 0 --slopes growing"
+    words = ("log.csv", "--sensor-delay", "8ms", *words.split())
+    done("identify", *words, "-o", "m.json")
     write("move.csv", MOVE, TIME, 3.0 - 2.0 * np.cos(np.pi * TIME))
     words = ("compensate", "m.json", "move.csv", "--condition", "--from", 0)
     done(*words, "-o", "d.csv", "--summary", "s.json")
