@@ -190,9 +190,16 @@ def test_a_mean_that_is_not_learned_is_told():
     assert "expected error" in whole and "without the mean" not in whole
 
 
-@pytest.mark.parametrize("lead", [("--passes", 2), ("--approach", 0.13)])
-@pytest.mark.parametrize("start", [0.0, 1.7e9])
-@pytest.mark.parametrize("lost", [0, 37, 737])
+RUN_IN, WAY_IN = ("--passes", 2), ("--approach", 0.13)
+
+
+@pytest.mark.parametrize(
+    ("lead", "start", "lost"),
+    [
+        (RUN_IN, 0.0, 0), (RUN_IN, 1.7e9, 37), (RUN_IN, 0.0, 737),
+        (WAY_IN, 1.7e9, 0), (WAY_IN, 0.0, 37), (WAY_IN, 1.7e9, 737),
+    ],
+)  # fmt: skip
 def test_a_loop_is_learned_from_wherever_its_recorder_counts_from(lead, start, lost):
     """Its stamps were believed: a clock from 0 put what leads to the loop into its mean, or was refused."""
     time = STEP * np.arange(400)
