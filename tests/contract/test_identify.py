@@ -458,7 +458,7 @@ def test_the_start_of_a_log_that_a_recorder_began_late_is_kept():
     for first in (0, 60):
         rows = slice(first, None)
         write("log.csv", LOG, time[rows], drive[rows], (moved + noise)[rows])
-        identified("log.csv", "--relaxation", 0, "--delay", 0)
+        identified("log.csv", "--delay", 0, "--relaxation", 0, "--slopes", "growing")
         model = dbo_cli.read_model(FITTED)
         errors.append(rms(model.simulate(drive, time=time) - moved))
     assert errors[1] < 5.0 * errors[0]

@@ -155,7 +155,9 @@ def test_figures_of_channels_stand_in_folders_of_their_own(files, unpainted):
     ("compensate", "mm.json", "wish.csv", "-o", "out.h5", "--summary", "s.json"),
     ("compensate", "mm.json", "wish.csv", "-o", "out.csv", "--save-state", "s.json"),
 ])  # fmt: skip
-def test_a_full_disk_leaves_nothing_behind(files, words):
+def test_a_full_disk_leaves_nothing_behind(files, words, monkeypatch):
+    """And figures get as far as that with the backend of another program, as in a notebook."""
+    monkeypatch.setenv("MPLBACKEND", "of another program")
     before = listing()
     line = [*PROGRAM, *words, "-q"]
 
