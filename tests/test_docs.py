@@ -239,7 +239,9 @@ def record(name, gain):
 
 
 @pytest.mark.usefixtures("logs", "unpainted")
-def test_the_commands_of_the_pages_run():
+def test_the_commands_of_the_pages_run(monkeypatch):
+    """Identification stops at its first structures: here any model will do."""
+    monkeypatch.setattr("dbo_cli.identification.search.ROUNDS", ())
     seen = set()
     pages = [DOCS / f"{name}.md" for name in WITH_COMMANDS]
     for path in [pages[0], ROOT / "README.md", *pages[1:]]:

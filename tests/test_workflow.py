@@ -17,7 +17,9 @@ ROOT = Path(__file__).resolve().parent.parent
 WORKFLOW = ROOT / "workflow"
 MODEL = ROOT / "tests" / "contract" / "models" / "small.json"
 MANY = int(os.environ.get("DBO_LOGS", "3"))  # make labs: 40
-IDENTIFY = "--gears 32 --points 0 --relaxation 0 --delay 0 --dynamics 0"
+IDENTIFY = (
+    "--gears 32 --points 0 --relaxation 0 --delay 0 --dynamics 0 --slopes growing"
+)
 
 
 @pytest.fixture

@@ -191,7 +191,8 @@ def store_set(path, **models):
     return store(path, {"format": "dbo-model-set", "version": 1, "models": models})
 
 
-QUICK = "--gears 20 --points 0 --delay 0 --relaxation 0 --dynamics 0".split()
+QUICK = "--gears 20 --points 0 --delay 0 --relaxation 0 --dynamics 0 --slopes growing"
+QUICK = QUICK.split()
 """A structure that is identified in a moment."""
 DRIVE = "time_s,voltage_V"
 MOVE = "time_s,displacement_um"
@@ -202,9 +203,9 @@ PASS = "time_s,voltage_V,measured_um"
 
 def write(name, header, *columns):
     """Write a CSV file whose numbers read back exactly."""
-    rows = zip(*(np.asarray(column, float) for column in columns), strict=True)
-    body = "".join(",".join(map(repr, map(float, row))) + "\n" for row in rows)
-    Path(name).write_text(f"{header}\n{body}")
+    texts = [map(repr, np.asarray(column, float).tolist()) for column in columns]
+    rows = map(",".join, zip(*texts, strict=True))
+    Path(name).write_text("\n".join([header, *rows, ""]))
     return Path(name)
 
 

@@ -477,7 +477,7 @@ def stamps(case):
     return time if case["decimals"] is None else np.round(time, case["decimals"])
 
 
-@settings(max_examples=40)
+@settings(max_examples=30)
 @given(case=CLOCKS)
 def test_what_was_written_passes_the_check(case):
     time = stamps(case)

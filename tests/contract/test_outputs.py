@@ -117,7 +117,7 @@ def test_an_exported_model_is_not_replaced_by_its_export(files):
 # --- figures ---
 
 
-def test_figures_follow_no_link_and_replace_no_input(files):
+def test_figures_follow_no_link_and_replace_no_input(files, unpainted):
     Path("figures").mkdir()
     Path("precious").write_text("precious\n")
     shutil.copy("mm.json", "figures/model-loop.png")
@@ -155,7 +155,9 @@ def test_figures_of_channels_stand_in_folders_of_their_own(files, unpainted):
     ("compensate", "mm.json", "wish.csv", "-o", "out.h5", "--summary", "s.json"),
     ("compensate", "mm.json", "wish.csv", "-o", "out.csv", "--save-state", "s.json"),
 ])  # fmt: skip
-def test_a_full_disk_leaves_nothing_behind(files, words):
+def test_a_full_disk_leaves_nothing_behind(files, words, monkeypatch):
+    """And figures get as far as that with the backend of another program, as in a notebook."""
+    monkeypatch.setenv("MPLBACKEND", "of another program")
     before = listing()
     line = [*PROGRAM, *words, "-q"]
 

@@ -239,7 +239,7 @@ PLAIN_GEARS = {"gears": 20, "points": 0, "delay": 0.0, "relaxation": ()}
 
 
 def quick(*data, **more):
-    return dbo.identify(*data, **PLAIN_GEARS, dynamics=0, **more)
+    return dbo.identify(*data, **PLAIN_GEARS, dynamics=0, slopes="growing", **more)
 
 
 @pytest.fixture

@@ -155,6 +155,7 @@ class Firmware:
             f" s = t; return y; }}\n"
         )
         self.flags = [*FLAGS, "-O0", "-fPIC", *flags]
+        self.compiled = {}
         # a name of its own: a library of a path that is loaded already is not loaded again
         output = folder / f"play_{next(NUMBERS)}.so"
         self._compile([*self._objects("_test"), "-shared", "-o", output])
@@ -164,7 +165,7 @@ class Firmware:
         self.library.reset.argtypes = [self.kind]
 
     def _objects(self, left_out):
-        """Compile the sources; those of the kernel only once for all exports."""
+        """Compile the sources once; those of the kernel once for all exports."""
         objects = []
         for path in sorted(self.folder.glob("*.c")):
             if left_out not in path.name:
@@ -172,17 +173,15 @@ class Firmware:
         return objects
 
     def _object(self, path):
-        key = None
-        if path.name.startswith("dbo_"):
-            key = (path.read_text(), tuple(self.flags))
-        if key in COMPILED:
-            return COMPILED[key]
+        key, compiled = (path.read_text(), *self.flags), self.compiled
         output = path.with_suffix(".o")
-        if key is not None:
+        if path.name.startswith("dbo_"):
+            compiled = COMPILED
             output = Path(KEPT.name) / f"{len(COMPILED)}.o"
-            COMPILED[key] = output
-        self._compile(["-c", path, "-o", output])
-        return output
+        if key not in compiled:
+            self._compile(["-c", path, "-o", output])
+            compiled[key] = output
+        return compiled[key]
 
     def _compile(self, words):
         subprocess.run([str(word) for word in [CC, *self.flags, *words]], check=True)

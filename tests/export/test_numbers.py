@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import firmware as fw
 import numpy as np
 import pytest
 
@@ -12,6 +11,7 @@ from dbo_cli.errors import ModelError, UsageError
 from dbo_cli.export import export_model
 from dbo_cli.export.plan import with_fewer_gears
 from dbo_cli.model import Delay, Relaxation, Scale
+from tests.export import firmware as fw
 
 pytestmark = pytest.mark.skipif(fw.NO_COMPILER, reason="needs a C compiler")
 FREE = {}
@@ -38,8 +38,7 @@ CASES += [(name, FREE, {}) for name in ("creep", "amplifier", "dynamics")]
 CASES += [("negative gains", FREE, {})]
 CASES += [(name, BEYOND, {}) for name in ("beyond", "beyond, soft")]
 CASES += [("few", kept, {"lookup": True}) for kept in (FREE, LIMITED)]
-CASES += [("many", FREE, {"flags": ["-DDBO_SMALL"]})]
-CASES += [("many", FREE, {"flags": ["-DDBO_PLACE=uint16_t"]})]
+CASES += [("many", FREE, {"flags": ["-DDBO_SMALL", "-DDBO_PLACE=uint16_t"]})]
 
 
 @pytest.mark.parametrize(("name", "kept", "options"), CASES)

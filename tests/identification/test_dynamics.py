@@ -147,7 +147,7 @@ def test_a_lag_stands_before_the_gears_unless_a_large_sweep_shows_it_behind(
 def test_resonances_without_a_sweep_are_refused():
     log = recorded(plant(), swept()[:4000])
     with pytest.raises(FitError, match="`dynamics` 1"):
-        identify([log], Options(dynamics=1))
+        identify([log], Options(dynamics=1, relaxation=(), points=0, delay=0.0))
 
 
 def test_fast_memories_act_at_once_and_slow_ones_stay():

@@ -65,7 +65,7 @@ def test_gain_offset_and_delay_come_back():
     assert refreshed.output.span == pytest.approx(10.7, rel=0.005)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("shape", ["sine", "triangle"])
 @pytest.mark.parametrize("ends", [(0.0, 100.0), (40.0, 60.0), (75.0, 95.0)])
 def test_an_unchanged_actuator_keeps_its_numbers(ends, shape, seed):
