@@ -681,7 +681,8 @@ def report(
     voltage : array_like, optional
         The drive, for the figures.
     expected : mapping, optional
-        The summary of the drive, ``drive.summary()``: the error that was to be expected.
+        The summary of the drive, ``drive.summary()``: the error that was to be expected. A
+        time that covers its move is taken for the drive's: rows beside the move do not count.
     unit, voltage_unit : str, optional
         Of the displacements and of the drive; without, those that Series state of
         themselves, else those of the model.
@@ -732,17 +733,20 @@ def report(
         )
     pairs, units, _ = pairs_of([table], columns, reading, actuator, start)
     unit = units.get("measured")
-    is_drive = expected is not None  # rows beside its move do not count
-    made = Report(
-        [
+    told = expected_in(expected, unit)
+    counted = []
+    for pair in pairs:
+        is_drive = pair.covers(told.move_time)  # rows beside its move do not count
+        counted.append(
             dataclasses.replace(pair, rows=rows, name=name, on_drive_clock=is_drive)
-            for pair in pairs
-        ],
+        )
+    made = Report(
+        counted,
         unit=unit,
         voltage_unit=units.get("voltage"),
         lag=lag,
         remove_offset=remove_offset,
-        expected=expected_in(expected, unit),
+        expected=told,
         max_rmse=quantity("max_rmse", max_rmse, unit),
         max_nrmse_percent=quantity("max_nrmse_percent", max_nrmse_percent, "%"),
         model=actuator,

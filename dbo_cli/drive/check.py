@@ -20,6 +20,8 @@ TOLERANCE = 1e-3
 NOISE = 6.0
 """Standard deviations of a recording's noise: white noise reaches 5 once in two million rows."""
 SAME_ROW = 0.02  # rows off an end of the drive, as far as noise moves a lag
+HELD = 0.6  # steps of the drive: shorter ones of a recorder show a row that is held
+MISSING = 3.0  # steps, of the drive or the recorder, from which on rows in between are missing
 GAP = 1.5  # longest steps around it, from which on a step is a gap
 NEIGHBOURS = 16  # steps on either side that say what is usual
 EVEN_STEPS = 0.1
@@ -43,7 +45,8 @@ class Checked:
     played : dict, optional
         How a recording is like the drive: how many ``rows`` of it the recording holds, by how
         much it is later (``lag_rows``, ``lag_seconds``), recording = ``gain`` * drive +
-        ``offset``, and the ``largest_difference`` beside the ``tolerance``, in ``unit``.
+        ``offset``, and the ``largest_difference`` beside the ``tolerance``, in ``unit``, from
+        what lies between two rows where the recorder is clearly faster.
     """
 
     name: str
@@ -236,13 +239,15 @@ def check_played(
     drive, recorded : array
         What was computed, and what was recorded (behind the amplifier's gain).
     times : (array or None, array or None)
-        Seconds of each row of the two. Between two rows of the drive, whatever lies between
-        these is right; without a clock the recording has the drive's rate.
+        Seconds of each row of the two. At other times the drive is interpolated; where the
+        recorder is clearly faster, what lies between two rows of the drive is as good.
+        Without a clock one has the rate of the other.
     tolerance : float
         The largest difference allowed.
     """
-    planned = _on_its_clock(drive, times[0], 1.0)
-    step = step_of(planned.time) or 1.0
+    usual = 0.0 if times[1] is None else step_of(times[1])
+    planned = _on_its_clock(drive, times[0], usual or 1.0)
+    step = step_of(planned.time) or usual or 1.0
     trace = _on_its_clock(recorded, times[1], step)
     recorded_step = step_of(trace.time) or step
     found = align_drives(trace, planned)
@@ -254,16 +259,19 @@ def check_played(
     row = np.interp(time[inside], planned.time, np.arange(float(drive.size)))
     row, played = np.round(row, 6), recorded[inside]
     meant = between(drive, row)
-    around = drive[np.floor(row).astype(int)], drive[np.ceil(row).astype(int)], meant
+    around = [meant]
+    if recorded_step < HELD * step:  # a converter holds each row until the next one
+        around += [drive[np.floor(row).astype(int)], drive[np.ceil(row).astype(int)]]
     gain, offset = 1.0, float(np.mean(played - meant))
     if np.ptp(meant) > 0.0:
         gain, offset = np.polyfit(meant, played, 1).tolist()
-    # a converter may hold a row until the next one
     beyond = np.maximum(
         played - np.max(around, axis=0), np.min(around, axis=0) - played
     )
     largest = max(float(beyond.max()), 0.0)
-    shared = math.ceil(row[-1]) - math.floor(row[0]) + 1
+    steps = np.diff(row)
+    gaps = steps[steps > MISSING * max(1.0, recorded_step / step)]
+    shared = math.ceil(row[-1]) - math.floor(row[0]) + 1 - round(float(gaps.sum()))
     checked.played = {
         "rows": shared,
         "lag_rows": lag / recorded_step,

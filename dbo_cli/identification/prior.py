@@ -73,10 +73,14 @@ def rescale(
         ]
         if not options.force:
             raise FitError(f"{warnings[0]} (`force` keeps the shape)")
-    gain, offset = _shrunk(numbers, errors)[:2].tolist()
+    shrunk = _shrunk(numbers, errors)
+    gain, offset = shrunk[:2].tolist()
     scale = Scale(1.0 + gain, offset - gain * middle)
     rmse = float(np.sqrt(np.mean(residual**2)))
-    unsure = float(np.hypot(errors[0] * table[:, 0].std(), errors[1]))
+    off, reach = np.hypot(errors, numbers - shrunk), prior.output
+    centre = 0.5 * (reach.min + reach.max)
+    spread = np.hypot(reach.span / np.sqrt(12.0), centre - middle)
+    unsure = float(np.hypot(off[0] * spread, off[1]))
     return _refreshed(prior, scale, delay, (rmse, unsure), warnings)
 
 
@@ -146,8 +150,14 @@ def _stated_error(prior: Cascade, logs: Sequence[Recording]) -> float:
             steps = np.diff(log.time, prepend=log.time[0])
         expected = expected_error(prior, log.voltage, steps)
         error = prior.fit.get("rmse", 0.0) if expected is None else expected.known
-        squares.append(float(error) ** 2)
+        squares.append(_of_shape(prior, error) ** 2)
     return float(np.sqrt(max(squares)))
+
+
+def _of_shape(prior: Cascade, error: float) -> float:
+    """Return the part of a stated error (RMS) that is the shape's: what was unsure before is found again."""
+    unsure: float = prior.fit.get("prior", {}).get("unsure", 0.0)
+    return float(np.sqrt(max(error**2 - unsure**2, 0.0)))
 
 
 def _shape_error(residual: Floats) -> float:
@@ -197,7 +207,8 @@ def _refreshed(
 ) -> Cascade:
     """Return the prior's model, candidates and figures behind another scale and a delay (s).
 
-    ``errors`` (RMS) are what is left of the logs, and what gain and offset are unsure by.
+    ``errors`` (RMS) are what is left of the logs, and what gain and offset are unsure by
+    over the range.
     """
 
     def changed(stages: Sequence[Stage]) -> tuple[Stage, ...]:
@@ -216,9 +227,8 @@ def _refreshed(
     fit: dict[str, Any] = dict(prior.fit)
     for key in ("expected_rmse", "left_out_rmse"):
         if isinstance(fit.get(key), float):
-            fit[key] = float(
-                np.hypot(max(change.gain * fit[key], errors[0]), errors[1])
-            )
+            shape = max(change.gain * _of_shape(prior, fit[key]), errors[0])
+            fit[key] = float(np.hypot(shape, errors[1]))
     fit |= {
         "method": "prior",
         "validation": [],
@@ -227,6 +237,7 @@ def _refreshed(
             "gain": change.gain,
             "offset": change.offset,
             "delay_seconds": delay,
+            "unsure": errors[1],
             "digest": prior.digest,
         },
     }

@@ -252,7 +252,8 @@ def drive_range(voltage: Floats) -> tuple[float, float]:
     fast as the samples is no noise; nor are the steps of a drive that is held for some rows.
     """
     low, high = float(voltage.min()), float(voltage.max())
-    deviation = noise(voltage[np.append(True, np.diff(voltage) != 0.0)])
+    changing = voltage[np.append(True, np.diff(voltage) != 0.0)]
+    deviation = min(noise(voltage), noise(changing))
     steps = np.diff(np.unique(voltage))
     resolution = max(float(steps.min()), ROUNDING * (high - low))
     if deviation <= resolution or Swings.of(voltage).usual_rows < ROWS_WITH_NOISE:

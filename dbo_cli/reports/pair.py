@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dbo_cli.arrays import Booleans, Floats
+from dbo_cli.arrays import Booleans, Floats, Range
 from dbo_cli.errors import InputError
 from dbo_cli.reports.expected import UNKNOWN, Expected
 from dbo_cli.signals import step_of, without_delay
@@ -105,6 +105,14 @@ class Pair:
     def step(self) -> float | None:
         """The seconds from row to row; None where no clock is known."""
         return None if self.time is None else step_of(self.time) or None
+
+    def covers(self, times: Range) -> bool:
+        """Return whether the log has rows from the first to the second time (s), to half a row."""
+        if self.time is None:
+            return False
+        slack = 0.5 * (self.step or 0.0)
+        begin, end = times
+        return bool(self.time[0] <= begin + slack and self.time[-1] >= end - slack)
 
 
 def rows_text(count: int) -> str:

@@ -16,6 +16,7 @@ import scipy.signal
 
 import dbo_cli
 from dbo_cli.errors import FitError
+from dbo_cli.identification.problem import drive_range
 from dbo_cli.identification.recording import begins_in_motion
 from dbo_cli.library import Fit
 from dbo_cli.model import Candidate, Cascade, Gears, Quantity, Relaxation
@@ -408,6 +409,15 @@ def test_the_range_is_that_of_the_drive_and_not_of_its_noise():
     low = fitted(noisy, came).input.min
     assert -0.7 < low < 0.7
     assert noisy.min() <= low <= noisy.min() + 2.0
+
+
+@pytest.mark.parametrize("held", [1, 2, 5, 50])
+def test_a_drive_that_is_held_or_goes_in_steps_keeps_its_ends(held):
+    """Two rows of a converter each looked like noise; without repeats the levels of steps do."""
+    sine = 50.0 - 50.0 * np.cos(2.0 * np.pi * np.arange(0.0, 4.0, held * 2e-3))
+    levels = np.random.default_rng(held).uniform(0.0, 100.0, 120)
+    for drive in (np.repeat(sine, held), np.repeat(levels, 50)):
+        assert drive_range(drive) == (drive.min(), drive.max())
 
 
 def test_the_development_table_refuses_a_constant_that_is_none(tmp_path):

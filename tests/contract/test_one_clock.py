@@ -171,6 +171,31 @@ def test_a_drive_that_a_converter_holds_is_what_was_played():
     assert outcome.code == 3 and "differs by up to" in outcome.out
 
 
+@pytest.mark.parametrize("fault", ["twice", "skipped", "missing"])
+def test_rows_played_twice_skipped_or_missing_are_told(fault):
+    """Between two rows of a drive of the same rate nothing else is right; a recorder may lose some."""
+    rows = np.arange(4000)
+    volts = 50.0 + 40.0 * np.sin(2.0 * np.pi * 3.0 * STEP * rows)
+    picked = np.sort(np.append(rows, 2000)) if fault == "twice" else rows
+    if fault == "skipped":
+        picked = np.delete(rows, 2000)
+    stamps = STEP * np.arange(len(picked))
+    if fault == "missing":
+        stamps += 0.3 * STEP * np.random.default_rng(1).uniform(-1.0, 1.0, 4000)
+        picked, stamps = (
+            np.delete(rows, slice(2700, 3000)),
+            np.delete(stamps, slice(2700, 3000)),
+        )
+        volts_of = np.interp(stamps, STEP * rows, volts)
+    else:
+        volts_of = volts[picked]
+    write("drive.csv", "time_s,voltage_V", STEP * rows, volts)
+    write("played.csv", "time_s,voltage_V", stamps, volts_of)
+    outcome = dbo("check", "played.csv", "--against", "drive.csv")
+    told = "not in the recording" if fault == "missing" else "differs by up to"
+    assert outcome.code == 3 and told in outcome.out
+
+
 # --- the next pass ---
 
 

@@ -88,6 +88,18 @@ def test_a_zero_that_an_unknown_past_may_explain_is_in_the_stated_error(ends, of
     assert error(refreshed, truth) < 1.5 * refreshed.fit["expected_rmse"]
 
 
+def test_what_was_unsure_of_a_prior_is_found_again_and_no_part_of_its_shape():
+    """The stated error grew with each refreshing, and another shape was accepted then."""
+    drive = waves(40.0, 60.0, 3)
+    stated, model = [], actuator()
+    for _ in range(3):
+        model = rescale(model, [recorded(actuator(), drive)], Options())
+        stated.append(model.fit["expected_rmse"])
+    assert stated[0] > 0.02 and stated[2] == pytest.approx(stated[0], rel=0.05)
+    with pytest.raises(FitError, match="shape has changed"):
+        rescale(model, [recorded(actuator(grow=1.6), waves(0.0, 100.0))], Options())
+
+
 def test_a_changed_shape_is_refused_and_kept_by_force():
     log = recorded(actuator(grow=1.6), waves(0.0, 100.0))
     with pytest.raises(FitError, match=r"new\.csv"):
