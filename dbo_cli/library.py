@@ -733,10 +733,11 @@ def report(
         )
     pairs, units, _ = pairs_of([table], columns, reading, actuator, start)
     unit = units.get("measured")
-    told = expected_in(expected, unit)
+    expected_error = expected_in(expected, unit)
+    move_time = expected_error.move_time  # of the drive: rows beside it do not count
     counted = []
     for pair in pairs:
-        is_drive = pair.covers(told.move_time)  # rows beside its move do not count
+        is_drive = pair.covers(move_time)
         counted.append(
             dataclasses.replace(pair, rows=rows, name=name, on_drive_clock=is_drive)
         )
@@ -746,7 +747,7 @@ def report(
         voltage_unit=units.get("voltage"),
         lag=lag,
         remove_offset=remove_offset,
-        expected=told,
+        expected=expected_error,
         max_rmse=quantity("max_rmse", max_rmse, unit),
         max_nrmse_percent=quantity("max_nrmse_percent", max_nrmse_percent, "%"),
         model=actuator,

@@ -21,7 +21,7 @@ NOISE = 6.0
 """Standard deviations of a recording's noise: white noise reaches 5 once in two million rows."""
 SAME_ROW = 0.02  # rows off an end of the drive, as far as noise moves a lag
 HELD = 0.6  # steps of the drive: shorter ones of a recorder show a row that is held
-MISSING = 3.0  # steps, of the drive or the recorder, from which on rows in between are missing
+LOST_STEPS = 3.0  # steps, of the drive or the recorder, from which on rows in between are missing
 GAP = 1.5  # longest steps around it, from which on a step is a gap
 NEIGHBOURS = 16  # steps on either side that say what is usual
 EVEN_STEPS = 0.1
@@ -259,19 +259,11 @@ def check_played(
     row = np.interp(time[inside], planned.time, np.arange(float(drive.size)))
     row, played = np.round(row, 6), recorded[inside]
     meant = between(drive, row)
-    around = [meant]
-    if recorded_step < HELD * step:  # a converter holds each row until the next one
-        around += [drive[np.floor(row).astype(int)], drive[np.ceil(row).astype(int)]]
     gain, offset = 1.0, float(np.mean(played - meant))
     if np.ptp(meant) > 0.0:
         gain, offset = np.polyfit(meant, played, 1).tolist()
-    beyond = np.maximum(
-        played - np.max(around, axis=0), np.min(around, axis=0) - played
-    )
-    largest = max(float(beyond.max()), 0.0)
-    steps = np.diff(row)
-    gaps = steps[steps > MISSING * max(1.0, recorded_step / step)]
-    shared = math.ceil(row[-1]) - math.floor(row[0]) + 1 - round(float(gaps.sum()))
+    largest = _largest_difference(drive, row, played, recorded_step < HELD * step)
+    shared = _rows_held(row, LOST_STEPS * max(1.0, recorded_step / step))
     checked.played = {
         "rows": shared,
         "lag_rows": lag / recorded_step,
@@ -294,6 +286,29 @@ def check_played(
         checked.problems.append(
             f"the recording differs by up to {largest:.4g}{unit}, more than {tolerance:.3g}{unit}{hint}"
         )
+
+
+def _largest_difference(
+    drive: Floats, row: Floats, recorded: Floats, is_held: bool
+) -> float:
+    """Return by how much a recording is off the drive at places between its rows, at most.
+
+    Where a converter that holds each row until the next one would show, what lies between
+    two rows is as good.
+    """
+    around = [between(drive, row)]
+    if is_held:
+        around += [drive[np.floor(row).astype(int)], drive[np.ceil(row).astype(int)]]
+    low, high = np.min(around, axis=0), np.max(around, axis=0)
+    return max(float(np.maximum(recorded - high, low - recorded).max()), 0.0)
+
+
+def _rows_held(row: Floats, longest: float) -> int:
+    """Return how many rows of the drive lie between those of a recording; none within longer steps."""
+    steps = np.diff(row)
+    lost = round(float(steps[steps > longest].sum()))
+    first, last = float(row[0]), float(row[-1])
+    return math.ceil(last) - math.floor(first) + 1 - lost
 
 
 def _on_its_clock(values: Floats, time: Floats | None, step: float) -> Trace:

@@ -21,7 +21,7 @@ FEWEST_ROWS = 20  # fewer tell nothing of a loop
 AT_REST, SLOWER = 0.01, 3.0
 """A drive at rest takes three times as long for a hundredth of its range as in its first swing."""
 SAME_LEVEL = 0.1  # of the range: turns that are nearer are alike
-MOST_POINTS = 1000  # that are fitted: more than rows of the search tell nothing
+MOST_FITTED_POINTS = 1000  # that are fitted: more than rows of the search tell nothing
 
 
 @dataclass(frozen=True)
@@ -132,8 +132,8 @@ class Options:
                 f"a whole number from 1 to {MOST_WIDTHS:,}, or auto",
             ),
             "points": (
-                _is_count(self.points, 0, MOST_POINTS),
-                f"a whole number from 0 to {MOST_POINTS:,}, or auto",
+                _is_count(self.points, 0, MOST_FITTED_POINTS),
+                f"a whole number from 0 to {MOST_FITTED_POINTS:,}, or auto",
             ),
             "relaxation": (_are_seconds(*taus), "seconds, 0 or more, or auto"),
             "delay": (_are_seconds(self.delay), "seconds, 0 or more, or auto"),
