@@ -60,6 +60,7 @@ class Fit(TypedDict, total=False):
 
     ``rmse`` on the logs, ``left_out_rmse`` on parts left out, ``expected_rmse`` on a new
     move whose past is known, ``noise_rms`` of the sensor, which is in none of these two;
+    ``scale_rmse`` of a refreshed prior's gain and zero, which is in both;
     ``line_rmse`` of a straight line on the logs, ``left_out_line_rmse`` on parts left
     out; ``unexplained`` share of the displacement within swings. ``fastest`` drive per s,
     ``longest_rest`` and ``longest_swing`` (s) of the logs.
@@ -73,6 +74,7 @@ class Fit(TypedDict, total=False):
     left_out_line_rmse: float
     unexplained: float
     noise_rms: float
+    scale_rmse: float
     expected_rmse: float | None
     fastest: float | None
     longest_rest: float | None

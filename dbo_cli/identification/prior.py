@@ -77,10 +77,7 @@ def rescale(
     gain, offset = shrunk[:2].tolist()
     scale = Scale(1.0 + gain, offset - gain * middle)
     rmse = float(np.sqrt(np.mean(residual**2)))
-    off, reach = np.hypot(errors, numbers - shrunk), prior.output
-    centre = 0.5 * (reach.min + reach.max)
-    spread = np.hypot(reach.span / np.sqrt(12.0), centre - middle)
-    unsure = float(np.hypot(off[0] * spread, off[1]))
+    unsure = _unsure(prior, np.hypot(errors, numbers - shrunk), middle)
     return _refreshed(prior, scale, delay, (rmse, unsure), warnings)
 
 
@@ -156,8 +153,18 @@ def _stated_error(prior: Cascade, logs: Sequence[Recording]) -> float:
 
 def _of_shape(prior: Cascade, error: float) -> float:
     """Return the part of a stated error (RMS) that is the shape's: what was unsure before is found again."""
-    unsure: float = prior.fit.get("prior", {}).get("unsure", 0.0)
+    unsure = prior.fit.get("scale_rmse") or 0.0
     return float(np.sqrt(max(error**2 - unsure**2, 0.0)))
+
+
+def _unsure(prior: Cascade, errors: Floats, middle: float) -> float:
+    """Return what errors of gain and offset make of the displacement (RMS), anywhere in the range alike.
+
+    The offset is that at the ``middle`` of what the prior predicted.
+    """
+    low, high = prior.output.min, prior.output.max
+    distance = np.hypot((high - low) / np.sqrt(12.0), 0.5 * (low + high) - middle)
+    return float(np.hypot(errors[0] * distance, errors[1]))
 
 
 def _shape_error(residual: Floats) -> float:
@@ -231,13 +238,13 @@ def _refreshed(
             fit[key] = float(np.hypot(shape, errors[1]))
     fit |= {
         "method": "prior",
+        "scale_rmse": errors[1],
         "validation": [],
         "warnings": warnings,
         "prior": {
             "gain": change.gain,
             "offset": change.offset,
             "delay_seconds": delay,
-            "unsure": errors[1],
             "digest": prior.digest,
         },
     }

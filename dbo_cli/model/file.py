@@ -55,7 +55,7 @@ SHORTEST_RUN = 3
 OPTIONAL = ("past", "fit", "candidates", "provenance")
 """Keys of a model that are missing where nothing stands for them."""
 FIGURES = (
-    "rmse expected_rmse line_rmse left_out_rmse left_out_line_rmse "
+    "rmse expected_rmse line_rmse left_out_rmse left_out_line_rmse scale_rmse "
     "fastest longest_rest longest_swing swings sensor_delay"
 ).split()
 """Keys of ``fit`` that commands compute with: null or numbers of at least 0."""
